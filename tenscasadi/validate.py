@@ -1,0 +1,116 @@
+"""Checks of input: each returns a clean value or raises an error that names the field, the value and the cure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+LARGEST = 1e100  # squares and products of input must not overflow; no SI quantity of a structure comes near
+
+
+def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
+    """`value` as a read-only float array of `shape` (None: any size). Raises TypeError, ValueError."""
+    try:
+        source = np.asarray(value)
+        if source.dtype.kind not in "iufO" or (source.dtype.kind == "O" and not all(isinstance(item, Real) for item in source.flat)):
+            raise TypeError(f"got {type(value).__name__} of {source.dtype}")  # NumPy would read "1", True and None as numbers
+        array = np.array(source, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise TypeError(f"{field} is not an array of real numbers ({error}): give numbers of shape {_text(shape)}") from None
+    if array.ndim != len(shape) or any(want is not None and want != got for want, got in zip(shape, array.shape, strict=True)):
+        raise ValueError(f"{field} has shape {array.shape}: give an array of shape {_text(shape)}")
+    bad = np.argwhere(~(np.abs(array) <= LARGEST))
+    if len(bad):
+        place = tuple(int(i) for i in bad[0])
+        where = f"[{', '.join(map(str, place))}]" if place else ""
+        raise ValueError(f"{field}{where} is {array[place]}: give finite numbers, at most {LARGEST:g} in size")
+    array.flags.writeable = False
+    return array
+
+
+def per_item(field: str, value: Any, count: int, item: str) -> Array:
+    """`value` broadcast to one number for each of `count` items. Raises TypeError, ValueError."""
+    try:
+        scalar = np.ndim(value) == 0
+    except ValueError:
+        scalar = False  # ragged: finite_array says so
+    if not scalar:
+        return finite_array(field, value, (count,))
+    array = np.full(count, finite_array(field, value, ()))
+    array.flags.writeable = False
+    return array
+
+
+def at_least(field: str, array: Array, bound: float, item: str, strict: bool = False) -> Array:
+    """`array` unchanged when every entry is ≥ `bound` (> when strict); ValueError names the first item that is not."""
+    bad = np.flatnonzero(array <= bound if strict else array < bound)
+    if bad.size:
+        relation = "greater than" if strict else "at least"
+        raise ValueError(f"{field} of {item} {bad[0]} is {array.flat[bad[0]]:g}: it must be {relation} {bound:g}")
+    return array
+
+
+def positive_number(field: str, value: Any, zero: bool = False) -> float:
+    """`value` as a finite float > 0 (≥ 0 when `zero`). Raises TypeError, ValueError."""
+    number = float(finite_array(field, value, ()))
+    if number < 0 or (number == 0 and not zero):
+        raise ValueError(f"{field} is {number:g}: it must be {'at least' if zero else 'greater than'} 0")
+    return number
+
+
+def whole_number(field: str, value: Any, minimum: int) -> int:
+    """`value` as an int ≥ `minimum`; booleans and fractions are refused. Raises TypeError, ValueError."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{field} is {value!r}: give a whole number")
+    if value < minimum:
+        raise ValueError(f"{field} is {value}: it must be at least {minimum}")
+    return int(value)
+
+
+def node_index(field: str, value: Any, count: int) -> int:
+    """`value` as an index of one of `count` nodes, zero-based. Raises TypeError, ValueError."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{field} is {value!r}: give a node index, a whole number")
+    if not 0 <= value < count:
+        raise ValueError(f"{field} is {value}: node indices run from 0 to {count - 1}")
+    return int(value)
+
+
+def node_pairs(field: str, value: Iterable[Sequence[int]], count: int, item: str) -> Indices:
+    """Members as an (items, 2) index array: in range, no member from a node to itself, none given twice."""
+    try:
+        rows = [tuple(row) for row in value]
+    except TypeError:
+        raise TypeError(f"{field} is {value!r}: give a sequence of node pairs, such as [(0, 1), (1, 2)]") from None
+    seen: dict[tuple[int, int], int] = {}
+    pairs = np.empty((len(rows), 2), dtype=np.intp)
+    for k, row in enumerate(rows):
+        if len(row) != 2:
+            raise ValueError(f"{field}[{k}] is {row}: {item} {k} joins two nodes, give a pair")
+        a, b = (node_index(f"{field}[{k}]", end, count) for end in row)
+        if a == b:
+            raise ValueError(f"{field}: {item} {k} joins node {a} to itself: give two different nodes")
+        key = (min(a, b), max(a, b))
+        if key in seen:
+            raise ValueError(f"{field}: {item} {k} joins nodes {a} and {b} as {item} {seen[key]} does: leave one out")
+        seen[key] = k
+        pairs[k] = a, b
+    pairs.flags.writeable = False
+    return pairs
+
+
+def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> None:
+    """TypeError unless `value` is one of `kinds`; `example` shows a right one."""
+    if not isinstance(value, kinds):
+        raise TypeError(f"{field} is {value!r}: give {example}")
+
+
+def _text(shape: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("any" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
