@@ -1,0 +1,274 @@
+"""Rigid bars and joints: the multipliers λ̂ and Ω, and what they do to accelerations, positions and velocities.
+
+One formula serves every class and both coordinates. With M⁻ the inverse mass matrix on the coordinates that can move,
+B = N C_bᵀ and X any 3×n matrix of accelerations (or displacements) before the constraints act, the constrained one is
+
+    X + (B λ̂ C_b + Ω Pᵀ) M⁻,                                                    Eqs. 85-87 in the current bᵀb instead of l²
+
+with λ̂ and Ω such that bᵢᵀ of its bar i is −rᵢ and its joints (times P) are −R. In "reduced" coordinates joints hold by
+construction, P has no columns and λ solves ((BᵀB) ∘ G) λ = −r with G = C_b M⁻ C_bᵀ (Eqs. 94-95); in "full" coordinates every
+bar has its own nodes, G is diagonal, λ̂ is eliminated bar by bar and Ω solves Eq. 103 (corrected, and symmetric).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.structure import Structure, connectivity
+from tenscasadi.validate import Array, Indices
+
+UNROLL_MEMBERS = 1000  # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
+UNROLL_SOLVE = 6  # above, linear systems are solved by a routine instead of unrolled scalar code: shorter derivatives
+REGULARISATION = 1e-10  # on a system of unit diagonal; two refinements remove it from all that is not redundant
+REFINEMENTS = 2
+
+Coordinates = Literal["reduced", "full"]
+
+
+class Multipliers(NamedTuple):
+    """λ (β,), N/m: force densities of bars, positive in compression (Eq. 87); Ω (3, c), N: joint and pin forces (Eq. 85)."""
+
+    bar_force_density: Any
+    joint_force: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """The constant matrices of a structure in one of the two coordinates. Columns: physical nodes (reduced) or class-one nodes (full)."""
+
+    N: Array  # 3×n initial nodes
+    free: Any  # (n, 3) bool: coordinates that are part of the state
+    physical: Indices  # (n,) physical node of each column
+    first: Indices  # one column for each physical node
+    C_b: sp.csr_array  # β×n
+    C_s: sp.csr_array  # α×n
+    M: sp.csr_array  # n×n
+    inverse: tuple[sp.csr_array, ...]  # M⁻ (n×n) for each axis, or once for all three
+    P: sp.csr_array  # n×c, no columns in reduced coordinates
+    D: Array  # 3×c
+    lengths: Array  # (β,)
+
+    @property
+    def bars(self) -> int:
+        """How many bars there are."""
+        return len(self.lengths)
+
+    @property
+    def joints(self) -> int:
+        """How many columns P has."""
+        return int(self.P.shape[1])
+
+    @property
+    def constrained(self) -> bool:
+        """Whether there is anything to keep."""
+        return self.bars > 0 or self.joints > 0
+
+    @property
+    def large(self) -> bool:
+        """Whether expressions are kept as vector operations instead of unrolled scalars."""
+        return self.bars + self.C_s.shape[0] > UNROLL_MEMBERS
+
+    def with_inverse(self, X: Any) -> Any:
+        """X M⁻ (3×n)."""
+        if len(self.inverse) == 1:
+            return ca.mtimes(X, sparse(self.inverse[0]))
+        return ca.vertcat(*(ca.mtimes(X[axis, :], sparse(self.inverse[axis])) for axis in range(3)))
+
+    def G(self) -> tuple[sp.csr_array, ...]:
+        """C_b M⁻ C_bᵀ (β×β) for each axis, or once."""
+        return tuple(_clean(self.C_b @ inverse @ self.C_b.T) for inverse in self.inverse)
+
+    @property
+    def system_size(self) -> int:
+        """Unknowns of the linear system that has to be solved: 0 where every bar stands alone."""
+        if self.joints:
+            return 3 * self.joints
+        G = self.G()
+        alone = len(G) == 1 and _is_diagonal(G[0]) and bool(np.all(G[0].diagonal() > 0))
+        return 0 if alone else self.bars
+
+
+def mechanism(structure: Structure, coordinates: Coordinates) -> Mechanism:
+    """The matrices of a structure in "reduced" or "full" coordinates."""
+    if coordinates == "reduced":
+        n = len(structure.nodes)
+        C_b, C_s, M = connectivity(structure.bars, n), connectivity(structure.strings, n), structure.mass_matrix()
+        free = ~structure.fixed
+        axes = [free[:, 0]] if (free == free[:, :1]).all() else [free[:, axis] for axis in range(3)]
+        every = np.arange(n)
+        none = sp.csr_array((n, 0))
+        return Mechanism(structure.nodes.T, free, every, every, C_b, C_s, M, tuple(_inverse(M, axis) for axis in axes), none, np.zeros((3, 0)),
+                         structure.bar_lengths)  # fmt: skip
+    split = structure.class_one(sparse=True)
+    n = split.N.shape[1]
+    first = np.unique(split.physical, return_index=True)[1]
+    free = np.ones((n, 3), dtype=bool)
+    C_b = sp.csr_array(split.C_b @ split.C_nb)
+    return Mechanism(split.N, free, split.physical, first, C_b, sp.csr_array(split.C_s), split.M_s, (_inverse(split.M_s, free[:, 0]),),
+                     sp.csr_array(split.P), split.D, structure.bar_lengths)  # fmt: skip
+
+
+# --- the three steps: assemble the linear system, solve it, apply the multipliers ---
+
+
+def system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
+    """The symmetric system of the multipliers that are not eliminated and its right-hand side (Eq. 103, or (BᵀB)∘G)."""
+    if not mech.joints:
+        return _reduced_matrix(mech, B), -r.T
+    h = _bar_scale(mech, B)
+    K = _clean(mech.P.T @ mech.inverse[0] @ mech.C_b.T)  # c×β
+    rhs = ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(K.T)) - R  # 3×c
+    return _joint_matrix(mech, B / ca.repmat(ca.sqrt(h), 3, 1), K), ca.vec(rhs)
+
+
+def multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, Any]:
+    """λ (1×β) and Ω (3×c) from the solution of `system`, or bar by bar where nothing had to be solved."""
+    if mech.joints:
+        Omega = ca.reshape(solution, 3, mech.joints)
+        K = _clean(mech.P.T @ mech.inverse[0] @ mech.C_b.T)
+        return -(r + ca.sum1(B * ca.mtimes(Omega, sparse(K)))) / _bar_scale(mech, B), Omega
+    Omega = ca.DM.zeros(3, 0)
+    if mech.system_size:
+        return solution.T, Omega
+    return -r / _bar_scale(mech, B), Omega
+
+
+def reaction(mech: Mechanism, B: Any, lam: Any, Omega: Any) -> Any:
+    """(B λ̂ C_b + Ω Pᵀ) M⁻ (3×n)."""
+    push = ca.mtimes(B * ca.repmat(lam, 3, 1), sparse(mech.C_b))
+    if mech.joints:
+        push = push + ca.mtimes(Omega, sparse(mech.P.T))
+    return mech.with_inverse(push)
+
+
+def solve_semidefinite(A: Any, b: Any) -> Any:
+    """x with A x = b for a symmetric positive semidefinite A, also where rows repeat each other (then b must be consistent).
+
+    The diagonal is scaled to one, the factored matrix is A + εI, and two refinements take ε out of all but the null space.
+    """
+    size = A.shape[0]
+    diagonal = ca.diag(A)
+    scale = 1 / ca.sqrt(diagonal + 1e-14 * ca.sum1(diagonal))  # a row of zeros stays zero
+    scaled = A * _on_pattern(A, scale)
+    target = b * scale
+    shifted = scaled + REGULARISATION * ca.DM.eye(size)
+    solve = _unrolled_solver(shifted) if isinstance(A, ca.SX) else lambda rhs: ca.solve(shifted, rhs, "ldl")
+    x = solve(target)
+    for _ in range(REFINEMENTS):
+        x = x + solve(target - ca.mtimes(scaled, x))
+    return x * scale
+
+
+def staged(large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
+    """`function` of the arguments; MX arguments of a structure that is not large go through an SX Function: scalar code, called once."""
+    if large or not any(isinstance(argument, ca.MX) for argument in arguments):
+        return function(*arguments)
+    inputs = [ca.MX(argument) for argument in arguments]
+    symbols = [ca.SX.sym(f"a{k}", value.sparsity()) for k, value in enumerate(inputs)]
+    return tuple(ca.Function("stage", symbols, [ca.SX(value) for value in function(*symbols)]).call(inputs))
+
+
+def sparse(matrix: Any) -> ca.DM:
+    """A SciPy sparse matrix as a CasADi one."""
+    csc = sp.csc_array(matrix)
+    csc.sort_indices()
+    return ca.DM(ca.Sparsity(*csc.shape, csc.indptr.tolist(), csc.indices.tolist()), csc.data)
+
+
+def _bar_scale(mech: Mechanism, B: Any) -> Any:
+    """h = bᵀb G_ii (1×β) of bars that stand alone."""
+    return ca.sum1(B * B) * ca.DM(mech.G()[0].diagonal()).T
+
+
+def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
+    """Σ over axes of (b bᵀ) ∘ G (β×β), on the pattern of G only."""
+    G = mech.G()
+    pattern = sp.coo_array(sum(abs(g) for g in G) + sp.eye_array(mech.bars))
+    order = np.lexsort((pattern.row, pattern.col))
+    rows, columns = pattern.row[order].tolist(), pattern.col[order].tolist()
+    weights = [ca.DM(np.asarray(sp.csr_array(g)[rows, columns]).ravel()) for g in G]
+    products = B[:, rows] * B[:, columns]  # 3×nnz
+    if len(G) == 1:
+        values = ca.sum1(products).T * weights[0]
+    else:
+        values = sum(products[axis, :].T * weights[axis] for axis in range(3))
+    return _fill(ca.Sparsity.triplet(mech.bars, mech.bars, rows, columns), values)
+
+
+def _joint_matrix(mech: Mechanism, unit: Any, K: sp.csr_array) -> Any:
+    """(Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ) (3c×3c), with kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ: Eq. 103 with Eᵀ, its columns combined to be symmetric."""
+    c = mech.joints
+    E = _clean(mech.P.T @ mech.inverse[0] @ mech.P)
+    pattern = sp.coo_array(abs(E) + abs(K) @ abs(K.T) + sp.eye_array(c))
+    n, j = pattern.row, pattern.col
+    direct = np.asarray(E[n, j]).ravel()
+    pairs = sparse(_clean(K[n, :].multiply(K[j, :])))  # nnz×β: k_ni k_ji
+    rows: list[Any] = []
+    columns: list[Any] = []
+    values = []
+    for a in range(3):
+        for b in range(3):
+            block = -ca.mtimes(pairs, (unit[a, :] * unit[b, :]).T)
+            values.append(block + ca.DM(direct) if a == b else block)
+            rows.append(3 * n + a)
+            columns.append(3 * j + b)
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    order = np.lexsort((row, column))
+    sparsity = ca.Sparsity.triplet(3 * c, 3 * c, row[order].tolist(), column[order].tolist())
+    return _fill(sparsity, ca.vertcat(*(ca.densify(value) for value in values))[order.tolist()])
+
+
+def _fill(sparsity: ca.Sparsity, values: Any) -> Any:
+    values = ca.densify(values)
+    return ca.SX(sparsity, values) if isinstance(values, ca.SX) else ca.MX(sparsity, values) if isinstance(values, ca.MX) else ca.DM(sparsity, values)
+
+
+def _on_pattern(A: Any, scale: Any) -> Any:
+    """scaleᵢ scaleⱼ on the pattern of A."""
+    rows, columns = A.sparsity().get_triplet()
+    return _fill(A.sparsity(), scale[rows] * scale[columns])
+
+
+def _unrolled_solver(A: Any) -> Callable[[Any], Any]:
+    D, LT, permutation = ca.ldl(A)
+    return lambda rhs: ca.ldl_solve(rhs, D, LT, permutation)
+
+
+def _clean(matrix: Any) -> sp.csr_array:
+    """The matrix without entries that are zero but for rounding."""
+    result = sp.csr_array(matrix)
+    if result.nnz:
+        result.data[abs(result.data) < 1e-14 * abs(result.data).max()] = 0
+        result.eliminate_zeros()
+    return result
+
+
+def _is_diagonal(matrix: sp.csr_array) -> bool:
+    coo = sp.coo_array(matrix)
+    return bool(np.all(coo.row == coo.col))
+
+
+def _inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
+    """The inverse of M on the free coordinates, embedded in n×n with zeros elsewhere; block by block, since bars rarely all hang together."""
+    n = M.shape[0]
+    index = np.flatnonzero(free)
+    inner = sp.csr_array(M)[index][:, index]
+    count, label = sp.csgraph.connected_components(inner, directed=False)
+    order = np.argsort(label, kind="stable")
+    sizes = np.bincount(label, minlength=count)
+    rows, columns, data = [], [], []
+    for block in np.split(order, np.cumsum(sizes)[:-1]) if len(index) else []:
+        inverse = np.linalg.inv(inner[block][:, block].toarray())
+        nodes = index[block]
+        rows.append(np.repeat(nodes, len(nodes)))
+        columns.append(np.tile(nodes, len(nodes)))
+        data.append(((inverse + inverse.T) / 2).ravel())
+    if not rows:
+        return sp.csr_array((n, n))
+    return sp.csr_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))

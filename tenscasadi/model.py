@@ -1,0 +1,339 @@
+"""A scene as CasADi Functions: the ordinary differential equation, energy, multipliers, and the way in and out of the state."""
+
+from __future__ import annotations
+
+import warnings
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi import dynamics, forces
+from tenscasadi.dynamics import Coordinates, Multipliers, sparse
+from tenscasadi.redundancy import RedundantConstraints, find_redundancy
+from tenscasadi.scene import Scene
+from tenscasadi.strings import ForceDensity, RestLength
+from tenscasadi.validate import Array, finite_array, instance
+
+
+class Energy(NamedTuple):
+    """Energies of a state, J: of motion, of taut strings and the ground's springs, and in gravity (zero at the origin)."""
+
+    kinetic: float
+    elastic: float
+    gravity: float
+
+    @property
+    def total(self) -> float:
+        """The sum, J."""
+        return self.kinetic + self.elastic + self.gravity
+
+
+class Terms(dict[str, int]):
+    """Instruction counts by the name of a term; prints as a table."""
+
+    def __str__(self) -> str:
+        width = max(map(len, self), default=0)
+        return "\n".join(f"{name:<{width}}  {count:>8}" for name, count in self.items())
+
+
+class Model:
+    """The equations of motion of a `Scene`, Eqs. 58-95, as CasADi Functions.
+
+    `coordinates="reduced"`: the state holds the coordinates of physical nodes that are free to move; joints and pins cannot drift.
+    `coordinates="full"`: the state holds the paper's class-one nodes, and Ω keeps joints and pins.
+    State x = (positions, velocities), each node by node, and a clock where loads depend on time. Control u: one entry per parent
+    string (`ForceDensity`, N/m; `RestLength`, m) or none. Raises TypeError, ValueError; warns with `RedundantConstraints`.
+    """
+
+    def __init__(self, scene: Scene, coordinates: Coordinates = "reduced") -> None:
+        instance("Model.scene", scene, Scene, "a tenscasadi.Scene")
+        if coordinates not in ("reduced", "full"):
+            raise ValueError(f'Model.coordinates is {coordinates!r}: give "reduced" or "full"')
+        self.scene = scene
+        self.structure = scene.modelled
+        self.coordinates: Coordinates = coordinates
+        self.mechanism = dynamics.mechanism(self.structure, coordinates)
+        self._free = np.flatnonzero(self.mechanism.free.ravel())
+        self.nq = len(self._free)
+        self.nx = 2 * self.nq + (1 if scene.has_clock else 0)
+        self.nu = 0 if scene.control is None else len(scene.structure.strings)
+        message = find_redundancy(self.structure, self.mechanism)
+        if message:
+            warnings.warn(message, RedundantConstraints, stacklevel=2)
+
+    # --- CasADi Functions ---
+
+    @cached_property
+    def ode(self) -> ca.Function:
+        """(x, u) → xdot: self-contained, differentiable, usable by any CasADi tool."""
+        x, u = self._symbols(self._unrolled)
+        N, V, time = self.unpack(x)
+        A, _, _ = self._motion(N, V, u, time)
+        return ca.Function("ode", [x, u], [self.pack(V, A, 1)], ["x", "u"], ["xdot"])
+
+    @cached_property
+    def observe(self) -> ca.Function:
+        """(x, u) → nodes and velocities (3n, node by node), force_density and tension (α), energy (3), bar_length_error, joint_error."""
+        x, u = self._symbols(not self.mechanism.large)
+        N, V, _ = self.unpack(x)
+        gamma, length = forces.strings(self.scene, self.mechanism, N, V, u)
+        first = self.mechanism.first.tolist()
+        outputs = {
+            "nodes": ca.vec(N[:, first]),
+            "velocities": ca.vec(V[:, first]),
+            "force_density": gamma.T,
+            "tension": (gamma * length).T,
+            "energy": ca.vertcat(self._kinetic(V), *forces.potential(self.scene, self.mechanism, N, u)),
+            "bar_length_error": self._bar_length_error(N),
+            "joint_error": self._joint_error(N),
+        }
+        return ca.Function("observe", [x, u], [ca.densify(value) for value in outputs.values()], ["x", "u"], list(outputs))
+
+    @cached_property
+    def power(self) -> ca.Function | None:
+        """(x, u) → power, W, of all forces that `energy` does not hold; None when there are none. Jumps of the control are not in it."""
+        if self.conservative:
+            return None
+        x, u = self._symbols(not self.mechanism.large)
+        N, V, time = self.unpack(x)
+        push = _sum(forces.terms(self.scene, self.mechanism, N, V, u, time), self.mechanism)
+        n = ca.SX.sym("n", N.shape) if isinstance(N, ca.SX) else ca.MX.sym("n", N.shape)
+        total = sum(forces.potential(self.scene, self.mechanism, n, u))
+        slope = ca.substitute(ca.jtimes(total, n, V), n, N)
+        return ca.Function("power", [x, u], [ca.densify(ca.sum2(ca.sum1(push * V)) + slope)], ["x", "u"], ["power"])
+
+    @cached_property
+    def multiplier_function(self) -> ca.Function:
+        """(x, u) → λ (β) and Ω (3×c): see `multipliers`."""
+        x, u = self._symbols(self._unrolled)
+        N, V, time = self.unpack(x)
+        A, lam, omega = self._motion(N, V, u, time)
+        if self.coordinates == "reduced" and len(self.structure.bars):
+            omega = self._joint_forces(N, V, A, lam, u, time)
+        return ca.Function("multipliers", [x, u], [ca.densify(lam.T), ca.densify(omega)], ["x", "u"], ["bar_force_density", "joint_force"])
+
+    # --- numbers in, numbers out ---
+
+    @cached_property
+    def initial_state(self) -> Array:
+        """The structure's nodes at rest (nx,)."""
+        return self.state(self.structure.nodes)
+
+    @cached_property
+    def initial_control(self) -> Array:
+        """The control that leaves the strings as the structure has them (nu,): γ of its rest lengths, or the rest lengths."""
+        s = self.scene.structure
+        if isinstance(self.scene.control, RestLength):
+            return s.rest_length.copy()
+        if isinstance(self.scene.control, ForceDensity):
+            return s.stiffness * np.maximum(0.0, 1 - s.rest_length / s.string_lengths)  # Eq. 99 at rest
+        return np.zeros(0)
+
+    def state(self, nodes: Any, velocities: Any = None) -> Array:
+        """x (nx,) of physical nodes (n, 3), m, and velocities (n, 3), m/s (None: at rest); the clock starts at 0.
+
+        n counts the modelled nodes. Raises ValueError where a pinned coordinate is elsewhere or moves.
+        """
+        n = len(self.structure.nodes)
+        positions = finite_array("nodes", nodes, (n, 3))
+        speeds = np.zeros((n, 3)) if velocities is None else finite_array("velocities", velocities, (n, 3))
+        fixed = self.structure.fixed
+        size = np.ptp(self.structure.nodes, axis=0).max(initial=0.0)
+        for name, wrong in {"nodes": abs(positions - self.structure.nodes) > 1e-9 * max(size, 1e-300), "velocities": abs(speeds) > 1e-9 * abs(speeds).max(initial=0.0)}.items():
+            if np.any(wrong & fixed):
+                node, axis = np.argwhere(wrong & fixed)[0]
+                raise ValueError(f"{name}[{node}, {axis}] moves a pinned coordinate: keep node {node} at {self.structure.nodes[node]}, at rest")
+        columns = self.mechanism.physical
+        x = np.zeros(self.nx)
+        x[: self.nq] = positions[columns].ravel()[self._free]
+        x[self.nq : 2 * self.nq] = speeds[columns].ravel()[self._free]
+        return x
+
+    def nodes(self, x: Any) -> Any:
+        """Physical nodes of states: (…, nx) → (…, n, 3), m. A CasADi state gives the 3×n expression."""
+        return self._physical(x, 0, self.mechanism.N.T)
+
+    def velocities(self, x: Any) -> Any:
+        """Velocities of physical nodes: (…, nx) → (…, n, 3), m/s. A CasADi state gives the 3×n expression."""
+        return self._physical(x, self.nq, np.zeros_like(self.mechanism.N.T))
+
+    def force_density(self, x: Any, u: Any = None) -> Any:
+        """γ of the modelled strings (α,), N/m; u None: the initial control. CasADi in, CasADi out."""
+        return self._observed("force_density", x, u)
+
+    def tension(self, x: Any, u: Any = None) -> Any:
+        """Tensions of the modelled strings (α,), N; u None: the initial control. CasADi in, CasADi out."""
+        return self._observed("tension", x, u)
+
+    def multipliers(self, x: Any, u: Any = None) -> Multipliers:
+        """λ̂ (β,) and Ω (3, c) in the paper's signs (Eqs. 85, 87); Ω's columns are those of `structure.class_one().P`.
+
+        Where constraints are redundant these are the smallest of the many that give the same motion, in scaled rows.
+        """
+        lam, omega = self.multiplier_function(*self._arguments(x, u))
+        return Multipliers(lam.full().ravel(), omega.full())
+
+    def energy(self, x: Any, u: Any = None) -> Energy:
+        """Kinetic, elastic and gravity energy, J; strings driven by force density store none."""
+        return Energy(*self._observed("energy", x, u).tolist())
+
+    def bar_length_error(self, x: Any) -> float:
+        """The largest | |b| − l | / l over the bars: 0 is exact."""
+        return float(self._observed("bar_length_error", x, None)[0])
+
+    def joint_error(self, x: Any) -> float:
+        """The largest distance of a joint or pin from where it belongs, per axis, m: 0 in reduced coordinates."""
+        return float(self._observed("joint_error", x, None)[0])
+
+    @property
+    def conservative(self) -> bool:
+        """Whether no force outside `energy` does work while the control stands still."""
+        return forces.conservative(self.scene)
+
+    def describe(self) -> Terms:
+        """The terms that this scene builds, each with the instructions that it adds to the right-hand side."""
+        x, u = self._symbols(not self.mechanism.large)
+        N, V, time = self.unpack(x)
+        built = forces.terms(self.scene, self.mechanism, N, V, u, time)
+        if forces.is_damped(self.scene):
+            elastic = forces.strings(self.scene, self.mechanism, N, V, u, damped=False)[0]
+            built = {"string elasticity": forces.pull(self.mechanism, N, elastic), "string damping": built.pop("strings"), **built}
+        elif "strings" in built:
+            name = "string force densities" if isinstance(self.scene.control, ForceDensity) else "string elasticity"
+            built = {name: built.pop("strings"), **built}
+        terms = Terms()
+        outputs: dict[str, Any] = {}
+        before = 0
+        for name, expression in built.items():
+            if name == "string damping":  # the whole string law; what it adds to elasticity is the damping
+                outputs.pop("string elasticity")
+            outputs[name] = expression
+            count = ca.Function("terms", [x, u], list(outputs.values())).n_instructions()
+            terms[name] = count - before
+            before = count
+        total = instructions(self.ode)
+        rest = "inverse mass"
+        if self.mechanism.constrained:
+            rest = "bars (λ)" + (" and joints (Ω)" if self.mechanism.joints else "") + " and inverse mass"
+        terms[rest] = max(total - before, 0)
+        terms["total"] = total
+        return terms
+
+    # --- expressions ---
+
+    @property
+    def _unrolled(self) -> bool:
+        return not self.mechanism.large and self.mechanism.system_size <= dynamics.UNROLL_SOLVE
+
+    def _symbols(self, unrolled: bool) -> tuple[Any, Any]:
+        kind = ca.SX if unrolled else ca.MX
+        return kind.sym("x", self.nx), kind.sym("u", self.nu)
+
+    def unpack(self, x: Any) -> tuple[Any, Any, Any]:
+        """N and V (3×n, the columns of `mechanism`) and the time of a CasADi state."""
+        start = self.mechanism.N.T
+        return self._place(x[: self.nq], start), self._place(x[self.nq : 2 * self.nq], np.zeros_like(start)), x[-1] if self.scene.has_clock else 0
+
+    def _place(self, free: Any, elsewhere: Array) -> Any:
+        if self.nq == elsewhere.size:
+            return ca.reshape(free, 3, len(elsewhere))
+        vector = type(free)(ca.DM(elsewhere.ravel()))
+        vector[self._free.tolist()] = free
+        return ca.reshape(vector, 3, len(elsewhere))
+
+    def pack(self, upper: Any, lower: Any, clock: Any) -> Any:
+        """The inverse of `unpack`, also for rates of change: two 3×n matrices and, where there is a clock, its entry."""
+        free = self._free.tolist()
+        parts = [ca.vec(matrix)[free] if self.nq < 3 * matrix.shape[1] else ca.vec(matrix) for matrix in (upper, lower)]
+        return ca.densify(ca.vertcat(*parts, *([clock] if self.scene.has_clock else [])))
+
+    def _motion(self, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, Any, Any]:
+        """N̈ (3×n), λ (1×β) and Ω (3×c)."""
+        mech = self.mechanism
+
+        def unconstrained(N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
+            X = mech.with_inverse(_sum(forces.terms(self.scene, mech, N, V, u, time), mech))
+            if not mech.constrained:
+                return (X,)
+            B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
+            r = ca.sum1(Bd * Bd) + ca.sum1(B * ca.mtimes(X, sparse(mech.C_b.T)))  # Eq. 28
+            return X, B, r, *(dynamics.system(mech, B, r, ca.mtimes(X, sparse(mech.P))) if mech.system_size else ())
+
+        def constrained(X: Any, B: Any, r: Any, solution: Any) -> tuple[Any, ...]:
+            lam, omega = dynamics.multipliers(mech, B, r, solution)
+            return X + dynamics.reaction(mech, B, lam, omega), lam, omega
+
+        X, *rows = dynamics.staged(mech.large, unconstrained, N, V, u, time)
+        if not rows:
+            return X, ca.DM.zeros(1, 0), ca.DM.zeros(3, 0)
+        B, r, *linear = rows
+        solution = dynamics.solve_semidefinite(*linear) if linear else ca.DM.zeros(0, 1)
+        A, lam, omega = dynamics.staged(mech.large, constrained, X, B, r, solution)
+        return A, lam, omega
+
+    def _joint_forces(self, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
+        """Ω of reduced coordinates: what the class-one nodes of Eq. 85 still need for the accelerations that they have."""
+        full = dynamics.mechanism(self.structure, "full")
+        if not full.joints:
+            return ca.DM.zeros(3, 0)
+        N, V, A = (Z[:, full.physical.tolist()] for Z in (N, V, A))
+        push = ca.mtimes(ca.mtimes(N, sparse(full.C_b.T)) * ca.repmat(lam, 3, 1), sparse(full.C_b))
+        left = ca.mtimes(A, sparse(full.M)) - _sum(forces.terms(self.scene, full, N, V, u, time), full) - push  # Ω Pᵀ
+        return ca.mtimes(left, ca.DM(np.linalg.pinv(full.P.toarray().T)))
+
+    def _kinetic(self, V: Any) -> Any:
+        return ca.sum2(ca.sum1(V * ca.mtimes(V, sparse(self.mechanism.M)))) / 2
+
+    def _bar_length_error(self, N: Any) -> Any:
+        if not self.mechanism.bars:
+            return ca.DM(0)
+        B = ca.mtimes(N, sparse(self.mechanism.C_b.T))
+        return ca.mmax(ca.fabs(ca.sqrt(ca.sum1(B * B)) / ca.DM(self.mechanism.lengths).T - 1))
+
+    def _joint_error(self, N: Any) -> Any:
+        if not self.mechanism.joints:
+            return ca.DM(0)
+        return ca.mmax(ca.fabs(ca.mtimes(N, sparse(self.mechanism.P)) - ca.DM(self.mechanism.D)))
+
+    # --- numbers ---
+
+    def _physical(self, x: Any, start: int, elsewhere: Array) -> Any:
+        if isinstance(x, (ca.SX, ca.MX)):
+            return self._place(x[start : start + self.nq], elsewhere)[:, self.mechanism.first.tolist()]
+        states = np.asarray(x, dtype=float)
+        if states.ndim == 0 or states.shape[-1] != self.nx:
+            raise ValueError(f"x has shape {states.shape}: give states of shape (..., {self.nx})")
+        result = np.broadcast_to(elsewhere.ravel(), (*states.shape[:-1], elsewhere.size)).copy()
+        result[..., self._free] = states[..., start : start + self.nq]
+        return result.reshape(*states.shape[:-1], -1, 3)[..., self.mechanism.first, :]
+
+    def _arguments(self, x: Any, u: Any) -> tuple[Any, Any]:
+        if u is None:
+            u = self.initial_control
+        return tuple(
+            value if isinstance(value, (ca.SX, ca.MX)) else ca.DM(finite_array(name, value, (size,)))
+            for name, value, size in (("x", x, self.nx), ("u", u, self.nu))
+        )  # type: ignore[return-value]
+
+    def _observed(self, name: str, x: Any, u: Any) -> Any:
+        arguments = self._arguments(x, u)
+        value = self.observe(*arguments)[self.observe.index_out(name)]
+        return value.full().ravel() if isinstance(value, ca.DM) else value
+
+
+def _sum(terms: dict[str, Any], mech: dynamics.Mechanism) -> Any:
+    """F (3×n), the sum of its terms."""
+    return sum(terms.values(), start=ca.DM.zeros(3, mech.N.shape[1]))
+
+
+def instructions(function: ca.Function) -> int:
+    """Instructions of a Function and, for each call in it, of the Functions that it calls."""
+    count = int(function.n_instructions())
+    if function.class_name() != "MXFunction":
+        return count
+    for k in range(function.n_instructions()):
+        if function.instruction_id(k) == ca.OP_CALL:
+            count += instructions(function.instruction_MX(k).which_function())
+    return count
