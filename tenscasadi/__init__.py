@@ -1,0 +1,1 @@
+"""Tensegrity dynamics as CasADi Functions."""
