@@ -90,6 +90,23 @@ def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices)
     return Layout(physical, np.column_stack([ends, ends + len(bars)]), first[strings], share, P)
 
 
+def extended(layout: Layout, count: int, strings: Indices, parent: Indices) -> Layout:
+    """`layout` of `count` nodes once its strings are cut into `strings` (segments, 2): new nodes get columns after the others.
+
+    An end at an old node stays in the column where the string that was cut, `parent`, has it.
+    """
+    columns = len(layout.physical)
+    new = max(int(strings.max(initial=-1)) + 1 - count, 0)
+    P = layout.P.tocoo()
+    return Layout(
+        np.concatenate([layout.physical, count + np.arange(new)]),
+        layout.bar_columns,
+        np.where(strings < count, layout.string_columns[parent], columns + strings - count),
+        np.concatenate([layout.mass_share, np.ones(new)]),
+        csr_array((P.data, P.coords), shape=(columns + new, P.shape[1])),
+    )
+
+
 def split(layout: Layout, nodes: Array, inertia: Array, mass: Array, node_mass: Array, sparse: bool) -> ClassOne:
     """The matrices of `layout` for nodes (n, 3), bar inertia J and mass m (β,) and point masses (n,)."""
     count = len(layout.physical)
@@ -129,7 +146,8 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
         _link(root, *tie)
     first, physical = np.unique(root, return_inverse=True)
     physical = physical.astype(np.intp)
-    total = np.bincount(physical, weights=mass, minlength=len(first))
+    total = np.zeros(len(first))
+    np.add.at(total, physical, mass)
     pinned = sorted({int(physical[pin]) for pin in pins})
     layout = None
     if len(np.unique(bars)) == bars.size:  # bars that share a column are not split yet: the default layout splits them
@@ -147,11 +165,12 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
     return MatrixInput(columns[first], physical[bars], physical[strings], pinned, total, layout)
 
 
-def _dense(field: str, value: Any, shape: tuple[int | None, int | None]) -> Array:
+def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> Array:
     """`value` (dense, scipy sparse, None or empty) as a finite array of `shape`, its free side 0 when there is nothing."""
-    if value is None or (not issparse(value) and np.size(value) == 0):
+    dense = value.toarray() if issparse(value) else value
+    if dense is None or np.size(dense) == 0:
         return np.zeros([size or 0 for size in shape])
-    return finite_array(field, value.toarray() if issparse(value) else value, shape)
+    return finite_array(field, dense, shape)
 
 
 def _member_columns(field: str, value: Any, count: int, item: str) -> Indices:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, diags_array
 
-from tenscasadi.class_one import ClassOne, Layout, bar_mass_matrix, connectivity, default_layout, read_matrices, split
+from tenscasadi.class_one import ClassOne, Layout, bar_mass_matrix, connectivity, default_layout, extended, read_matrices, split
 from tenscasadi.subdivision import split_strings
 from tenscasadi.validate import Array, Indices, at_least, finite_array, node_index, node_pairs, per_item
 
@@ -89,7 +89,7 @@ class Structure:
         own["string_lengths"] = _lengths("strings", self.nodes, self.strings, "string")
         given = self.string_lengths if rest_length is None else rest_length
         own["rest_length"] = at_least("rest_length", per_item("rest_length", given, alpha, "string"), 0.0, "string", strict=True)
-        slenderness = at_most_thick(self.bar_radius, self.bar_lengths)
+        slenderness = _slenderness(self.bar_radius, self.bar_lengths)
         own["bar_inertia"] = self.bar_mass * (1.0 / 12.0 + slenderness**2 / 4.0)  # Eq. 19
         own["string_parent"] = np.arange(alpha)
         own["string_fraction"] = np.ones(alpha)
@@ -190,19 +190,10 @@ class Structure:
             rest_length=self.rest_length[parent] * share,
             string_mass=0.0,
         )
-        columns = np.concatenate([np.zeros(len(self.nodes), dtype=np.intp), len(self._layout.physical) + np.arange(len(cut.points))])
-        old = cut.strings < len(self.nodes)  # an old end stays in the column where its parent string ends
-        P = csr_array(self._layout.P)
-        P.resize((len(self._layout.physical) + len(cut.points), P.shape[1]))
-        layout = Layout(
-            np.concatenate([self._layout.physical, len(self.nodes) + np.arange(len(cut.points))]),
-            self._layout.bar_columns,
-            np.where(old, self._layout.string_columns[parent], columns[cut.strings]),
-            np.concatenate([self._layout.mass_share, np.ones(len(cut.points))]),
-            P,
-        )
         return new._derived(
-            _layout=layout, string_parent=self.string_parent[parent], string_fraction=self.string_fraction[parent] * share
+            _layout=extended(self._layout, len(self.nodes), cut.strings, parent),
+            string_parent=self.string_parent[parent],
+            string_fraction=self.string_fraction[parent] * share,
         )
 
     def __repr__(self) -> str:
@@ -232,7 +223,7 @@ class Structure:
             raise ValueError(f"node_mass of node {node} is 0 and no bar ends there: give it a mass, pin it, or give its strings a string_mass")
 
 
-def at_most_thick(radius: Array, length: Array) -> Array:
+def _slenderness(radius: Array, length: Array) -> Array:
     """Radius over length of each bar, refused beyond THICKEST."""
     ratio = radius / length
     bad = np.flatnonzero(ratio > THICKEST)
