@@ -1,1 +1,55 @@
-"""Tensegrity dynamics as CasADi Functions."""
+"""Tensegrity dynamics as CasADi Functions: structure → scene → model → simulation → trajectory.
+
+Pictures are in `tenscasadi.plots`, which loads matplotlib and is imported by name.
+"""
+
+from __future__ import annotations
+
+from tenscasadi import shapes
+from tenscasadi.class_one import ClassOne
+from tenscasadi.compiled import CompileError
+from tenscasadi.correction import Projection
+from tenscasadi.dynamics import Multipliers
+from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.model import Energy, Model
+from tenscasadi.redundancy import RedundantConstraints
+from tenscasadi.scene import Scene
+from tenscasadi.schemes import RungeKutta4
+from tenscasadi.simulate import simulate
+from tenscasadi.stability import stable_step
+from tenscasadi.statics import EquilibriumError, equilibrium_force_density, self_stress
+from tenscasadi.strings import Clip, ForceDensity, RestLength, Smooth
+from tenscasadi.structure import Structure
+from tenscasadi.trajectory import Trajectory
+
+__all__ = [
+    # what is modelled
+    "Structure",
+    "ClassOne",
+    "shapes",
+    "equilibrium_force_density",
+    "self_stress",
+    "EquilibriumError",
+    # how
+    "Scene",
+    "ForceDensity",
+    "RestLength",
+    "Clip",
+    "Smooth",
+    "Gravity",
+    "Ground",
+    "Pressure",
+    "NodalForce",
+    # as equations
+    "Model",
+    "Energy",
+    "Multipliers",
+    "RedundantConstraints",
+    # over time
+    "simulate",
+    "RungeKutta4",
+    "Projection",
+    "stable_step",
+    "Trajectory",
+    "CompileError",
+]
