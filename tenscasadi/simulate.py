@@ -1,0 +1,244 @@
+"""Simulation: a model, a scheme and a control become a trajectory."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from tqdm import tqdm
+
+from tenscasadi.compiled import CompileError, compile_function, find_compiler
+from tenscasadi.correction import Correction, projection
+from tenscasadi.loop import Runner, chunk_function, chunk_steps
+from tenscasadi.model import Model
+from tenscasadi.schemes import RungeKutta4, Scheme, check_scheme
+from tenscasadi.signals import ControlInput, Signal, signal
+from tenscasadi.stability import fastest_rate, stable_step
+from tenscasadi.trajectory import Trajectory
+from tenscasadi.validate import Array, finite_array, instance, positive_number, whole_number
+
+_ROWS = 1000  # rows kept when save_every is None
+_BROKEN_BARS = 0.1  # relative length error at which a run has diverged
+_BEYOND = 1e12  # entries of a state above this are not physical in any unit
+_LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
+_LOOK_SECONDS = 0.5  # wall time between checks of the bar lengths
+
+
+def simulate(
+    model: Model,
+    t_end: float,
+    step: float = 1e-3,
+    scheme: Scheme = RungeKutta4(),
+    state: Any = None,
+    control: ControlInput = None,
+    correction: Correction | None = None,
+    save_every: int | None = None,
+    compiled: bool | None = None,
+    progress: bool = False,
+    *,
+    energy_balance: bool = True,
+) -> Trajectory:
+    """The motion of `model` from time 0 to `t_end`, s.
+
+    step: largest step, s; the run takes equal steps, the fewest that end exactly at t_end.
+    state: start (nx,), None: `model.initial_state`.
+    control: None: `model.initial_control`; an array (nu,): constant; an array (K, nu): constant on each of K equal parts of [0, t_end]
+    (steps are shortened to fit the parts); a function t -> (nu,) called with the time at the start of each step, where it is held.
+    correction: `Projection(every)` or None.
+    save_every: steps from one kept row to the next, None: what keeps about 1000 rows or fewer; the first and last state are always kept.
+    compiled: None: as machine code if a C compiler is found, True: that or `CompileError`, False: in CasADi's virtual machine, to the same result.
+    progress: shows a progress bar.
+    energy_balance: False leaves out the account of the work of damping, contact and control, which takes time, where `energy_error` needs it.
+
+    A run that diverges (state not finite, a bar off by 10 % of its length) or is interrupted from the keyboard returns what it has up to
+    there, with `success` False and the reason in `message`.
+    Raises TypeError and ValueError naming the argument, CompileError.
+    """
+    instance("model", model, Model, "a tenscasadi.Model")
+    check_scheme(scheme)
+    if correction is not None:
+        instance("correction", correction, Correction, "Projection(every) or None")
+    for name, flag in {"compiled": compiled, "progress": progress, "energy_balance": energy_balance}.items():
+        if not (isinstance(flag, bool) or (flag is None and name == "compiled")):
+            raise TypeError(f"{name} is {flag!r}: give True or False{' or None' if name == 'compiled' else ''}")
+    start = np.array(model.initial_state if state is None else finite_array("state", state, (model.nx,)))
+    n_steps = _count(positive_number("t_end", t_end), positive_number("step", step))
+    inputs = signal(control, model.initial_control, float(t_end), n_steps)
+    every = max(1, -(-inputs.steps // _ROWS)) if save_every is None else whole_number("save_every", save_every, 1)
+
+    power = energy_balance and model.power is not None
+    jumps = energy_balance and inputs.varies
+    loop = _loop(model, scheme, correction, power, jumps, compiled, inputs.steps)
+    run = _run(model, loop.function, inputs, start, float(t_end), every, progress)
+
+    states, controls = run.rows[:, : model.nx], run.controls
+    # Row by row: overflowing numbers are what the check below is for.
+    with np.errstate(all="ignore"):
+        observed = observe(model, states, controls)
+        parts = observed["energy"]
+        energy = parts.sum(axis=1)
+        supplied = run.rows[:, model.nx] if power or jumps else np.where(model.power is None and not inputs.varies, 0.0, np.nan)
+        error = energy - energy[0] - supplied
+    good, fault = _first_fault(states, observed["bar_length_error"])
+    if fault:
+        message = f"diverged between t = {run.time[good - 1]:g} and {run.time[good]:g} s: {fault}; {_cause(model, scheme, run, good - 1)}"
+    elif run.interrupted:
+        message = f"interrupted from the keyboard, the last state kept is at t = {run.time[-1]:g} s"
+    else:
+        message = f"finished {inputs.steps} steps of {run.step:g} s" + _energy_note(parts, error)
+    nodes = (good, len(model.structure.nodes), 3)
+    return Trajectory(
+        time=run.time[:good],
+        nodes=observed["nodes"][:good].reshape(nodes),
+        velocities=observed["velocities"][:good].reshape(nodes),
+        force_density=observed["force_density"][:good],
+        tension=observed["tension"][:good],
+        energy=energy[:good],
+        energy_parts=parts[:good],
+        energy_error=error[:good],
+        bar_length_error=observed["bar_length_error"][:good, 0],
+        joint_error=observed["joint_error"][:good, 0],
+        states=states[:good].copy(),
+        control=controls[:good],
+        bars=model.structure.bars,
+        strings=model.structure.strings,
+        pinned=np.array(sorted(model.structure.pinned), dtype=np.intp),
+        success=not fault and not run.interrupted,
+        message=message + loop.note,
+        step=run.step,
+        seconds=run.seconds,
+        compiled=loop.compiled,
+    )
+
+
+def observe(model: Model, states: Array, controls: Array) -> dict[str, Array]:
+    """What `model.observe` gives, by name, each (T, size), of T states (T, nx) and controls (T, nu)."""
+    rows = len(states)
+    mapped = model.observe.map(rows)
+    results = mapped.call([ca.DM(states.T), ca.DM(controls.T) if model.nu else ca.DM(0, rows)])
+    return {name: result.full().T.copy() for name, result in zip(model.observe.name_out(), results, strict=True)}
+
+
+class _Loop(NamedTuple):
+    function: ca.Function
+    compiled: bool
+    note: str
+
+
+class _Run(NamedTuple):
+    """What the loop left: rows (R, nz) and controls (R, nu) at `time` (R,)."""
+
+    time: Array
+    rows: Array
+    controls: Array
+    step: float
+    seconds: float
+    interrupted: bool
+
+
+def _count(t_end: float, step: float) -> int:
+    """The fewest equal steps that cover t_end, each at most `step` but for rounding."""
+    ratio = t_end / step
+    if ratio > 1e12:
+        raise ValueError(f"step is {step:g}: t_end = {t_end:g} would take {ratio:.1g} steps, give a larger step or a smaller t_end")
+    nearest = round(ratio)
+    return max(1, nearest if abs(ratio - nearest) <= 1e-9 * ratio else int(np.ceil(ratio)))
+
+
+def _loop(model: Model, scheme: Scheme, correction: Correction | None, power: bool, jumps: bool, compiled: bool | None, steps: int) -> _Loop:
+    """The compiled loop, or the one for the virtual machine and why."""
+    every = 1 if correction is None else correction.every
+    chunk = chunk_steps(model, every)
+    if compiled is not False:
+        try:
+            return _Loop(compile_function(chunk_function(model, scheme, correction, power, jumps, chunk)), True, "")
+        except CompileError as error:
+            if compiled:
+                raise
+            found = find_compiler()
+            note = "; not compiled: " + (f"{found[0]} failed, compiled=True shows why" if found else str(error))
+    else:
+        note = ""
+    short = every * min(chunk // every, -(-steps // every))  # nothing is reused: no longer than the run
+    return _Loop(chunk_function(model, scheme, correction, power, jumps, short), False, note)
+
+
+def _run(model: Model, function: ca.Function, inputs: Signal, start: Array, t_end: float, every: int, progress: bool) -> _Run:
+    """Calls `function` until the end of the run or its failure; keeps each `every`-th state and the last."""
+    n, h = inputs.steps, t_end / inputs.steps
+    kept = np.append(np.arange(0, n, every), n)
+    runner = Runner(function, h)
+    z = np.zeros(function.size1_in(0))
+    z[: model.nx] = start
+    rows, controls = np.empty((len(kept), len(z))), np.empty((len(kept), model.nu))
+    u = inputs.window(0, 1)
+    rows[0], controls[0], count, interrupted = z, u[0], 1, False
+    began = looked = time.perf_counter()
+    try:
+        with tqdm(total=n, unit=" steps", unit_scale=True, disable=not progress) as bar:
+            for first in range(0, n, runner.steps):
+                u = np.concatenate([u[-1:], inputs.window(first + 1, runner.steps)])
+                after = runner(z, u)
+                z = after[-1].copy()
+                end = int(np.searchsorted(kept, first + runner.steps, side="right"))
+                local = kept[count:end] - first
+                rows[count:end], controls[count:end] = after[local - 1], u[local]
+                count = end
+                bar.update(min(runner.steps, n - first))
+                if not np.all(np.isfinite(z)):
+                    break
+                if time.perf_counter() - looked > _LOOK_SECONDS:
+                    looked = time.perf_counter()
+                    newest = rows[[0, count - 1], : model.nx]
+                    if _first_fault(newest, observe(model, newest, controls[[0, count - 1]])["bar_length_error"])[1]:
+                        break
+    except KeyboardInterrupt:
+        interrupted = True
+    times = kept[:count] * h
+    if count == len(kept):
+        times[-1] = t_end
+    return _Run(times, rows[:count], controls[:count], h, time.perf_counter() - began, interrupted)
+
+
+def _first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
+    """How many rows are good, and what is wrong with the next; "" when all are good."""
+    faults = {
+        "the state is not finite": ~np.all(np.isfinite(states), axis=1),
+        "the state is beyond any physical size": np.any(np.abs(states) > _BEYOND, axis=1),
+        f"a bar is off by more than {_BROKEN_BARS:.0%} of its length": bar_length_error[:, 0] > _BROKEN_BARS + bar_length_error[0, 0],
+    }
+    bad = np.any(list(faults.values()), axis=0)
+    if not bad.any():
+        return len(states), ""
+    row = int(np.argmax(bad))
+    return row, next(name for name, where in faults.items() if where[row])
+
+
+def _cause(model: Model, scheme: Scheme, run: _Run, last: int) -> str:
+    """Why a run diverged, as far as the start and the linearised motion tell, and what to do."""
+    start = run.rows[0, : model.nx]
+    moved = float(np.abs(projection(model)(start).full().ravel() - start).max(initial=0.0))
+    if moved > 1e-6 * np.abs(start).max(initial=0.0):
+        return f"the start is off the lengths of its bars or its joints, or about to leave them, by {moved:.2g}: start from projection(model)(state)"
+    limits = []
+    for row in (0, last):  # the start first: a state that is about to break has limits of its own
+        x, u = run.rows[row, : model.nx], run.controls[row]
+        limits.append(stable_step(model, x, u, scheme, safety=1.0))
+        if run.step > limits[-1]:
+            return (
+                f"the step {run.step:g} s is above the stability limit {limits[-1]:.3g} s of {type(scheme).__name__} at t = {run.time[row]:g} s "
+                f"(fastest rate ω_max = {fastest_rate(model, x, u):.4g} rad/s): try step={0.9 * limits[-1]:.2g}"
+            )
+    return (
+        f"the step {run.step:g} s is below the stability limit {min(limits):.3g} s of the linearised motion, so accuracy was lost elsewhere "
+        f"(fast rotation, impact, bars drifting from their length): try step={run.step / 5:.2g} or correction=Projection()"
+    )
+
+
+def _energy_note(parts: Array, error: Array) -> str:
+    """Says so when the energy balance shows that the motion is not to be trusted, as when a correction hides what the step destroys."""
+    scale = float((parts[:, 0] + np.abs(parts[:, 1])).max() + np.ptp(parts[:, 2]))
+    largest = float(np.abs(error).max())
+    return f"; energy is off by {largest:.2g} J, {largest / scale:.0%} of what moves: try a smaller step" if largest > _LOST_ENERGY * scale else ""

@@ -1,0 +1,164 @@
+"""What a simulation returns: motion, forces, energies and errors over time, kept in .npz files."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tenscasadi.validate import Array, Indices
+
+_FORMAT = "tenscasadi trajectory 1"
+# Anything that reading a damaged or foreign archive may raise.
+_UNREADABLE = (OSError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A motion of n nodes, β bars and α strings at T saved times. Arrays are read-only; SI units.
+
+    time (T,) s; nodes (T, n, 3) m; velocities (T, n, 3) m/s; force_density (T, α) N/m and tension (T, α) N of the strings;
+    energy (T,) J in total and energy_parts (T, 3) kinetic, elastic, gravity;
+    energy_error (T,) J: what the total gained beyond the work of all forces and of changes of the control, so an error of the numerics
+    (NaN where it was not computed); bar_length_error (T,): the largest |length − l| / l; joint_error (T,) m: the largest gap of a joint;
+    states (T, nx) and control (T, nu) of the model: a row's control acts from that row's time on (in the last row: until that time);
+    bars (β, 2), strings (α, 2) and pinned (any,): node indices; success and message tell how the run ended; step s; seconds: wall time of
+    the time loop; compiled: whether it ran as machine code.
+    """
+
+    time: Array
+    nodes: Array
+    velocities: Array
+    force_density: Array
+    tension: Array
+    energy: Array
+    energy_parts: Array
+    energy_error: Array
+    bar_length_error: Array
+    joint_error: Array
+    states: Array
+    control: Array
+    bars: Indices
+    strings: Indices
+    pinned: Indices
+    success: bool
+    message: str
+    step: float
+    seconds: float
+    compiled: bool
+
+    def __post_init__(self) -> None:
+        _check({field.name: getattr(self, field.name) for field in fields(self)})
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                view = value.view()
+                view.flags.writeable = False
+                object.__setattr__(self, field.name, view)
+
+    def __repr__(self) -> str:
+        return f"Trajectory({len(self.time)} rows, {self.nodes.shape[1]} nodes, t = {self.time[0]:g} … {self.time[-1]:g} s, success={self.success})"
+
+    def summary(self) -> str:
+        """How the run went, its errors and its speed, as a few lines of text."""
+        steps = round((self.time[-1] - self.time[0]) / self.step)
+        rate = f" ({steps / self.seconds:,.0f} steps/s)" if self.seconds > 0 else ""
+        lines = [
+            f"{self.message}",
+            f"time          {self.time[0]:g} … {self.time[-1]:g} s, {steps} steps of {self.step:g} s, {len(self.time)} rows kept",
+            f"wall time     {self.seconds:.3g} s{rate}, {'compiled' if self.compiled else 'not compiled'}",
+            f"energy        {self.energy[0]:.6g} → {self.energy[-1]:.6g} J, largest error {_largest(self.energy_error)} J",
+            f"bar lengths   largest relative error {_largest(self.bar_length_error)}",
+            f"joints        largest gap {_largest(self.joint_error)} m",
+        ]
+        if self.tension.size:
+            lines.append(f"tension       {self.tension.min():.4g} … {self.tension.max():.4g} N")
+        return "\n".join(lines)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes a compressed .npz file (NumPy arrays only) to exactly `path` and returns it. Raises OSError when it cannot be written."""
+        content = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        target = Path(path)
+        with open(target, "wb") as file:
+            np.savez_compressed(file, allow_pickle=False, format=np.asarray(_FORMAT), **content)
+        return target
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Trajectory:
+        """The trajectory saved in `path`. No code in the file is ever run.
+
+        Raises FileNotFoundError, and ValueError naming the file and the field for one that cannot be read or is no trajectory.
+        """
+        try:
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+                if not isinstance(archive, np.lib.npyio.NpzFile):
+                    raise ValueError("it is a single array")
+                content = {name: archive[name] for name in archive.files if name == "format" or name in Trajectory.__dataclass_fields__}
+        except FileNotFoundError:
+            raise
+        except _UNREADABLE as error:
+            raise ValueError(f"{os.fspath(path)} cannot be read as a trajectory ({error}): give a file written by Trajectory.save") from None
+        try:
+            if str(content.pop("format", "")) != _FORMAT:
+                raise ValueError(f"its field 'format' is not {_FORMAT!r}")
+            missing = [field.name for field in fields(Trajectory) if field.name not in content]
+            if missing:
+                raise ValueError(f"it has no field {missing[0]!r}")
+            _check(content)
+            values: dict[str, Any] = {name: value.item() if value.ndim == 0 else value for name, value in content.items()}
+            return Trajectory(**values)
+        except ValueError as error:
+            raise ValueError(f"{os.fspath(path)} is not a trajectory: {error}") from None
+
+
+# The shape of each field by the letters of the class's description, and the kind of its numbers (NumPy's letters; i: also small integers).
+_SHAPES: dict[str, tuple[str, str]] = {
+    "time": ("T", "f"),
+    "nodes": ("Tn3", "f"),
+    "velocities": ("Tn3", "f"),
+    "force_density": ("Tα", "f"),
+    "tension": ("Tα", "f"),
+    "energy": ("T", "f"),
+    "energy_parts": ("T3", "f"),
+    "energy_error": ("T", "f"),
+    "bar_length_error": ("T", "f"),
+    "joint_error": ("T", "f"),
+    "states": ("Tx", "f"),
+    "control": ("Tu", "f"),
+    "bars": ("β2", "i"),
+    "strings": ("α2", "i"),
+    "pinned": ("p", "i"),
+    "success": ("", "b"),
+    "message": ("", "U"),
+    "step": ("", "f"),
+    "seconds": ("", "f"),
+    "compiled": ("", "b"),
+}
+
+
+def _check(content: dict[str, Any]) -> None:
+    """ValueError naming the first field whose kind, shape or indices do not fit the others."""
+    sizes: dict[str, int] = {"2": 2, "3": 3}
+    for name, (letters, kind) in _SHAPES.items():
+        value = np.asarray(content[name])
+        if value.dtype.kind != kind:
+            raise ValueError(f"field {name!r} holds values of type {value.dtype}")
+        if value.ndim != len(letters) or any(sizes.setdefault(letter, size) != size for letter, size in zip(letters, value.shape, strict=True)):
+            raise ValueError(f"field {name!r} has shape {value.shape}, which does not fit the others")
+    if sizes["T"] < 1:
+        raise ValueError("field 'time' is empty")
+    for name in ("bars", "strings", "pinned"):
+        indices: NDArray[Any] = np.asarray(content[name])
+        if indices.size and not 0 <= indices.min() <= indices.max() < sizes["n"]:
+            raise ValueError(f"field {name!r} holds indices outside 0 … {sizes['n'] - 1}")
+
+
+def _largest(errors: Array) -> str:
+    known = np.abs(errors[np.isfinite(errors)])
+    return f"{known.max():.2g}" if known.size else "not computed"
