@@ -41,7 +41,7 @@ def projection(model: Model, iterations: int = 3) -> ca.Function:
     """(x) → x moved onto the constraints of `model`, mass-weighted; see `Projection`."""
     mech = model.mechanism
     unrolled = not mech.large and mech.system_size <= dynamics.UNROLL_SOLVE
-    x = (ca.SX if unrolled else ca.MX).sym("x", model.nx)
+    x: Any = (ca.SX if unrolled else ca.MX).sym("x", model.nx)
     N, V, time = model.unpack(x)
     if mech.system_size:
         for _ in range(iterations):

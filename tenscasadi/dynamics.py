@@ -52,6 +52,7 @@ class Mechanism:
     inverse: tuple[sp.csr_array, ...]  # M⁻ (n×n) for each axis, or once for all three
     P: sp.csr_array  # n×c, no columns in reduced coordinates
     D: Array  # 3×c
+    active: Any  # 3×c bool: axes that a column of P constrains (all, but for per-axis supports)
     lengths: Array  # (β,)
 
     @property
@@ -72,7 +73,7 @@ class Mechanism:
     @property
     def large(self) -> bool:
         """Whether expressions are kept as vector operations instead of unrolled scalars."""
-        return self.bars + self.C_s.shape[0] > UNROLL_MEMBERS
+        return bool(self.bars + self.C_s.shape[0] > UNROLL_MEMBERS)
 
     def with_inverse(self, X: Any) -> Any:
         """X M⁻ (3×n)."""
@@ -102,16 +103,22 @@ def mechanism(structure: Structure, coordinates: Coordinates) -> Mechanism:
         free = ~structure.fixed
         axes = [free[:, 0]] if (free == free[:, :1]).all() else [free[:, axis] for axis in range(3)]
         every = np.arange(n)
-        none = sp.csr_array((n, 0))
-        return Mechanism(structure.nodes.T, free, every, every, C_b, C_s, M, tuple(_inverse(M, axis) for axis in axes), none, np.zeros((3, 0)),
+        inverse = tuple(_inverse(M, axis) for axis in axes)
+        return Mechanism(structure.nodes.T, free, every, every, C_b, C_s, M, inverse, sp.csr_array((n, 0)), np.zeros((3, 0)), np.ones((3, 0), bool),
                          structure.bar_lengths)  # fmt: skip
     split = structure.class_one(sparse=True)
     n = split.N.shape[1]
     first = np.unique(split.physical, return_index=True)[1]
     free = np.ones((n, 3), dtype=bool)
+    fixed = structure.fixed
+    rollers = np.flatnonzero(fixed.any(axis=1) & ~fixed.all(axis=1))  # supports that NP = D cannot say: a column each, for some axes
+    columns = sp.csr_array((np.ones(len(rollers)), (first[rollers], np.arange(len(rollers)))), shape=(n, len(rollers)))
+    P = sp.csr_array(sp.hstack([split.P, columns]))
+    D = np.hstack([split.D, structure.nodes[rollers].T])
+    active = np.hstack([np.ones(split.D.shape, bool), fixed[rollers].T])
     C_b = sp.csr_array(split.C_b @ split.C_nb)
-    return Mechanism(split.N, free, split.physical, first, C_b, sp.csr_array(split.C_s), split.M_s, (_inverse(split.M_s, free[:, 0]),),
-                     sp.csr_array(split.P), split.D, structure.bar_lengths)  # fmt: skip
+    return Mechanism(split.N, free, split.physical, first, C_b, sp.csr_array(split.C_s), split.M_s, (_inverse(split.M_s, free[:, 0]),), P, D, active,
+                     structure.bar_lengths)  # fmt: skip
 
 
 # --- the three steps: assemble the linear system, solve it, apply the multipliers ---
@@ -123,7 +130,7 @@ def system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
         return _reduced_matrix(mech, B), -r.T
     h = _bar_scale(mech, B)
     K = _clean(mech.P.T @ mech.inverse[0] @ mech.C_b.T)  # c×β
-    rhs = ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(K.T)) - R  # 3×c
+    rhs = (ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(K.T)) - R) * ca.DM(mech.active.astype(float))  # 3×c
     return _joint_matrix(mech, B / ca.repmat(ca.sqrt(h), 3, 1), K), ca.vec(rhs)
 
 
@@ -178,7 +185,8 @@ def sparse(matrix: Any) -> ca.DM:
     """A SciPy sparse matrix as a CasADi one."""
     csc = sp.csc_array(matrix)
     csc.sort_indices()
-    return ca.DM(ca.Sparsity(*csc.shape, csc.indptr.tolist(), csc.indices.tolist()), csc.data)
+    rows, columns = csc.shape
+    return ca.DM(ca.Sparsity(rows, columns, csc.indptr.tolist(), csc.indices.tolist()), csc.data)
 
 
 def _bar_scale(mech: Mechanism, B: Any) -> Any:
@@ -208,20 +216,25 @@ def _joint_matrix(mech: Mechanism, unit: Any, K: sp.csr_array) -> Any:
     pattern = sp.coo_array(abs(E) + abs(K) @ abs(K.T) + sp.eye_array(c))
     n, j = pattern.row, pattern.col
     direct = np.asarray(E[n, j]).ravel()
-    pairs = sparse(_clean(K[n, :].multiply(K[j, :])))  # nnz×β: k_ni k_ji
+    pairs = sp.csr_array(K[n, :].multiply(K[j, :]))  # nnz×β: k_ni k_ji
     rows: list[Any] = []
     columns: list[Any] = []
     values = []
     for a in range(3):
         for b in range(3):
-            block = -ca.mtimes(pairs, (unit[a, :] * unit[b, :]).T)
-            values.append(block + ca.DM(direct) if a == b else block)
-            rows.append(3 * n + a)
-            columns.append(3 * j + b)
+            kept = np.flatnonzero(mech.active[a, n] & mech.active[b, j])
+            block = -ca.mtimes(sparse(pairs[kept]), (unit[a, :] * unit[b, :]).T)
+            values.append(ca.densify(block + ca.DM(direct[kept]) if a == b else block))
+            rows.append(3 * n[kept] + a)
+            columns.append(3 * j[kept] + b)
+    idle = np.flatnonzero(~mech.active.T.ravel())  # a multiplier that constrains nothing is zero
+    rows.append(idle)
+    columns.append(idle)
+    values.append(ca.DM.ones(len(idle)))
     row, column = np.concatenate(rows), np.concatenate(columns)
     order = np.lexsort((row, column))
     sparsity = ca.Sparsity.triplet(3 * c, 3 * c, row[order].tolist(), column[order].tolist())
-    return _fill(sparsity, ca.vertcat(*(ca.densify(value) for value in values))[order.tolist()])
+    return _fill(sparsity, ca.vertcat(*values)[order.tolist()])
 
 
 def _fill(sparsity: ca.Sparsity, values: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -129,7 +130,7 @@ class Pressure:
         return ca.mtimes(push, spread)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NodalForce:
     """Forces on nodes: `values` (n, 3), N, constant or a function of time t (s) that returns them.
 
@@ -164,7 +165,9 @@ class NodalForce:
             return ca.DM(self.values.T)
         function: Callable[[Any], Any] = self.values
         try:
-            rows = function(time)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
+                rows = function(time)
             if not isinstance(rows, (ca.SX, ca.MX, ca.DM)):
                 rows = ca.vertcat(*(ca.horzcat(*(entry for entry in row)) for row in rows))
         except Exception as error:  # whatever the caller's function raises

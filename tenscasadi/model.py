@@ -99,7 +99,7 @@ class Model:
         x, u = self._symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
         push = _sum(forces.terms(self.scene, self.mechanism, N, V, u, time), self.mechanism)
-        n = ca.SX.sym("n", N.shape) if isinstance(N, ca.SX) else ca.MX.sym("n", N.shape)
+        n: Any = type(N).sym("n", N.shape)
         total = sum(forces.potential(self.scene, self.mechanism, n, u))
         slope = ca.substitute(ca.jtimes(total, n, V), n, N)
         return ca.Function("power", [x, u], [ca.densify(ca.sum2(ca.sum1(push * V)) + slope)], ["x", "u"], ["power"])
@@ -168,7 +168,8 @@ class Model:
         return self._observed("tension", x, u)
 
     def multipliers(self, x: Any, u: Any = None) -> Multipliers:
-        """λ̂ (β,) and Ω (3, c) in the paper's signs (Eqs. 85, 87); Ω's columns are those of `structure.class_one().P`.
+        """λ̂ (β,) and Ω (3, c) in the paper's signs (Eqs. 85, 87); Ω's columns are those of `structure.class_one().P`,
+        then one for each node that is pinned along some axes only.
 
         Where constraints are redundant these are the smallest of the many that give the same motion, in scaled rows.
         """
@@ -295,7 +296,8 @@ class Model:
     def _joint_error(self, N: Any) -> Any:
         if not self.mechanism.joints:
             return ca.DM(0)
-        return ca.mmax(ca.fabs(ca.mtimes(N, sparse(self.mechanism.P)) - ca.DM(self.mechanism.D)))
+        gap = (ca.mtimes(N, sparse(self.mechanism.P)) - ca.DM(self.mechanism.D)) * ca.DM(self.mechanism.active.astype(float))
+        return ca.mmax(ca.fabs(gap))
 
     # --- numbers ---
 
