@@ -210,7 +210,7 @@ def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
 
 
 def _joint_matrix(mech: Mechanism, unit: Any, K: sp.csr_array) -> Any:
-    """(Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ) (3c×3c), with kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ: Eq. 103 with Eᵀ, its columns combined to be symmetric."""
+    """(Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ) (3c×3c), with kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ: Eq. 103 with Eᵀ, columns combined to be symmetric."""
     c = mech.joints
     E = _clean(mech.P.T @ mech.inverse[0] @ mech.P)
     pattern = sp.coo_array(abs(E) + abs(K) @ abs(K.T) + sp.eye_array(c))

@@ -80,3 +80,18 @@ def certified(name: str) -> Case:
     )
     velocities = np.array(spec.get("velocities", np.zeros(N.T.shape)), dtype=float)
     return Case(scene, velocities[first], first, data, info)
+
+
+def stedy(name: str) -> Case:
+    """A case computed by STEDY: shared nodes, supports per axis, forces W_gravity + W_sin_t sin(t)."""
+    data = dict(np.load(DATA / "stedy" / f"{name}.npz"))
+    info = json.loads((DATA / "stedy" / f"{name}.json").read_text())
+    fixed = data["fixed"].T.astype(bool)
+    members = {key: [tuple(np.array(pair) - 1) for pair in info[f"{key}_1based"]] for key in ("bars", "strings")}
+    structure = Structure(
+        data["N0"].T, **members, bar_mass=data["m_bar"], stiffness=data["k"], damping=data["c"], rest_length=data["s0"],
+        pinned={node: "".join(axis for axis, held in zip("xyz", row, strict=True) if held) for node, row in enumerate(fixed) if row.any()},
+    )  # fmt: skip
+    assert not data["W_sin_t"].any()
+    forces = NodalForce(data["W_gravity"].T) if data["W_gravity"].any() else None
+    return Case(Scene(structure, forces=forces), data["Nd0"].T, np.arange(len(fixed)), data, info)

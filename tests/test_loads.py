@@ -61,7 +61,7 @@ def test_forces_may_be_functions_of_time() -> None:
 
 
 @pytest.mark.parametrize(
-    "make, field",
+    ("make", "field"),
     [
         (lambda: Gravity((0, 0)), r"Gravity\.acceleration"),
         (lambda: Gravity((0, 0, float("inf"))), r"Gravity\.acceleration"),

@@ -18,12 +18,12 @@ from tenscasadi.strings import ForceDensity, RestLength, Smooth
 from tenscasadi.structure import Structure
 
 BOTH = pytest.mark.parametrize("coordinates", ["reduced", "full"])
-PRISM = dict(
-    nodes=[(-0.5, 0, 0), (0.5, 0, 0), (0, 0.866, 0), (0, 0.866, 1), (-0.5, 0, 1), (0.5, 0, 1)],
-    bars=[(0, 3), (1, 4), (2, 5)],
-    strings=[(1, 2), (2, 0), (0, 1), (5, 3), (3, 4), (4, 5), (1, 5), (2, 3), (0, 4)],
-    rest_length=0.7,
-)
+PRISM = {
+    "nodes": [(-0.5, 0, 0), (0.5, 0, 0), (0, 0.866, 0), (0, 0.866, 1), (-0.5, 0, 1), (0.5, 0, 1)],
+    "bars": [(0, 3), (1, 4), (2, 5)],
+    "strings": [(1, 2), (2, 0), (0, 1), (5, 3), (3, 4), (4, 5), (1, 5), (2, 3), (0, 4)],
+    "rest_length": 0.7,
+}
 
 
 def accelerations(model: Model, x: np.ndarray, u: np.ndarray | None = None) -> np.ndarray:
@@ -141,7 +141,7 @@ def test_redundant_constraints_are_named_and_solved(name: str, coordinates: dyna
 
 
 @BOTH
-@pytest.mark.parametrize("gap, tolerance", [(1e-3, 1e-7), (1e-6, 1e-3)])
+@pytest.mark.parametrize(("gap", "tolerance"), [(1e-3, 1e-7), (1e-6, 1e-3)])
 def test_nearly_aligned_bars_stay_close_to_the_saddle_point_solution(gap: float, tolerance: float, coordinates: dynamics.Coordinates) -> None:
     structure = Structure([(0, 0, 0), (1, gap, 0), (2, 0, 0)], [(0, 1), (1, 2)], pinned=(0, 2))
     with warnings.catch_warnings():

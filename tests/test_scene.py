@@ -26,7 +26,7 @@ def test_a_scene_is_frozen() -> None:
 
 
 @pytest.mark.parametrize(
-    "changes, field",
+    ("changes", "field"),
     [
         ({"structure": "prism"}, r"Scene\.structure"),
         ({"gravity": (0, 0, -9.81)}, r"Scene\.gravity"),
