@@ -62,16 +62,19 @@ def structure(
         nodes, pull = what.nodes, what.stiffness * np.maximum(0.0, what.string_lengths - what.rest_length)  # γ s, Eq. 99
     if tension is not None:
         pull = per_item("tension", tension, len(what.strings), "string")
-    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    figure = Figure(figsize=(6.4, 5.2))
     stage = Stage(figure, members(what), nodes)
     scale = tension_scale(float(pull.max(initial=0.0)))
     stage.draw(Layer(nodes, string_colour=tension_colours(scale, pull)))
-    if len(pull):
+    if np.any(pull > 0):
         slack = "; grey: slack" if np.any(pull <= 0) else ""
-        figure.colorbar(scale, ax=stage.axes, shrink=0.62, pad=0.09, label=f"tension (N){slack}")
+        stage.colour_bar(scale, f"tension (N){slack}")
+    elif len(pull):
+        figure.supxlabel("all strings slack", fontsize=9, color="0.35")
     if labels:
         stage.number(nodes)
-    stage.axes.set_title(title)
+    figure.suptitle(title)
+    stage.fit()
     return _saved(figure, path)
 
 
@@ -83,21 +86,18 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
     instance("trajectory", trajectory, Trajectory, "a tenscasadi.Trajectory")
     count = whole_number("instants", instants, 2)
     rows = np.unique([_row(trajectory, t) for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)])
-    figure = Figure(figsize=(7.0, 5.4), layout="constrained")
+    figure = Figure(figsize=(7.0, 5.4))
     stage = Stage(figure, members(trajectory), trajectory.nodes[rows])
-    ramp, pale = part_of("viridis_r", 0.05, 1.0), part_of("viridis_r", 0.05, 1.0)
+    ramp = part_of("viridis_r", 0.05, 1.0)
     share = np.linspace(0, 1, len(rows))
-    white = np.ones(4)
-    stage.draw(
-        *(
-            Layer(trajectory.nodes[row], ramp(s), 0.55 * np.array(pale(s)) + 0.45 * white, width=0.6 + 0.4 * s)
-            for row, s in zip(rows, share, strict=True)
-        )
-    )
+    colours = np.array([ramp(s) for s in share])
+    pale = 0.55 * colours + 0.45  # not transparent: nothing shines through
+    stage.draw(*(Layer(trajectory.nodes[row], colours[k], pale[k], width=0.6 + 0.4 * share[k]) for k, row in enumerate(rows)))
     scale = ScalarMappable(BoundaryNorm(np.arange(len(rows) + 1) - 0.5, ramp.N), ramp)
-    bar = figure.colorbar(scale, ax=stage.axes, shrink=0.62, pad=0.09, label="time (s)", ticks=np.arange(len(rows)))
+    bar = stage.colour_bar(scale, "time (s)", ticks=np.arange(len(rows)))
     bar.ax.set_yticklabels([f"{t:.3g}" for t in trajectory.time[rows]])
-    stage.axes.set_title(title)
+    figure.suptitle(title)
+    stage.fit()
     return _saved(figure, path)
 
 
@@ -110,7 +110,7 @@ def node_histories(
     figure, axes = _panels(3, title)
     for axis, (ax, name) in enumerate(zip(axes, "xyz", strict=True)):
         for k, node in enumerate(chosen):
-            ax.plot(trajectory.time, trajectory.nodes[:, node, axis], color=_colour(k), label=f"node {node}", lw=1.3)
+            ax.plot(trajectory.time, trajectory.nodes[:, node, axis], color=_colour(k), label=f"node {node}", lw=_width(k, len(chosen)))
         ax.set_ylabel(f"{name} (m)")
         _widen(ax)
     _name_curves(figure, axes[0], len(chosen))
@@ -139,12 +139,13 @@ def force_densities(
     figure, (ax,) = _panels(1, title)
     for k, i in enumerate(chosen):
         if rows == len(time):
-            ax.plot(time, gamma[:, i], color=_colour(k), label=f"string {i}", lw=1.3)
+            ax.plot(time, gamma[:, i], color=_colour(k), label=f"string {i}", lw=_width(k, len(chosen)))
         else:
-            ax.stairs(gamma[:, i], time, baseline=None, color=_colour(k), label=f"string {i}", lw=1.3)
+            ax.stairs(gamma[:, i], time, baseline=None, color=_colour(k), label=f"string {i}", lw=_width(k, len(chosen)))
     for field, bound in (("lower", lower), ("upper", upper)):
         if bound is not None:
-            _draw_bound(ax, per_item(field, _without_infinity(bound), alpha, "string"), np.isfinite(np.broadcast_to(bound, (alpha,))), chosen)
+            per_item(field, _without_infinity(bound), alpha, "string")
+            _draw_bound(ax, np.broadcast_to(np.asarray(bound, dtype=float), (alpha,)), chosen)
     ax.set_ylabel("force density (N/m)")
     _widen(ax)
     _name_curves(figure, ax, len(chosen))
@@ -209,12 +210,15 @@ def _without_infinity(bound: ArrayLike) -> Any:
     return np.where(np.isinf(array), 0.0, array)
 
 
-def _draw_bound(ax: Axes, bound: Array, finite: Any, chosen: list[int]) -> None:
-    shown = [i for i in chosen if finite[i]]
-    common = len({float(bound[i]) for i in shown}) == 1
-    for k, i in enumerate(chosen):
-        if finite[i] and (not common or i == shown[0]):
-            ax.axhline(bound[i], color="black" if common else _colour(k), ls=(0, (5, 3)), lw=0.9, label="bound" if i == shown[0] and common else None)
+def _draw_bound(ax: Axes, bound: Array, chosen: list[int]) -> None:
+    """Dashed lines; a single black one where all strings have the same bound. Infinite bounds are none."""
+    finite = [(k, float(bound[i])) for k, i in enumerate(chosen) if np.isfinite(bound[i])]
+    if finite and len({value for _, value in finite}) == 1:
+        named = any(line.get_label() == "bounds" for line in ax.lines)
+        ax.axhline(finite[0][1], color="black", ls=(0, (5, 3)), lw=0.9, label=None if named else "bounds")
+    else:
+        for k, value in finite:
+            ax.axhline(value, color=_colour(k), ls=(0, (5, 3)), lw=0.9)
 
 
 def _panels(count: int, title: str) -> tuple[Figure, list[Axes]]:
@@ -241,6 +245,11 @@ def _widen(ax: Axes) -> None:
 
 def _colour(k: int) -> Any:
     return f"C{k % 10}"
+
+
+def _width(k: int, count: int) -> float:
+    """Later curves are thinner: earlier ones that they cover stay visible."""
+    return 2.6 - 1.6 * k / max(1, count - 1)
 
 
 def _name_curves(figure: Figure, ax: Axes, count: int) -> None:
