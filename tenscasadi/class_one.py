@@ -103,7 +103,7 @@ def extended(layout: Layout, count: int, strings: Indices, parent: Indices) -> L
         layout.bar_columns,
         np.where(strings < count, layout.string_columns[parent], columns + strings - count),
         np.concatenate([layout.mass_share, np.ones(new)]),
-        csr_array((P.data, P.coords), shape=(columns + new, P.shape[1])),
+        csr_array((P.data, (P.row, P.col)), shape=(columns + new, P.shape[1])),
     )
 
 
@@ -168,7 +168,11 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
 def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> Array:
     """`value` (dense, scipy sparse, None or empty) as a finite array of `shape`, its free side 0 when there is nothing."""
     dense = value.toarray() if issparse(value) else value
-    if dense is None or np.size(dense) == 0:
+    try:
+        empty = dense is None or np.size(dense) == 0
+    except (TypeError, ValueError):
+        empty = False  # ragged, or no array at all: finite_array says so
+    if empty:
         return np.zeros([size or 0 for size in shape])
     return finite_array(field, dense, shape)
 

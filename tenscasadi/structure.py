@@ -12,7 +12,7 @@ from scipy.sparse import csr_array, diags_array
 
 from tenscasadi.class_one import ClassOne, Layout, bar_mass_matrix, connectivity, default_layout, extended, read_matrices, split
 from tenscasadi.subdivision import split_strings
-from tenscasadi.validate import Array, Indices, at_least, finite_array, node_index, node_pairs, per_item
+from tenscasadi.validate import SMALLEST, Array, Indices, at_least, finite_array, node_index, node_pairs, per_item
 
 __all__ = ["ClassOne", "Structure", "connectivity"]
 
@@ -161,9 +161,7 @@ class Structure:
         ratio = np.divide(gamma, self.stiffness, out=np.zeros_like(gamma), where=gamma > 0.0)
         return self.replace(rest_length=self.string_lengths * (1.0 - ratio))
 
-    def subdivide(
-        self, segments: int | Sequence[int] | Indices, ends: str = "interior", fractions: ArrayLike | None = None
-    ) -> Structure:
+    def subdivide(self, segments: int | Sequence[int] | Indices, ends: str = "interior", fractions: ArrayLike | None = None) -> Structure:
         """Each string cut into `segments` (one number, or one per string) that together are as stiff as it was (Sect. 5).
 
         A segment with share f of the length has k/f, c/f, rest length ρ f. fractions: the shares along each string (they sum to 1;
@@ -215,12 +213,12 @@ class Structure:
 
     def _refuse_massless_nodes(self) -> None:
         """A node of no bar needs a mass, or M is singular."""
-        heavy = (self.node_mass > 0.0) | self.fixed.all(axis=1)
+        heavy = (self.node_mass > SMALLEST) | self.fixed.all(axis=1)
         heavy[self.bars] = True
-        heavy[self.strings[self.string_mass > 0.0]] = True
+        heavy[self.strings[self.string_mass > SMALLEST]] = True
         if not heavy.all():
             node = int(np.flatnonzero(~heavy)[0])
-            raise ValueError(f"node_mass of node {node} is 0 and no bar ends there: give it a mass, pin it, or give its strings a string_mass")
+            raise ValueError(f"node_mass of node {node} is {self.node_mass[node]:g} and no bar ends there: give it a mass, pin it, or give its strings a string_mass")
 
 
 def _slenderness(radius: Array, length: Array) -> Array:
@@ -235,7 +233,7 @@ def _slenderness(radius: Array, length: Array) -> Array:
 
 def _lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array:
     lengths = np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
-    bad = np.flatnonzero(lengths <= SHORTEST * np.abs(nodes).max())
+    bad = np.flatnonzero(lengths < max(SHORTEST * np.abs(nodes).max(), SMALLEST))
     if bad.size:
         i = int(bad[0])
         a, b = pairs[i]

@@ -53,9 +53,9 @@ def split_strings(
 
 
 def _counts(segments: int | Sequence[int] | Indices, strings: int) -> list[int]:
-    if np.ndim(segments) == 0:
+    if not isinstance(segments, (Sequence, np.ndarray)):
         return [whole_number("segments", segments, 1)] * strings
-    counts = list(segments)  # type: ignore[arg-type]
+    counts = list(segments)
     if len(counts) != strings:
         raise ValueError(f"segments has {len(counts)} entries: give one number, or one for each of {strings} strings")
     return [whole_number(f"segments[{i}]", count, 1) for i, count in enumerate(counts)]

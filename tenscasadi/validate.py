@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 LARGEST = 1e100  # squares and products of input must not overflow; no SI quantity of a structure comes near
+SMALLEST = 1e-100  # what must be greater than 0 is at least this: divisions by it must not overflow
 
 
 def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
@@ -39,8 +40,8 @@ def per_item(field: str, value: Any, count: int, item: str) -> Array:
     """`value` broadcast to one number for each of `count` items. Raises TypeError, ValueError."""
     try:
         scalar = np.ndim(value) == 0
-    except ValueError:
-        scalar = False  # ragged: finite_array says so
+    except (TypeError, ValueError):
+        scalar = False  # ragged, or no array at all: finite_array says so
     if not scalar:
         return finite_array(field, value, (count,))
     array = np.full(count, finite_array(field, value, ()))
@@ -50,7 +51,7 @@ def per_item(field: str, value: Any, count: int, item: str) -> Array:
 
 def at_least(field: str, array: Array, bound: float, item: str, strict: bool = False) -> Array:
     """`array` unchanged when every entry is ≥ `bound` (> when strict); ValueError names the first item that is not."""
-    bad = np.flatnonzero(array <= bound if strict else array < bound)
+    bad = np.flatnonzero(array < bound + SMALLEST if strict else array < bound)
     if bad.size:
         relation = "greater than" if strict else "at least"
         raise ValueError(f"{field} of {item} {bad[0]} is {array.flat[bad[0]]:g}: it must be {relation} {bound:g}")
@@ -60,7 +61,7 @@ def at_least(field: str, array: Array, bound: float, item: str, strict: bool = F
 def positive_number(field: str, value: Any, zero: bool = False) -> float:
     """`value` as a finite float > 0 (≥ 0 when `zero`). Raises TypeError, ValueError."""
     number = float(finite_array(field, value, ()))
-    if number < 0 or (number == 0 and not zero):
+    if number < SMALLEST and not (zero and number >= 0.0):
         raise ValueError(f"{field} is {number:g}: it must be {'at least' if zero else 'greater than'} 0")
     return number
 
