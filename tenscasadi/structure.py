@@ -218,7 +218,8 @@ class Structure:
         heavy[self.strings[self.string_mass > SMALLEST]] = True
         if not heavy.all():
             node = int(np.flatnonzero(~heavy)[0])
-            raise ValueError(f"node_mass of node {node} is {self.node_mass[node]:g} and no bar ends there: give it a mass, pin it, or give its strings a string_mass")
+            cure = "give it a mass, pin it in all axes, or give its strings a string_mass"
+            raise ValueError(f"node_mass of node {node} is {self.node_mass[node]:g} and no bar ends there: {cure}")
 
 
 def _slenderness(radius: Array, length: Array) -> Array:
