@@ -101,9 +101,7 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
     return _saved(figure, path)
 
 
-def node_histories(
-    trajectory: Trajectory, nodes: Sequence[int] | None = None, *, title: str = "", path: FilePath | None = None
-) -> Figure:
+def node_histories(trajectory: Trajectory, nodes: Sequence[int] | None = None, *, title: str = "", path: FilePath | None = None) -> Figure:
     """x, y and z of `nodes` over time (None: of all that move, at most 12: those that move furthest). Raises TypeError, ValueError."""
     instance("trajectory", trajectory, Trajectory, "a tenscasadi.Trajectory")
     chosen = _furthest(trajectory) if nodes is None else [node_index("nodes", node, trajectory.nodes.shape[1]) for node in nodes]
