@@ -29,6 +29,7 @@ REGULARISATION = 1e-10  # on a system of unit diagonal; two refinements remove i
 REFINEMENTS = 2
 
 Coordinates = Literal["reduced", "full"]
+BarLength = Literal["current", "constant"]
 
 
 class Multipliers(NamedTuple):
@@ -54,6 +55,7 @@ class Mechanism:
     D: Array  # 3×c
     active: Any  # 3×c bool: axes that a column of P constrains (all, but for per-axis supports)
     lengths: Array  # (β,)
+    constant_length: bool  # λ̂ divides by l² as Eqs. 46-87 print it, instead of by the current bᵀb
 
     @property
     def bars(self) -> int:
@@ -95,8 +97,9 @@ class Mechanism:
         return 0 if alone else self.bars
 
 
-def mechanism(structure: Structure, coordinates: Coordinates) -> Mechanism:
-    """The matrices of a structure in "reduced" or "full" coordinates."""
+def mechanism(structure: Structure, coordinates: Coordinates, bar_length: BarLength = "current") -> Mechanism:
+    """The matrices of a structure in "reduced" or "full" coordinates; `bar_length`: what λ̂ divides by."""
+    constant = bar_length == "constant"
     if coordinates == "reduced":
         n = len(structure.nodes)
         C_b, C_s, M = connectivity(structure.bars, n), connectivity(structure.strings, n), structure.mass_matrix()
@@ -104,8 +107,8 @@ def mechanism(structure: Structure, coordinates: Coordinates) -> Mechanism:
         axes = [free[:, 0]] if (free == free[:, :1]).all() else [free[:, axis] for axis in range(3)]
         every = np.arange(n)
         inverse = tuple(_inverse(M, axis) for axis in axes)
-        return Mechanism(structure.nodes.T, free, every, every, C_b, C_s, M, inverse, sp.csr_array((n, 0)), np.zeros((3, 0)), np.ones((3, 0), bool),
-                         structure.bar_lengths)  # fmt: skip
+        none = sp.csr_array((n, 0)), np.zeros((3, 0)), np.ones((3, 0), bool)
+        return Mechanism(structure.nodes.T, free, every, every, C_b, C_s, M, inverse, *none, structure.bar_lengths, constant)
     split = structure.class_one(sparse=True)
     n = split.N.shape[1]
     first = np.unique(split.physical, return_index=True)[1]
@@ -117,8 +120,9 @@ def mechanism(structure: Structure, coordinates: Coordinates) -> Mechanism:
     D = np.hstack([split.D, structure.nodes[rollers].T])
     active = np.hstack([np.ones(split.D.shape, bool), fixed[rollers].T])
     C_b = sp.csr_array(split.C_b @ split.C_nb)
-    return Mechanism(split.N, free, split.physical, first, C_b, sp.csr_array(split.C_s), split.M_s, (_inverse(split.M_s, free[:, 0]),), P, D, active,
-                     structure.bar_lengths)  # fmt: skip
+    inverse = (_inverse(split.M_s, free[:, 0]),)
+    C_s = sp.csr_array(split.C_s)
+    return Mechanism(split.N, free, split.physical, first, C_b, C_s, split.M_s, inverse, P, D, active, structure.bar_lengths, constant)
 
 
 # --- the three steps: assemble the linear system, solve it, apply the multipliers ---
@@ -152,6 +156,27 @@ def reaction(mech: Mechanism, B: Any, lam: Any, Omega: Any) -> Any:
     if mech.joints:
         push = push + ca.mtimes(Omega, sparse(mech.P.T))
     return mech.with_inverse(push)
+
+
+def without_residual(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
+    """Z + (B λ̂ C_b + Ω Pᵀ) M⁻ with the multipliers that take away the residuals r (bars, 1×β) and R (joints, 3×c)."""
+
+    def linear(B: Any, r: Any, R: Any) -> tuple[Any, ...]:
+        return system(mech, B, r, R)
+
+    def moved(Z: Any, B: Any, r: Any, solution: Any) -> tuple[Any, ...]:
+        return (Z + reaction(mech, B, *multipliers(mech, B, r, solution)),)
+
+    solution: Any = ca.DM.zeros(0, 1)
+    if mech.system_size:
+        solution = solve_semidefinite(*staged(mech.large, linear, B, r, R))
+    return staged(mech.large, moved, Z, B, r, solution)[0]
+
+
+def without_stretching(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
+    """The velocities closest to V (3×n), mass-weighted, with bᵀḃ = 0 and V P = Ḋ."""
+    B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
+    return without_residual(mech, V, B, ca.sum1(B * Bd), ca.mtimes(V, sparse(mech.P)) - Dd)
 
 
 def solve_semidefinite(A: Any, b: Any) -> Any:
@@ -190,8 +215,9 @@ def sparse(matrix: Any) -> ca.DM:
 
 
 def _bar_scale(mech: Mechanism, B: Any) -> Any:
-    """h = bᵀb G_ii (1×β) of bars that stand alone."""
-    return ca.sum1(B * B) * ca.DM(mech.G()[0].diagonal()).T
+    """h = bᵀb G_ii (1×β) of bars that stand alone; l² G_ii with the paper's constant length."""
+    squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
+    return squared * ca.DM(mech.G()[0].diagonal()).T
 
 
 def _reduced_matrix(mech: Mechanism, B: Any) -> Any:

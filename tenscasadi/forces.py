@@ -73,7 +73,7 @@ def conservative(scene: Scene) -> bool:
     """Whether no force outside the energies does work while the control stands still."""
     driven = isinstance(scene.control, ForceDensity) and len(scene.modelled.strings) > 0
     rough = scene.ground is not None and not scene.ground.conservative
-    return not (driven or is_damped(scene) or rough or scene.pressure is not None or scene.forces is not None)
+    return not (driven or is_damped(scene) or rough or scene.pressure is not None or scene.forces is not None or scene.supports is not None)
 
 
 def _rest(scene: Scene, u: Any) -> Any:

@@ -132,36 +132,46 @@ class Pressure:
 
 @dataclass(frozen=True, eq=False)
 class NodalForce:
-    """Forces on nodes: `values` (n, 3), N, constant or a function of time t (s) that returns them.
+    """Forces on nodes, N: `values` (n, 3), a function of time t (s) that returns them, or a table (K, n, 3) at `times` (K,).
 
     The function is called once with a CasADi symbol, so write it with NumPy's or CasADi's mathematics, without `if` on t.
+    A table is linear between its `times` (increasing, s) and constant before and after them.
     """
 
     values: Any
+    times: Any = None
 
     def __post_init__(self) -> None:
-        if not callable(self.values):
+        if self.times is not None:
+            times = finite_array("NodalForce.times", self.times, (None,))
+            if len(times) < 2 or np.any(np.diff(times) <= 0):
+                raise ValueError(f"NodalForce.times is {times}: give two or more increasing times")
+            object.__setattr__(self, "times", times)
+            object.__setattr__(self, "values", finite_array("NodalForce.values", self.values, (len(times), None, 3)))
+        elif not callable(self.values):
             object.__setattr__(self, "values", finite_array("NodalForce.values", self.values, (None, 3)))
 
     @property
     def varies(self) -> bool:
         """Whether the forces are a function of time."""
-        return callable(self.values)
+        return self.times is not None or callable(self.values)
 
     def check(self, nodes: int) -> None:
         """Raise unless there is one row of finite numbers for each of `nodes` nodes (at t = 0 for a function)."""
-        if self.varies:
+        if callable(self.values):
             try:
                 sample = self.values(0.0)
             except Exception as error:  # whatever the caller's function raises
                 raise ValueError(f"NodalForce.values raised {error!r} at t = 0: give a function of time that returns ({nodes}, 3)") from error
             finite_array("NodalForce.values(0.0)", sample, (nodes, 3))
-        elif self.values.shape[0] != nodes:
-            raise ValueError(f"NodalForce.values has {self.values.shape[0]} rows: give one row for each of the {nodes} nodes")
+        elif self.values.shape[-2] != nodes:
+            raise ValueError(f"NodalForce.values has {self.values.shape[-2]} rows: give one row for each of the {nodes} nodes")
 
     def forces(self, time: Any) -> Any:
         """W (3×n) at `time` (a CasADi symbol; unused when the forces are constant)."""
-        if not self.varies:
+        if self.times is not None:
+            return _interpolated(time, self.times, self.values)
+        if not callable(self.values):
             return ca.DM(self.values.T)
         function: Callable[[Any], Any] = self.values
         try:
@@ -173,6 +183,17 @@ class NodalForce:
         except Exception as error:  # whatever the caller's function raises
             raise ValueError(f"NodalForce.values raised {error!r} on a CasADi time: write it with NumPy's or CasADi's mathematics") from error
         return rows.T
+
+
+def _interpolated(time: Any, times: Array, table: Array) -> Any:
+    """Piecewise linear W (3×n) from a table (K, n, 3), held constant outside its times: nodes without force cost nothing."""
+    t = ca.SX.sym("t")  # pw_lin knows no MX
+    inside = ca.fmin(ca.fmax(t, times[0]), times[-1])
+    rows = []
+    for node in range(table.shape[1]):
+        moving = [ca.pw_lin(inside, ca.DM(times), ca.DM(table[:, node, axis])) if table[:, node, axis].any() else 0 for axis in range(3)]
+        rows.append(ca.vertcat(*moving))
+    return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*rows)))])(time)
 
 
 def _cross(a: Any, b: Any) -> Any:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi import dynamics, forces
-from tenscasadi.dynamics import Coordinates, Multipliers, sparse
+from tenscasadi.dynamics import BarLength, Coordinates, Multipliers, sparse
 from tenscasadi.redundancy import RedundantConstraints, find_redundancy
 from tenscasadi.scene import Scene
 from tenscasadi.strings import ForceDensity, RestLength
@@ -44,17 +44,24 @@ class Model:
     `coordinates="reduced"`: the state holds the coordinates of physical nodes that are free to move; joints and pins cannot drift.
     `coordinates="full"`: the state holds the paper's class-one nodes, and Ω keeps joints and pins.
     State x = (positions, velocities), each node by node, and a clock where loads depend on time. Control u: one entry per parent
-    string (`ForceDensity`, N/m; `RestLength`, m) or none. Raises TypeError, ValueError; warns with `RedundantConstraints`.
+    string (`ForceDensity`, N/m; `RestLength`, m) or none. `bar_length="constant"` is the paper's λ̂ as printed, for comparison: it
+    divides by l² where "current" divides by bᵀb, and then errors of length grow exponentially. Raises TypeError, ValueError;
+    warns with `RedundantConstraints`.
     """
 
-    def __init__(self, scene: Scene, coordinates: Coordinates = "reduced") -> None:
+    def __init__(self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current") -> None:
         instance("Model.scene", scene, Scene, "a tenscasadi.Scene")
         if coordinates not in ("reduced", "full"):
             raise ValueError(f'Model.coordinates is {coordinates!r}: give "reduced" or "full"')
+        if bar_length not in ("current", "constant"):
+            raise ValueError(f'Model.bar_length is {bar_length!r}: give "current" or "constant"')
         self.scene = scene
         self.structure = scene.modelled
         self.coordinates: Coordinates = coordinates
-        self.mechanism = dynamics.mechanism(self.structure, coordinates)
+        self.mechanism = dynamics.mechanism(self.structure, coordinates, bar_length)
+        if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:
+            raise ValueError('Model.bar_length is "constant": bars that meet or are pinned need coordinates="full" for it')
+        self._supports = None if scene.supports is None else scene.supports.rates()
         self._free = np.flatnonzero(self.mechanism.free.ravel())
         self.nq = len(self._free)
         self.nx = 2 * self.nq + (1 if scene.has_clock else 0)
@@ -77,7 +84,7 @@ class Model:
     def observe(self) -> ca.Function:
         """(x, u) → nodes and velocities (3n, node by node), force_density and tension (α), energy (3), bar_length_error, joint_error."""
         x, u = self._symbols(not self.mechanism.large)
-        N, V, _ = self.unpack(x)
+        N, V, time = self.unpack(x)
         gamma, length = forces.strings(self.scene, self.mechanism, N, V, u)
         first = self.mechanism.first.tolist()
         outputs = {
@@ -87,7 +94,7 @@ class Model:
             "tension": (gamma * length).T,
             "energy": ca.vertcat(self._kinetic(V), *forces.potential(self.scene, self.mechanism, N, u)),
             "bar_length_error": self._bar_length_error(N),
-            "joint_error": self._joint_error(N),
+            "joint_error": self._joint_error(N, time),
         }
         return ca.Function("observe", [x, u], [ca.densify(value) for value in outputs.values()], ["x", "u"], list(outputs))
 
@@ -98,7 +105,10 @@ class Model:
             return None
         x, u = self._symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
-        push = _sum(forces.terms(self.scene, self.mechanism, N, V, u, time), self.mechanism)
+        if self._supports is None:
+            push = _sum(forces.terms(self.scene, self.mechanism, N, V, u, time), self.mechanism)
+        else:  # with the reactions of the supports, which work too: all that moves the mass
+            push = ca.mtimes(self._motion(N, V, u, time)[0], sparse(self.mechanism.M))
         n: Any = type(N).sym("n", N.shape)
         total = sum(forces.potential(self.scene, self.mechanism, n, u))
         slope = ca.substitute(ca.jtimes(total, n, V), n, N)
@@ -118,8 +128,12 @@ class Model:
 
     @cached_property
     def initial_state(self) -> Array:
-        """The structure's nodes at rest (nx,)."""
-        return self.state(self.structure.nodes)
+        """The structure's nodes at rest (nx,), or at the velocities nearest to rest that moved supports leave possible."""
+        x = self.state(self.structure.nodes)
+        if self._supports is None or not self.mechanism.constrained:
+            return x
+        N, V, time = self.unpack(ca.DM(x))
+        return self.pack(N, dynamics.without_stretching(self.mechanism, N, V, self.targets(time)[1]), time).full().ravel()  # type: ignore[no-any-return]
 
     @cached_property
     def initial_control(self) -> Array:
@@ -134,14 +148,20 @@ class Model:
     def state(self, nodes: Any, velocities: Any = None) -> Array:
         """x (nx,) of physical nodes (n, 3), m, and velocities (n, 3), m/s (None: at rest); the clock starts at 0.
 
-        n counts the modelled nodes. Raises ValueError where a pinned coordinate is elsewhere or moves.
+        n counts the modelled nodes; moved supports keep their own motion. Raises ValueError where a pinned coordinate is elsewhere or moves.
         """
         n = len(self.structure.nodes)
         positions = finite_array("nodes", nodes, (n, 3))
         speeds = np.zeros((n, 3)) if velocities is None else finite_array("velocities", velocities, (n, 3))
-        fixed = self.structure.fixed
+        if self._supports is not None:
+            speeds = speeds.copy()
+            speeds[self._moved] = self._supports(0.0)[1].full().T  # theirs, whatever is given
+        fixed = self.structure.fixed.copy()
+        fixed[self._moved] = False
         size = np.ptp(self.structure.nodes, axis=0).max(initial=0.0)
-        for name, wrong in {"nodes": abs(positions - self.structure.nodes) > 1e-9 * max(size, 1e-300), "velocities": abs(speeds) > 1e-9 * abs(speeds).max(initial=0.0)}.items():
+        displaced = abs(positions - self.structure.nodes) > 1e-9 * max(size, 1e-300)
+        moving = abs(speeds) > 1e-9 * abs(speeds).max(initial=0.0)
+        for name, wrong in {"nodes": displaced, "velocities": moving}.items():
             if np.any(wrong & fixed):
                 node, axis = np.argwhere(wrong & fixed)[0]
                 raise ValueError(f"{name}[{node}, {axis}] moves a pinned coordinate: keep node {node} at {self.structure.nodes[node]}, at rest")
@@ -173,7 +193,7 @@ class Model:
 
         Where constraints are redundant these are the smallest of the many that give the same motion, in scaled rows.
         """
-        lam, omega = self.multiplier_function(*self._arguments(x, u))
+        lam, omega = self.multiplier_function(*self.arguments(x, u))
         return Multipliers(lam.full().ravel(), omega.full())
 
     def energy(self, x: Any, u: Any = None) -> Energy:
@@ -235,7 +255,34 @@ class Model:
     def unpack(self, x: Any) -> tuple[Any, Any, Any]:
         """N and V (3×n, the columns of `mechanism`) and the time of a CasADi state."""
         start = self.mechanism.N.T
-        return self._place(x[: self.nq], start), self._place(x[self.nq : 2 * self.nq], np.zeros_like(start)), x[-1] if self.scene.has_clock else 0
+        time = x[self.nx - 1] if self.scene.has_clock else 0
+        N, V = self._place(x[: self.nq], start), self._place(x[self.nq : 2 * self.nq], np.zeros_like(start))
+        if self._supports is not None and self.coordinates == "reduced":
+            N[:, self._moved], V[:, self._moved], _ = self._supports(time)
+        return N, V, time
+
+    def targets(self, time: Any) -> tuple[Any, Any, Any]:
+        """D of N P = D and its first two rates (3×c): joints, pins and moved supports of full coordinates."""
+        mech = self.mechanism
+        still = ca.DM.zeros(*mech.D.shape)
+        if self._supports is None or not mech.joints:
+            return ca.DM(mech.D), still, still
+        held = mech.P.toarray()
+        columns = []
+        for node in self._moved:  # the column of P that pins one of the node's copies alone
+            alone = (np.count_nonzero(held, axis=0) == 1) & mech.active.all(axis=0)
+            columns.append(next(int(k) for k in np.flatnonzero(alone) if mech.physical[np.flatnonzero(held[:, k])[0]] == node))
+        sign = ca.DM(held[:, columns].sum(axis=0)).T
+        results = []
+        for base, rate in zip((ca.DM(mech.D), still, still), self._supports(time), strict=True):
+            D = type(rate)(base)
+            D[:, columns] = rate * ca.repmat(sign, 3, 1)
+            results.append(D)
+        return results[0], results[1], results[2]
+
+    @property
+    def _moved(self) -> list[int]:
+        return [] if self.scene.supports is None else self.scene.supports.nodes
 
     def _place(self, free: Any, elsewhere: Array) -> Any:
         if self.nq == elsewhere.size:
@@ -255,12 +302,14 @@ class Model:
         mech = self.mechanism
 
         def unconstrained(N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
-            X = mech.with_inverse(_sum(forces.terms(self.scene, mech, N, V, u, time), mech))
+            F = _sum(forces.terms(self.scene, mech, N, V, u, time), mech)
+            X = mech.with_inverse(F) if self._supports is None else self._with_supports(F, time)
             if not mech.constrained:
                 return (X,)
             B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
             r = ca.sum1(Bd * Bd) + ca.sum1(B * ca.mtimes(X, sparse(mech.C_b.T)))  # Eq. 28
-            return X, B, r, *(dynamics.system(mech, B, r, ca.mtimes(X, sparse(mech.P))) if mech.system_size else ())
+            R = ca.mtimes(X, sparse(mech.P)) - self.targets(time)[2]
+            return X, B, r, *(dynamics.system(mech, B, r, R) if mech.system_size else ())
 
         def constrained(X: Any, B: Any, r: Any, solution: Any) -> tuple[Any, ...]:
             lam, omega = dynamics.multipliers(mech, B, r, solution)
@@ -273,6 +322,15 @@ class Model:
         solution = dynamics.solve_semidefinite(*linear) if linear else ca.DM.zeros(0, 1)
         A, lam, omega = dynamics.staged(mech.large, constrained, X, B, r, solution)
         return A, lam, omega
+
+    def _with_supports(self, F: Any, time: Any) -> Any:
+        """Accelerations X (3×n) before the constraints act, with those of moved supports in reduced coordinates."""
+        mech = self.mechanism
+        if self._supports is None or self.coordinates == "full":
+            return mech.with_inverse(F)
+        moved = type(time).zeros(3, mech.N.shape[1])
+        moved[:, self._moved] = self._supports(time)[2]
+        return moved + mech.with_inverse(F - ca.mtimes(moved, sparse(mech.M)))
 
     def _joint_forces(self, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
         """Ω of reduced coordinates: what the class-one nodes of Eq. 85 still need for the accelerations that they have."""
@@ -293,25 +351,31 @@ class Model:
         B = ca.mtimes(N, sparse(self.mechanism.C_b.T))
         return ca.mmax(ca.fabs(ca.sqrt(ca.sum1(B * B)) / ca.DM(self.mechanism.lengths).T - 1))
 
-    def _joint_error(self, N: Any) -> Any:
+    def _joint_error(self, N: Any, time: Any) -> Any:
         if not self.mechanism.joints:
             return ca.DM(0)
-        gap = (ca.mtimes(N, sparse(self.mechanism.P)) - ca.DM(self.mechanism.D)) * ca.DM(self.mechanism.active.astype(float))
+        gap = (ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0]) * ca.DM(self.mechanism.active.astype(float))
         return ca.mmax(ca.fabs(gap))
 
     # --- numbers ---
 
     def _physical(self, x: Any, start: int, elsewhere: Array) -> Any:
         if isinstance(x, (ca.SX, ca.MX)):
-            return self._place(x[start : start + self.nq], elsewhere)[:, self.mechanism.first.tolist()]
+            return self.unpack(x)[0 if start == 0 else 1][:, self.mechanism.first.tolist()]
         states = np.asarray(x, dtype=float)
         if states.ndim == 0 or states.shape[-1] != self.nx:
             raise ValueError(f"x has shape {states.shape}: give states of shape (..., {self.nx})")
         result = np.broadcast_to(elsewhere.ravel(), (*states.shape[:-1], elsewhere.size)).copy()
         result[..., self._free] = states[..., start : start + self.nq]
-        return result.reshape(*states.shape[:-1], -1, 3)[..., self.mechanism.first, :]
+        nodes = result.reshape(*states.shape[:-1], -1, 3)
+        if self._supports is not None and self.coordinates == "reduced":
+            times = states[..., -1].ravel()
+            moved = self._supports.map(times.size)(times.reshape(1, -1))[0 if start == 0 else 1].full().T
+            nodes[..., self._moved, :] = moved.reshape(*states.shape[:-1], len(self._moved), 3)
+        return nodes[..., self.mechanism.first, :]
 
-    def _arguments(self, x: Any, u: Any) -> tuple[Any, Any]:
+    def arguments(self, x: Any, u: Any) -> tuple[Any, Any]:
+        """x and u as CasADi values of the right sizes; u None: the initial control. Raises TypeError, ValueError."""
         if u is None:
             u = self.initial_control
         return tuple(
@@ -320,7 +384,7 @@ class Model:
         )  # type: ignore[return-value]
 
     def _observed(self, name: str, x: Any, u: Any) -> Any:
-        arguments = self._arguments(x, u)
+        arguments = self.arguments(x, u)
         value = self.observe(*arguments)[self.observe.index_out(name)]
         return value.full().ravel() if isinstance(value, ca.DM) else value
 

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from references import certified
 
-from tenscasadi.correction import Projection, projection
+from tenscasadi import shapes
+from tenscasadi.correction import BarLengthCorrection, Projection, projection
+from tenscasadi.loads import Gravity
 from tenscasadi.model import Model
 from tenscasadi.scene import Scene
+from tenscasadi.simulate import simulate
 from tenscasadi.structure import Structure
 
 BOTH = pytest.mark.parametrize("coordinates", ["reduced", "full"])
@@ -84,3 +87,72 @@ def test_nothing_to_keep_builds_nothing() -> None:
 def test_bad_options_are_refused_by_name(changes: dict[str, object]) -> None:
     with pytest.raises((ValueError, TypeError), match=rf"Projection\.{next(iter(changes))}"):
         Projection(**changes)  # type: ignore[arg-type]
+
+
+class TestAppendixC:
+    """The paper's correction, bar by bar."""
+
+    @pytest.mark.parametrize("weight", [0.1, 1.0, 10.0])
+    @pytest.mark.parametrize("speed", [0.0, 1e-8, 1e-3, 1.0, 30.0])
+    def test_it_is_the_minimum_of_equation_119(self, weight: float, speed: float) -> None:
+        bar = Structure([(0, 0, 0), (1.3, 0, 0)], [(0, 1)], bar_mass=2.0)
+        model = Model(Scene(bar))
+        rng = np.random.default_rng(4)
+        x = model.state([(0, 0, 0), (1.33, 0.2, -0.1)], speed * rng.normal(size=(2, 3)))
+        step = BarLengthCorrection(weight).step(model)
+        assert step is not None
+        y = step(x).full().ravel()
+
+        def parts(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return np.diff(model.nodes(x), axis=0)[0], np.diff(model.velocities(x), axis=0)[0]
+
+        (b, bd), (c, cd) = parts(x), parts(y)
+        assert np.linalg.norm(c) == pytest.approx(1.3, rel=1e-15)
+        assert abs(c @ cd) < 1e-14 * (1 + speed)
+        cost = weight * np.sum((c - b) ** 2) + np.sum((cd - bd) ** 2)
+        for _ in range(200):  # no other direction does better
+            v = c / 1.3 + rng.choice([1e-4, 1e-2, 1.0]) * rng.normal(size=3)
+            v /= np.linalg.norm(v)
+            assert weight * np.sum((1.3 * v - b) ** 2) + (v @ bd) ** 2 >= cost * (1 - 1e-12)
+        assert np.allclose(model.nodes(x).mean(axis=0), model.nodes(y).mean(axis=0), atol=1e-15)
+
+    def test_open_chains_close_exactly_and_closed_loops_do_not(self) -> None:
+        rng = np.random.default_rng(5)
+        chain = Structure([(0, 0, 0), (1, 0.2, 0), (2, 0, 0.3), (1, 0, 2)], [(0, 1), (1, 2)], [(2, 3)], node_mass=[0, 0, 0, 1], pinned=(0,))
+        for structure, closed in ((chain, False), (LOOP.replace(pinned=(0,)), True)):
+            model = Model(Scene(structure), "full")
+            x = model.initial_state + 1e-4 * rng.normal(size=model.nx)
+            step = BarLengthCorrection().step(model)
+            assert step is not None
+            y = step(x).full().ravel()
+            assert model.bar_length_error(y) < 1e-15
+            assert (model.joint_error(y) > 1e-6) == closed
+            if not closed:
+                assert model.joint_error(y) < 1e-15
+
+    def test_it_keeps_bars_over_a_run_as_the_projection_does(self) -> None:
+        case = certified("prism_n1")
+        model = Model(case.scene)
+        runs = [simulate(model, 5.0, 2e-3, correction=correction) for correction in (None, BarLengthCorrection(), Projection())]
+        assert runs[0].bar_length_error.max() > 1e-7
+        for run in runs[1:]:
+            assert run.bar_length_error.max() < 1e-14
+        assert abs(runs[1].nodes[-1] - runs[2].nodes[-1]).max() < 1e-5
+
+    def test_joints_in_reduced_coordinates_are_refused(self) -> None:
+        with pytest.raises(ValueError, match="BarLengthCorrection"):
+            BarLengthCorrection().step(Model(Scene(LOOP)))
+        with pytest.raises(ValueError, match=r"BarLengthCorrection\.weight"):
+            BarLengthCorrection(weight=0.0)
+
+
+def test_the_printed_multiplier_lets_lengths_drift_where_the_current_one_does_not() -> None:
+    ball = shapes.six_bar_ball(prestress=50.0)
+    scene = Scene(ball, gravity=Gravity())
+    start = Model(scene).initial_state + 1e-8 * np.random.default_rng(6).normal(size=72)
+    drift = [simulate(Model(scene, bar_length=name), 1.0, 1e-3, state=start).bar_length_error[-1] for name in ("current", "constant")]  # type: ignore[arg-type]
+    assert drift[1] > 100 * drift[0]
+    assert drift[0] < 1e-7
+    with pytest.raises(ValueError, match=r"Model\.bar_length"):
+        Model(Scene(LOOP), bar_length="constant")
+    assert Model(Scene(LOOP), "full", "constant").ode is not None

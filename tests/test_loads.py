@@ -60,6 +60,17 @@ def test_forces_may_be_functions_of_time() -> None:
     assert np.allclose(W, [[np.cos(0.5), 0], [0, 0.5], [0, 0]])
 
 
+def test_forces_may_be_a_table_over_time() -> None:
+    table = np.zeros((3, 2, 3))
+    table[:, 1, 2] = [1.0, 3.0, -1.0]
+    load = NodalForce(table, times=[0.0, 1.0, 3.0])
+    load.check(2)
+    for kind in (ca.SX, ca.MX):
+        W = ca.Function("W", [t := kind.sym("t")], [load.forces(t)])
+        for time, force in ((-1, 1), (0, 1), (0.5, 2), (1, 3), (2, 1), (3, -1), (9, -1)):
+            assert np.allclose(W(time).full(), [[0, 0], [0, 0], [0, force]])
+
+
 @pytest.mark.parametrize(
     ("make", "field"),
     [
@@ -77,6 +88,9 @@ def test_forces_may_be_functions_of_time() -> None:
         (lambda: Pressure(3, 1.0), r"Pressure\.faces"),
         (lambda: Pressure([(0, 1, 2)], "high"), r"Pressure\.difference"),
         (lambda: Pressure([(0, 1, 9)], 1.0).check(4), r"Pressure\.faces\[0\] is 9"),
+        (lambda: NodalForce(np.zeros((2, 3, 3)), times=[1, 1]), r"NodalForce\.times"),
+        (lambda: NodalForce(np.zeros((3, 3, 3)), times=[0, 1]), r"NodalForce\.values"),
+        (lambda: NodalForce(np.zeros((2, 3, 3)), times=[0, 1]).check(4), r"NodalForce\.values has 3 rows"),
         (lambda: NodalForce(np.zeros((3, 2))), r"NodalForce\.values"),
         (lambda: NodalForce(np.zeros((3, 3))).check(4), r"NodalForce\.values has 3 rows"),
         (lambda: NodalForce(lambda t: [[0, 0, 0]]).check(2), r"NodalForce\.values"),
