@@ -1,0 +1,116 @@
+"""Where a solver starts: nodes led from the start to the target on the constraints, and the force densities that follow them best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.optimize
+
+from ocp.problem import Problem
+from ocp.target import Target
+from tenscasadi.correction import projection
+from tenscasadi.loads import Gravity
+from tenscasadi.statics import EquilibriumError, equilibrium_force_density
+from tenscasadi.structure import Structure
+from tenscasadi.validate import Array
+
+BLEND = 1e-3  # how much the reference force densities weigh against following the path, both in scaled units
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """states (intervals + 1, nx), force_density (intervals, α) N/m and duration s."""
+
+    states: Array
+    force_density: Array
+    duration: float
+
+
+def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
+    """Nodes from start to target by a quintic in time, projected onto bars and joints; γ by inverse dynamics within its limits.
+
+    The accelerations that a path asks for are linear in γ, so the γ that follow it best are a small least-squares problem with
+    bounds for every interval. What it leaves open (self-stress) follows the equilibrium force densities of start and target.
+    """
+    duration = (problem.shortest + problem.longest) / 2
+    states = _path(problem, target, intervals, duration)
+    return Guess(states, _inverse_dynamics(problem, states, _reference(problem, states), duration / intervals), duration)
+
+
+def _path(problem: Problem, target: Target, intervals: int, duration: float) -> Array:
+    model = problem.model
+    start, end = target.start, target.start if target.state is None else target.state
+    nq = model.nq
+    s = np.linspace(0.0, 1.0, intervals + 1)[:, None]
+    rise, fall = s**3 * (10 - 15 * s + 6 * s**2), -4 * s**3 + 7 * s**4 - 3 * s**5
+    out = s - 6 * s**3 + 8 * s**4 - 3 * s**5  # leaves with the start's velocity; `fall` arrives with the target's
+    q = start[:nq] + rise * (end - start)[:nq] + duration * (out * start[nq : 2 * nq] + fall * end[nq : 2 * nq])
+    clock = start[2 * nq :] + duration * s[:, : model.nx - 2 * nq]
+    project = projection(model, 10).map(intervals + 1)
+    still = np.column_stack([q, np.zeros_like(q), clock])
+    q = np.asarray(project(still.T).full()).T[:, :nq]
+    v = np.empty_like(q)
+    v[0], v[-1] = start[nq : 2 * nq], end[nq : 2 * nq]
+    v[1:-1] = (q[2:] - q[:-2]) * (intervals / (2 * duration))
+    states = np.asarray(project(np.column_stack([q, v, clock]).T).full()).T
+    states[0], states[-1] = start, end
+    if not np.all(np.isfinite(states)):  # a bar vanished on the way
+        return np.repeat(start[None], intervals + 1, axis=0)
+    return states
+
+
+def _reference(problem: Problem, states: Array) -> Array:
+    """Equilibrium γ (intervals, α) from that of the start to that of the target; the lower limits where there is none."""
+    lower, upper = problem.force_density_limits
+    model = problem.model
+    structure = model.scene.structure
+    count = len(structure.nodes)
+    ends = []
+    for state in (states[0], states[-1]):
+        try:
+            shape = structure.replace(nodes=model.nodes(state)[:count])
+            gamma = equilibrium_force_density(shape, _weights(structure, model.scene.gravity), minimum=0.0)
+        except (EquilibriumError, ValueError):
+            gamma = lower
+        ends.append(np.clip(gamma, lower, upper))
+    s = (np.arange(len(states) - 1)[:, None] + 0.5) / (len(states) - 1)
+    return np.asarray((1 - s) * ends[0] + s * ends[1])
+
+
+def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
+    if gravity is None:
+        return None
+    return np.outer(np.asarray(structure.mass_matrix().sum(axis=1)).ravel(), gravity.acceleration)
+
+
+def _inverse_dynamics(problem: Problem, states: Array, reference: Array, interval: float) -> Array:
+    """γ (intervals, α) within the limits whose accelerations come nearest to those of the path, in the sense of the kinetic energy."""
+    model = problem.model
+    nq = model.nq
+    kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
+    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
+    acceleration = model.ode(x, u)[nq : 2 * nq]
+    linear = ca.Function("linear", [x, u], [ca.densify(acceleration), ca.densify(ca.jacobian(acceleration, u))])
+    middle = (states[:-1] + states[1:]) / 2
+    wanted = (states[1:, nq : 2 * nq] - states[:-1, nq : 2 * nq]) / interval
+    lower, upper = problem.force_density_limits
+    result = np.empty_like(reference)
+    for k, (state, gamma) in enumerate(zip(middle, reference, strict=True)):
+        free, slope = (value.full() for value in linear(state, np.zeros(model.nu)))
+        size = max(float(np.linalg.norm(slope, 2)), 1e-300)
+        A = np.concatenate([slope / size, np.sqrt(BLEND) * np.eye(model.nu)])
+        b = np.concatenate([(wanted[k] - free.ravel()) / size, np.sqrt(BLEND) * gamma])
+        result[k] = _bounded_least_squares(A, b, lower, upper)
+    return result
+
+
+def _bounded_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
+    held = lower == upper  # lsq_linear wants room between its bounds
+    value = lower.copy()
+    if not held.all():
+        inner = scipy.optimize.lsq_linear(A[:, ~held], b - A[:, held] @ lower[held], (lower[~held], upper[~held]), method="bvls")
+        value[~held] = inner.x
+    return value

@@ -1,0 +1,205 @@
+"""What a solver found: force densities over time, the motion they cause, and how far its replay ends from the goal."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ocp.problem import Problem
+from tenscasadi.loads import Gravity
+from tenscasadi.model import Model
+from tenscasadi.scene import Scene
+from tenscasadi.schemes import RungeKutta4, Scheme
+from tenscasadi.simulate import simulate
+from tenscasadi.strings import ForceDensity, rest_length
+from tenscasadi.structure import PARAMETERS, Structure
+from tenscasadi.trajectory import Trajectory
+from tenscasadi.validate import Array, at_least, instance, per_item, positive_number
+
+_FORMAT = "tenscasadi plan 1"
+# Anything that reading a damaged or foreign archive may raise.
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    TypeError,
+    EOFError,
+    KeyError,
+    RuntimeError,
+    MemoryError,
+    OverflowError,
+    SyntaxError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+REPLAY_STEPS = 10  # steps of a replay for one interval of the plan
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Force densities of α strings over K intervals, and the motion that they cause; also what is left when no plan was found.
+
+    success; status: the solver's word; message: what was imposed, what came of it, and after a failure why and what to try.
+    objective: the costs' sum; iterations; seconds: wall time of the solver, building included. time (K + 1,) s;
+    force_density (K, α) N/m, each row held from its time to the next; trajectory: the planned motion at `time`.
+    replay_error: m, and replay_speed_error: m/s: how far the motion that `replay` computes ends from the goals (NaN where it diverges).
+    structure, model: what was planned for; `model` is None for a saved plan whose scene has loads other than gravity.
+    """
+
+    success: bool
+    status: str
+    message: str
+    objective: float
+    iterations: int
+    seconds: float
+    time: Array
+    force_density: Array
+    trajectory: Trajectory
+    replay_error: float
+    replay_speed_error: float
+    structure: Structure
+    model: Model | None
+
+    def __post_init__(self) -> None:
+        for name in ("time", "force_density"):
+            view = getattr(self, name).view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    def __repr__(self) -> str:
+        count, strings = self.force_density.shape
+        return f"Plan({count} intervals, {strings} strings, {self.time[-1]:g} s, success={self.success}, replay_error={self.replay_error:.2g} m)"
+
+    def summary(self) -> str:
+        """What was found and how, as a few lines of text."""
+        tension = self.tension()
+        return "\n".join(
+            [
+                self.message,
+                f"solver        {self.status}, {self.iterations} iterations, {self.seconds:.3g} s",
+                f"plan          {self.time[-1]:g} s in {len(self.force_density)} intervals, objective {self.objective:.6g}",
+                f"force density {self.force_density.min():.4g} … {self.force_density.max():.4g} N/m",
+                f"tension       {tension.min():.4g} … {tension.max():.4g} N",
+                f"replay        ends {self.replay_error:.2g} m and {self.replay_speed_error:.2g} m/s from the goal",
+            ]
+        )
+
+    def lengths(self) -> Array:
+        """Distances (K + 1, α) between the ends of each string at `time`, m."""
+        ends = self.trajectory.nodes[:, self.structure.strings]
+        return np.asarray(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2))
+
+    def tension(self, end: bool = False) -> Array:
+        """Tensions γ s (K, α), N, at the start of each interval, or at its end."""
+        return np.asarray(self.force_density * (self.lengths()[1:] if end else self.lengths()[:-1]))
+
+    def rest_lengths(self, stiffness: ArrayLike | None = None) -> Array:
+        """Rest lengths ρ = s (1 − γ/k) (K, α), m, that give γ at the start of each interval (Eq. 99, without damping).
+
+        stiffness: k, N/m, one number or one per string; None: the structure's. Raises ValueError naming the string where γ ≥ k.
+        """
+        given = self.structure.stiffness if stiffness is None else stiffness
+        k = at_least("stiffness", per_item("stiffness", given, self.force_density.shape[1], "string"), 0.0, "string")
+        largest = self.force_density.max(axis=0)
+        bad = np.flatnonzero((largest > 0) & (largest >= k))
+        if bad.size:
+            i = int(bad[0])
+            raise ValueError(f"stiffness of string {i} is {k[i]:g} N/m: it must exceed its force density, up to {largest[i]:g} N/m in this plan")
+        return rest_length(self.force_density, self.lengths()[:-1], k)
+
+    def replay(self, scheme: Scheme | None = None, step: float | None = None) -> Trajectory:
+        """The motion under the planned force densities, integrated by `scheme` (None: RungeKutta4) in steps of `step` s (None: a tenth of
+        an interval) from the plan's start, without corrections.
+
+        Raises ValueError where the model is not known: a loaded plan whose scene had loads other than gravity.
+        """
+        if self.model is None:
+            raise ValueError("replay needs the model, whose loads a file does not hold: give Plan.load(path, problem=...)")
+        size = (self.time[1] - self.time[0]) / REPLAY_STEPS if step is None else positive_number("step", step)
+        start = self.model.state(self.trajectory.nodes[0], self.trajectory.velocities[0])
+        return simulate(self.model, float(self.time[-1]), size, scheme or RungeKutta4(), start, self.force_density, compiled=False)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes a compressed .npz file (NumPy arrays only) to exactly `path` and returns it. Raises OSError when it cannot be written."""
+        content = {name: np.asarray(getattr(self, name)) for name in _VALUES}
+        content |= {f"trajectory.{field.name}": np.asarray(getattr(self.trajectory, field.name)) for field in fields(Trajectory)}
+        content |= {f"structure.{name}": np.asarray(getattr(self.structure, name)) for name in PARAMETERS if name != "pinned"}
+        content["structure.fixed"] = np.asarray(self.structure.fixed)
+        content |= _scene_arrays(self.model)
+        target = Path(path)
+        with open(target, "wb") as file:
+            np.savez_compressed(file, allow_pickle=False, format=np.asarray(_FORMAT), **content)
+        return target
+
+    @staticmethod
+    def load(path: str | os.PathLike[str], problem: Problem | None = None) -> Plan:
+        """The plan saved in `path`; its model is rebuilt from the file, or is that of `problem`. No code in the file is ever run.
+
+        Raises FileNotFoundError, and ValueError naming the file for one that cannot be read or is no plan.
+        """
+        if problem is not None:
+            instance("problem", problem, Problem, "an ocp.Problem or None")
+        name = os.fspath(path)
+        try:
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+                if not isinstance(archive, np.lib.npyio.NpzFile):
+                    raise ValueError("it is a single array")
+                content = {key: archive[key] for key in archive.files}
+        except FileNotFoundError:
+            raise
+        except _UNREADABLE as error:
+            raise ValueError(f"{name} cannot be read as a plan ({error}): give a file written by Plan.save") from None
+        if str(content.get("format", "")) != _FORMAT:
+            raise ValueError(f"{name} is not a plan: its field 'format' is not {_FORMAT!r}")
+        try:
+            plan = _from_arrays(content)
+        except KeyError as error:
+            raise ValueError(f"{name} is not a plan: it has no field {error}") from None
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{name} is not a plan: {error}") from None
+        return plan if problem is None else replace(plan, model=problem.model)
+
+
+_VALUES = ("success", "status", "message", "objective", "iterations", "seconds", "time", "force_density", "replay_error", "replay_speed_error")
+
+
+def _scene_arrays(model: Model | None) -> dict[str, Any]:
+    """What a file holds of the scene: enough to replay it, unless there are loads other than gravity."""
+    if model is None or model.scene.ground is not None or model.scene.pressure is not None or model.scene.forces is not None:
+        return {}
+    scene = model.scene
+    acceleration = np.zeros(0) if scene.gravity is None else np.asarray(scene.gravity.acceleration)
+    return {"scene.gravity": acceleration, "scene.segments": np.asarray(scene.segments), "scene.ends": np.asarray(scene.ends)}
+
+
+def _from_arrays(content: dict[str, Any]) -> Plan:
+    pinned = {int(node): "".join(np.array(list("xyz"))[axes]) for node, axes in enumerate(content["structure.fixed"]) if axes.any()}
+    given = {name: content[f"structure.{name}"] for name in PARAMETERS if name != "pinned"}
+    structure = Structure(**given, pinned=pinned)
+    model = None
+    if "scene.gravity" in content:
+        gravity = content["scene.gravity"]
+        segments: Any = content["scene.segments"].tolist()
+        model = Model(
+            Scene(
+                structure,
+                control=ForceDensity(),
+                segments=segments,
+                ends=str(content["scene.ends"]),  # type: ignore[arg-type]  # Scene checks it
+                gravity=Gravity(tuple(gravity.tolist())) if gravity.size else None,
+            )
+        )
+    values = {name: value.item() if value.ndim == 0 else value for name, value in ((name, content[name]) for name in _VALUES)}
+    motion = {field.name: content[f"trajectory.{field.name}"] for field in fields(Trajectory)}
+    trajectory = Trajectory(**{name: value.item() if value.ndim == 0 else value for name, value in motion.items()})
+    intervals, strings = len(trajectory.time) - 1, len(structure.strings)
+    for name, shape in (("time", (intervals + 1,)), ("force_density", (intervals, strings))):
+        if values[name].shape != shape or values[name].dtype.kind != "f":
+            raise ValueError(f"field {name!r} has shape {values[name].shape}, not {shape}")
+    return Plan(**values, trajectory=trajectory, structure=structure, model=model)

@@ -1,0 +1,111 @@
+"""Rows of a goal that a solver can impose: those that the dynamics do not repeat already, and a shape in place of singular lengths.
+
+With A the gradients of the invariants at the target and Z a basis of null(A), a goal with gradient H can be moved in range(H Z)
+only. The other combinations of its rows hold by themselves at a target that can be reached; imposed as well, they make the
+gradients of the optimal control problem linearly dependent, and solvers fail.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.validate import Array
+
+RANK = 1e-3  # smallest singular value, relative to rows of norm one, that counts: below it a row has two solutions closer than a plan resolves
+
+
+class RowFunction:
+    """Named CasADi rows of y, with numbers for value, gradient and curvature in scaled rows and scaled unknowns."""
+
+    def __init__(self, y: Any, value: Any, row_scale: Array, scale: Array) -> None:
+        self.row_scale, self.scale = row_scale, scale
+        scaled = value / ca.DM(row_scale)
+        self._function = ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))])
+        weight = ca.SX.sym("w", value.shape[0])
+        gradient = ca.gradient(ca.dot(weight, scaled), y)
+        self._curvature = ca.Function("curvature", [y, weight], [ca.jacobian(gradient, y)])
+
+    def __call__(self, y: Array) -> tuple[Array, Array]:
+        """Scaled rows (m,) and their gradient (m, ny) in scaled unknowns."""
+        value, gradient = self._function(y)
+        return value.full().ravel(), gradient.full() * self.scale
+
+    def curvature(self, y: Array, weight: Array) -> Array:
+        """Second derivative (ny, ny) of weightᵀ rows in scaled unknowns."""
+        return np.asarray(self._curvature(y, weight).full()) * np.outer(self.scale, self.scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """Which combinations (rank, m) of m scaled rows to impose, and what became of the others: {kind of invariant: rows that it repeats}."""
+
+    combinations: Array
+    repeated: dict[str, int]
+
+
+def reduce_rows(H: Array, groups: Sequence[tuple[str, Array]]) -> Reduction:
+    """Independent combinations of rows with gradient H (m, ny), given the invariants' gradients by kind (each (·, ny))."""
+    norms = np.linalg.norm(H, axis=1)
+    rows = H / np.maximum(norms, 1e-12)[:, None]
+    left, values, _ = _svd(rows)
+    repeated = {"another": len(H) - int(np.sum(values > RANK))}
+    known = np.zeros((0, H.shape[1]))
+    for kind, A in groups:
+        before = int(np.sum(values > RANK))
+        known = np.concatenate([known, _normalised(A)])
+        left, values, _ = _svd(rows @ null_space(known))
+        repeated[kind] = repeated.get(kind, 0) + before - int(np.sum(values > RANK))
+    kept = values > RANK
+    combinations = (left[:, : len(values)][:, kept] / values[kept]).T / np.maximum(norms, 1e-12)
+    return Reduction(combinations, {kind: count for kind, count in repeated.items() if count})
+
+
+def soft_directions(functions: Sequence[RowFunction], y: Array, rank_tolerance: float = RANK) -> tuple[Array, Array, Array]:
+    """Where first order says nothing but second order does: at a prestressed equilibrium lengths fix the shape, their gradients do not.
+
+    Returns scaled unit directions D (ny, k) that the rows' gradients leave free but whose curvature some combination w of the rows
+    (W (m, j), zero gradient) feels, and the curvatures (j, k, k) of these combinations on D.
+    """
+    values, gradients = zip(*(function(y) for function in functions), strict=True)
+    J = np.concatenate(gradients)
+    norms = np.linalg.norm(J, axis=1)
+    used = norms > 1e-12
+    left, singular, right = _svd(J[used] / norms[used, None])
+    rank = int(np.sum(singular > rank_tolerance))
+    W = np.zeros((len(J), left.shape[1] - rank))
+    W[used] = left[:, rank:] / norms[used, None]
+    F = right[rank:].T
+    sizes = np.cumsum([0, *(len(value) for value in values)])
+    forms = []
+    for w in W.T:
+        total = sum(function.curvature(y, w[a:b]) for function, a, b in zip(functions, sizes[:-1], sizes[1:], strict=True))
+        forms.append(F.T @ total @ F)
+    if not forms or not F.shape[1]:
+        return np.zeros((J.shape[1], 0)), W, np.zeros((W.shape[1], 0, 0))
+    strength, vectors = np.linalg.eigh(sum(form @ form for form in forms))
+    D = vectors[:, strength > RANK**2]
+    return F @ D, W, np.array([D.T @ form @ D for form in forms])
+
+
+def null_space(A: Array) -> Array:
+    """An orthonormal basis (n, n − rank) of the null space of A (m, n)."""
+    _, values, right = _svd(A)
+    return np.asarray(right[int(np.sum(values > RANK)) :].T)
+
+
+def _normalised(A: Array) -> Array:
+    norms = np.linalg.norm(A, axis=1, keepdims=True)
+    return np.asarray(np.divide(A, norms, out=np.zeros_like(A), where=norms > 1e-9))
+
+
+def _svd(A: Array) -> tuple[Array, Array, Array]:
+    """U, σ padded with zeros to the number of rows or columns, Vᵀ, all of full size."""
+    if A.shape[0] == 0 or A.shape[1] == 0:
+        return np.eye(A.shape[0]), np.zeros(0), np.eye(A.shape[1])
+    left, values, right = np.linalg.svd(A, full_matrices=True)
+    return left, values, right

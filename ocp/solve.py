@@ -1,0 +1,166 @@
+"""From a problem to a plan: find the target, choose the rows to impose, solve, replay, explain."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ocp.explain import explain_failure
+from ocp.guess import Guess, make_guess
+from ocp.plan import Plan
+from ocp.problem import Problem
+from ocp.reach import Reach, controlled
+from ocp.solver import Ipopt, Solution, Solver
+from ocp.target import Scales, Target, find_target
+from ocp.transcription import MultipleShooting, Program, Transcription
+from tenscasadi.simulate import observe
+from tenscasadi.trajectory import Trajectory
+from tenscasadi.validate import Array, instance
+
+MET = 1e-6  # of the structure's size (and of it per duration): a goal counts as met
+
+
+class _Outcome(NamedTuple):
+    program: Program
+    solution: Solution
+    guess: Guess  # what the solution says, to start again from
+
+
+def solve(problem: Problem, transcription: Transcription | None = None, solver: Solver | None = None) -> Plan:
+    """The plan that a solver finds for `problem`; without arguments by MultipleShooting() and Ipopt().
+
+    A plan that could not be found has success False and a message that says why. Raises `UnreachableGoal` before solving where
+    no strings can bring the goals about, TypeError and ValueError for arguments.
+    """
+    instance("problem", problem, Problem, "an ocp.Problem")
+    transcription = MultipleShooting() if transcription is None else transcription
+    solver = Ipopt() if solver is None else solver
+    instance("transcription", transcription, MultipleShooting, "an ocp.MultipleShooting")
+    instance("solver", solver, Ipopt, "an ocp.Ipopt")
+    began = time.perf_counter()
+    scales = Scales.of(problem)
+    target = find_target(problem, scales)
+    guess = make_guess(problem, target, transcription.intervals)
+    reach = Reach(transcription.step(problem.model), transcription.intervals, problem.shortest < problem.longest)
+    imposed = _controlled(target, reach, guess)
+    outcome = _attempt(problem, transcription, solver, imposed, scales, guess)
+    if outcome.solution.success and not _met(target, outcome.guess, scales) and imposed.count < target.count:
+        # Rows that no string moved along the guess are missed: along the plan they may be within reach.
+        again = _controlled(target, reach, outcome.guess)
+        if again.count > imposed.count:
+            imposed = again
+            outcome = _attempt(problem, transcription, solver, imposed, scales, outcome.guess)
+    return _plan(problem, target, imposed, reach, outcome, scales, time.perf_counter() - began)
+
+
+def _controlled(target: Target, reach: Reach, guess: Guess) -> Target:
+    """The target without the rows that the strings cannot move, to first order, along the motion that the guess's force densities cause."""
+    if not target.count:
+        return target
+    states = reach.rollout(target.start, guess.force_density, guess.duration)
+    if not np.all(np.isfinite(states)):
+        return target
+    kept = controlled(reach.of_rows(target.rows, states, guess.force_density, guess.duration))
+    missing = target.count - len(kept)
+    if not missing:
+        return target
+    x = ca.SX.sym("x", len(target.start))
+    rows = ca.Function("goal", [x], [ca.mtimes(ca.DM(kept), target.rows(x))], ["x"], ["rows"])
+    return replace(target, rows=rows, repeated={**target.repeated, "out of control": missing})
+
+
+def _attempt(problem: Problem, transcription: Transcription, solver: Solver, target: Target, scales: Scales, guess: Guess) -> _Outcome:
+    program = transcription.program(problem, target, scales, guess)
+    solution = solver.solve(program)
+    states, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
+    lower, upper = problem.force_density_limits
+    # Interior-point methods overstep limits by their tolerance.
+    return _Outcome(program, solution, Guess(states.T, np.clip(controls.T, lower, upper), float(duration.squeeze())))
+
+
+def _misfit(target: Target, state: Array) -> tuple[float, float]:
+    """The largest distance from a goal, m, and the largest difference of speed, m/s."""
+    metres, speeds = (np.abs(np.asarray(value.full())) for value in target.misfit(state))
+    return float(metres.max(initial=0.0)), float(speeds.max(initial=0.0))
+
+
+def _met(target: Target, guess: Guess, scales: Scales) -> bool:
+    metres, speeds = _misfit(target, guess.states[-1])
+    return metres <= MET * scales.length + target.adjusted and speeds <= MET * scales.length / scales.time
+
+
+def _plan(problem: Problem, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, scales: Scales, seconds: float) -> Plan:
+    program, solution, found = outcome
+    model = problem.model
+    intervals = len(found.force_density)
+    grid = np.linspace(0.0, found.duration, intervals + 1)
+    success = solution.success and _met(target, found, scales)
+    cost = ca.Function("cost", [program.problem["x"]], [program.problem["f"]])(solution.w)
+    plan = Plan(
+        success=success,
+        status=solution.status,
+        message="",
+        objective=float(cost) * program.objective,
+        iterations=solution.iterations,
+        seconds=seconds,
+        time=grid,
+        force_density=found.force_density,
+        trajectory=_trajectory(problem, grid, found, seconds, success),
+        replay_error=np.nan,
+        replay_speed_error=np.nan,
+        structure=model.scene.structure,
+        model=model,
+    )
+    error, speed_error = _replay_errors(plan, target)
+    verdict = f"found after {solution.iterations} iterations" if success else explain_failure(target, imposed, reach, program, solution, found)
+    message = f"{verdict}; {imposed.describe()}; its replay ends {error:.2g} m and {speed_error:.2g} m/s from the goal"
+    return replace(plan, message=message, replay_error=error, replay_speed_error=speed_error)
+
+
+def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:
+    """How far the replay ends from the goals; without goals for the place (or speed) from the plan. NaN where it does not get there."""
+    if not np.all(np.isfinite(plan.force_density)) or not plan.time[-1] > 0:
+        return np.nan, np.nan
+    replayed = plan.replay()
+    if not replayed.success:
+        return np.nan, np.nan
+    metres, speeds = (np.asarray(value.full()) for value in target.misfit(replayed.states[-1]))
+    if not metres.size:
+        metres = np.linalg.norm(replayed.nodes[-1] - plan.trajectory.nodes[-1], axis=1)
+    if not speeds.size:
+        speeds = np.linalg.norm(replayed.velocities[-1] - plan.trajectory.velocities[-1], axis=1)
+    return float(np.abs(metres).max()), float(np.abs(speeds).max())
+
+
+def _trajectory(problem: Problem, grid: Array, found: Guess, seconds: float, success: bool) -> Trajectory:
+    model = problem.model
+    controls = np.concatenate([found.force_density, found.force_density[-1:]])
+    with np.errstate(all="ignore"):
+        seen = observe(model, found.states, controls)
+    nodes = (len(grid), len(model.structure.nodes), 3)
+    return Trajectory(
+        time=grid,
+        nodes=seen["nodes"].reshape(nodes),
+        velocities=seen["velocities"].reshape(nodes),
+        force_density=seen["force_density"],
+        tension=seen["tension"],
+        energy=seen["energy"].sum(axis=1),
+        energy_parts=seen["energy"],
+        energy_error=np.full(len(grid), np.nan),
+        bar_length_error=seen["bar_length_error"][:, 0],
+        joint_error=seen["joint_error"][:, 0],
+        states=found.states.copy(),
+        control=controls,
+        bars=model.structure.bars,
+        strings=model.structure.strings,
+        pinned=np.array(sorted(model.structure.pinned), dtype=np.intp),
+        success=success,
+        message="planned motion at the ends of the intervals",
+        step=float(grid[1]),
+        seconds=seconds,
+        compiled=False,
+    )

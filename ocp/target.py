@@ -1,0 +1,289 @@
+"""The state that the goals ask for: found before planning, so that what cannot be reached is refused by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.optimize
+import scipy.sparse
+
+from ocp.invariants import Invariant, invariants
+from ocp.problem import Problem
+from ocp.reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
+from tenscasadi.correction import projection
+from tenscasadi.model import Model
+from tenscasadi.validate import Array
+
+ROUNDED = 2e-4  # of the structure's size: goals given to four digits are met as nearly as the bars allow, beyond they are refused
+STRIDE = 0.2  # of the structure's size: the longest step towards the target
+STEPS = 100
+NEARLY_SINGULAR = 3e-2  # as RANK, where Newton's steps become too long and a quadratic equation takes over
+
+
+class UnreachableGoal(ValueError):
+    """The goals contradict each other, the bars' lengths, or what the motion keeps whatever the strings do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Sizes that make a problem's numbers of order one: length m, time s, and one number for each entry of the state."""
+
+    length: float
+    time: float
+    state: Array
+
+    @staticmethod
+    def of(problem: Problem) -> Scales:
+        """Of the structure's extent and the longest duration."""
+        model = problem.model
+        length = float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) or 1.0
+        time = problem.longest
+        parts = [np.full(model.nq, length), np.full(model.nq, length / time), np.full(model.nx - 2 * model.nq, time)]
+        return Scales(length, time, np.concatenate(parts))
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Where the goals lead, and the rows that impose them.
+
+    start: x₀ (nx,) on the constraints. state: the nearest state (nx,) that meets the goals, or None without goals. rows: Function
+    x → independent rows, zero at the goal. misfit: Function x → (metres, metres per second), the distance from the goals in each of
+    `names` (first those in metres). given: rows of the goals; repeated: rows left out, by what repeats them; shape: rows added
+    because string lengths are singular at the target.
+    """
+
+    start: Array
+    state: Array | None
+    rows: ca.Function
+    misfit: ca.Function
+    names: tuple[str, ...]
+    given: int
+    repeated: dict[str, int]
+    shape: int
+    adjusted: float
+
+    @property
+    def count(self) -> int:
+        """Rows that are imposed."""
+        return int(self.rows.size1_out(0))
+
+    def describe(self) -> str:
+        """The count of rows, such as "36 → 21 rows: 6 bar, 9 momentum"."""
+        if not self.given:
+            return "no goals"
+        text = f"{self.given} → {self.count} rows"
+        parts = [f"{count} {kind}" for kind, count in self.repeated.items()] + ([f"{self.shape} added for the shape"] if self.shape else [])
+        text += ": " + ", ".join(parts) if parts else ""
+        return text + (f"; goals adjusted by {self.adjusted:.1e} m to fit the bars" if self.adjusted else "")
+
+
+def find_target(problem: Problem, scales: Scales) -> Target:
+    """The target of a problem. Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much."""
+    model = problem.model
+    start = np.asarray(projection(model, 10)(ca.DM(problem.start)).full()).ravel()
+    search = _Search(problem, start, scales)
+    if not search.names:
+        x = ca.SX.sym("x", model.nx)
+        empty = ca.SX(0, 1)
+        return Target(start, None, ca.Function("goal", [x], [empty]), ca.Function("misfit", [x], [empty, empty]), (), 0, {}, 0, 0.0)
+    y, adjusted = search.solve()
+    return search.reduced(y, adjusted)
+
+
+class _Search:
+    """The goals and invariants of a problem as rows of y = (x, duration), and the way to a y that meets them."""
+
+    def __init__(self, problem: Problem, start: Array, scales: Scales) -> None:
+        model, self.problem, self.start, self.scales = problem.model, problem, start, scales
+        self.x, duration = ca.SX.sym("x", model.nx), ca.SX.sym("T")
+        self.y = ca.vertcat(self.x, duration)
+        self.scale = np.append(scales.state, scales.time)
+        self.free_duration = problem.shortest < problem.longest
+        goals = [goal.rows(model.scene.structure, model.nodes(self.x), model.velocities(self.x)) for goal in problem.goals]
+        self.lengths = ca.vertcat(ca.SX(0, 1), *(rows.value for rows in goals if not rows.speed))
+        self.speeds = ca.vertcat(ca.SX(0, 1), *(rows.value for rows in goals if rows.speed))
+        self.names = tuple(name for speed in (False, True) for rows in goals if rows.speed is speed for name in rows.names)
+        self.value = ca.vertcat(self.lengths, self.speeds)
+        metre, speed = scales.length, scales.length / scales.time
+        row_scale = np.concatenate([np.full(self.lengths.shape[0], metre), np.full(self.speeds.shape[0], speed)])
+        self.goal = RowFunction(self.y, self.value, row_scale, self.scale)
+        self.groups = invariants(model, start, self.x, duration)
+        self.kept = [self._rows(group) for group in self.groups]
+        self.metric = np.linalg.cholesky(_metric(model))
+
+    def _rows(self, group: Invariant) -> RowFunction:
+        metre, speed = self.scales.length, self.scales.length / self.scales.time
+        sizes = {"m": metre, "m/s": speed, "m²/s": metre * speed}
+        return RowFunction(self.y, group.value, np.array([sizes[unit] for unit in group.units]), self.scale)
+
+    def solve(self) -> tuple[Array, float]:
+        """y at the target, and by how much goals had to be adjusted (m), 0 when they are met."""
+        y = np.append(self.start, (self.problem.shortest + self.problem.longest) / 2)
+        rigid = [k for k, group in enumerate(self.groups) if group.kind in ("bar", "joint")]
+        miss = 0.0
+        for active in [rigid] if len(rigid) == len(self.groups) else [rigid, list(range(len(self.groups)))]:
+            y, miss = self._nearest([self.kept[k] for k in active], y)
+            if miss > ROUNDED:
+                self._refuse(y, active)
+        return y, miss * self.scales.length if miss > 1e-7 else 0.0
+
+    def _nearest(self, kept: list[RowFunction], y: Array) -> tuple[Array, float]:
+        """Gauss-Newton with the smallest movement in the sense of the mass matrix, which neither turns nor shifts a free structure.
+
+        Returns y on the invariants `kept` and the largest scaled row of the goals that remains there.
+        """
+        functions = [self.goal, *kept]
+        for _ in range(STEPS):
+            r, J = _stacked(functions, y)
+            size = float(np.linalg.norm(r))
+            if size < 1e-13:
+                break
+            better = self._shorten(functions, y, self._step(J, r), size)
+            if better is None or float(np.linalg.norm(_stacked(functions, better)[0])) > 0.99 * size:
+                soft = self._soft_step(functions, y)
+                better = None if soft is None else self._shorten(functions, y, soft, size, follow=True)
+            if better is None:
+                break
+            y = better
+        for _ in range(10 if kept else 0):  # what cannot give comes last: the goals' residual shows what is missing
+            r, J = _stacked(kept, y)
+            y = self._moved(y, self._step(J, r))
+        return y, float(np.abs(self.goal(y)[0]).max(initial=0.0))
+
+    def _step(self, J: Array, r: Array, rank_tolerance: float = RANK) -> Array:
+        """−J⁺ r in scaled unknowns; singular directions stay where they are."""
+        weighted = np.linalg.solve(self.metric, J.T).T  # J C⁻ᵀ
+        left, values, right = np.linalg.svd(weighted, full_matrices=False)
+        used = values > rank_tolerance * values.max(initial=0.0)
+        step = -right[used].T @ ((left[:, used].T @ r) / values[used])
+        step = np.linalg.solve(self.metric.T, step)
+        largest = np.abs(step).max(initial=0.0)
+        return np.asarray(step * min(1.0, STRIDE / largest) if largest else step)
+
+    def _soft_step(self, functions: list[RowFunction], y: Array) -> Array | None:
+        """A step along directions in which rows are singular, to second order: c + b d + ½ dᵀ K d = 0 for the combinations that need it."""
+        directions, W, K = soft_directions(functions, y, NEARLY_SINGULAR)
+        if not directions.shape[1]:
+            return None
+        values, gradients = zip(*(function(y) for function in functions), strict=True)
+        c = W.T @ np.concatenate(values)
+        b = W.T @ np.concatenate(gradients) @ directions
+
+        def rows(d: Array) -> Array:
+            return np.asarray(c + b @ d + np.einsum("jkl,k,l->j", K, d, d) / 2)
+
+        reach = np.sqrt(2 * np.abs(c).max() / max(np.abs(K).max(), 1e-12))
+        starts = [sign * reach * axis for axis in np.eye(directions.shape[1]) for sign in (1.0, -1.0)]
+        tried = [scipy.optimize.least_squares(rows, d) for d in starts]
+        found = min(tried, key=lambda result: (round(float(result.cost), 15), float(np.linalg.norm(result.x))))
+        step = directions @ found.x
+        largest = np.abs(step).max(initial=0.0)
+        return np.asarray(step * min(1.0, STRIDE / largest)) if largest > 1e-12 else None
+
+    def _shorten(self, functions: list[RowFunction], y: Array, step: Array, size: float, follow: bool = False) -> Array | None:
+        """y moved by the largest of step, step/2, … that brings the rows below `size`; `follow`: after the regular rows have followed."""
+        for halvings in range(8):
+            trial = self._moved(y, step * 0.5**halvings)
+            r, J = _stacked(functions, trial)
+            if follow:
+                trial = self._moved(trial, self._step(J, r, NEARLY_SINGULAR))
+                r, _ = _stacked(functions, trial)
+            if float(np.linalg.norm(r)) < size:
+                return trial
+        return None
+
+    def _moved(self, y: Array, step: Array) -> Array:
+        if not self.free_duration:
+            step = np.append(step[:-1], 0.0)
+        moved = y + step * self.scale
+        moved[-1] = np.clip(moved[-1], self.problem.shortest, self.problem.longest)
+        return np.asarray(moved)
+
+    def _refuse(self, y: Array, active: list[int]) -> None:
+        """Names the row that misses most, and the invariant that holds it: the one with the largest multiplier."""
+        r, H = self.goal(y)
+        worst = int(np.argmax(np.abs(r)))
+        size, unit = abs(r[worst]) * self.goal.row_scale[worst], "m/s" if worst >= self.lengths.shape[0] else "m"
+        reason = "the goals contradict each other: leave one out"
+        rows = [(self.groups[k].kind, name) for k in active for name in self.groups[k].names]
+        if rows:
+            A = np.concatenate([self.kept[k](y)[1] for k in active])
+            norms = np.linalg.norm(A, axis=1)
+            push = abs(np.linalg.lstsq((A / np.maximum(norms, 1e-9)[:, None]).T, H.T @ r, rcond=RANK)[0])
+            later = np.array([kind not in ("bar", "joint") for kind, _ in rows])
+            if later.any():  # bars alone have been tried before
+                push = push * later
+            kind, name = rows[int(np.argmax(push))]
+            if push.max() > 1e-2 * ROUNDED:
+                reason = f"{name}{_CURES[kind]}"
+        raise UnreachableGoal(f"{self.names[worst]} misses its goal by {size:.3g} {unit} at best, as {reason}")
+
+    def reduced(self, y: Array, adjusted: float) -> Target:
+        """The target at y with the rows that can be imposed there."""
+        values, H = self.goal(y)
+        directions, _, _ = soft_directions([self.goal, *self.kept], y, NEARLY_SINGULAR)
+        shape, distances = self._shape_rows(y, directions)
+        if shape.shape[0]:
+            function = RowFunction(self.y, shape, np.ones(shape.shape[0]), self.scale)
+            more, gradient = function(y)
+            values, H = np.append(values, more), np.concatenate([H, gradient])
+        groups = [(group.kind, kept(y)[1]) for group, kept in zip(self.groups, self.kept, strict=True)]
+        if not self.free_duration:
+            H, groups = H[:, :-1], [(kind, A[:, :-1]) for kind, A in groups]
+        reduction: Reduction = reduce_rows(H, groups)
+        scaled = ca.vertcat(self.value / ca.DM(self.goal.row_scale), shape) - ca.DM(values)
+        rows = ca.Function("goal", [self.x], [ca.mtimes(ca.DM(reduction.combinations), scaled)], ["x"], ["rows"])
+        misfit = ca.Function("misfit", [self.x], [ca.vertcat(self.lengths, distances), self.speeds], ["x"], ["metres", "speeds"])
+        count = self.lengths.shape[0]
+        names = (*self.names[:count], *(f"distance of nodes {a} and {b}" for a, b in self._pairs(distances.shape[0])), *self.names[count:])
+        return Target(self.start, y[:-1], rows, misfit, names, len(self.names), reduction.repeated, int(shape.shape[0]), adjusted)
+
+    def _shape_rows(self, y: Array, directions: Array) -> tuple[Any, Any]:
+        """Rows that feel `directions` and no rigid motion, combinations of squared distances of nodes; and all distances. Both minus the target's."""
+        model, L = self.problem.model, self.scales.length
+        if not directions.shape[1]:
+            return ca.SX(0, 1), ca.SX(0, 1)
+        count = len(model.scene.structure.nodes)
+        a, b = (index.tolist() for index in np.triu_indices(count, 1))
+        N = model.nodes(self.x)
+        d = N[:, a] - N[:, b]
+        squared = ca.sum1(d * d).T / L**2
+        function = RowFunction(self.y, squared, np.ones(len(a)), self.scale)
+        value, gradient = function(y)
+        weights = (gradient @ directions).T
+        norms = np.linalg.norm(weights, axis=1, keepdims=True)
+        weights = (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK]
+        return ca.mtimes(ca.DM(weights), squared - ca.DM(value)), (ca.sqrt(squared) - ca.DM(np.sqrt(value))) * L
+
+    def _pairs(self, count: int) -> list[tuple[int, int]]:
+        if not count:
+            return []
+        return list(zip(*(index.tolist() for index in np.triu_indices(len(self.problem.model.scene.structure.nodes), 1)), strict=True))
+
+
+def _stacked(functions: list[RowFunction], y: Array) -> tuple[Array, Array]:
+    values, gradients = zip(*(function(y) for function in functions), strict=True)
+    return np.concatenate(values), np.concatenate(gradients)
+
+
+def _metric(model: Model) -> Array:
+    """The mass matrix on positions and velocities, relative to its mean, and one for clock and duration."""
+    mech = model.mechanism
+    free = np.flatnonzero(mech.free.ravel())
+    mass = scipy.sparse.kron(mech.M, scipy.sparse.eye_array(3)).toarray()[np.ix_(free, free)]
+    mass = mass / np.diag(mass).mean()
+    result = np.eye(model.nx + 1)
+    result[: model.nq, : model.nq] = mass
+    result[model.nq : 2 * model.nq, model.nq : 2 * model.nq] = mass
+    return result
+
+
+_CURES = {
+    "bar": ": give goals that fit the bars",
+    "joint": ": give goals that fit the joints",
+    "momentum": " whatever the strings do: move the goal there, or pin a node",
+    "plane": ", where all forces act: move the goal into it, or start out of it",
+}
