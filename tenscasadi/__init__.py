@@ -8,8 +8,9 @@ from __future__ import annotations
 from tenscasadi import shapes
 from tenscasadi.class_one import ClassOne
 from tenscasadi.compiled import CompileError
-from tenscasadi.correction import Projection
+from tenscasadi.correction import BarLengthCorrection, Projection
 from tenscasadi.dynamics import Multipliers
+from tenscasadi.linear import Linearization, Modes, linearize, modes
 from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
 from tenscasadi.model import Energy, Model
 from tenscasadi.redundancy import RedundantConstraints
@@ -20,6 +21,7 @@ from tenscasadi.stability import stable_step
 from tenscasadi.statics import EquilibriumError, equilibrium_force_density, self_stress
 from tenscasadi.strings import Clip, ForceDensity, RestLength, Smooth
 from tenscasadi.structure import Structure
+from tenscasadi.supports import SupportMotion
 from tenscasadi.trajectory import Trajectory
 
 __all__ = [
@@ -40,15 +42,21 @@ __all__ = [
     "Ground",
     "Pressure",
     "NodalForce",
+    "SupportMotion",
     # as equations
     "Model",
     "Energy",
     "Multipliers",
     "RedundantConstraints",
+    "linearize",
+    "Linearization",
+    "modes",
+    "Modes",
     # over time
     "simulate",
     "RungeKutta4",
     "Projection",
+    "BarLengthCorrection",
     "stable_step",
     "Trajectory",
     "CompileError",

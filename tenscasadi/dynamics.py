@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from tenscasadi.structure import Structure, connectivity
 from tenscasadi.validate import Array, Indices
 
-UNROLL_MEMBERS = 1000  # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
+UNROLL_MEMBERS = 300  # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
 UNROLL_SOLVE = 6  # above, linear systems are solved by a routine instead of unrolled scalar code: shorter derivatives
 REGULARISATION = 1e-10  # on a system of unit diagonal; two refinements remove it from all that is not redundant
 REFINEMENTS = 2
