@@ -12,7 +12,7 @@ from tenscasadi.model import Model, instructions
 from tenscasadi.schemes import Scheme
 from tenscasadi.validate import Array
 
-_BASE = 16  # steps unrolled into calls at each level of nesting: code and work space grow with its logarithm
+_BASE = 32  # calls in a row at each level of nesting: code and work space grow like the logarithm of the steps
 _LONGEST = 1024  # steps a call; beyond this the cost of a call no longer shows
 _WORK = 5e7  # instructions a call, some 0.05 s compiled: checks, progress bar and Ctrl-C wait no longer than this
 
@@ -38,7 +38,7 @@ def chunk_function(model: Model, scheme: Scheme, correction: Correction | None, 
     corrected = _advance(model, scheme, project, power, jumps)
     if correction.every == 1:
         return _repeat("chunk", corrected, steps)
-    return _repeat("chunk", _append(_repeat("uncorrected", plain, correction.every - 1), corrected), steps // correction.every)
+    return _repeat("chunk", _chain("corrected", [_repeat("plain", plain, correction.every - 1), corrected]), steps // correction.every)
 
 
 def _advance(model: Model, scheme: Scheme, project: ca.Function | None, power: bool, jumps: bool) -> ca.Function:
@@ -72,25 +72,27 @@ def energy_function(model: Model) -> ca.Function:
     return ca.Function("energy", [x, u], [ca.sum1(model.observe(x, u)[model.observe.index_out("energy")])], ["x", "u"], ["energy"])
 
 
-def _append(head: ca.Function, last: ca.Function) -> ca.Function:
-    """`head`, a repeated step, and `last` after it."""
-    columns = [ca.MX.sym(last.name_in(i), last.size1_in(i), head.size2_in(i) + 1) for i in range(1, last.n_in())]
-    z = ca.MX.sym("z", last.size1_in(0))
-    through = head(z, *(values[:, :-1] for values in columns))
-    end = last(through[:, -1], *(values[:, -1] for values in columns))
-    return ca.Function("block", [z, *columns], [ca.horzcat(through, end)], last.name_in(), ["z_next"])
-
-
 def _repeat(name: str, step: ca.Function, times: int) -> ca.Function:
-    """`step` chained: its first input is what it last returned (the last column), its others come column by column; all results are returned."""
-    if step.size2_out(0) > 1:  # chain on the last column
-        inputs = step.mx_in()
-        columns = step(*inputs)
-        step = ca.Function("chained", inputs, [columns[:, -1], columns], step.name_in(), ["last", "z_next"])
-    chained = step.mapaccum(name, times, [0], [0], {"base": _BASE})
-    inputs = chained.mx_in()
-    results = chained.call(inputs)
-    return ca.Function(name, inputs, [results[-1]], step.name_in(), ["z_next"])
+    """`step` chained to itself: nested blocks of calls, so that the code stays small."""
+    calls, rest = [step] * times, []
+    while len(calls) > _BASE:
+        blocks, left = divmod(len(calls), _BASE)
+        rest = calls[:left] + rest
+        calls = [_chain("block", calls[:_BASE])] * blocks
+    return _chain(name, calls + rest)
+
+
+def _chain(name: str, steps: list[ca.Function]) -> ca.Function:
+    """Functions (z, inputs column by column) -> z after each column, one after the other, as one of the same kind."""
+    offsets = np.cumsum([0, *(step.size2_in(1) for step in steps)]).tolist()
+    first = steps[0]
+    start = z = ca.MX.sym("z", first.size1_in(0))
+    inputs = [ca.MX.sym(first.name_in(i), first.size1_in(i), offsets[-1]) for i in range(1, first.n_in())]
+    results = []
+    for step, *columns in zip(steps, *(ca.horzsplit(values, offsets) for values in inputs), strict=True):
+        results.append(step(z, *columns))
+        z = results[-1][:, -1]
+    return ca.Function(name, [start, *inputs], [ca.horzcat(*results)], first.name_in(), first.name_out())
 
 
 class Runner:
@@ -110,10 +112,13 @@ class Runner:
                 self._buffer.set_arg(i, values.reshape(-1).data)
         self._buffer.set_res(0, self._out.reshape(-1).data)
 
-    def __call__(self, z: Array, controls: Array) -> Array:
-        """z after each step (steps, nz), valid until the next call; `controls` (steps + 1, nu) holds u of each step and the next."""
-        self._z[:] = z
+    def hold(self, controls: Array) -> None:
+        """Sets the control of each step of the next calls and of the one after: (steps + 1, nu)."""
         self._u[:] = controls
+
+    def __call__(self, z: Array) -> Array:
+        """z after each step (steps, nz), valid until the next call."""
+        self._z[:] = z
         self._trigger()
         if self._buffer.ret():
             raise RuntimeError("the time loop stopped: CasADi could not evaluate a step")

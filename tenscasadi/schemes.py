@@ -72,9 +72,11 @@ class Tableau:
 
 
 def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
-    for weight, slope in zip(weights, slopes, strict=True):
+    """x + h Σ weight · slope, with slopes of equal weight added first: each product is a pass over the state."""
+    for weight in dict.fromkeys(weights):
         if weight:
-            x = x + (weight * h) * slope
+            total = sum(slope for slope, own in zip(slopes, weights, strict=True) if own == weight)
+            x = x + (weight * h) * total
     return x
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import casadi as ca
 import numpy as np
 from tqdm import tqdm
 
 from tenscasadi.compiled import CompileError, compile_function, find_compiler
-from tenscasadi.correction import Correction, projection
+from tenscasadi.correction import BarLengthCorrection, Correction, Projection, projection
 from tenscasadi.loop import Runner, chunk_function, chunk_steps
 from tenscasadi.model import Model
 from tenscasadi.schemes import RungeKutta4, Scheme, check_scheme
@@ -59,7 +59,7 @@ def simulate(
     instance("model", model, Model, "a tenscasadi.Model")
     check_scheme(scheme)
     if correction is not None:
-        instance("correction", correction, Correction, "Projection(every) or None")
+        instance("correction", correction, (Projection, BarLengthCorrection), "Projection(every), BarLengthCorrection(weight) or None")
     for name, flag in {"compiled": compiled, "progress": progress, "energy_balance": energy_balance}.items():
         if not (isinstance(flag, bool) or (flag is None and name == "compiled")):
             raise TypeError(f"{name} is {flag!r}: give True or False{' or None' if name == 'compiled' else ''}")
@@ -179,8 +179,10 @@ def _run(model: Model, function: ca.Function, inputs: Signal, start: Array, t_en
     try:
         with tqdm(total=n, unit=" steps", unit_scale=True, disable=not progress) as bar:
             for first in range(0, n, runner.steps):
-                u = np.concatenate([u[-1:], inputs.window(first + 1, runner.steps)])
-                after = runner(z, u)
+                if inputs.varies or first == 0:
+                    u = np.concatenate([u[-1:], inputs.window(first + 1, runner.steps)])
+                    runner.hold(u)
+                after = runner(z)
                 z = after[-1].copy()
                 end = int(np.searchsorted(kept, first + runner.steps, side="right"))
                 local = kept[count:end] - first
