@@ -185,7 +185,6 @@ def _plan(arguments: argparse.Namespace) -> int:
 
     start = shapes.prism(arguments.bars, arguments.radius, arguments.height)
     goal = _same_bars(arguments, 1.1 * arguments.height if arguments.to_height is None else arguments.to_height)
-    began = time.perf_counter()
     problem = ocp.Problem(
         Model(Scene(start, control=ForceDensity())),
         duration=arguments.duration,
@@ -194,19 +193,16 @@ def _plan(arguments: argparse.Namespace) -> int:
         costs=[ocp.Effort()],
     )
     plan = ocp.solve(problem, ocp.MultipleShooting(intervals=arguments.intervals), ocp.Ipopt())
-    planned = time.perf_counter()
-    print(f"prism: {start!r}, from height {arguments.height:g} m to {goal.nodes[:, 2].max():g} m in {arguments.duration:g} s")
-    print(f"{plan.status}: {plan.message}")
-    print(f"solver        {plan.iterations} iterations, {plan.seconds:.2f} s of {planned - began:.2f} s with set-up, cost {plan.objective:.6g}")
+    print(f"prism: {start!r}, from a height of {arguments.height:g} m to {goal.nodes[:, 2].max():g} m in {arguments.duration:g} s")
+    print(plan.summary())
+    began = time.perf_counter()
     folder = _folder(arguments.output)
     files = [folder / f"prism-plan{suffix}" for suffix in (".npz", ".png", "-forces.png")]
     plan.save(files[0])
-    trajectory = plan.replay()
-    print(f"replay        {trajectory.message}: ends {plan.replay_error:.2g} m from the goal")
-    plots.time_lapse(trajectory, title="prism, planned and replayed", path=files[1])
-    plots.force_densities(plan, lower=0.0, upper=arguments.upper, title="prism, planned force densities", path=files[2])
-    _tell(files, time.perf_counter() - planned)
-    return 0 if plan.success and trajectory.success else _FAILED
+    plots.time_lapse(plan.replay(), title="prism: the plan, replayed", path=files[1])
+    plots.force_densities(plan, lower=0.0, upper=arguments.upper, title="prism: planned force densities", path=files[2])
+    _tell(files, time.perf_counter() - began)
+    return 0 if plan.success else _FAILED
 
 
 def _same_bars(arguments: argparse.Namespace, height: float) -> Structure:

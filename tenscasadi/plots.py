@@ -89,11 +89,11 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
     figure = Figure(figsize=(7.0, 5.4))
     stage = Stage(figure, members(trajectory), trajectory.nodes[rows])
     ramp = part_of("viridis_r", 0.05, 1.0)
-    share = np.linspace(0, 1, len(rows))
-    colours = np.array([ramp(s) for s in share])
-    pale = 0.55 * colours + 0.45  # not transparent: nothing shines through
-    stage.draw(*(Layer(trajectory.nodes[row], colours[k], pale[k], width=0.6 + 0.4 * share[k]) for k, row in enumerate(rows)))
     scale = ScalarMappable(BoundaryNorm(np.arange(len(rows) + 1) - 0.5, ramp.N), ramp)
+    colours = np.asarray(scale.to_rgba(np.arange(len(rows))))
+    pale = 0.55 * colours + 0.45  # not transparent: nothing shines through
+    widths = np.linspace(0.6, 1.0, len(rows))
+    stage.draw(*(Layer(trajectory.nodes[row], colours[k], pale[k], widths[k]) for k, row in enumerate(rows)))
     bar = stage.colour_bar(scale, "time (s)", ticks=np.arange(len(rows)))
     bar.ax.set_yticklabels([f"{t:.3g}" for t in trajectory.time[rows]])
     figure.suptitle(title)
