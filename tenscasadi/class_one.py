@@ -168,11 +168,7 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
 def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> Array:
     """`value` (dense, scipy sparse, None or empty) as a finite array of `shape`, its free side 0 when there is nothing."""
     dense = value.toarray() if issparse(value) else value
-    try:
-        empty = dense is None or np.size(dense) == 0
-    except (TypeError, ValueError):
-        empty = False  # ragged, or no array at all: finite_array says so
-    if empty:
+    if dense is None or (isinstance(dense, np.ndarray) and dense.size == 0) or (isinstance(dense, (list, tuple)) and not dense):
         return np.zeros([size or 0 for size in shape])
     return finite_array(field, dense, shape)
 

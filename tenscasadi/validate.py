@@ -38,11 +38,7 @@ def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array
 
 def per_item(field: str, value: Any, count: int, item: str) -> Array:
     """`value` broadcast to one number for each of `count` items. Raises TypeError, ValueError."""
-    try:
-        scalar = np.ndim(value) == 0
-    except (TypeError, ValueError):
-        scalar = False  # ragged, or no array at all: finite_array says so
-    if not scalar:
+    if not isinstance(value, Real) and not (isinstance(value, np.ndarray) and value.ndim == 0):
         return finite_array(field, value, (count,))
     array = np.full(count, finite_array(field, value, ()))
     array.flags.writeable = False
