@@ -119,7 +119,12 @@ def test_identities_of_the_split(name: str) -> None:
     ends = np.bincount(s.bars.ravel(), minlength=len(s.nodes))
     full_pins = [node for node, axes in s.pinned.items() if axes == "xyz"]
     assert c.P.shape[1] == np.maximum(ends - 1, 0).sum() + len(full_pins)
-    assert np.linalg.matrix_rank(c.P) == c.P.shape[1] if c.P.size else True
+    assert c.P.size == 0 or np.linalg.matrix_rank(c.P) == c.P.shape[1]
+    ties = c.P.shape[1] - len(full_pins)
+    assert np.all(np.diff(c.physical[np.argmax(c.P, axis=0)[:ties]]) >= 0)  # in node order, and the pins too
+    np.testing.assert_array_equal(c.physical[np.argmax(c.P, axis=0)[ties:]], full_pins)
+    assert np.all(np.sum(c.P[:, :ties] == -1, axis=0) == 1)
+    assert not np.any(c.P[:, ties:] < 0)
     J, m = np.diag(s.bar_inertia), np.diag(s.bar_mass)
     M_b = c.C_b.T @ J @ c.C_b + c.C_r.T @ m @ c.C_r
     point = np.zeros(columns)
@@ -214,6 +219,19 @@ def test_columns_of_the_user_survive_changes() -> None:
     assert c.C_s[2, np.argmax(d["C_s"][0])] == 1.0
     other = s.replace(pinned=()).class_one()  # another P: the default columns
     np.testing.assert_array_equal(other.N[:, :4], s.nodes[s.bars[:, 0]].T)
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_split_of_a_subdivided_structure(name: str) -> None:
+    s = STRUCTURES[name].replace(string_mass=0.2)
+    cut, whole = s.subdivide(2), s.class_one()
+    c = cut.class_one()
+    columns = whole.N.shape[1]
+    np.testing.assert_array_equal(c.N[:, :columns], whole.N)
+    np.testing.assert_array_equal(c.N, cut.nodes[c.physical].T)
+    np.testing.assert_allclose(c.N @ c.C_s.T, (cut.nodes[cut.strings[:, 1]] - cut.nodes[cut.strings[:, 0]]).T, atol=1e-15)
+    np.testing.assert_array_equal((c.C_s[::2] + c.C_s[1::2])[:, :columns], whole.C_s)  # a string's ends stay in their columns
+    np.testing.assert_array_equal(c.P[:columns], whole.P)
 
 
 def test_node_mass_of_tied_columns_adds_up() -> None:
