@@ -19,7 +19,7 @@ _WORK = 5e7  # instructions a call, some 0.05 s compiled: checks, progress bar a
 
 def chunk_steps(model: Model, every: int) -> int:
     """Steps of one call: a multiple of `every` that depends on the model alone, so that one compiled loop serves runs of any length."""
-    work = 4 * instructions(model.ode) + model.nx + model.nu
+    work = 4 * max(instructions(model.ode), 20 * model.nx) + 1  # mapped functions count once: 20 a state is what members cost
     steps = 2 ** int(np.log2(np.clip(_WORK / work, 1, _LONGEST)))
     return int(every * max(1, steps // every))
 
@@ -74,7 +74,8 @@ def energy_function(model: Model) -> ca.Function:
 
 def _repeat(name: str, step: ca.Function, times: int) -> ca.Function:
     """`step` chained to itself: nested blocks of calls, so that the code stays small."""
-    calls, rest = [step] * times, []
+    calls: list[ca.Function] = [step] * times
+    rest: list[ca.Function] = []
     while len(calls) > _BASE:
         blocks, left = divmod(len(calls), _BASE)
         rest = calls[:left] + rest

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -46,7 +46,7 @@ def simulate(
     state: start (nx,), None: `model.initial_state`.
     control: None: `model.initial_control`; an array (nu,): constant; an array (K, nu): constant on each of K equal parts of [0, t_end]
     (steps are shortened to fit the parts); a function t -> (nu,) called with the time at the start of each step, where it is held.
-    correction: `Projection(every)` or None.
+    correction: `Projection(every)`, `BarLengthCorrection(weight, every)` or None; applied after every `every`-th step.
     save_every: steps from one kept row to the next, None: what keeps about 1000 rows or fewer; the first and last state are always kept.
     compiled: None: as machine code if a C compiler is found, True: that or `CompileError`, False: in CasADi's virtual machine, to the same result.
     progress: shows a progress bar.
@@ -74,7 +74,7 @@ def simulate(
     run = _run(model, loop.function, inputs, start, float(t_end), every, progress)
 
     states, controls = run.rows[:, : model.nx], run.controls
-    # Row by row: overflowing numbers are what the check below is for.
+    # Rows after a fault overflow: they are cut below.
     with np.errstate(all="ignore"):
         observed = observe(model, states, controls)
         parts = observed["energy"]
@@ -87,7 +87,7 @@ def simulate(
     elif run.interrupted:
         message = f"interrupted from the keyboard, the last state kept is at t = {run.time[-1]:g} s"
     else:
-        message = f"finished {inputs.steps} steps of {run.step:g} s" + _energy_note(parts, error)
+        message = f"finished {inputs.steps} steps of {run.step:g} s" + _energy_note(parts, error, observed["tension"], observed["nodes"])
     nodes = (good, len(model.structure.nodes), 3)
     return Trajectory(
         time=run.time[:good],
@@ -212,6 +212,7 @@ def _first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
         f"a bar is off by more than {_BROKEN_BARS:.0%} of its length": bar_length_error[:, 0] > _BROKEN_BARS + bar_length_error[0, 0],
     }
     bad = np.any(list(faults.values()), axis=0)
+    bad[0] = False  # the start is the caller's
     if not bad.any():
         return len(states), ""
     row = int(np.argmax(bad))
@@ -239,8 +240,11 @@ def _cause(model: Model, scheme: Scheme, run: _Run, last: int) -> str:
     )
 
 
-def _energy_note(parts: Array, error: Array) -> str:
+def _energy_note(parts: Array, error: Array, tension: Array, nodes: Array) -> str:
     """Says so when the energy balance shows that the motion is not to be trusted, as when a correction hides what the step destroys."""
     scale = float((parts[:, 0] + np.abs(parts[:, 1])).max() + np.ptp(parts[:, 2]))
+    rounding = 1e-9 * float(np.abs(parts).max() + tension.sum(axis=1).max() * np.ptp(nodes))
     largest = float(np.abs(error).max())
-    return f"; energy is off by {largest:.2g} J, {largest / scale:.0%} of what moves: try a smaller step" if largest > _LOST_ENERGY * scale else ""
+    if not largest > max(_LOST_ENERGY * scale, rounding):  # NaN: not known
+        return ""
+    return f"; energy is off by {largest:.2g} J where {scale:.2g} J move: try a smaller step"

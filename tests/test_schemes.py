@@ -1,0 +1,105 @@
+"""Schemes: order, stability limits, and what they refuse."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from tenscasadi.schemes import RungeKutta4, Scheme, Tableau, check_scheme, stability_limit
+
+
+def swing() -> ca.Function:
+    """A driven pendulum: smooth and nonlinear."""
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    return ca.Function("swing", [x, u], [ca.vertcat(x[1], -ca.sin(x[0]) + u)], ["x", "u"], ["xdot"])
+
+
+def run(scheme: Scheme, ode: ca.Function, x: list[float], u: float, t_end: float, steps: int) -> np.ndarray:
+    step = scheme.step(ode)
+    for _ in range(steps):
+        x = step(x, u, t_end / steps)
+    return np.array(x).ravel()
+
+
+def test_order_four_on_a_smooth_ode() -> None:
+    reference = run(RungeKutta4(), swing(), [1.0, 0.5], 0.3, 2.0, 2000)
+    errors = [np.abs(run(RungeKutta4(), swing(), [1.0, 0.5], 0.3, 2.0, n) - reference).max() for n in (20, 40, 80)]
+    orders = np.log2(errors[:-1]) - np.log2(errors[1:])
+    assert np.all(np.abs(orders - RungeKutta4().order) < 0.15), orders
+    assert errors[-1] < 1e-7
+
+
+def test_step_has_names_and_no_control_is_fine() -> None:
+    step = RungeKutta4().step(swing())
+    assert (step.name_in(), step.name_out()) == (["x", "u", "h"], ["x_next"])
+    x = ca.MX.sym("x", 2)
+    free = RungeKutta4().step(ca.Function("free", [x, ca.MX(0, 1)], [-x]))
+    assert free.size_in(1) == (0, 1)
+    assert float(free([1, 2], [], 0.1)[1]) == pytest.approx(2 * np.exp(-0.1), rel=1e-6)
+
+
+def test_a_step_is_the_stability_polynomial_on_a_linear_ode() -> None:
+    A = np.random.default_rng(1).normal(size=(4, 4))
+    x = ca.SX.sym("x", 4)
+    step = RungeKutta4().step(ca.Function("linear", [x, ca.SX(0, 1)], [ca.mtimes(ca.DM(A), x)]))
+    expected = sum(c * np.linalg.matrix_power(0.3 * A, k) for k, c in enumerate(RungeKutta4.tableau.stability_polynomial())) @ np.ones(4)
+    assert np.allclose(np.array(step(np.ones(4), [], 0.3)).ravel(), expected, rtol=1e-13)
+    assert np.allclose(expected, expm(0.3 * A) @ np.ones(4), atol=1e-2)
+
+
+def test_stability_limits() -> None:
+    scheme = RungeKutta4()
+    assert scheme.tableau.stability_polynomial() == pytest.approx([1, 1, 1 / 2, 1 / 6, 1 / 24])
+    assert scheme.tableau.c == (0, 0.5, 0.5, 1)
+    assert scheme.imaginary_limit == pytest.approx(2 * np.sqrt(2), abs=1e-8)
+    assert scheme.real_limit == pytest.approx(2.7852935634, abs=1e-8)
+    directions = 10 * np.exp(1j * np.linspace(np.pi / 2, np.pi, 7))
+    limits = stability_limit(scheme, directions)
+    assert np.all(np.abs(scheme.amplification(0.999 * limits * directions)) <= 1)
+    assert np.all(np.abs(scheme.amplification(1.001 * limits * directions)) > 1)
+    # what grows by itself is limited like a vibration of the same rate
+    assert stability_limit(scheme, np.array([0.5 + 0j]))[0] == pytest.approx(2 * scheme.imaginary_limit)
+
+
+def test_a_scheme_without_limit_has_an_infinite_step() -> None:
+    class Midpoint:
+        order = 2
+
+        def step(self, ode: ca.Function) -> ca.Function:
+            raise NotImplementedError
+
+        def amplification(self, z: np.ndarray) -> np.ndarray:
+            return (1 + z / 2) / (1 - z / 2)
+
+    assert stability_limit(Midpoint(), np.array([1j, -1.0 + 0j])).tolist() == [np.inf, np.inf]
+
+
+def test_schemes_are_values() -> None:
+    assert RungeKutta4() == RungeKutta4()
+    assert hash(RungeKutta4()) == hash(RungeKutta4())
+    with pytest.raises(AttributeError):
+        RungeKutta4().order = 5  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("wrong", [RungeKutta4, "RK4", None, 4])
+def test_what_is_no_scheme_is_refused(wrong: object) -> None:
+    with pytest.raises(TypeError, match=r"scheme is .*RungeKutta4\(\)"):
+        check_scheme(wrong)  # type: ignore[arg-type]
+
+
+def test_what_is_no_ode_is_refused() -> None:
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u", 2)
+    with pytest.raises(TypeError, match="ode is"):
+        RungeKutta4().step(lambda x, u: x)  # type: ignore[arg-type]
+    for wrong in (ca.Function("f", [x], [x]), ca.Function("f", [x, u], [x[0]]), ca.Function("f", [x, u], [x, u])):
+        with pytest.raises(ValueError, match="ode is"):
+            RungeKutta4().step(wrong)
+
+
+def test_tableaux_are_checked() -> None:
+    with pytest.raises(ValueError, match="a has rows"):
+        Tableau(a=((), (0.5, 0.5)), b=(0.5, 0.5))
+    with pytest.raises(ValueError, match=r"a\[1\]\[0\] is nan"):
+        Tableau(a=((), (float("nan"),)), b=(0.5, 0.5))
