@@ -74,10 +74,11 @@ def _parser() -> argparse.ArgumentParser:
         ("bars", int, 3, "number of bars"),
         ("radius", float, 0.5, "radius of the polygons at the start, m"),
         ("height", float, 1.0, "height at the start, m"),
-        ("to-height", float, None, "height at the end, m (default: 1.1 times the height at the start)"),
+        ("to-height", float, None, "height at the end, m (default: 1.2 times the height at the start)"),
         ("duration", float, 1.0, "time from start to end, s"),
         ("intervals", int, 40, "intervals of constant force density"),
-        ("upper", float, 200.0, "largest force density, N/m"),
+        ("lower", float, 10.0, "least force density, N/m"),
+        ("upper", float, 100.0, "largest force density, N/m"),
     ):
         shown = "" if default is None else f" (default: {default:g})"
         plan.add_argument(f"--{option}", type=kind, default=default, metavar="N" if kind is int else "X", help=text + shown)
@@ -100,7 +101,8 @@ def _parser() -> argparse.ArgumentParser:
 
 _PLAN = """\
 The prism starts in its equilibrium shape and ends in the equilibrium shape of the other height, which the same bars allow.
-The plan is found with IPOPT and checked by a simulation with steps ten times finer, whose distance from the goal is printed."""
+The plan is found with IPOPT and checked by a simulation with steps ten times finer, whose distance from the goal is printed.
+Bounds near the forces that hold the prism make an easy plan; wide ones may take many iterations."""
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
@@ -184,12 +186,12 @@ def _plan(arguments: argparse.Namespace) -> int:
     import ocp  # only here: everything else of tenscasadi works without it
 
     start = shapes.prism(arguments.bars, arguments.radius, arguments.height)
-    goal = _same_bars(arguments, 1.1 * arguments.height if arguments.to_height is None else arguments.to_height)
+    goal = _same_bars(arguments, 1.2 * arguments.height if arguments.to_height is None else arguments.to_height)
     problem = ocp.Problem(
         Model(Scene(start, control=ForceDensity())),
         duration=arguments.duration,
         goals=[ocp.StringLengths(goal.string_lengths), ocp.AtRest()],
-        bounds=[ocp.ForceDensityLimits(0.0, arguments.upper)],
+        bounds=[ocp.ForceDensityLimits(arguments.lower, arguments.upper)],
         costs=[ocp.Effort()],
     )
     plan = ocp.solve(problem, ocp.MultipleShooting(intervals=arguments.intervals), ocp.Ipopt())
@@ -200,7 +202,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     files = [folder / f"prism-plan{suffix}" for suffix in (".npz", ".png", "-forces.png")]
     plan.save(files[0])
     plots.time_lapse(plan.replay(), title="prism: the plan, replayed", path=files[1])
-    plots.force_densities(plan, lower=0.0, upper=arguments.upper, title="prism: planned force densities", path=files[2])
+    plots.force_densities(plan, lower=arguments.lower, upper=arguments.upper, title="prism: planned force densities", path=files[2])
     _tell(files, time.perf_counter() - began)
     return 0 if plan.success else _FAILED
 

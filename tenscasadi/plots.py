@@ -126,7 +126,7 @@ def force_densities(
 ) -> Figure:
     """Force densities of `strings` (None: all) over time, of a trajectory or (in steps) of a plan.
 
-    lower, upper: bounds, N/m, one number or (α,), drawn as dashed lines (in the string's colour where they differ). Raises TypeError, ValueError.
+    lower, upper: bounds, N/m, one number or (α,), drawn as dashed lines unless far off. Raises TypeError, ValueError.
     """
     time = finite_array("history.time", history.time, (None,))
     gamma = finite_array("history.force_density", history.force_density, (None, None))
@@ -143,7 +143,7 @@ def force_densities(
     for field, bound in (("lower", lower), ("upper", upper)):
         if bound is not None:
             per_item(field, _without_infinity(bound), alpha, "string")
-            _draw_bound(ax, np.broadcast_to(np.asarray(bound, dtype=float), (alpha,)), chosen)
+            _draw_bound(ax, field, np.broadcast_to(np.asarray(bound, dtype=float), (alpha,)), chosen, gamma)
     ax.set_ylabel("force density (N/m)")
     _widen(ax)
     _name_curves(figure, ax, len(chosen))
@@ -151,7 +151,7 @@ def force_densities(
 
 
 def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = None) -> Figure:
-    """Errors of bar lengths, joints and energy over time on a logarithmic scale; exact zeros lie on the bottom edge.
+    """Errors of bar lengths, joints and energy over time on a logarithmic scale; those below 1e-18, and exact zeros, lie on the bottom edge.
 
     An error that was not computed (NaN) has no curve. Raises TypeError.
     """
@@ -161,11 +161,11 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
         curves += [("bar length, relative", trajectory.bar_length_error), ("joint gap (m)", trajectory.joint_error)]
     known = np.concatenate([values[np.isfinite(values)] for _, values in curves])
     positive = known[known > 0]
-    bottom = 10.0 ** np.floor(np.log10(positive.min(initial=np.inf))) / 3 if positive.size else 1e-17
+    bottom = max(1e-18, 10.0 ** np.floor(np.log10(positive.min())) / 3) if positive.size else 1e-18
     top = max(3 * positive.max(initial=0.0), 100 * bottom)
     figure, (ax,) = _panels(1, title)
     for k, (name, values) in enumerate(curves):
-        drawn = np.where(values == 0, bottom, values)
+        drawn = np.maximum(values, bottom)  # NaN stays NaN
         note = ": not computed" if not np.isfinite(values).any() else "" if np.nanmax(values) > 0 else ": exactly 0"
         ax.plot(trajectory.time, drawn, color=_colour(k), label=name + note, lw=1.3, clip_on=False)
     ax.set_yscale("log")
@@ -208,15 +208,20 @@ def _without_infinity(bound: ArrayLike) -> Any:
     return np.where(np.isinf(array), 0.0, array)
 
 
-def _draw_bound(ax: Axes, bound: Array, chosen: list[int]) -> None:
-    """Dashed lines; a single black one where all strings have the same bound. Infinite bounds are none."""
+def _draw_bound(ax: Axes, field: str, bound: Array, chosen: list[int], gamma: Array) -> None:
+    """Dashed lines; a single black one where all strings have the same bound. One far off is only told: it would flatten the curves."""
+    low, high = float(gamma[:, chosen].min(initial=np.inf)), float(gamma[:, chosen].max(initial=-np.inf))
+    reach = max(high - low, 0.1 * abs(high))
     finite = [(k, float(bound[i])) for k, i in enumerate(chosen) if np.isfinite(bound[i])]
-    if finite and len({value for _, value in finite}) == 1:
-        named = any(line.get_label() == "bounds" for line in ax.lines)
-        ax.axhline(finite[0][1], color="black", ls=(0, (5, 3)), lw=0.9, label=None if named else "bounds")
+    common = len({value for _, value in finite}) == 1
+    if common and not low - reach <= finite[0][1] <= high + reach:
+        ax.plot([], [], " ", label=f"{field} bound {finite[0][1]:g}")
+    elif common:
+        ax.axhline(finite[0][1], color="black", ls=(0, (5, 3)), lw=0.9, label=f"{field} bound")
     else:
         for k, value in finite:
-            ax.axhline(value, color=_colour(k), ls=(0, (5, 3)), lw=0.9)
+            if low - reach <= value <= high + reach:
+                ax.axhline(value, color=_colour(k), ls=(0, (5, 3)), lw=0.9)
 
 
 def _panels(count: int, title: str) -> tuple[Figure, list[Axes]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import floor, log10
 from typing import Any, NamedTuple, cast
 
 import matplotlib as mpl
@@ -11,7 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FixedLocator, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from tenscasadi.validate import Array, Indices
@@ -116,7 +117,10 @@ class Stage:
             getattr(self.axes, f"set_{name}lim")(centre - reach, centre + reach)
             getattr(self.axes, f"set_{name}label")(f"{name} (m)", labelpad=3, fontsize=9)
             ticks = round(4 * reach / half.max())
-            axis.set_major_locator(MaxNLocator(nbins=ticks, steps=[1, 2, 5, 10]) if ticks > 1 else FixedLocator([float(f"{centre:.3g}")]))
+            if ticks > 1:
+                axis.set_major_locator(MaxNLocator(nbins=ticks, steps=[1, 2, 5, 10]))
+            else:  # no room for two; rounding about 0 is not shown as a number
+                axis.set_ticks([tick := round(centre, 2 - floor(log10(size))) + 0.0], labels=[f"{tick:g}"])
             axis.set_tick_params(labelsize=8, pad=0)
             axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
         return half

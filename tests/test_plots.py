@@ -25,7 +25,7 @@ def prism():
 @pytest.fixture(scope="module")
 def motion(prism):
     model = tc.Model(tc.Scene(prism))
-    state = model.state(prism.nodes, np.cross((0.0, 0.0, 2.0), prism.nodes) + [0.5, 0.0, 0.0])
+    state = model.state(prism.nodes, np.cross((0.0, 0.0, 2.0), prism.nodes) + np.array([0.5, 0.0, 0.0]))
     return tc.simulate(model, 0.5, step=0.005, state=state, compiled=False)
 
 

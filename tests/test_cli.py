@@ -1,0 +1,209 @@
+"""The command line: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import ocp
+import tenscasadi as tc
+from tenscasadi.cli import main
+from tenscasadi.demos import DEMOS
+from tenscasadi.model import Model
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def run(*arguments):
+    return main([str(argument) for argument in arguments])
+
+
+def written(out: str) -> list[Path]:
+    return [Path(line.strip()) for line in out.split("wrote in")[1].splitlines()[1:]]
+
+
+@pytest.mark.parametrize("shape", DEMOS)
+def test_simulate_every_shape(shape, tmp_path, capsys):
+    assert run("simulate", shape, "--t-end", 0.1, "--uncompiled", "--output", tmp_path / "new" / "folder") == 0
+    out = capsys.readouterr().out
+    for words in (shape, "energy", "bar lengths", "joints", "wall time", "set-up"):
+        assert words in out
+    files = written(out)
+    assert sorted(files) == sorted((tmp_path / "new" / "folder").iterdir())
+    trajectory = tc.Trajectory.load(files[0])
+    assert trajectory.time[-1] == pytest.approx(0.1)
+    assert trajectory.success
+    assert np.abs(trajectory.energy_error).max() < 1e-4
+    assert np.abs(trajectory.velocities[0] if shape not in ("pendulum", "double-pendulum") else trajectory.velocities[-1]).max() > 0.1
+    with Image.open(files[1]) as image:
+        assert image.format == "PNG"
+
+
+def test_simulate_takes_its_options(tmp_path, capsys):
+    options = ["--coordinates", "full", "--gravity", 1.62, "--save-every", 5, "--projection", 2, "--step", 0.01, "--t-end", 0.3, "--gif"]
+    assert run("simulate", "d-bar", *options, "--output", tmp_path) == 0
+    out = capsys.readouterr().out
+    assert "full coordinates" in out
+    trajectory = tc.Trajectory.load(tmp_path / "d-bar-simulation.npz")
+    assert trajectory.time == pytest.approx(np.append(np.arange(0, 0.3, 0.05), 0.3))
+    assert trajectory.energy_parts[-1, 2] < 0  # gravity
+    assert trajectory.joint_error[2::2].max() < 1e-14
+    assert (tmp_path / "d-bar-simulation.gif").exists()
+
+
+def test_gravity_zero_builds_none(tmp_path):
+    assert run("simulate", "six-bar-ball", "--gravity", 0, "--t-end", 0.02, "--uncompiled", "--output", tmp_path) == 0
+    trajectory = tc.Trajectory.load(tmp_path / "six-bar-ball-simulation.npz")
+    assert np.all(trajectory.energy_parts[:, 2] == 0)
+    assert trajectory.velocities[-1].mean(axis=0) == pytest.approx(trajectory.velocities[0].mean(axis=0))
+
+
+def test_divergence_is_told_and_kept(tmp_path, capsys):
+    assert run("simulate", "prism", "--step", 0.1, "--t-end", 20, "--uncompiled", "--output", tmp_path) == 1
+    out = capsys.readouterr().out
+    assert "diverged" in out
+    assert "try step" in out
+    assert not tc.Trajectory.load(tmp_path / "prism-simulation.npz").success
+
+
+def test_without_a_compiler_it_says_so(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    assert run("simulate", "pendulum", "--t-end", 0.1, "--output", tmp_path) == 0
+    assert "not compiled" in capsys.readouterr().out
+    assert run("info", "pendulum", "--output", tmp_path) == 0
+    assert "none found" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shape", DEMOS)
+def test_demos_start_with_bars_that_keep_their_length(shape):
+    chosen = DEMOS[shape]
+    model = Model(chosen.scene())
+    x = chosen.start(model)
+    s, v = model.structure, model.velocities(x)
+    first, second = s.bars.T
+    stretching = np.einsum("bi,bi->b", s.nodes[second] - s.nodes[first], v[second] - v[first])
+    assert np.abs(stretching).max() < 1e-13
+
+
+@pytest.mark.parametrize("shape", DEMOS)
+def test_info(shape, tmp_path, capsys):
+    assert run("info", shape, "--output", tmp_path) == 0
+    out = capsys.readouterr().out
+    for words in ("nodes", "bars", "strings", "bars (λ)", "largest stable step", "C compiler"):
+        assert words in out
+    with np.load(tmp_path / f"{shape}-structure.npz") as saved:
+        assert saved["nodes"] == pytest.approx(DEMOS[shape].structure().nodes)
+    assert (tmp_path / f"{shape}-structure.png") in written(out)
+
+
+def test_info_of_the_prism_knows_its_self_stress(tmp_path, capsys):
+    run("info", "prism", "--output", tmp_path)
+    assert "1 : 1.732" in capsys.readouterr().out
+
+
+def test_plan(tmp_path, capsys):
+    assert run("plan", "prism", "--intervals", 12, "--to-height", 1.1, "--output", tmp_path) == 0
+    out = capsys.readouterr().out
+    assert float(re.search(r"replay +ends (\S+) m", out)[1]) < 1e-3
+    files = written(out)
+    assert sorted(files) == sorted(tmp_path.iterdir())
+    plan = ocp.Plan.load(files[0])
+    assert plan.force_density.shape == (12, 9)
+    assert plan.force_density.min() >= 10.0
+    end = plan.replay().nodes[-1]
+    # from base to top, whatever way the free prism has turned
+    assert np.linalg.norm(end[3:].mean(axis=0) - end[:3].mean(axis=0)) == pytest.approx(1.1, abs=1e-3)
+
+
+def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
+    options = ["--intervals", 5, "--duration", 0.02, "--upper", 20]
+    assert run("plan", "prism", *options, "--output", tmp_path) == 1
+    assert "no plan" in capsys.readouterr().out
+    assert not ocp.Plan.load(tmp_path / "prism-plan.npz").success
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ([], "COMMAND"),
+        (["fly"], "fly"),
+        (["simulate"], "SHAPE"),
+        (["simulate", "cube"], "pendulum, double-pendulum, prism, d-bar, six-bar-ball"),
+        (["info", "cube"], "six-bar-ball"),
+        (["plan", "cube"], "prism"),
+        (["simulate", "prism", "--t-end", "soon"], "--t-end"),
+        (["simulate", "prism", "--t-end", "nan"], "t_end"),
+        (["simulate", "prism", "--t-end", "-1"], "t_end"),
+        (["simulate", "prism", "--step", "0"], "step"),
+        (["simulate", "prism", "--step", "1e-300"], "step"),
+        (["simulate", "prism", "--coordinates", "polar"], "coordinates"),
+        (["simulate", "prism", "--gravity", "-9.81"], "gravity"),
+        (["simulate", "prism", "--save-every", "0"], "save_every"),
+        (["simulate", "prism", "--projection", "0"], "Projection.every"),
+        (["simulate", "prism", "--speed", "3"], "--speed"),
+        (["plan", "prism", "--bars", "2"], "bars"),
+        (["plan", "prism", "--height", "-1"], "height"),
+        (["plan", "prism", "--radius", "inf"], "radius"),
+        (["plan", "prism", "--to-height", "2"], "to-height"),
+        (["plan", "prism", "--to-height", "nan"], "to-height"),
+        (["plan", "prism", "--duration", "0"], "duration"),
+        (["plan", "prism", "--intervals", "0"], "intervals"),
+        (["plan", "prism", "--lower", "20", "--upper", "10"], "lower"),
+    ],
+)
+def test_bad_input_is_told_in_one_line(arguments, named, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = main(arguments)
+    except SystemExit as leaving:  # argparse's way
+        code = leaving.code
+    told = capsys.readouterr()
+    assert code == 2
+    assert named in told.err
+    assert told.err.startswith("tenscasadi")
+    assert told.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_output_that_is_a_file_is_refused(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert run("simulate", "pendulum", "--t-end", 0.01, "--uncompiled", "--output", tmp_path / "file") == 2
+    assert "file" in capsys.readouterr().err
+
+
+def test_interrupted(monkeypatch, capsys):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tenscasadi.cli.demo", interrupt)
+    assert run("info", "prism") == 130
+    assert capsys.readouterr().err == "tenscasadi: interrupted\n"
+
+
+@pytest.mark.parametrize("command", ["simulate", "info"])
+def test_help_tells_every_shape_and_its_start(command, capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main([command, "--help"])
+    assert leaving.value.code == 0
+    out = capsys.readouterr().out
+    for name, each in DEMOS.items():
+        assert name in out
+        assert each.text in out
+
+
+def test_as_a_process(tmp_path):
+    command = [sys.executable, "-m", "tenscasadi", "simulate", "pendulum", "--t-end", "0.1", "--output", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert len(written(done.stdout)) == 3
+    refused = subprocess.run([*command[:4], "cube"], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert refused.returncode == 2
+    assert "Traceback" not in refused.stderr
