@@ -217,6 +217,7 @@ def test_columns_of_the_user_survive_changes() -> None:
     np.testing.assert_allclose(np.diag(c.M_s)[8:], 0.3)
     assert c.C_s[0, np.argmin(d["C_s"][0])] == -1.0
     assert c.C_s[2, np.argmax(d["C_s"][0])] == 1.0
+    assert c.M_s[:8, :8].sum() == pytest.approx(4.0 + 0.5)  # the bars, and the point mass in one column of its node
     other = s.replace(pinned=()).class_one()  # another P: the default columns
     np.testing.assert_array_equal(other.N[:, :4], s.nodes[s.bars[:, 0]].T)
 
