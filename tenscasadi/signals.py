@@ -39,12 +39,11 @@ def signal(control: ControlInput, default: Array, t_end: float, steps: int) -> S
     nu = len(default)
     if callable(control):
         return Signal(steps, nu > 0, _of_function(control, nu, t_end / steps))
-    if control is None:
-        value = default
-    else:
+    value = default
+    if control is not None:
         table = _array(control, nu)
         intervals = len(table)
-        if table.ndim == 2 and intervals > 1:
+        if table.ndim == 2 and intervals > 1 and nu:
             steps = intervals * -(-steps // intervals)  # so that the control changes between two steps
             # Integers only: a rounded time would put a change one step off.
             return Signal(steps, True, lambda first, count: table[np.arange(first, first + count) * intervals // steps])

@@ -242,7 +242,7 @@ def _cause(model: Model, scheme: Scheme, run: _Run, last: int) -> str:
 
 def _energy_note(parts: Array, error: Array, tension: Array, nodes: Array) -> str:
     """Says so when the energy balance shows that the motion is not to be trusted, as when a correction hides what the step destroys."""
-    scale = float((parts[:, 0] + np.abs(parts[:, 1])).max() + np.ptp(parts[:, 2]))
+    scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
     rounding = 1e-9 * float(np.abs(parts).max() + tension.sum(axis=1).max() * np.ptp(nodes))
     largest = float(np.abs(error).max())
     if not largest > max(_LOST_ENERGY * scale, rounding):  # NaN: not known

@@ -156,9 +156,9 @@ def test_damaged_files_give_a_trajectory_or_a_value_error(tmp_path_factory: pyte
     for _ in range(data.draw(st.integers(1, 8))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     (folder / "damaged.npz").write_bytes(whole[: data.draw(st.integers(0, len(whole)))] if data.draw(st.booleans()) else whole)
+    message = ""
     try:
-        loaded = Trajectory.load(folder / "damaged.npz")
+        assert Trajectory.load(folder / "damaged.npz").nodes.shape == (4, 3, 3)
     except ValueError as error:
-        assert "damaged.npz" in str(error)
-    else:
-        assert loaded.nodes.shape == (4, 3, 3)
+        message = str(error)
+    assert not message or "damaged.npz" in message
