@@ -18,14 +18,14 @@ ROOT = Path(__file__).resolve().parents[1]
 # From the bottom up; a module imports from the levels below its own, never sideways.
 TENSCASADI = (
     {"validate"},
-    {"class_one", "compiled", "linear", "loads", "schemes", "signals", "stage", "strings", "subdivision", "trajectory"},
+    {"class_one", "compiled", "loads", "schemes", "signals", "stage", "strings", "subdivision", "trajectory"},
     {"structure"},
     {"dynamics", "shapes", "statics", "supports"},
     {"scene"},
     {"forces", "redundancy"},
     {"model"},
-    {"correction", "stability"},
-    {"loop"},
+    {"correction", "linear", "stability"},
+    {"export", "loop"},
     {"simulate"},
     {"plots"},
     {"animation", "demos"},
@@ -33,7 +33,8 @@ TENSCASADI = (
     {"__main__"},
 )
 OCP = (
-    {"bounds", "costs", "goals", "reach", "reduction"},
+    {"checks", "reach", "reduction"},
+    {"bounds", "costs", "goals"},
     {"invariants", "problem"},
     {"plan", "target"},
     {"guess"},
