@@ -45,7 +45,7 @@ def _jacobian(model: Model) -> ca.Function:
     slope = model.ode.forward(1)(x, u, ca.MX(model.nx, 1), dx, du)  # the third input, xdot, is not needed
     used = [0, 1, 2, 3] if model.nu else [0, 2]  # an empty input of a loop makes C that compilers warn of
     directional = ca.Function("directional", [(x, u, dx, du)[k] for k in used], [ca.densify(slope)])
-    blocks = []
+    blocks: list[Any] = []
     along_x = ca.DM.eye(model.nx), ca.DM.zeros(model.nu, model.nx)
     along_u = ca.DM.zeros(model.nx, model.nu), ca.DM.eye(model.nu)
     for size, seeds in ((model.nx, along_x), (model.nu, along_u)):
