@@ -10,6 +10,7 @@ from tenscasadi.class_one import ClassOne
 from tenscasadi.compiled import CompileError
 from tenscasadi.correction import BarLengthCorrection, Projection
 from tenscasadi.dynamics import Multipliers
+from tenscasadi.export import export_c
 from tenscasadi.linear import Linearization, Modes, linearize, modes
 from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
 from tenscasadi.model import Energy, Model
@@ -48,6 +49,7 @@ __all__ = [
     "Energy",
     "Multipliers",
     "RedundantConstraints",
+    "export_c",
     "linearize",
     "Linearization",
     "modes",
