@@ -181,7 +181,7 @@ def test_rows_that_are_kept(save_every: int | None) -> None:
     assert np.array_equal(run.states, everything.states[kept])
 
 
-@pytest.mark.parametrize(("t_end", "step", "steps"), [(1.0, 0.3, 4), (0.3, 0.1, 3), (0.25, 5.0, 1), (0.7, 0.1, 7), (2.1, 0.01, 210)])
+@pytest.mark.parametrize(("t_end", "step", "steps"), [(1.0, 0.3, 4), (0.3, 0.1, 3), (0.25, 5.0, 1), (0.7, 0.1, 7), (2.1, 0.01, 210), (0.7, 0.02, 35)])
 def test_the_last_row_is_exactly_t_end(t_end: float, step: float, steps: int) -> None:
     model = Model(Scene(shapes.pendulum(angle=0.01), gravity=Gravity((0, 0, -G))))
     run = simulate(model, t_end, step, compiled=False)
