@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ocp.checks import dimensions
 from tenscasadi.structure import Structure
 from tenscasadi.validate import Array, at_least, finite_array, per_item
 
@@ -34,7 +35,7 @@ class _Limits:
             value = getattr(self, name)
             if value is not None:
                 field = f"{type(self).__name__}.{name}"
-                array = finite_array(field, _finite(value) if name == "upper" else value, (None,) if np.ndim(value) else ())
+                array = finite_array(field, _finite(value) if name == "upper" else value, (None,) if dimensions(value) else ())
                 at_least(field, np.atleast_1d(array), 0.0, "string")
 
     def check(self, structure: Structure) -> None:

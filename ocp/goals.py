@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ocp.checks import dimensions
 from tenscasadi.structure import Structure
 from tenscasadi.validate import at_least, finite_array, node_index, per_item, whole_number
 
@@ -44,11 +45,11 @@ class StringLengths:
 
     def __post_init__(self) -> None:
         values = list(self.lengths.values()) if isinstance(self.lengths, Mapping) else self.lengths
-        array = np.atleast_1d(finite_array("StringLengths.lengths", values, (None,) if np.ndim(values) else ()))
+        array = np.atleast_1d(finite_array("StringLengths.lengths", values, (None,) if dimensions(values) else ()))
         if array.size == 0:
             raise ValueError("StringLengths.lengths is empty: give one length for each string, or {string: length}")
         at_least("StringLengths.lengths", array, 0.0, "entry", strict=True)
-        kept: Any = array if np.ndim(values) else float(array[0])
+        kept: Any = array if dimensions(values) else float(array[0])
         object.__setattr__(self, "lengths", dict(zip(self.lengths, array.tolist(), strict=True)) if isinstance(self.lengths, Mapping) else kept)
 
     def check(self, structure: Structure) -> None:

@@ -28,16 +28,18 @@ class Invariant:
     kind: str
     value: Any
     names: tuple[str, ...]
-    units: tuple[str, ...]  # "m", "m/s" or "m²/s"
+    units: tuple[str, ...]  # "m", "m/s", "m²/s" or "s"
 
 
 def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Invariant]:
     """The groups of rows that vanish at the symbolic state x (nx), `time` seconds after `start` (nx,); groups that a model lacks are left out."""
-    N, V, _ = model.unpack(x)
+    N, V, clock = model.unpack(x)
     N0, V0 = (np.asarray(Z).T for Z in _numbers(model, start))
-    groups = [*_constraints(model, N, V)]
     scene = model.scene
-    if scene.ground is None and scene.pressure is None and scene.forces is None:
+    groups = [*_constraints(model, N, V, clock)]
+    if scene.has_clock:
+        groups.append(Invariant("clock", clock - float(start[-1]) - time, ("the clock runs",), ("s",)))
+    if scene.ground is None and scene.pressure is None and scene.forces is None and scene.supports is None:
         gravity = np.zeros(3) if scene.gravity is None else np.array(scene.gravity.acceleration)
         groups += _momentum(model, N, V, N0, V0, gravity, time)
         groups += _plane(N, V, N0, V0, gravity)
@@ -52,7 +54,7 @@ def _numbers(model: Model, start: Array) -> tuple[Array, Array]:
     return values[0].full().T, values[1].full().T
 
 
-def _constraints(model: Model, N: Any, V: Any) -> list[Invariant]:
+def _constraints(model: Model, N: Any, V: Any, clock: Any) -> list[Invariant]:
     mech = model.mechanism
     groups = []
     if mech.bars:
@@ -62,9 +64,11 @@ def _constraints(model: Model, N: Any, V: Any) -> list[Invariant]:
         names = tuple(f"bar {k} keeps its length" for k in range(mech.bars))
         groups.append(Invariant("bar", value, 2 * names, ("m",) * mech.bars + ("m/s",) * mech.bars))
     if mech.joints:
-        value = ca.vertcat(ca.vec(ca.mtimes(N, sparse(mech.P)) - ca.DM(mech.D)), ca.vec(ca.mtimes(V, sparse(mech.P))))
-        names = tuple(f"joint {k} holds along {axis}" for k in range(mech.joints) for axis in AXES)
-        groups.append(Invariant("joint", value, 2 * names, ("m",) * 3 * mech.joints + ("m/s",) * 3 * mech.joints))
+        D, Dd, _ = model.targets(clock)
+        held = np.flatnonzero(mech.active.T.ravel()).tolist()
+        value = ca.vertcat(*(ca.vec(ca.mtimes(Z, sparse(mech.P)) - wanted)[held] for Z, wanted in ((N, D), (V, Dd))))
+        names = tuple(f"joint {k // 3} holds along {AXES[k % 3]}" for k in held)
+        groups.append(Invariant("joint", value, 2 * names, ("m",) * len(held) + ("m/s",) * len(held)))
     return groups
 
 

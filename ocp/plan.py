@@ -49,7 +49,7 @@ class Plan:
     objective: the costs' sum; iterations; seconds: wall time of the solver, building included. time (K + 1,) s;
     force_density (K, α) N/m, each row held from its time to the next; trajectory: the planned motion at `time`.
     replay_error: m, and replay_speed_error: m/s: how far the motion that `replay` computes ends from the goals (NaN where it diverges).
-    structure, model: what was planned for; `model` is None for a saved plan whose scene has loads other than gravity.
+    structure, model: what was planned for; `model` is None for a saved plan whose scene has moving supports, or loads other than gravity.
     """
 
     success: bool
@@ -171,7 +171,7 @@ _VALUES = ("success", "status", "message", "objective", "iterations", "seconds",
 
 def _scene_arrays(model: Model | None) -> dict[str, Any]:
     """What a file holds of the scene: enough to replay it, unless there are loads other than gravity."""
-    if model is None or model.scene.ground is not None or model.scene.pressure is not None or model.scene.forces is not None:
+    if model is None or any(getattr(model.scene, load) is not None for load in ("ground", "pressure", "forces", "supports")):
         return {}
     scene = model.scene
     acceleration = np.zeros(0) if scene.gravity is None else np.asarray(scene.gravity.acceleration)

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.bounds import Bound, ForceDensityLimits, TensionLimits
+from ocp.checks import dimensions
 from ocp.costs import Cost, Effort, Smoothness
 from ocp.goals import AtRest, Goal, NodePositions, StringLengths
+from tenscasadi.correction import projection
 from tenscasadi.model import Model
 from tenscasadi.strings import ForceDensity
 from tenscasadi.validate import Array, finite_array, instance, positive_number
@@ -24,8 +26,9 @@ class Problem:
     """A plan to be found for `model`, whose control is `ForceDensity()`.
 
     duration: seconds, or (shortest, longest) to let the solver choose. start: nodes (n, 3) at rest, m, or a state (nx,); None: the
-    model's initial state. goals: `StringLengths`, `NodePositions`, `AtRest`, all met at the end. bounds: `ForceDensityLimits`,
-    `TensionLimits`, along the way. costs: `Effort`, `Smoothness`, summed. Raises TypeError, ValueError that name the field.
+    model's initial state; rounded numbers are put right. goals: `StringLengths`, `NodePositions`, `AtRest`, all met at the end.
+    bounds: `ForceDensityLimits`, `TensionLimits`, along the way. costs: `Effort`, `Smoothness`, summed.
+    Raises TypeError, ValueError that name the field.
     """
 
     model: Model
@@ -84,7 +87,7 @@ class Problem:
     def _start(self) -> Array:
         if self.start is None:
             return self.model.initial_state
-        if np.ndim(self.start) == 1:
+        if dimensions(self.start) == 1:
             state = finite_array("Problem.start", self.start, (self.model.nx,))
         else:
             nodes = finite_array("Problem.start", self.start, (len(self.model.structure.nodes), 3))
@@ -92,14 +95,19 @@ class Problem:
                 state = self.model.state(nodes)
             except ValueError as error:
                 raise ValueError(f"Problem.start: {error}") from None
-        nodes = self.model.nodes(state)
         s = self.model.structure
-        actual = np.linalg.norm(nodes[s.bars[:, 1]] - nodes[s.bars[:, 0]], axis=1)
+        bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (self.model.nodes(state), self.model.velocities(state)))
+        actual = np.linalg.norm(bars, axis=1)
         bad = np.flatnonzero(abs(actual / s.bar_lengths - 1) > BAR_TOLERANCE)
         if bad.size:
             i = int(bad[0])
             raise ValueError(f"Problem.start makes bar {i} {actual[i]:g} m long, not {s.bar_lengths[i]:g} m: give nodes that keep the bars' lengths")
-        return state
+        stretch = abs(np.sum(bars * rates, axis=1)) / s.bar_lengths
+        bad = np.flatnonzero(stretch > BAR_TOLERANCE * np.linalg.norm(self.model.velocities(state), axis=1).max())
+        if bad.size:
+            i = int(bad[0])
+            raise ValueError(f"Problem.start stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths")
+        return np.asarray(projection(self.model, 10)(state).full()).ravel()
 
     def _check_limits(self) -> None:
         for kind in (ForceDensityLimits, TensionLimits):
@@ -111,7 +119,7 @@ class Problem:
 
 
 def _duration(value: Any) -> float | tuple[float, float]:
-    if np.ndim(value) == 0:
+    if dimensions(value) == 0:
         return positive_number("Problem.duration", value)
     pair = finite_array("Problem.duration", value, (2,))
     shortest = positive_number("Problem.duration[0]", pair[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,6 +13,8 @@ import numpy as np
 
 from ocp.transcription import Program
 from tenscasadi.validate import Array, positive_number, whole_number
+
+HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 
 
 class Solution(NamedTuple):
@@ -52,6 +55,7 @@ class Ipopt:
             raise TypeError(f"Ipopt.verbose is {self.verbose!r}: give True or False")
         if not isinstance(self.options, Mapping) or not all(isinstance(name, str) for name in self.options):
             raise TypeError(f"Ipopt.options is {self.options!r}: give a mapping of IPOPT's option names, such as {{'mu_strategy': 'adaptive'}}")
+        _check_library(self.options)
 
     def solve(self, program: Program) -> Solution:
         """The solution, or the last iterate with IPOPT's word for what went wrong. Raises ValueError for an option IPOPT refuses."""
@@ -70,10 +74,27 @@ class Ipopt:
         try:
             solver = ca.nlpsol("solver", "ipopt", program.problem, options)
         except RuntimeError as error:
-            if "option" not in str(error).lower():
+            if "IpoptInterface::finalize" not in str(error):
                 raise
-            raise ValueError(f"Ipopt.options is {dict(self.options)}: {str(error).strip().splitlines()[-1]}") from None
+            reason = str(error).strip().splitlines()[-1].split(": ", 1)[-1]
+            raise ValueError(f"Ipopt.options is {dict(self.options)}, and IPOPT says: {reason}. Give options that IPOPT has") from None
         result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper)
         stats = solver.stats()
         w = np.asarray(result["x"].full()).ravel()
         return Solution(w, bool(stats["success"]), str(stats["return_status"]), int(stats["iter_count"]), time.perf_counter() - began)
+
+
+def _check_library(options: Mapping[str, Any]) -> None:
+    """A linear solver whose library is missing would end the process, not raise."""
+    name = options.get("linear_solver", "mumps")
+    kind = "hsl" if str(name) in HSL else "pardiso" if name == "pardiso" else None
+    if kind is None:
+        return
+    path = options.get(f"{kind}lib", f"lib{kind}.so")
+    try:
+        ctypes.CDLL(str(path))
+    except OSError:
+        raise ValueError(
+            f"Ipopt.options asks for linear_solver={name!r}, whose library {path} cannot be loaded: install it, name it as {kind}lib, "
+            "or give 'mumps' or 'spral'"
+        ) from None

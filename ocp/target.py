@@ -13,13 +13,13 @@ import scipy.sparse
 from ocp.invariants import Invariant, invariants
 from ocp.problem import Problem
 from ocp.reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
-from tenscasadi.correction import projection
 from tenscasadi.model import Model
 from tenscasadi.validate import Array
 
 ROUNDED = 2e-4  # of the structure's size: goals given to four digits are met as nearly as the bars allow, beyond they are refused
 STRIDE = 0.2  # of the structure's size: the longest step towards the target
 STEPS = 100
+RIGID = ("bar", "joint", "clock")
 NEARLY_SINGULAR = 3e-2  # as RANK, where Newton's steps become too long and a quadratic equation takes over
 
 
@@ -83,7 +83,7 @@ class Target:
 def find_target(problem: Problem, scales: Scales) -> Target:
     """The target of a problem. Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much."""
     model = problem.model
-    start = np.asarray(projection(model, 10)(ca.DM(problem.start)).full()).ravel()
+    start = np.asarray(problem.start)
     search = _Search(problem, start, scales)
     if not search.names:
         x = ca.SX.sym("x", model.nx)
@@ -116,19 +116,38 @@ class _Search:
 
     def _rows(self, group: Invariant) -> RowFunction:
         metre, speed = self.scales.length, self.scales.length / self.scales.time
-        sizes = {"m": metre, "m/s": speed, "m²/s": metre * speed}
+        sizes = {"m": metre, "m/s": speed, "m²/s": metre * speed, "s": self.scales.time}
         return RowFunction(self.y, group.value, np.array([sizes[unit] for unit in group.units]), self.scale)
 
     def solve(self) -> tuple[Array, float]:
         """y at the target, and by how much goals had to be adjusted (m), 0 when they are met."""
         y = np.append(self.start, (self.problem.shortest + self.problem.longest) / 2)
-        rigid = [k for k, group in enumerate(self.groups) if group.kind in ("bar", "joint")]
+        rigid = [k for k, group in enumerate(self.groups) if group.kind in RIGID]
         miss = 0.0
         for active in [rigid] if len(rigid) == len(self.groups) else [rigid, list(range(len(self.groups)))]:
             y, miss = self._nearest([self.kept[k] for k in active], y)
             if miss > ROUNDED:
                 self._refuse(y, active)
+        straight = self._straightened(y)
+        if straight is not None:
+            y, miss = self._nearest(self.kept, straight)
         return y, miss * self.scales.length if miss > 1e-7 else 0.0
+
+    def _straightened(self, y: Array) -> Array | None:
+        """Nodes inside strings, which no goal places, back on the line between the string's ends; None where there are none."""
+        model, s = self.problem.model, self.problem.model.structure
+        parent = s.string_parent
+        inner = np.flatnonzero(parent[:-1] == parent[1:])  # children follow each other from first to second node
+        if not inner.size:
+            return None
+        nodes = model.nodes(y[:-1]).copy()
+        a, b = nodes[model.scene.structure.strings].transpose(1, 0, 2)
+        along = np.cumsum(s.string_fraction)
+        along = along - np.concatenate([[0.0], along])[np.searchsorted(parent, parent)]
+        nodes[s.strings[inner, 1]] = a[parent[inner]] + along[inner, None] * (b - a)[parent[inner]]
+        x = model.state(nodes, model.velocities(y[:-1]))
+        x[2 * model.nq :] = y[2 * model.nq : -1]
+        return np.append(x, y[-1])
 
     def _nearest(self, kept: list[RowFunction], y: Array) -> tuple[Array, float]:
         """Gauss-Newton with the smallest movement in the sense of the mass matrix, which neither turns nor shifts a free structure.
@@ -213,11 +232,11 @@ class _Search:
             A = np.concatenate([self.kept[k](y)[1] for k in active])
             norms = np.linalg.norm(A, axis=1)
             push = abs(np.linalg.lstsq((A / np.maximum(norms, 1e-9)[:, None]).T, H.T @ r, rcond=RANK)[0])
-            later = np.array([kind not in ("bar", "joint") for kind, _ in rows])
-            if later.any():  # bars alone have been tried before
-                push = push * later
+            later = np.array([kind not in RIGID for kind, _ in rows])
+            if later.any():  # bars alone have been tried before, and let the goals be met
+                push = push * later + 1e-9 * later * np.arange(len(rows))  # where nothing pushes, the last stands in the way: it is the plane
             kind, name = rows[int(np.argmax(push))]
-            if push.max() > 1e-2 * ROUNDED:
+            if push.max() > 1e-2 * np.abs(r).max() or later.any():
                 reason = f"{name}{_CURES[kind]}"
         raise UnreachableGoal(f"{self.names[worst]} misses its goal by {size:.3g} {unit} at best, as {reason}")
 
@@ -284,6 +303,7 @@ def _metric(model: Model) -> Array:
 _CURES = {
     "bar": ": give goals that fit the bars",
     "joint": ": give goals that fit the joints",
+    "clock": ": give goals that fit the time",
     "momentum": " whatever the strings do: move the goal there, or pin a node",
     "plane": ", where all forces act: move the goal into it, or start out of it",
 }

@@ -22,8 +22,8 @@ from tenscasadi.validate import Array, whole_number
 class Program:
     """minimise f(w) subject to lower ≤ g(w) ≤ upper and w_lower ≤ w ≤ w_upper, all in scaled numbers of order one.
 
-    problem: {"x": w, "f": f, "g": g} as `casadi.nlpsol` takes it. first: w to start from. names: one for each row of g. objective: what
-    f is multiplied by to be the cost. unpack: Function w → states (nx, intervals + 1), force densities (α, intervals), duration.
+    problem: {"x": w, "f": f, "g": g} as `casadi.nlpsol` takes it. first: w to start from. names: one for each row of g, and w_names for each of w.
+    objective: what f is multiplied by to be the cost. unpack: Function w → states (nx, intervals + 1), force densities (α, intervals), duration.
     """
 
     problem: dict[str, Any]
@@ -33,6 +33,7 @@ class Program:
     upper: Array
     first: Array
     names: tuple[str, ...]
+    w_names: tuple[str, ...]
     objective: float
     unpack: ca.Function
 
@@ -102,8 +103,7 @@ class MultipleShooting:
         cost = sum((term.expression(controls, interval) for term in problem.costs), start=ca.MX(0))
         unpack = ca.Function("unpack", [w], [ca.horzcat(ca.DM(target.start), states), controls, duration])
         first, lower, upper = _bounds(problem, scales, strength, guess)
-        at_first = float(ca.Function("cost", [w], [cost])(first)) if problem.costs else 0.0
-        objective = abs(at_first) or 1.0
+        objective = _typical_cost(problem, strength, guess)
         return Program(
             {"x": w, "f": cost / objective, "g": g},
             lower,
@@ -112,6 +112,7 @@ class MultipleShooting:
             np.concatenate([part.upper for part in rows]),
             first,
             tuple(name for part in rows for name in part.names),
+            _unknowns(model, count) + (("duration",) if problem.shortest < problem.longest else ()),
             objective,
             unpack,
         )
@@ -139,10 +140,22 @@ def state_names(model: Model) -> tuple[str, ...]:
     return (*places, *(f"{place} velocity" for place in places), *["clock"] * (model.nx - 2 * len(places)))
 
 
+def _unknowns(model: Model, count: int) -> tuple[str, ...]:
+    stage = (*(f"force density of string {i}" for i in range(model.nu)), *state_names(model))
+    return tuple(f"{name}, interval {k}" for k in range(count) for name in stage)
+
+
 def _strength(problem: Problem, scales: Scales, guess: Guess) -> float:
     """A typical force density, N/m: of the guess, or what moves the structure's mass by its size within the duration."""
     mass = float(problem.model.structure.mass_matrix().sum())
     return max(float(np.sqrt(np.mean(guess.force_density**2))), mass / scales.time**2)
+
+
+def _typical_cost(problem: Problem, strength: float, guess: Guess) -> float:
+    """The costs of force densities that alternate about the typical one: what makes the objective of order one."""
+    pattern = strength * (1 + 0.5 * (-1.0) ** np.indices(guess.force_density.T.shape).sum(axis=0))
+    interval = guess.duration / len(guess.force_density)
+    return float(sum((ca.DM(term.expression(ca.DM(pattern), interval)) for term in problem.costs), start=ca.DM(0))) or 1.0
 
 
 def _tension_rows(problem: Problem, before: Any, after: Any, controls: Any, force: float) -> list[_Rows]:
@@ -162,7 +175,7 @@ def _tension_rows(problem: Problem, before: Any, after: Any, controls: Any, forc
             tension(states, controls),
             np.tile(lower[chosen] / force, controls.shape[1]),
             np.tile(upper[chosen] / force, controls.shape[1]),
-            tuple(f"TensionLimits: string {parent[k]} at the {end} of interval {i}" for i in range(controls.shape[1]) for k in chosen),
+            tuple(f"tension of string {parent[k]}, {end} of interval {i}" for i in range(controls.shape[1]) for k in chosen),
         )
         for states, end in ((before, "start"), (after, "end"))
     ]
