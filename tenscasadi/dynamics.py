@@ -77,11 +77,12 @@ class Mechanism:
         """Whether expressions are kept as vector operations instead of unrolled scalars."""
         return bool(self.bars + self.C_s.shape[0] > UNROLL_MEMBERS)
 
-    def with_inverse(self, X: Any) -> Any:
-        """X M⁻ (3×n)."""
-        if len(self.inverse) == 1:
-            return ca.mtimes(X, sparse(self.inverse[0]))
-        return ca.vertcat(*(ca.mtimes(X[axis, :], sparse(self.inverse[axis])) for axis in range(3)))
+    def with_inverse(self, X: Any, then: Any = None) -> Any:
+        """X M⁻ (3×n), or X M⁻ `then` (a constant matrix of n rows)."""
+        factors = [sparse(inverse if then is None else _clean(inverse @ then)) for inverse in self.inverse]
+        if len(factors) == 1:
+            return ca.mtimes(X, factors[0])
+        return ca.vertcat(*(ca.mtimes(X[axis, :], factors[axis]) for axis in range(3)))
 
     def G(self) -> tuple[sp.csr_array, ...]:
         """C_b M⁻ C_bᵀ (β×β) for each axis, or once."""
@@ -150,12 +151,10 @@ def multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, An
     return -r / _bar_scale(mech, B), Omega
 
 
-def reaction(mech: Mechanism, B: Any, lam: Any, Omega: Any) -> Any:
-    """(B λ̂ C_b + Ω Pᵀ) M⁻ (3×n)."""
-    push = ca.mtimes(B * ca.repmat(lam, 3, 1), sparse(mech.C_b))
-    if mech.joints:
-        push = push + ca.mtimes(Omega, sparse(mech.P.T))
-    return mech.with_inverse(push)
+def push(mech: Mechanism, B: Any, lam: Any, Omega: Any) -> Any:
+    """B λ̂ C_b + Ω Pᵀ (3×n): what bars and joints do to the nodes."""
+    force = ca.mtimes(B * ca.repmat(lam, 3, 1), sparse(mech.C_b))
+    return force + ca.mtimes(Omega, sparse(mech.P.T)) if mech.joints else force
 
 
 def without_residual(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
@@ -165,7 +164,7 @@ def without_residual(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
         return system(mech, B, r, R)
 
     def moved(Z: Any, B: Any, r: Any, solution: Any) -> tuple[Any, ...]:
-        return (Z + reaction(mech, B, *multipliers(mech, B, r, solution)),)
+        return (Z + mech.with_inverse(push(mech, B, *multipliers(mech, B, r, solution))),)
 
     solution: Any = ca.DM.zeros(0, 1)
     if mech.system_size:
@@ -203,7 +202,7 @@ def staged(large: bool, function: Callable[..., tuple[Any, ...]], *arguments: An
         return function(*arguments)
     inputs = [ca.MX(argument) for argument in arguments]
     symbols = [ca.SX.sym(f"a{k}", value.sparsity()) for k, value in enumerate(inputs)]
-    return tuple(ca.Function("stage", symbols, [ca.SX(value) for value in function(*symbols)]).call(inputs))
+    return tuple(ca.Function("stage", symbols, ca.cse([ca.SX(value) for value in function(*symbols)])).call(inputs))
 
 
 def sparse(matrix: Any) -> ca.DM:

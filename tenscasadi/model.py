@@ -78,7 +78,7 @@ class Model:
         x, u = self._symbols(self._unrolled)
         N, V, time = self.unpack(x)
         A, _, _ = self._motion(N, V, u, time)
-        return ca.Function("ode", [x, u], [self.pack(V, A, 1)], ["x", "u"], ["xdot"])
+        return ca.Function("ode", [x, u], ca.cse([self.pack(V, A, 1)]), ["x", "u"], ["xdot"])
 
     @cached_property
     def observe(self) -> ca.Function:
@@ -231,7 +231,7 @@ class Model:
             if name == "string damping":  # the whole string law; what it adds to elasticity is the damping
                 outputs.pop("string elasticity")
             outputs[name] = expression
-            count = ca.Function("terms", [x, u], list(outputs.values())).n_instructions()
+            count = ca.Function("terms", [x, u], ca.cse(list(outputs.values()))).n_instructions()
             terms[name] = count - before
             before = count
         total = instructions(self.ode)
@@ -300,37 +300,42 @@ class Model:
     def _motion(self, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, Any, Any]:
         """N̈ (3×n), λ (1×β) and Ω (3×c)."""
         mech = self.mechanism
+        C_bT = sparse(mech.C_b.T)
 
         def unconstrained(N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
             F = _sum(forces.terms(self.scene, mech, N, V, u, time), mech)
-            X = mech.with_inverse(F) if self._supports is None else self._with_supports(F, time)
+            moved = self._moved_acceleration(time)
+            if moved is not None:
+                F = F - ca.mtimes(moved, sparse(mech.M))
             if not mech.constrained:
-                return (X,)
-            B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
-            r = ca.sum1(Bd * Bd) + ca.sum1(B * ca.mtimes(X, sparse(mech.C_b.T)))  # Eq. 28
-            R = ca.mtimes(X, sparse(mech.P)) - self.targets(time)[2]
-            return X, B, r, *(dynamics.system(mech, B, r, R) if mech.system_size else ())
+                return (F,)
+            B, Bd = (ca.mtimes(Z, C_bT) for Z in (N, V))
+            unforced = mech.with_inverse(F, mech.C_b.T)
+            r = ca.sum1(Bd * Bd) + ca.sum1(B * (unforced if moved is None else unforced + ca.mtimes(moved, C_bT)))  # Eq. 28
+            if not mech.system_size:
+                return F, B, r
+            return F, B, r, *dynamics.system(mech, B, r, mech.with_inverse(F, mech.P) - self.targets(time)[2])
 
-        def constrained(X: Any, B: Any, r: Any, solution: Any) -> tuple[Any, ...]:
-            lam, omega = dynamics.multipliers(mech, B, r, solution)
-            return X + dynamics.reaction(mech, B, lam, omega), lam, omega
+        def constrained(F: Any, time: Any, *rows: Any) -> tuple[Any, ...]:
+            lam, omega = dynamics.multipliers(mech, *rows) if rows else (ca.DM.zeros(1, 0), ca.DM.zeros(3, 0))
+            A = mech.with_inverse(F + dynamics.push(mech, rows[0], lam, omega) if rows else F)
+            moved = self._moved_acceleration(time)
+            return A if moved is None else A + moved, lam, omega
 
-        X, *rows = dynamics.staged(mech.large, unconstrained, N, V, u, time)
-        if not rows:
-            return X, ca.DM.zeros(1, 0), ca.DM.zeros(3, 0)
-        B, r, *linear = rows
-        solution = dynamics.solve_semidefinite(*linear) if linear else ca.DM.zeros(0, 1)
-        A, lam, omega = dynamics.staged(mech.large, constrained, X, B, r, solution)
+        F, *rows = dynamics.staged(mech.large, unconstrained, N, V, u, time)
+        if rows:
+            B, r, *linear = rows
+            rows = [B, r, dynamics.solve_semidefinite(*linear) if linear else ca.DM.zeros(0, 1)]
+        A, lam, omega = dynamics.staged(mech.large, constrained, F, time, *rows)
         return A, lam, omega
 
-    def _with_supports(self, F: Any, time: Any) -> Any:
-        """Accelerations X (3×n) before the constraints act, with those of moved supports in reduced coordinates."""
-        mech = self.mechanism
+    def _moved_acceleration(self, time: Any) -> Any | None:
+        """Accelerations (3×n) of supports that are moved in reduced coordinates; None when there are none. In full ones P holds them."""
         if self._supports is None or self.coordinates == "full":
-            return mech.with_inverse(F)
-        moved = type(time).zeros(3, mech.N.shape[1])
+            return None
+        moved = type(time).zeros(3, self.mechanism.N.shape[1])
         moved[:, self._moved] = self._supports(time)[2]
-        return moved + mech.with_inverse(F - ca.mtimes(moved, sparse(mech.M)))
+        return moved
 
     def _joint_forces(self, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
         """Ω of reduced coordinates: what the class-one nodes of Eq. 85 still need for the accelerations that they have."""

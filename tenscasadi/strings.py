@@ -31,15 +31,15 @@ class Clip:
     def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any) -> Any:
         """γ of strings from s² (`squared`), ρ, k and c sᵀṡ (`rate`, None when undamped); any matching shape (Eq. 99).
 
-        s² is kept at or above ρ² inside the division, so that a string of no length has finite derivatives.
+        `unit` is a typical length, constant: s² is raised by (1e-9 unit)², below rounding for any taut string, so that a string of
+        no length has finite derivatives.
         """
-        safe = ca.fmax(squared, rest * rest)
-        gamma = stiffness * (1 - rest / ca.sqrt(safe))
-        taut = squared > rest * rest
-        if rate is not None:
-            gamma = gamma + rate / safe
-            taut = ca.logic_and(taut, gamma > 0)
-        return ca.if_else(taut, gamma, 0)
+        safe = squared + (1e-9 * unit) ** 2
+        strain = 1 - rest / ca.sqrt(safe)
+        if rate is None:
+            return stiffness * strain * (strain > 0)  # a product: the shortest code, and finite in all derivatives
+        gamma = stiffness * strain + rate / safe
+        return gamma * ca.logic_and(strain > 0, gamma > 0)
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
         """Elastic energy ½ k (s − ρ)² of taut strings, J."""
@@ -77,7 +77,7 @@ class Smooth:
         return stiffness * (e * e + e * ca.sqrt(e * e + w * w) + w * w * ca.asinh(e / w)) / 4
 
     def _length(self, squared: Any, unit: Any) -> Any:
-        return ca.sqrt(squared + (1e-8 * unit) ** 2)  # finite derivatives at no length; changes a length by 1e-16 of its unit
+        return ca.sqrt(squared + (1e-9 * unit) ** 2)  # finite derivatives at no length
 
 
 Slack = Clip | Smooth
