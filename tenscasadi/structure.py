@@ -97,6 +97,18 @@ class Structure:
         own["_layout"] = default_layout(n, self.bars, self.strings, np.flatnonzero(self.fixed.all(axis=1)))
         self._freeze()
 
+    def parent_mean(self, values: ArrayLike) -> Array:
+        """Quantities of strings (…, α) such as tensions or force densities × length, averaged along each parent string (…, parents).
+
+        The average over a parent's segments is weighted by their share of its length. Raises TypeError, ValueError.
+        """
+        array = np.asarray(values, dtype=float)
+        if array.ndim == 0 or array.shape[-1] != len(self.strings):
+            raise ValueError(f"values has shape {array.shape}: give one entry per string in the last axis, {len(self.strings)}")
+        weight = np.zeros((len(self.strings), int(self.string_parent.max(initial=-1)) + 1))
+        weight[np.arange(len(self.strings)), self.string_parent] = self.string_fraction
+        return np.asarray(array @ (weight / weight.sum(axis=0)))
+
     @classmethod
     def from_matrices(
         cls, N: ArrayLike, C_b: Any = None, C_s: Any = None, P: Any = None, D: Any = None, node_mass: ArrayLike = 0.0, **options: Any

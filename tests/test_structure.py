@@ -433,3 +433,15 @@ def test_anything_is_refused_or_gives_a_sound_structure(found: dict[str, Any]) -
             assert np.linalg.eigvalsh(scale[:, None] * kept * scale).min() > 1e-8
     split = s.class_one()
     assert np.all(split.N @ split.P == split.D)
+
+
+def test_results_of_segments_are_read_per_parent_string() -> None:
+    s = chain(string_mass=0.3)
+    cut = s.subdivide(3, fractions=[0.5, 0.25, 0.25])
+    tension = np.arange(18.0).reshape(2, 9)
+    mean = cut.parent_mean(tension)
+    assert mean.shape == (2, 3)
+    assert mean[1, 2] == pytest.approx(0.5 * 15 + 0.25 * 16 + 0.25 * 17)
+    np.testing.assert_allclose(s.parent_mean([1.0, 2.0, 3.0]), [1, 2, 3])
+    with pytest.raises(ValueError, match="values has shape"):
+        cut.parent_mean(np.zeros(3))
