@@ -121,7 +121,9 @@ def mechanism(structure: Structure, coordinates: Coordinates, bar_length: BarLen
     D = np.hstack([split.D, structure.nodes[rollers].T])
     active = np.hstack([np.ones(split.D.shape, bool), fixed[rollers].T])
     C_b = sp.csr_array(split.C_b @ split.C_nb)
-    inverse = (_inverse(split.M_s, free[:, 0]),)
+    # A pinned string node may have no mass; it never moves, so any mass gives the same motion.
+    diagonal = split.M_s.diagonal()
+    inverse = (_inverse(split.M_s + sp.diags_array(np.where(diagonal == 0, diagonal.max(initial=0.0) or 1.0, 0.0)), free[:, 0]),)
     C_s = sp.csr_array(split.C_s)
     return Mechanism(split.N, free, split.physical, first, C_b, C_s, split.M_s, inverse, P, D, active, structure.bar_lengths, constant)
 

@@ -111,6 +111,17 @@ def test_class_k_chain_with_supports_matches_a_saddle_point_solve(pinned: object
     assert relative(accelerations(model, x), by_kkt(structure, structure.nodes, velocities, pull + weight)) < 1e-10
 
 
+@BOTH
+def test_a_pinned_string_node_needs_no_mass(coordinates: dynamics.Coordinates) -> None:
+    mast = Structure([(0, 0, 0), (0, 0, 2), (1, 0, 0)], [(0, 1)], [(1, 2)], pinned=(0, 2), rest_length=1.5)
+    model = Model(Scene(mast, gravity=Gravity((1, 2, -9))), coordinates)
+    pull = mast.C_s.T @ (-model.force_density(model.initial_state)[:, None] * np.diff(mast.nodes[mast.strings], axis=1)[:, 0])
+    weight = np.outer(mast.mass_matrix().sum(axis=1), (1, 2, -9))
+    expected = by_kkt(mast, mast.nodes, 0 * mast.nodes, pull + weight)
+    assert relative(accelerations(model, model.initial_state), expected) < 1e-12
+    assert np.allclose(model.multipliers(model.initial_state).joint_force[:, -1], -(pull + weight)[2])
+
+
 REDUNDANT = {
     "both ends pinned": Structure([(0, 0, 0), (1, 0, 0), (0.5, 0.7, 0)], [(0, 1), (1, 2)], pinned=(0, 1)),
     "adjacent pins of a D-bar": Structure([(0, 0, 0), (1, 0.2, 0), (2, 0, 0), (1, -0.8, 0)], [(0, 1), (1, 2), (2, 3), (3, 0)], [(0, 2), (1, 3)], pinned=(0, 1)),
