@@ -63,11 +63,13 @@ class Stage:
         """Shows these configurations, all sorted by depth; pinned nodes are marked in the last."""
         for artist in self._shown:
             artist.remove()
+        self._shown = []
         parts = [self._pieces(layer) for layer in layers]
         ends, colours, widths = (np.concatenate([part[k] for part in parts]) for k in range(3))
-        order = np.argsort(ends.mean(axis=1) @ self._toward_camera(), kind="stable")
-        lines = Line3DCollection(ends[order], colors=colours[order], linewidths=widths[order], capstyle="round", clip_on=False, zorder=3)
-        self._shown = [self.axes.add_collection3d(lines)]
+        if len(ends):
+            order = np.argsort(ends.mean(axis=1) @ self._toward_camera(), kind="stable")
+            lines = Line3DCollection(ends[order], colors=colours[order], linewidths=widths[order], capstyle="round", clip_on=False, zorder=3)
+            self._shown.append(self.axes.add_collection3d(lines))
         last = layers[-1]
         self._mark(last.nodes[self._loose], marker="o", s=4 * (1 + self._string_width) ** 2, color=last.bar_colour, zorder=3)
         self._mark(last.nodes[self.members.pinned], marker="^", s=55, color=_PIN, zorder=4)

@@ -110,7 +110,7 @@ def test_labels_number_the_nodes(prism):
 
 
 def test_a_lone_mass_and_a_net_can_be_drawn():
-    assert len(plots.structure(tc.Structure([(0.0, 0.0, 0.0)], node_mass=1.0)).axes[0].collections) == 2
+    assert len(plots.structure(tc.Structure([(0.0, 0.0, 0.0)], node_mass=1.0)).axes[0].collections) == 1
     assert plots.structure(tc.shapes.membrane(4, 3)).axes
 
 
