@@ -69,7 +69,7 @@ def membrane(p: int, q: int) -> tc.Structure:
 
 def run(p: int, q: int, rise: float = RISE) -> tc.Trajectory:
     """The motion after the pressure has become `rise` atm at t = 0."""
-    pressure = tc.Pressure(membrane_faces(p, q), rise * ATMOSPHERE)
+    pressure = tc.Pressure(membrane_faces(p, q).tolist(), rise * ATMOSPHERE)
     scene = tc.Scene(membrane(p, q), ends="lumped", pressure=pressure, forces=tc.NodalForce(rise * caps(p, q)))
     return tc.simulate(tc.Model(scene), T_END, STEP, save_every=5)
 
@@ -77,7 +77,7 @@ def run(p: int, q: int, rise: float = RISE) -> tc.Trajectory:
 def radial(trajectory: tc.Trajectory, p: int, q: int) -> np.ndarray:
     """Radial motion (T, p) of the middle ring, m."""
     ring = trajectory.nodes[:, p * (q // 2) : p * (q // 2 + 1), :2]
-    return np.linalg.norm(ring, axis=2) - RADIUS
+    return np.asarray(np.linalg.norm(ring, axis=2)) - RADIUS
 
 
 def first_peak(values: np.ndarray) -> int:
@@ -101,10 +101,8 @@ def main(folder: Path = Path(), quick: bool = False) -> dict[tuple[int, int], Ro
     print("\npaper: no vertical motion of the centre nodes, radial vibration that is damped")
     coarse = next(iter(runs))
     rest = radial(runs[coarse], *coarse)[len(runs[coarse].time) // 2 :, 0].mean()
-    print(
-        f"here:  vertical motion below {max(row.axial for row in rows.values()):.0e} m; radial vibration about its new rest near {rest:.3f} m is damped, least"
-    )
-    print("       in the finest membrane (c falls with a string's mass), and first grows: it beats with the axial vibration that the caps drive")
+    print(f"here:  vertical motion below {max(row.axial for row in rows.values()):.0e} m; radial vibration about its new rest near {rest:.3f} m is")
+    print("       damped, least in the finest membrane (c falls with a string's mass); it beats with the axial vibration that the caps drive")
 
     sizes = list(runs)
     for p, q in (sizes[0], sizes[-1]):
@@ -132,4 +130,4 @@ def figure_9(runs: dict[tuple[int, int], tc.Trajectory]) -> Figure:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "."))
