@@ -47,7 +47,7 @@ def _spin(structure: Structure, rates: tuple[float, float, float], about: Array)
 def _wring(structure: Structure) -> Array:
     """Upper and lower half turn against each other about the z axis."""
     middle = structure.nodes.mean(axis=0)
-    return _spin(structure, (0.0, 0.0, 4.0), middle) * np.sign(structure.nodes[:, 2:] - middle[2])
+    return np.asarray(_spin(structure, (0.0, 0.0, 4.0), middle) * np.sign(structure.nodes[:, 2:] - middle[2]))
 
 
 def _throw(structure: Structure) -> Array:

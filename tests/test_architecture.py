@@ -34,7 +34,8 @@ TENSCASADI = (
 )
 OCP = (
     {"checks", "reach", "reduction"},
-    {"bounds", "costs", "goals"},
+    {"search"},
+    {"bounds", "costs", "goals", "search"},
     {"invariants", "problem"},
     {"plan", "target"},
     {"guess"},

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import os
 import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -24,37 +26,67 @@ def load(name: str) -> ModuleType:
     return module
 
 
-@pytest.fixture(autouse=True)
-def in_a_folder_of_its_own(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "modules", dict(sys.modules))
-
-
-def test_simulate_ball(tmp_path):
-    rows = load("simulate_ball").main(tmp_path)
+def simulate_ball(rows: Any) -> None:
     plain, corrected = ([row for row in rows if (row.correction is None) == without] for without in (True, False))
     assert max(row.bar_length for row in corrected) < 1e-15
-    for coarse, fine in ((plain[0], plain[-1]), (corrected[0], corrected[-1])):  # ten times the step, order 4
-        assert 2e3 < coarse.position / fine.position < 5e4
-    assert (tmp_path / "simulate_ball.png").stat().st_size < 200_000
+    for kind in (plain, corrected):  # ten times the step, order 4
+        assert 2e3 < kind[0].position / kind[-1].position < 5e4
 
 
-def test_double_pendulum(tmp_path):
-    errors = load("double_pendulum").main(tmp_path)
+def double_pendulum(errors: Any) -> None:
     assert max(errors["reduced"], errors["full"]) < 1e-10
     assert errors["pin force"] < 1e-11
-    assert (tmp_path / "double_pendulum.png").exists()
 
 
-def test_benchmark_rhs(capsys):
-    rows = load("benchmark_rhs").main(quick=True)
-    assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
+def plan_prism(plan: Any) -> None:
+    assert plan.success
+    assert plan.replay_error < 1e-3
+
+
+def benchmark_rhs(rows: Any) -> None:
     assert all(row.virtual_machine > row.numpy for row in rows)
+    assert all(row.compiled > 20 * row.numpy for row in rows if row.compiled is not None)
 
 
-def test_every_example_is_tested():
-    tested = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
-    assert {path.stem for path in EXAMPLES.glob("*.py")} <= tested
+def paper_prism(errors: Any) -> None:
+    assert errors["interior", 9] == pytest.approx(0.0068, abs=1e-4)
+    assert errors["lumped", 9] == pytest.approx(0.0009, abs=1e-4)
+
+
+def paper_dbar(rows: Any) -> None:
+    row = rows["projection"]
+    assert row.end == pytest.approx(5.0)
+    assert max(row.bar_length, row.joint) < 1e-14
+
+
+def paper_membrane(rows: Any) -> None:
+    for size, peak in {(8, 5): 0.0477, (16, 9): 0.0495}.items():
+        assert rows[size].peak == pytest.approx(peak, abs=1e-4)
+        assert rows[size].axial < 1e-12
+
+
+CLAIMS = (simulate_ball, double_pendulum, plan_prism, benchmark_rhs, paper_prism, paper_dbar, paper_membrane)
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in EXAMPLES.glob("*.py")))
+def test_example(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "modules", dict(sys.modules))
+    main = load(name).main
+    possible = {"folder": tmp_path, "quick": True}
+    arguments = {key: value for key, value in possible.items() if key in inspect.signature(main).parameters}
+    result = main(**arguments)
+    assert len(capsys.readouterr().out) > 100
+    pictures = list(tmp_path.iterdir())
+    assert all(path.suffix == ".png" and path.stem.startswith(name) and path.stat().st_size > 5000 for path in pictures)
+    assert pictures or "folder" not in arguments
+    for claim in CLAIMS:
+        if claim.__name__ == name:
+            claim(result)
+
+
+def test_claims_are_of_examples():
+    assert {claim.__name__ for claim in CLAIMS} <= {path.stem for path in EXAMPLES.glob("*.py")}
 
 
 def test_examples_run_as_scripts(tmp_path):
