@@ -9,7 +9,7 @@ import numpy as np
 
 from tenscasadi.validate import Array
 
-REACHED = 1e-7  # of the strongest direction: below it a row of the goal is not controlled to first order
+REACHED = 1e-5  # of the strongest direction: below it a row of the goal is not controlled to first order, or by the rounding of long steps only
 
 
 class Reach:

@@ -7,20 +7,17 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.optimize
 import scipy.sparse
 
 from ocp.invariants import Invariant, invariants
 from ocp.problem import Problem
 from ocp.reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
+from ocp.search import NEARLY_SINGULAR, Search
 from tenscasadi.model import Model
 from tenscasadi.validate import Array
 
 ROUNDED = 2e-4  # of the structure's size: goals given to four digits are met as nearly as the bars allow, beyond they are refused
-STRIDE = 0.2  # of the structure's size: the longest step towards the target
-STEPS = 100
 RIGID = ("bar", "joint", "clock")
-NEARLY_SINGULAR = 3e-2  # as RANK, where Newton's steps become too long and a quadratic equation takes over
 
 
 class UnreachableGoal(ValueError):
@@ -84,16 +81,16 @@ def find_target(problem: Problem, scales: Scales) -> Target:
     """The target of a problem. Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much."""
     model = problem.model
     start = np.asarray(problem.start)
-    search = _Search(problem, start, scales)
-    if not search.names:
+    finder = _Finder(problem, start, scales)
+    if not finder.names:
         x = ca.SX.sym("x", model.nx)
         empty = ca.SX(0, 1)
         return Target(start, None, ca.Function("goal", [x], [empty]), ca.Function("misfit", [x], [empty, empty]), (), 0, {}, 0, 0.0)
-    y, adjusted = search.solve()
-    return search.reduced(y, adjusted)
+    y, adjusted = finder.solve()
+    return finder.reduced(y, adjusted)
 
 
-class _Search:
+class _Finder:
     """The goals and invariants of a problem as rows of y = (x, duration), and the way to a y that meets them."""
 
     def __init__(self, problem: Problem, start: Array, scales: Scales) -> None:
@@ -112,7 +109,7 @@ class _Search:
         self.goal = RowFunction(self.y, self.value, row_scale, self.scale)
         self.groups = invariants(model, start, self.x, duration)
         self.kept = [self._rows(group) for group in self.groups]
-        self.metric = np.linalg.cholesky(_metric(model))
+        self.search = Search(self.scale, _metric(model), self._allowed)
 
     def _rows(self, group: Invariant) -> RowFunction:
         metre, speed = self.scales.length, self.scales.length / self.scales.time
@@ -125,13 +122,22 @@ class _Search:
         rigid = [k for k, group in enumerate(self.groups) if group.kind in RIGID]
         miss = 0.0
         for active in [rigid] if len(rigid) == len(self.groups) else [rigid, list(range(len(self.groups)))]:
-            y, miss = self._nearest([self.kept[k] for k in active], y)
+            y = self.search.nearest(self.goal, [self.kept[k] for k in active], y)
+            miss = self._miss(y)
             if miss > ROUNDED:
                 self._refuse(y, active)
         straight = self._straightened(y)
         if straight is not None:
-            y, miss = self._nearest(self.kept, straight)
+            y = self.search.nearest(self.goal, self.kept, straight)
+            miss = self._miss(y)
         return y, miss * self.scales.length if miss > 1e-7 else 0.0
+
+    def _miss(self, y: Array) -> float:
+        return float(np.abs(self.goal(y)[0]).max(initial=0.0))
+
+    def _allowed(self, y: Array) -> Array:
+        """y with a duration that the problem allows."""
+        return np.append(y[:-1], np.clip(y[-1], self.problem.shortest, self.problem.longest))
 
     def _straightened(self, y: Array) -> Array | None:
         """Nodes inside strings, which no goal places, back on the line between the string's ends; None where there are none."""
@@ -148,78 +154,6 @@ class _Search:
         x = model.state(nodes, model.velocities(y[:-1]))
         x[2 * model.nq :] = y[2 * model.nq : -1]
         return np.append(x, y[-1])
-
-    def _nearest(self, kept: list[RowFunction], y: Array) -> tuple[Array, float]:
-        """Gauss-Newton with the smallest movement in the sense of the mass matrix, which neither turns nor shifts a free structure.
-
-        Returns y on the invariants `kept` and the largest scaled row of the goals that remains there.
-        """
-        functions = [self.goal, *kept]
-        for _ in range(STEPS):
-            r, J = _stacked(functions, y)
-            size = float(np.linalg.norm(r))
-            if size < 1e-13:
-                break
-            better = self._shorten(functions, y, self._step(J, r), size)
-            if better is None or float(np.linalg.norm(_stacked(functions, better)[0])) > 0.99 * size:
-                soft = self._soft_step(functions, y)
-                better = None if soft is None else self._shorten(functions, y, soft, size, follow=True)
-            if better is None:
-                break
-            y = better
-        for _ in range(10 if kept else 0):  # what cannot give comes last: the goals' residual shows what is missing
-            r, J = _stacked(kept, y)
-            y = self._moved(y, self._step(J, r))
-        return y, float(np.abs(self.goal(y)[0]).max(initial=0.0))
-
-    def _step(self, J: Array, r: Array, rank_tolerance: float = RANK) -> Array:
-        """−J⁺ r in scaled unknowns; singular directions stay where they are."""
-        weighted = np.linalg.solve(self.metric, J.T).T  # J C⁻ᵀ
-        left, values, right = np.linalg.svd(weighted, full_matrices=False)
-        used = values > rank_tolerance * values.max(initial=0.0)
-        step = -right[used].T @ ((left[:, used].T @ r) / values[used])
-        step = np.linalg.solve(self.metric.T, step)
-        largest = np.abs(step).max(initial=0.0)
-        return np.asarray(step * min(1.0, STRIDE / largest) if largest else step)
-
-    def _soft_step(self, functions: list[RowFunction], y: Array) -> Array | None:
-        """A step along directions in which rows are singular, to second order: c + b d + ½ dᵀ K d = 0 for the combinations that need it."""
-        directions, W, K = soft_directions(functions, y, NEARLY_SINGULAR)
-        if not directions.shape[1]:
-            return None
-        values, gradients = zip(*(function(y) for function in functions), strict=True)
-        c = W.T @ np.concatenate(values)
-        b = W.T @ np.concatenate(gradients) @ directions
-
-        def rows(d: Array) -> Array:
-            return np.asarray(c + b @ d + np.einsum("jkl,k,l->j", K, d, d) / 2)
-
-        reach = np.sqrt(2 * np.abs(c).max() / max(np.abs(K).max(), 1e-12))
-        starts = [sign * reach * axis for axis in np.eye(directions.shape[1]) for sign in (1.0, -1.0)]
-        tried = [scipy.optimize.least_squares(rows, d) for d in starts]
-        found = min(tried, key=lambda result: (round(float(result.cost), 15), float(np.linalg.norm(result.x))))
-        step = directions @ found.x
-        largest = np.abs(step).max(initial=0.0)
-        return np.asarray(step * min(1.0, STRIDE / largest)) if largest > 1e-12 else None
-
-    def _shorten(self, functions: list[RowFunction], y: Array, step: Array, size: float, follow: bool = False) -> Array | None:
-        """y moved by the largest of step, step/2, … that brings the rows below `size`; `follow`: after the regular rows have followed."""
-        for halvings in range(8):
-            trial = self._moved(y, step * 0.5**halvings)
-            r, J = _stacked(functions, trial)
-            if follow:
-                trial = self._moved(trial, self._step(J, r, NEARLY_SINGULAR))
-                r, _ = _stacked(functions, trial)
-            if float(np.linalg.norm(r)) < size:
-                return trial
-        return None
-
-    def _moved(self, y: Array, step: Array) -> Array:
-        if not self.free_duration:
-            step = np.append(step[:-1], 0.0)
-        moved = y + step * self.scale
-        moved[-1] = np.clip(moved[-1], self.problem.shortest, self.problem.longest)
-        return np.asarray(moved)
 
     def _refuse(self, y: Array, active: list[int]) -> None:
         """Names the row that misses most, and the invariant that holds it: the one with the largest multiplier."""
@@ -281,11 +215,6 @@ class _Search:
         if not count:
             return []
         return list(zip(*(index.tolist() for index in np.triu_indices(len(self.problem.model.scene.structure.nodes), 1)), strict=True))
-
-
-def _stacked(functions: list[RowFunction], y: Array) -> tuple[Array, Array]:
-    values, gradients = zip(*(function(y) for function in functions), strict=True)
-    return np.concatenate(values), np.concatenate(gradients)
 
 
 def _metric(model: Model) -> Array:

@@ -1,0 +1,109 @@
+"""The nearest state that meets goals and constraints: Gauss-Newton, with a quadratic equation where gradients vanish."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+import scipy.optimize
+
+from ocp.reduction import RANK, RowFunction, soft_directions
+from tenscasadi.validate import Array
+
+STRIDE = 0.1  # of the structure's size: the longest step
+STEPS = 100
+NEARLY_SINGULAR = 3e-2  # as RANK, where Newton's steps become too long and a quadratic equation takes over
+QUICK = 0.9  # a step that leaves less than this share of the residual is taken without looking at others
+DONE = 1e-13
+
+
+class Search:
+    """Moves y by the smallest steps in the sense of a metric (ny, ny) on scaled unknowns.
+
+    In that of the mass matrix such steps neither turn nor shift a free structure. `allowed` maps a y to the nearest that is allowed.
+    """
+
+    def __init__(self, scale: Array, metric: Array, allowed: Callable[[Array], Array]) -> None:
+        self._scale, self._allowed = scale, allowed
+        self._factor = np.linalg.cholesky(metric)
+
+    def nearest(self, goal: RowFunction, kept: Sequence[RowFunction], y: Array) -> Array:
+        """y where the rows of `goal` are as small as the rows `kept`, which are zero there, let them be."""
+        functions = [goal, *kept]
+        for _ in range(STEPS):
+            best, least = None, _size(functions, y)
+            if least < DONE:
+                break
+            enough = QUICK * least
+            for trial in self._trials(functions, y):
+                if _size(functions, trial) < least:
+                    best, least = trial, _size(functions, trial)
+                if least < enough:
+                    break
+            if best is None:
+                break
+            y = best
+        for _ in range(10 if kept else 0):  # what cannot give comes last: the goal's residual shows what is missing
+            y = self._moved(y, self._step(kept, y, RANK))
+        return y
+
+    def _trials(self, functions: Sequence[RowFunction], y: Array) -> Iterator[Array]:
+        """Shortened steps that come nearer: along regular directions, along all, and along those that only second order feels."""
+        for rank_tolerance in (NEARLY_SINGULAR, RANK):
+            yield from self._shortened(functions, y, self._step(functions, y, rank_tolerance), follow=False)
+        soft = self._soft_step(functions, y)
+        if soft is not None:
+            yield from self._shortened(functions, y, soft, follow=True)
+
+    def _shortened(self, functions: Sequence[RowFunction], y: Array, step: Array, follow: bool) -> Iterator[Array]:
+        """y moved by the largest of step, step/2, … that makes the rows smaller; `follow`: after regular directions have followed."""
+        size = _size(functions, y)
+        for halvings in range(8):
+            trial = self._moved(y, step * 0.5**halvings)
+            if follow:
+                trial = self._moved(trial, self._step(functions, trial, NEARLY_SINGULAR))
+            if _size(functions, trial) < size:
+                yield trial
+                return
+
+    def _step(self, functions: Sequence[RowFunction], y: Array, rank_tolerance: float) -> Array:
+        """−J⁺ r in scaled unknowns; directions that are more singular than `rank_tolerance` stay where they are."""
+        r, J = stacked(functions, y)
+        left, values, right = np.linalg.svd(np.linalg.solve(self._factor, J.T).T, full_matrices=False)  # J C⁻ᵀ
+        used = values > rank_tolerance * values.max(initial=0.0)
+        return _strided(np.linalg.solve(self._factor.T, -right[used].T @ ((left[:, used].T @ r) / values[used])))
+
+    def _soft_step(self, functions: Sequence[RowFunction], y: Array) -> Array | None:
+        """A step d to second order: c + b d + ½ dᵀ K d = 0 for the combinations of rows that have (nearly) no gradient."""
+        directions, W, K = soft_directions(functions, y, NEARLY_SINGULAR)
+        if not directions.shape[1]:
+            return None
+        r, J = stacked(functions, y)
+        c, b = W.T @ r, W.T @ J @ directions
+
+        def rows(d: Array) -> Array:
+            return np.asarray(c + b @ d + np.einsum("jkl,k,l->j", K, d, d) / 2)
+
+        reach = np.sqrt(2 * np.abs(c).max() / max(np.abs(K).max(), 1e-12))
+        starts = [sign * reach * axis for axis in np.eye(directions.shape[1]) for sign in (1.0, -1.0)]
+        tried = [scipy.optimize.least_squares(rows, d) for d in starts]
+        found = min(tried, key=lambda result: (round(float(result.cost), 15), float(np.linalg.norm(result.x))))
+        return _strided(directions @ found.x)
+
+    def _moved(self, y: Array, step: Array) -> Array:
+        return self._allowed(y + step * self._scale)
+
+
+def stacked(functions: Sequence[RowFunction], y: Array) -> tuple[Array, Array]:
+    """Rows and gradients of several functions, one below the other."""
+    values, gradients = zip(*(function(y) for function in functions), strict=True)
+    return np.concatenate(values), np.concatenate(gradients)
+
+
+def _size(functions: Sequence[RowFunction], y: Array) -> float:
+    return float(np.linalg.norm(stacked(functions, y)[0]))
+
+
+def _strided(step: Array) -> Array:
+    largest = np.abs(step).max(initial=0.0)
+    return np.asarray(step * min(1.0, STRIDE / largest)) if largest else step

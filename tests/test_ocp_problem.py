@@ -1,0 +1,147 @@
+"""What is asked of a plan: values that hold what was given, and errors that name the field."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ocp
+import tenscasadi as tc
+
+PRISM = tc.shapes.prism()
+FORCED = tc.Scene(PRISM, control=tc.ForceDensity())
+MODEL = tc.Model(FORCED)
+
+
+def problem(**changes):
+    return ocp.Problem(**{"model": MODEL, "goals": [ocp.AtRest()], **changes})
+
+
+def spinning(rate=1.0):
+    return MODEL.state(PRISM.nodes, rate * np.cross([0, 0, 1.0], PRISM.nodes))
+
+
+def bad_nodes():
+    nodes = PRISM.nodes.copy()
+    nodes[0] += 0.1
+    return nodes
+
+
+def stretching():
+    return MODEL.state(PRISM.nodes, PRISM.nodes)
+
+
+BAD = {
+    "model is no model": (lambda: ocp.Problem(FORCED), TypeError, "Problem.model"),
+    "control is none": (lambda: ocp.Problem(tc.Model(tc.Scene(PRISM))), ValueError, "Problem.model has the control None"),
+    "control is rest length": (lambda: ocp.Problem(tc.Model(tc.Scene(PRISM, control=tc.RestLength()))), ValueError, "ForceDensity"),
+    "no strings": (lambda: ocp.Problem(tc.Model(tc.Scene(tc.shapes.pendulum(), control=tc.ForceDensity()))), ValueError, "no strings"),
+    "duration zero": (lambda: problem(duration=0.0), ValueError, "Problem.duration is 0"),
+    "duration nan": (lambda: problem(duration=float("nan")), ValueError, "Problem.duration"),
+    "duration text": (lambda: problem(duration="long"), TypeError, "Problem.duration"),
+    "duration backwards": (lambda: problem(duration=(2.0, 1.0)), ValueError, r"Problem.duration is \(2, 1\)"),
+    "duration of three": (lambda: problem(duration=(1.0, 2.0, 3.0)), ValueError, "Problem.duration"),
+    "start of wrong size": (lambda: problem(start=np.zeros((5, 3))), ValueError, "Problem.start"),
+    "start state of wrong size": (lambda: problem(start=np.zeros(7)), ValueError, "Problem.start"),
+    "start ragged": (lambda: problem(start=[[0, 0, 0], [1, 2]]), TypeError, "Problem.start"),
+    "start not finite": (lambda: problem(start=np.full((6, 3), np.inf)), ValueError, "Problem.start"),
+    "start with other bars": (lambda: problem(start=bad_nodes()), ValueError, "Problem.start makes bar 0"),
+    "start that stretches bars": (lambda: problem(start=stretching()), ValueError, "Problem.start stretches bar 0"),
+    "start moves a pin": (
+        lambda: ocp.Problem(tc.Model(tc.Scene(PRISM.replace(pinned=[0]), control=tc.ForceDensity())), start=PRISM.nodes + 1.0),
+        ValueError,
+        "Problem.start",
+    ),
+    "goals no list": (lambda: problem(goals=ocp.AtRest()), TypeError, "Problem.goals"),
+    "goals no goals": (lambda: problem(goals=[1.0]), TypeError, r"Problem.goals\[0\]"),
+    "bounds no bounds": (lambda: problem(bounds=[ocp.AtRest()]), TypeError, r"Problem.bounds\[0\]"),
+    "costs no costs": (lambda: problem(costs=[ocp.Effort]), TypeError, r"Problem.costs\[0\]"),
+    "lengths of wrong size": (lambda: problem(goals=[ocp.StringLengths([1.0, 2.0])]), ValueError, "StringLengths.lengths"),
+    "lengths ragged": (lambda: ocp.StringLengths([[1.0], [1.0, 2.0]]), TypeError, "StringLengths.lengths"),
+    "lengths empty": (lambda: ocp.StringLengths({}), ValueError, "StringLengths.lengths is empty"),
+    "length negative": (lambda: ocp.StringLengths({0: -1.0}), ValueError, "StringLengths.lengths"),
+    "length nan": (lambda: ocp.StringLengths([1.0, np.nan]), ValueError, "StringLengths.lengths"),
+    "string unknown": (lambda: problem(goals=[ocp.StringLengths({9: 1.0})]), ValueError, "StringLengths.lengths names string 9"),
+    "string no index": (lambda: problem(goals=[ocp.StringLengths({"a": 1.0})]), TypeError, "StringLengths.lengths"),
+    "positions of wrong size": (lambda: problem(goals=[ocp.NodePositions(np.zeros((2, 3)))]), ValueError, "NodePositions.positions"),
+    "positions empty": (lambda: ocp.NodePositions({}), ValueError, "NodePositions.positions is empty"),
+    "place of two": (lambda: ocp.NodePositions({0: (1.0, 2.0)}), ValueError, r"NodePositions.positions\[0\]"),
+    "place of nothing": (lambda: ocp.NodePositions({0: (None, None, None)}), ValueError, r"NodePositions.positions\[0\]"),
+    "place no place": (lambda: ocp.NodePositions({0: 1.0}), TypeError, r"NodePositions.positions\[0\]"),
+    "node unknown": (lambda: problem(goals=[ocp.NodePositions({6: (0, 0, 0)})]), ValueError, "NodePositions.positions: node is 6"),
+    "pinned node elsewhere": (
+        lambda: ocp.Problem(
+            tc.Model(tc.Scene(PRISM.replace(pinned=[0]), control=tc.ForceDensity())), goals=[ocp.NodePositions({0: (None, 1.0, None)})]
+        ),
+        ValueError,
+        r"NodePositions.positions\[0\] wants y = 1 m of a node that is pinned at 0 m",
+    ),
+    "limits of nothing": (lambda: ocp.TensionLimits(), ValueError, "TensionLimits.lower and .upper"),
+    "limits below zero": (lambda: ocp.ForceDensityLimits(-1.0, 1.0), ValueError, "ForceDensityLimits.lower"),
+    "limits crossed": (lambda: problem(bounds=[ocp.ForceDensityLimits(2.0, 1.0)]), ValueError, "ForceDensityLimits: lower is 2"),
+    "limits crossed in two": (
+        lambda: problem(bounds=[ocp.TensionLimits(lower=2.0), ocp.TensionLimits(upper=1.0)]),
+        ValueError,
+        "Problem.bounds: TensionLimits leave string 0 nothing",
+    ),
+    "limits of wrong size": (lambda: problem(bounds=[ocp.TensionLimits(upper=[1.0, 2.0])]), ValueError, "TensionLimits.upper"),
+    "lower limit infinite": (lambda: ocp.ForceDensityLimits(np.inf, np.inf), ValueError, "ForceDensityLimits.lower"),
+    "weight zero": (lambda: ocp.Effort(0.0), ValueError, "Effort.weight is 0"),
+    "weight negative": (lambda: ocp.Smoothness(-1.0), ValueError, "Smoothness.weight"),
+    "intervals zero": (lambda: ocp.MultipleShooting(0), ValueError, "MultipleShooting.intervals"),
+    "intervals a fraction": (lambda: ocp.MultipleShooting(1.5), TypeError, "MultipleShooting.intervals"),
+    "substeps zero": (lambda: ocp.MultipleShooting(substeps=0), ValueError, "MultipleShooting.substeps"),
+    "scheme unknown": (lambda: ocp.MultipleShooting(scheme="rk4"), TypeError, "scheme"),
+    "iterations zero": (lambda: ocp.Ipopt(max_iterations=0), ValueError, "Ipopt.max_iterations"),
+    "tolerance negative": (lambda: ocp.Ipopt(tolerance=-1.0), ValueError, "Ipopt.tolerance"),
+    "verbose a number": (lambda: ocp.Ipopt(verbose=1), TypeError, "Ipopt.verbose"),
+    "options no mapping": (lambda: ocp.Ipopt(options=["tol"]), TypeError, "Ipopt.options"),
+    "solver library missing": (lambda: ocp.Ipopt(options={"linear_solver": "ma57", "hsllib": "none.so"}), ValueError, "Ipopt.options.*ma57"),
+    "option unknown": (lambda: ocp.solve(problem(), ocp.MultipleShooting(5), ocp.Ipopt(options={"speed": 11})), ValueError, "Ipopt.options"),
+    "solve no problem": (lambda: ocp.solve(MODEL), TypeError, "problem"),
+    "solve swapped": (lambda: ocp.solve(problem(), ocp.Ipopt()), TypeError, "transcription"),
+    "solve without solver": (lambda: ocp.solve(problem(), None, "ipopt"), TypeError, "solver"),
+    "too few intervals": (
+        lambda: ocp.solve(problem(goals=[ocp.AtRest(), ocp.StringLengths({0: 0.8})]), ocp.MultipleShooting(1)),
+        ValueError,
+        "MultipleShooting.intervals is 1",
+    ),
+    "load nothing": (lambda: ocp.Plan.load("nowhere.npz"), FileNotFoundError, "nowhere"),
+    "load for no problem": (lambda: ocp.Plan.load("nowhere.npz", problem=MODEL), TypeError, "problem"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_refused_by_name(name):
+    make, error, message = BAD[name]
+    with pytest.raises(error, match=message):
+        make()
+
+
+def test_a_problem_keeps_what_it_was_given():
+    state = spinning()
+    given = ocp.Problem(MODEL, (1.0, 2.0), state, goals=iter([ocp.AtRest()]), bounds=[ocp.ForceDensityLimits(1.0, np.inf)], costs=(ocp.Effort(),))
+    assert (given.shortest, given.longest) == (1.0, 2.0)
+    assert given.start == pytest.approx(state, abs=1e-14)
+    assert len(given.goals) == len(given.bounds) == len(given.costs) == 1
+    assert problem(duration=(1.0, 1.0)).duration == 1.0
+
+
+def test_a_start_off_by_rounding_is_put_right():
+    given = problem(start=PRISM.nodes.round(4))
+    assert MODEL.bar_length_error(MODEL.state(PRISM.nodes.round(4))) > 1e-6
+    assert MODEL.bar_length_error(given.start) < 1e-14
+    assert given.start == pytest.approx(MODEL.initial_state, abs=1e-3)
+
+
+def test_limits_combine_and_strings_never_push():
+    bounds = [ocp.ForceDensityLimits(upper=5.0), ocp.ForceDensityLimits(np.arange(9.0) / 9, 4.0), ocp.TensionLimits(upper=7.0)]
+    lower, upper = problem(bounds=bounds).force_density_limits
+    assert lower == pytest.approx(np.arange(9.0) / 9)
+    assert upper == pytest.approx(np.full(9, 4.0))
+    lower, upper = problem(bounds=bounds).limits(ocp.TensionLimits)
+    assert np.all(np.isneginf(lower))
+    assert upper == pytest.approx(np.full(9, 7.0))
+    lower, upper = problem().force_density_limits
+    assert not lower.any()
+    assert np.all(np.isposinf(upper))
