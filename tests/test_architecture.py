@@ -34,7 +34,6 @@ TENSCASADI = (
 )
 OCP = (
     {"checks", "reach", "reduction"},
-    {"search"},
     {"bounds", "costs", "goals", "search"},
     {"invariants", "problem"},
     {"plan", "target"},
