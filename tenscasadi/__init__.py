@@ -16,7 +16,7 @@ from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
 from tenscasadi.model import Energy, Model
 from tenscasadi.redundancy import RedundantConstraints
 from tenscasadi.scene import Scene
-from tenscasadi.schemes import RungeKutta4
+from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.simulate import simulate
 from tenscasadi.stability import stable_step
 from tenscasadi.statics import EquilibriumError, equilibrium_force_density, self_stress
@@ -57,6 +57,8 @@ __all__ = [
     # over time
     "simulate",
     "RungeKutta4",
+    "DormandPrince54",
+    "DormandPrince853",
     "Projection",
     "BarLengthCorrection",
     "stable_step",

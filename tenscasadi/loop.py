@@ -46,9 +46,9 @@ def _advance(model: Model, scheme: Scheme, project: ca.Function | None, power: b
     nz = model.nx + (power or jumps)
     z, h, u, u_next = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("u", model.nu), ca.MX.sym("u_next", model.nu)
     if power and model.power is not None:
-        end = scheme.step(_with_work(model.ode, model.power))(z, u, h)
+        end = scheme.advance(model, model.power)(z, u, h)
     else:
-        end = ca.vertcat(scheme.step(model.ode)(z[: model.nx], u, h), z[model.nx :])
+        end = ca.vertcat(scheme.advance(model)(z[: model.nx], u, h), z[model.nx :])
     x, supplied = end[: model.nx], end[model.nx :]
     if project is not None:
         x = project(x)
@@ -57,12 +57,6 @@ def _advance(model: Model, scheme: Scheme, project: ca.Function | None, power: b
         supplied = supplied + energy(x, u_next) - energy(x, u)
     inputs = {"z": z, "h": h, "u": u} | ({"u_next": u_next} if jumps else {})
     return ca.Function("advance", list(inputs.values()), [ca.densify(ca.vertcat(x, supplied))], list(inputs), ["z_next"])
-
-
-def _with_work(ode: ca.Function, power: ca.Function) -> ca.Function:
-    """The ode with the work of forces outside the model's energy as one more state, so that the scheme integrates both alike."""
-    x, u, work = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("work")
-    return ca.Function("ode_and_work", [ca.vertcat(x, work), u], [ca.vertcat(ode(x, u), power(x, u))], ["z", "u"], ["zdot"])
 
 
 def energy_function(model: Model) -> ca.Function:

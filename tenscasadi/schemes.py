@@ -1,4 +1,4 @@
-"""Integration schemes as values: each turns x' = ode(x, u) into one step x⁺ = step(x, u, h), a CasADi Function."""
+"""Integration schemes as values: each turns a model, or x' = ode(x, u), into one step x⁺ = step(x, u, h), a CasADi Function."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from tenscasadi.validate import Array, finite_array, instance
+from tenscasadi.model import Model
+from tenscasadi.tableaux import CLASSICAL, DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
+from tenscasadi.validate import Array, instance
 
 Complex = NDArray[np.complex128]
 
@@ -22,89 +24,76 @@ class Scheme(Protocol):
     def order(self) -> int:
         """Order p of convergence: the error after a fixed time falls like step^p."""
 
+    def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
+        """One step of a model with u held: Function "step" (z, u, h) -> z_next, z = x.
+
+        With `power` (x, u) -> W, z holds one entry more: the work that it has done, J.
+        """
+
     def step(self, ode: ca.Function) -> ca.Function:
-        """One step of x' = ode(x, u) with u held: Function "step" (x, u, h) -> x_next."""
+        """One step of any x' = ode(x, u) with u held: Function "step" (x, u, h) -> x_next. TypeError where the scheme needs a model."""
 
     def amplification(self, z: Complex) -> Complex:
         """R(z): the factor by which one step multiplies y when y' = λ y and z = step · λ."""
 
 
-@dataclass(frozen=True)
-class Tableau:
-    """Coefficients of an explicit Runge-Kutta method with s stages for an ode without explicit time.
+class ExplicitRungeKutta:
+    """What the explicit Runge-Kutta methods share: all is in their `tableau`."""
 
-    `a` holds s rows, row i with the i weights of the earlier stages; `b` holds the s weights of the result.
-    """
-
-    a: tuple[tuple[float, ...], ...]
-    b: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        if len(self.a) != len(self.b) or any(len(row) != i for i, row in enumerate(self.a)):
-            rows = [len(row) for row in self.a]
-            raise ValueError(f"a has rows of {rows} weights: give rows of {list(range(len(self.b)))} for {len(self.b)} stages (b)")
-        for i, row in enumerate((*self.a, self.b)):
-            finite_array("b" if i == len(self.a) else f"a[{i}]", row, (len(row),))
-
-    @property
-    def c(self) -> tuple[float, ...]:
-        """Times of the stages, as fractions of the step: the row sums of `a`."""
-        return tuple(sum(row) for row in self.a)
-
-    def stability_polynomial(self) -> Array:
-        """Coefficients, lowest power first, of R(z) = 1 + Σ z^(k+1) bᵀ aᵏ 1, shape (s + 1,)."""
-        stages = len(self.b)
-        a = np.array([list(row) + [0.0] * (stages - len(row)) for row in self.a])
-        coefficients, vector = [1.0], np.ones(stages)
-        for _ in range(stages):
-            coefficients.append(float(np.dot(self.b, vector)))
-            vector = a @ vector
-        return np.array(coefficients)
-
-    def step(self, ode: ca.Function) -> ca.Function:
-        """One step of the method: Function "step" (x, u, h) -> x_next that calls `ode` once a stage."""
-        # Calls instead of inlined copies: code stays as small as ode's, and compiles and runs faster than one unrolled graph.
-        x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
-        slopes: list[ca.MX] = []
-        for row in self.a:
-            slopes.append(ode(_advance(x, h, row, slopes), u))
-        return ca.Function("step", [x, u, h], [_advance(x, h, self.b, slopes)], ["x", "u", "h"], ["x_next"])
-
-
-def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
-    """x + h Σ weight · slope, with slopes of equal weight added first: each product is a pass over the state."""
-    for weight in dict.fromkeys(weights):
-        if weight:
-            total = sum(slope for slope, own in zip(slopes, weights, strict=True) if own == weight)
-            x = x + (weight * h) * total
-    return x
-
-
-@dataclass(frozen=True)
-class RungeKutta4:
-    """The classical explicit Runge-Kutta method: order 4, four evaluations a step, stable for step · ω_max < 2.83."""
-
-    tableau: ClassVar[Tableau] = Tableau(a=((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)), b=(1 / 6, 1 / 3, 1 / 3, 1 / 6))
-    order: ClassVar[int] = 4
+    tableau: ClassVar[Tableau]
 
     def step(self, ode: ca.Function) -> ca.Function:
         """One step of x' = ode(x, u) with u held: Function "step" (x, u, h) -> x_next. TypeError, ValueError: not such an ode."""
         check_ode(ode)
         return self.tableau.step(ode)
 
+    def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
+        """One step of a model: see `Scheme.advance`."""
+        return self.step(model.ode if power is None else with_work(model.ode, power))
+
     def amplification(self, z: Complex) -> Complex:
-        """R(z) = 1 + z + z²/2 + z³/6 + z⁴/24."""
+        """R(z): the method's stability polynomial."""
         return np.asarray(np.polynomial.polynomial.polyval(z, self.tableau.stability_polynomial()), dtype=complex)
 
     @property
     def imaginary_limit(self) -> float:
-        """Largest stable step · ω of an undamped vibration at ω rad/s: 2√2."""
-        return float(stability_limit(self, np.array([1j]))[0])
+        """Largest stable step · ω of an undamped vibration at ω rad/s."""
+        return float(stability_limit(self, np.array([1j]))[0])  # type: ignore[arg-type]
 
     @property
     def real_limit(self) -> float:
-        """Largest stable step · rate of an overdamped motion: 2.785."""
-        return float(stability_limit(self, np.array([-1.0 + 0j]))[0])
+        """Largest stable step · rate of an overdamped motion."""
+        return float(stability_limit(self, np.array([-1.0 + 0j]))[0])  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class RungeKutta4(ExplicitRungeKutta):
+    """The classical explicit Runge-Kutta method: order 4, four evaluations a step, stable for step · ω_max < 2.83."""
+
+    tableau: ClassVar[Tableau] = CLASSICAL
+    order: ClassVar[int] = 4
+
+
+@dataclass(frozen=True)
+class DormandPrince54(ExplicitRungeKutta):
+    """Dormand and Prince's explicit method of order 5: six evaluations a step, stable for step · ω_max < 1 (3.3 for overdamped motion)."""
+
+    tableau: ClassVar[Tableau] = DORMAND_PRINCE_54
+    order: ClassVar[int] = 5
+
+
+@dataclass(frozen=True)
+class DormandPrince853(ExplicitRungeKutta):
+    """Dormand and Prince's explicit method of order 8, as in DOP853: twelve evaluations a step, stable for step · ω_max < 5.96."""
+
+    tableau: ClassVar[Tableau] = DORMAND_PRINCE_853
+    order: ClassVar[int] = 8
+
+
+def with_work(ode: ca.Function, power: ca.Function) -> ca.Function:
+    """(z, u) -> zdot: the ode with the work of `power` (x, u) -> W as one more state, so that a scheme integrates both alike."""
+    x, u, work = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("work")
+    return ca.Function("ode_and_work", [ca.vertcat(x, work), u], [ca.vertcat(ode(x, u), power(x, u))], ["z", "u"], ["zdot"])
 
 
 def check_ode(ode: ca.Function) -> None:

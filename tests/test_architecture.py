@@ -18,14 +18,14 @@ ROOT = Path(__file__).resolve().parents[1]
 # From the bottom up; a module imports from the levels below its own, never sideways.
 TENSCASADI = (
     {"validate"},
-    {"class_one", "compiled", "loads", "schemes", "signals", "stage", "strings", "subdivision", "trajectory"},
+    {"class_one", "compiled", "loads", "signals", "stage", "strings", "subdivision", "tableaux", "trajectory"},
     {"structure"},
     {"dynamics", "shapes", "statics", "supports"},
     {"scene"},
     {"forces", "redundancy"},
     {"model"},
-    {"correction", "linear", "stability"},
-    {"export", "loop"},
+    {"correction", "linear", "schemes"},
+    {"export", "loop", "stability"},
     {"simulate"},
     {"plots"},
     {"animation", "demos"},

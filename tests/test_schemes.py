@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from tenscasadi.schemes import RungeKutta4, Scheme, Tableau, check_scheme, stability_limit
+from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4, Scheme, check_scheme, stability_limit
+from tenscasadi.tableaux import DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
 
 
 def swing() -> ca.Function:
@@ -23,12 +24,27 @@ def run(scheme: Scheme, ode: ca.Function, x: list[float], u: float, t_end: float
     return np.array(x).ravel()
 
 
-def test_order_four_on_a_smooth_ode() -> None:
-    reference = run(RungeKutta4(), swing(), [1.0, 0.5], 0.3, 2.0, 2000)
-    errors = [np.abs(run(RungeKutta4(), swing(), [1.0, 0.5], 0.3, 2.0, n) - reference).max() for n in (20, 40, 80)]
+@pytest.mark.parametrize(("scheme", "steps", "error"), [(RungeKutta4(), 20, 1e-5), (DormandPrince54(), 10, 1e-5), (DormandPrince853(), 3, 1e-6)])
+def test_order_on_a_smooth_ode(scheme: Scheme, steps: int, error: float) -> None:
+    reference = run(DormandPrince853(), swing(), [1.0, 0.5], 0.3, 2.0, 100)
+    errors = [np.abs(run(scheme, swing(), [1.0, 0.5], 0.3, 2.0, n * steps) - reference).max() for n in (1, 2, 4)]
     orders = np.log2(errors[:-1]) - np.log2(errors[1:])
-    assert np.all(np.abs(orders - RungeKutta4().order) < 0.15), orders
-    assert errors[-1] < 1e-7
+    assert abs(orders[-1] - scheme.order) < 0.5, orders
+    assert errors[0] < error
+
+
+@pytest.mark.parametrize(("tableau", "evaluations"), [(DORMAND_PRINCE_54, 6), (DORMAND_PRINCE_853, 12)])
+def test_embedded_errors_are_of_lower_order_and_cost_nothing_at_fixed_step(tableau: Tableau, evaluations: int) -> None:
+    step, trial = tableau.step(swing()), tableau.trial(swing())
+    calls = [step.instruction_MX(k).which_function() for k in range(step.n_instructions()) if step.instruction_id(k) == ca.OP_CALL]
+    assert len(calls) == evaluations
+    x, u = [1.0, 0.5], 0.3
+    assert np.array(trial(x, u, 0.2)[0]) == pytest.approx(np.array(step(x, u, 0.2)), rel=1e-15)
+    assert np.array(trial(x, u, 0.2)[2]) == pytest.approx(np.array(swing()(x, u)))
+    estimates = np.array([np.linalg.norm(trial(x, u, h)[1].full(), axis=0) for h in (0.2, 0.1)])
+    expected = {1: [5], 2: [6, 4]}[len(tableau.errors)]
+    assert np.log2(estimates[0] / estimates[1]) == pytest.approx(expected, abs=0.4)
+    assert all(abs(sum(row)) < 1e-14 for row in tableau.errors)
 
 
 def test_step_has_names_and_no_control_is_fine() -> None:
@@ -70,6 +86,8 @@ def test_a_scheme_without_limit_has_an_infinite_step() -> None:
         def step(self, ode: ca.Function) -> ca.Function:
             raise NotImplementedError
 
+        advance = step
+
         def amplification(self, z: np.ndarray) -> np.ndarray:
             return (1 + z / 2) / (1 - z / 2)
 
@@ -99,6 +117,8 @@ def test_what_is_no_ode_is_refused() -> None:
 
 
 def test_tableaux_are_checked() -> None:
+    with pytest.raises(ValueError, match=r"errors\[0\]"):
+        Tableau(a=((), (0.5,)), b=(0.5, 0.5), errors=((1.0,),))
     with pytest.raises(ValueError, match="a has rows"):
         Tableau(a=((), (0.5, 0.5)), b=(0.5, 0.5))
     with pytest.raises(ValueError, match=r"a\[1\]\[0\] is nan"):
