@@ -53,7 +53,10 @@ def test_certified_solution_to_a_nanometre(name: str) -> None:
 
 
 @BOTH
-@pytest.mark.parametrize(("name", "step", "tolerance"), [("dbar_regular", 1e-3, 2e-6), ("net4", 1e-4, 2e-7), ("lander_mass", 1e-4, 4e-5), ("redundant_triangle", 1e-4, 2e-5)])
+@pytest.mark.parametrize(
+    ("name", "step", "tolerance"),
+    [("dbar_regular", 1e-3, 2e-6), ("net4", 1e-4, 2e-7), ("lander_mass", 1e-4, 4e-5), ("redundant_triangle", 1e-4, 2e-5)],
+)
 def test_certified_solution_across_slack_and_contact(name: str, step: float, tolerance: float, coordinates: Coordinates) -> None:
     case = certified(name)
     assert error(case, case.data["t"], step, coordinates).max() < tolerance
