@@ -85,7 +85,7 @@ DEMOS = MappingProxyType(
             velocities=_swing,
         ),
         "six-bar-ball": Demo(
-            "six bars of 1 m and 1 kg, 24 strings of 1000 N/m with 50 N/m; thrown at 3 m/s along x and 5 m/s up, tumbling at 3.2 rad/s, under gravity",
+            "six bars of 1 m and 1 kg, 24 strings of 1000 N/m with 50 N/m; thrown at 3 m/s along x and 5 m/s up, tumbling, under gravity",
             lambda: shapes.six_bar_ball(prestress=50.0, stiffness=1000.0, damping=2.0),
             t_end=1.0,
             gravity=9.81,
