@@ -14,6 +14,7 @@ from tenscasadi.export import export_c
 from tenscasadi.linear import Linearization, Modes, linearize, modes
 from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
 from tenscasadi.model import Energy, Model
+from tenscasadi.rattle import Rattle
 from tenscasadi.redundancy import RedundantConstraints
 from tenscasadi.scene import Scene
 from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4
@@ -59,6 +60,7 @@ __all__ = [
     "RungeKutta4",
     "DormandPrince54",
     "DormandPrince853",
+    "Rattle",
     "Projection",
     "BarLengthCorrection",
     "stable_step",

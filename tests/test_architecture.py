@@ -25,7 +25,7 @@ TENSCASADI = (
     {"forces", "redundancy"},
     {"model"},
     {"correction", "linear", "schemes"},
-    {"export", "loop", "stability"},
+    {"export", "loop", "rattle", "stability"},
     {"simulate"},
     {"plots"},
     {"animation", "demos"},
