@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from tenscasadi.dynamics import sparse
+from tenscasadi.algebra import sparse
 from tenscasadi.model import Model
 from tenscasadi.structure import Structure
 from tenscasadi.validate import Array

@@ -10,7 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi import dynamics
-from tenscasadi.dynamics import Mechanism, sparse, without_residual, without_stretching
+from tenscasadi.algebra import sparse
+from tenscasadi.dynamics import Mechanism, without_residual, without_stretching
 from tenscasadi.model import Model
 from tenscasadi.validate import positive_number, whole_number
 

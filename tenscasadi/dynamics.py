@@ -12,7 +12,6 @@ bar has its own nodes, G is diagonal, λ̂ is eliminated bar by bar and Ω solve
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -20,13 +19,12 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from tenscasadi.algebra import block_inverse, clean, fill, is_diagonal, solve_semidefinite, sparse, staged
 from tenscasadi.structure import Structure, connectivity
 from tenscasadi.validate import Array, Indices
 
 UNROLL_MEMBERS = 300  # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
 UNROLL_SOLVE = 6  # above, linear systems are solved by a routine instead of unrolled scalar code: shorter derivatives
-REGULARISATION = 1e-10  # on a system of unit diagonal; two refinements remove it from all that is not redundant
-REFINEMENTS = 2
 
 Coordinates = Literal["reduced", "full"]
 BarLength = Literal["current", "constant"]
@@ -79,14 +77,14 @@ class Mechanism:
 
     def with_inverse(self, X: Any, then: Any = None) -> Any:
         """X M⁻ (3×n), or X M⁻ `then` (a constant matrix of n rows)."""
-        factors = [sparse(inverse if then is None else _clean(inverse @ then)) for inverse in self.inverse]
+        factors = [sparse(inverse if then is None else clean(inverse @ then)) for inverse in self.inverse]
         if len(factors) == 1:
             return ca.mtimes(X, factors[0])
         return ca.vertcat(*(ca.mtimes(X[axis, :], factors[axis]) for axis in range(3)))
 
     def G(self) -> tuple[sp.csr_array, ...]:
         """C_b M⁻ C_bᵀ (β×β) for each axis, or once."""
-        return tuple(_clean(self.C_b @ inverse @ self.C_b.T) for inverse in self.inverse)
+        return tuple(clean(self.C_b @ inverse @ self.C_b.T) for inverse in self.inverse)
 
     @property
     def system_size(self) -> int:
@@ -94,7 +92,7 @@ class Mechanism:
         if self.joints:
             return 3 * self.joints
         G = self.G()
-        alone = len(G) == 1 and _is_diagonal(G[0]) and bool(np.all(G[0].diagonal() > 0))
+        alone = len(G) == 1 and is_diagonal(G[0]) and bool(np.all(G[0].diagonal() > 0))
         return 0 if alone else self.bars
 
 
@@ -107,7 +105,7 @@ def mechanism(structure: Structure, coordinates: Coordinates, bar_length: BarLen
         free = ~structure.fixed
         axes = [free[:, 0]] if (free == free[:, :1]).all() else [free[:, axis] for axis in range(3)]
         every = np.arange(n)
-        inverse = tuple(_inverse(M, axis) for axis in axes)
+        inverse = tuple(block_inverse(M, axis) for axis in axes)
         none = sp.csr_array((n, 0)), np.zeros((3, 0)), np.ones((3, 0), bool)
         return Mechanism(structure.nodes.T, free, every, every, C_b, C_s, M, inverse, *none, structure.bar_lengths, constant)
     split = structure.class_one(sparse=True)
@@ -123,7 +121,7 @@ def mechanism(structure: Structure, coordinates: Coordinates, bar_length: BarLen
     C_b = sp.csr_array(split.C_b @ split.C_nb)
     # A pinned string node may have no mass; it never moves, so any mass gives the same motion.
     diagonal = split.M_s.diagonal()
-    inverse = (_inverse(split.M_s + sp.diags_array(np.where(diagonal == 0, diagonal.max(initial=0.0) or 1.0, 0.0)), free[:, 0]),)
+    inverse = (block_inverse(split.M_s + sp.diags_array(np.where(diagonal == 0, diagonal.max(initial=0.0) or 1.0, 0.0)), free[:, 0]),)
     C_s = sp.csr_array(split.C_s)
     return Mechanism(split.N, free, split.physical, first, C_b, C_s, split.M_s, inverse, P, D, active, structure.bar_lengths, constant)
 
@@ -136,7 +134,7 @@ def system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
     if not mech.joints:
         return _reduced_matrix(mech, B), -r.T
     h = _bar_scale(mech, B)
-    K = _clean(mech.P.T @ mech.inverse[0] @ mech.C_b.T)  # c×β
+    K = clean(mech.P.T @ mech.inverse[0] @ mech.C_b.T)  # c×β
     rhs = (ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(K.T)) - R) * ca.DM(mech.active.astype(float))  # 3×c
     return _joint_matrix(mech, B / ca.repmat(ca.sqrt(h), 3, 1), K), ca.vec(rhs)
 
@@ -145,7 +143,7 @@ def multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, An
     """λ (1×β) and Ω (3×c) from the solution of `system`, or bar by bar where nothing had to be solved."""
     if mech.joints:
         Omega = ca.reshape(solution, 3, mech.joints)
-        K = _clean(mech.P.T @ mech.inverse[0] @ mech.C_b.T)
+        K = clean(mech.P.T @ mech.inverse[0] @ mech.C_b.T)
         return -(r + ca.sum1(B * ca.mtimes(Omega, sparse(K)))) / _bar_scale(mech, B), Omega
     Omega = ca.DM.zeros(3, 0)
     if mech.system_size:
@@ -180,41 +178,6 @@ def without_stretching(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
     return without_residual(mech, V, B, ca.sum1(B * Bd), ca.mtimes(V, sparse(mech.P)) - Dd)
 
 
-def solve_semidefinite(A: Any, b: Any) -> Any:
-    """x with A x = b for a symmetric positive semidefinite A, also where rows repeat each other (then b must be consistent).
-
-    The diagonal is scaled to one, the factored matrix is A + εI, and two refinements take ε out of all but the null space.
-    """
-    size = A.shape[0]
-    diagonal = ca.diag(A)
-    scale = 1 / ca.sqrt(diagonal + 1e-14 * ca.sum1(diagonal))  # a row of zeros stays zero
-    scaled = A * _on_pattern(A, scale)
-    target = b * scale
-    shifted = scaled + REGULARISATION * ca.DM.eye(size)
-    solve = _unrolled_solver(shifted) if isinstance(A, ca.SX) else lambda rhs: ca.solve(shifted, rhs, "ldl")
-    x = solve(target)
-    for _ in range(REFINEMENTS):
-        x = x + solve(target - ca.mtimes(scaled, x))
-    return x * scale
-
-
-def staged(large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
-    """`function` of the arguments; MX arguments of a structure that is not large go through an SX Function: scalar code, called once."""
-    if large or not any(isinstance(argument, ca.MX) for argument in arguments):
-        return function(*arguments)
-    inputs = [ca.MX(argument) for argument in arguments]
-    symbols = [ca.SX.sym(f"a{k}", value.sparsity()) for k, value in enumerate(inputs)]
-    return tuple(ca.Function("stage", symbols, ca.cse([ca.SX(value) for value in function(*symbols)])).call(inputs))
-
-
-def sparse(matrix: Any) -> ca.DM:
-    """A SciPy sparse matrix as a CasADi one."""
-    csc = sp.csc_array(matrix)
-    csc.sort_indices()
-    rows, columns = csc.shape
-    return ca.DM(ca.Sparsity(rows, columns, csc.indptr.tolist(), csc.indices.tolist()), csc.data)
-
-
 def _bar_scale(mech: Mechanism, B: Any) -> Any:
     """h = bᵀb G_ii (1×β) of bars that stand alone; l² G_ii with the paper's constant length."""
     squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
@@ -233,13 +196,13 @@ def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
         values = ca.sum1(products).T * weights[0]
     else:
         values = sum(products[axis, :].T * weights[axis] for axis in range(3))
-    return _fill(ca.Sparsity.triplet(mech.bars, mech.bars, rows, columns), values)
+    return fill(ca.Sparsity.triplet(mech.bars, mech.bars, rows, columns), values)
 
 
 def _joint_matrix(mech: Mechanism, unit: Any, K: sp.csr_array) -> Any:
     """(Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ) (3c×3c), with kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ: Eq. 103 with Eᵀ, columns combined to be symmetric."""
     c = mech.joints
-    E = _clean(mech.P.T @ mech.inverse[0] @ mech.P)
+    E = clean(mech.P.T @ mech.inverse[0] @ mech.P)
     pattern = sp.coo_array(abs(E) + abs(K) @ abs(K.T) + sp.eye_array(c))
     n, j = pattern.row, pattern.col
     direct = np.asarray(E[n, j]).ravel()
@@ -261,54 +224,4 @@ def _joint_matrix(mech: Mechanism, unit: Any, K: sp.csr_array) -> Any:
     row, column = np.concatenate(rows), np.concatenate(columns)
     order = np.lexsort((row, column))
     sparsity = ca.Sparsity.triplet(3 * c, 3 * c, row[order].tolist(), column[order].tolist())
-    return _fill(sparsity, ca.vertcat(*values)[order.tolist()])
-
-
-def _fill(sparsity: ca.Sparsity, values: Any) -> Any:
-    values = ca.densify(values)
-    return ca.SX(sparsity, values) if isinstance(values, ca.SX) else ca.MX(sparsity, values) if isinstance(values, ca.MX) else ca.DM(sparsity, values)
-
-
-def _on_pattern(A: Any, scale: Any) -> Any:
-    """scaleᵢ scaleⱼ on the pattern of A."""
-    rows, columns = A.sparsity().get_triplet()
-    return _fill(A.sparsity(), scale[rows] * scale[columns])
-
-
-def _unrolled_solver(A: Any) -> Callable[[Any], Any]:
-    D, LT, permutation = ca.ldl(A)
-    return lambda rhs: ca.ldl_solve(rhs, D, LT, permutation)
-
-
-def _clean(matrix: Any) -> sp.csr_array:
-    """The matrix without entries that are zero but for rounding."""
-    result = sp.csr_array(matrix)
-    if result.nnz:
-        result.data[abs(result.data) < 1e-14 * abs(result.data).max()] = 0
-        result.eliminate_zeros()
-    return result
-
-
-def _is_diagonal(matrix: sp.csr_array) -> bool:
-    coo = sp.coo_array(matrix)
-    return bool(np.all(coo.row == coo.col))
-
-
-def _inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
-    """The inverse of M on the free coordinates, embedded in n×n with zeros elsewhere; block by block, since bars rarely all hang together."""
-    n = M.shape[0]
-    index = np.flatnonzero(free)
-    inner = sp.csr_array(M)[index][:, index]
-    count, label = sp.csgraph.connected_components(inner, directed=False)
-    order = np.argsort(label, kind="stable")
-    sizes = np.bincount(label, minlength=count)
-    rows, columns, data = [], [], []
-    for block in np.split(order, np.cumsum(sizes)[:-1]) if len(index) else []:
-        inverse = np.linalg.inv(inner[block][:, block].toarray())
-        nodes = index[block]
-        rows.append(np.repeat(nodes, len(nodes)))
-        columns.append(np.tile(nodes, len(nodes)))
-        data.append(((inverse + inverse.T) / 2).ravel())
-    if not rows:
-        return sp.csr_array((n, n))
-    return sp.csr_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
+    return fill(sparsity, ca.vertcat(*values)[order.tolist()])

@@ -10,7 +10,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics import Mechanism, sparse
+from tenscasadi.algebra import sparse
+from tenscasadi.dynamics import Mechanism
 from tenscasadi.scene import Scene
 from tenscasadi.strings import ForceDensity, RestLength
 from tenscasadi.validate import Array

@@ -9,7 +9,8 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi import dynamics, forces
-from tenscasadi.dynamics import Mechanism, sparse, staged
+from tenscasadi.algebra import sparse, staged
+from tenscasadi.dynamics import Mechanism
 from tenscasadi.model import Model
 from tenscasadi.schemes import Complex
 from tenscasadi.tableaux import CLASSICAL, MIDPOINT, Tableau

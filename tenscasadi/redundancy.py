@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi import dynamics
-from tenscasadi.dynamics import Mechanism, sparse
+from tenscasadi.algebra import sparse
+from tenscasadi.dynamics import Mechanism
 from tenscasadi.structure import Structure
 
 SINGULAR = 1e-9  # relative to a system of unit diagonal

@@ -18,11 +18,12 @@ ROOT = Path(__file__).resolve().parents[1]
 # From the bottom up; a module imports from the levels below its own, never sideways.
 TENSCASADI = (
     {"validate"},
-    {"class_one", "compiled", "loads", "signals", "stage", "strings", "subdivision", "tableaux", "trajectory"},
+    {"algebra", "class_one", "compiled", "loads", "signals", "stage", "strings", "subdivision", "tableaux", "trajectory"},
     {"structure"},
     {"dynamics", "shapes", "statics", "supports"},
     {"scene"},
     {"forces", "redundancy"},
+    {"state_space"},
     {"model"},
     {"correction", "linear", "schemes"},
     {"export", "loop", "rattle", "stability"},

@@ -1,0 +1,99 @@
+"""Sparse matrices and small linear systems in CasADi."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+REGULARISATION = 1e-10  # on a system of unit diagonal; two refinements remove it from all that is not redundant
+REFINEMENTS = 2
+
+
+def solve_semidefinite(A: Any, b: Any) -> Any:
+    """x with A x = b for a symmetric positive semidefinite A, also where rows repeat each other (then b must be consistent).
+
+    The diagonal is scaled to one, the factored matrix is A + εI, and two refinements take ε out of all but the null space.
+    """
+    size = A.shape[0]
+    diagonal = ca.diag(A)
+    scale = 1 / ca.sqrt(diagonal + 1e-14 * ca.sum1(diagonal))  # a row of zeros stays zero
+    scaled = A * _on_pattern(A, scale)
+    target = b * scale
+    shifted = scaled + REGULARISATION * ca.DM.eye(size)
+    solve = _unrolled_solver(shifted) if isinstance(A, ca.SX) else lambda rhs: ca.solve(shifted, rhs, "ldl")
+    x = solve(target)
+    for _ in range(REFINEMENTS):
+        x = x + solve(target - ca.mtimes(scaled, x))
+    return x * scale
+
+
+def staged(large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
+    """`function` of the arguments; MX arguments of a structure that is not large go through an SX Function: scalar code, called once."""
+    if large or not any(isinstance(argument, ca.MX) for argument in arguments):
+        return function(*arguments)
+    inputs = [ca.MX(argument) for argument in arguments]
+    symbols = [ca.SX.sym(f"a{k}", value.sparsity()) for k, value in enumerate(inputs)]
+    return tuple(ca.Function("stage", symbols, ca.cse([ca.SX(value) for value in function(*symbols)])).call(inputs))
+
+
+def sparse(matrix: Any) -> ca.DM:
+    """A SciPy sparse matrix as a CasADi one."""
+    csc = sp.csc_array(matrix)
+    csc.sort_indices()
+    rows, columns = csc.shape
+    return ca.DM(ca.Sparsity(rows, columns, csc.indptr.tolist(), csc.indices.tolist()), csc.data)
+
+
+def fill(sparsity: ca.Sparsity, values: Any) -> Any:
+    """A matrix of this sparsity with these values (nnz), of their CasADi type."""
+    values = ca.densify(values)
+    return ca.SX(sparsity, values) if isinstance(values, ca.SX) else ca.MX(sparsity, values) if isinstance(values, ca.MX) else ca.DM(sparsity, values)
+
+
+def _on_pattern(A: Any, scale: Any) -> Any:
+    """scaleᵢ scaleⱼ on the pattern of A."""
+    rows, columns = A.sparsity().get_triplet()
+    return fill(A.sparsity(), scale[rows] * scale[columns])
+
+
+def _unrolled_solver(A: Any) -> Callable[[Any], Any]:
+    D, LT, permutation = ca.ldl(A)
+    return lambda rhs: ca.ldl_solve(rhs, D, LT, permutation)
+
+
+def clean(matrix: Any) -> sp.csr_array:
+    """The matrix without entries that are zero but for rounding."""
+    result = sp.csr_array(matrix)
+    if result.nnz:
+        result.data[abs(result.data) < 1e-14 * abs(result.data).max()] = 0
+        result.eliminate_zeros()
+    return result
+
+
+def is_diagonal(matrix: sp.csr_array) -> bool:
+    coo = sp.coo_array(matrix)
+    return bool(np.all(coo.row == coo.col))
+
+
+def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
+    """The inverse of M on the free coordinates, embedded in n×n with zeros elsewhere; block by block, since bars rarely all hang together."""
+    n = M.shape[0]
+    index = np.flatnonzero(free)
+    inner = sp.csr_array(M)[index][:, index]
+    count, label = sp.csgraph.connected_components(inner, directed=False)
+    order = np.argsort(label, kind="stable")
+    sizes = np.bincount(label, minlength=count)
+    rows, columns, data = [], [], []
+    for block in np.split(order, np.cumsum(sizes)[:-1]) if len(index) else []:
+        inverse = np.linalg.inv(inner[block][:, block].toarray())
+        nodes = index[block]
+        rows.append(np.repeat(nodes, len(nodes)))
+        columns.append(np.tile(nodes, len(nodes)))
+        data.append(((inverse + inverse.T) / 2).ravel())
+    if not rows:
+        return sp.csr_array((n, n))
+    return sp.csr_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
