@@ -10,6 +10,7 @@ c = 2 η √(k m), η = 0.1. Pressure follows the membrane, the caps' load does 
 from __future__ import annotations
 
 import sys
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,6 +49,7 @@ def caps(p: int, q: int) -> np.ndarray:
     return forces
 
 
+@cache
 def membrane(p: int, q: int) -> tc.Structure:
     """`q` rings of `p` nodes in equilibrium with 1 atm. The load decides all tensions, and these all masses and stiffnesses."""
     bare = tc.shapes.membrane(p, q, RADIUS, LENGTH, node_mass=1.0)
@@ -71,7 +73,7 @@ def run(p: int, q: int, rise: float = RISE) -> tc.Trajectory:
     """The motion after the pressure has become `rise` atm at t = 0."""
     pressure = tc.Pressure(membrane_faces(p, q).tolist(), rise * ATMOSPHERE)
     scene = tc.Scene(membrane(p, q), ends="lumped", pressure=pressure, forces=tc.NodalForce(rise * caps(p, q)))
-    return tc.simulate(tc.Model(scene), T_END, STEP, save_every=5)
+    return tc.simulate(tc.Model(scene), T_END, STEP, save_every=5, compiled=False)  # runs once: to compile it would take longer
 
 
 def radial(trajectory: tc.Trajectory, p: int, q: int) -> np.ndarray:
