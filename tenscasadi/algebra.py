@@ -75,6 +75,7 @@ def clean(matrix: Any) -> sp.csr_array:
 
 
 def is_diagonal(matrix: sp.csr_array) -> bool:
+    """Whether nothing is stored off the diagonal."""
     coo = sp.coo_array(matrix)
     return bool(np.all(coo.row == coo.col))
 
