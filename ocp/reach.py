@@ -9,7 +9,8 @@ import numpy as np
 
 from tenscasadi.validate import Array
 
-REACHED = 1e-5  # of the strongest direction: below it a row of the goal is not controlled to first order, or by the rounding of long steps only
+REACHED = 1e-5  # of the strongest direction: below it a row of the goal is not controlled to first order, or by errors of the scheme only
+HARDLY_REACHED = 1e-9  # the same, for a second attempt
 
 
 class Reach:
@@ -46,9 +47,9 @@ class Reach:
         return np.concatenate([*columns[::-1], last][: self._count + self._free_duration], axis=1)
 
 
-def controlled(sensitivity: Array) -> Array:
+def controlled(sensitivity: Array, least: float = REACHED) -> Array:
     """Orthonormal combinations (rank, m) of rows that the controls can move, given their gradient; all of them where it is not finite."""
     if not np.all(np.isfinite(sensitivity)) or not sensitivity.size:
         return np.eye(len(sensitivity))
     left, values, _ = np.linalg.svd(sensitivity, full_matrices=False)
-    return np.asarray(left[:, values > REACHED * values.max(initial=0.0)].T)
+    return np.asarray(left[:, values > least * values.max(initial=0.0)].T)

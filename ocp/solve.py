@@ -13,7 +13,7 @@ from ocp.explain import explain_failure
 from ocp.guess import Guess, make_guess
 from ocp.plan import Plan
 from ocp.problem import Problem
-from ocp.reach import Reach, controlled
+from ocp.reach import HARDLY_REACHED, REACHED, Reach, controlled
 from ocp.solver import Ipopt, Solution, Solver
 from ocp.target import Scales, Target, find_target
 from ocp.transcription import MultipleShooting, Program, Transcription
@@ -54,7 +54,7 @@ def solve(problem: Problem, transcription: Transcription | None = None, solver: 
     if imposed.count < target.count and not (outcome.solution.success and _met(target, outcome.guess, scales)):
         # Rows that no string moved along the guess are missed: along a less regular motion they may be within reach.
         guess = _loosened(problem, guess)
-        again = _controlled(target, reach, guess)
+        again = _controlled(target, reach, guess, HARDLY_REACHED)
         if again.count > imposed.count:
             imposed = again
             outcome = _attempt(problem, transcription, solver, imposed, scales, guess)
@@ -72,14 +72,14 @@ def _check_freedom(problem: Problem, target: Target, intervals: int) -> None:
         )
 
 
-def _controlled(target: Target, reach: Reach, guess: Guess) -> Target:
+def _controlled(target: Target, reach: Reach, guess: Guess, least: float = REACHED) -> Target:
     """The target without the rows that the strings cannot move, to first order, along the motion that the guess's force densities cause."""
     if not target.count:
         return target
     states = reach.rollout(target.start, guess.force_density, guess.duration)
     if not np.all(np.isfinite(states)):
         return target
-    kept = controlled(reach.of_rows(target.rows, states, guess.force_density, guess.duration))
+    kept = controlled(reach.of_rows(target.rows, states, guess.force_density, guess.duration), least)
     missing = target.count - len(kept)
     if not missing:
         return target
@@ -102,7 +102,8 @@ def _attempt(problem: Problem, transcription: Transcription, solver: Solver, tar
     states, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
     lower, upper = problem.force_density_limits
     # Interior-point methods overstep limits by their tolerance.
-    return _Outcome(program, solution, Guess(states.T, np.clip(controls.T, lower, upper), float(duration.squeeze())))
+    duration = np.clip(duration.squeeze(), problem.shortest, problem.longest)
+    return _Outcome(program, solution, Guess(states.T, np.clip(controls.T, lower, upper), float(duration)))
 
 
 def _misfit(target: Target, state: Array) -> tuple[float, float]:
