@@ -100,6 +100,7 @@ def convergence(errors: dict[tuple[Ends, int], float]) -> Figure:
     ax.plot(MOST - 1, 0.5, "v", color="black", ms=8, label="paper: less than")
     ax.set(xlabel="segments a string", ylabel=f"error of node 1 against {MOST} segments (%)", xticks=range(1, MOST))
     ax.grid(visible=True, which="both", color="0.92")
+    ax.yaxis.set_major_formatter("{x:g}")
     ax.legend(frameon=False)
     return figure
 
