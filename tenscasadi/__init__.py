@@ -16,6 +16,7 @@ from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
 from tenscasadi.model import Energy, Model
 from tenscasadi.rattle import Rattle
 from tenscasadi.redundancy import RedundantConstraints
+from tenscasadi.reference import NoReference, Reference, certify
 from tenscasadi.scene import Scene
 from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.simulate import simulate
@@ -24,6 +25,8 @@ from tenscasadi.statics import EquilibriumError, equilibrium_force_density, self
 from tenscasadi.strings import Clip, ForceDensity, RestLength, Smooth
 from tenscasadi.structure import Structure
 from tenscasadi.supports import SupportMotion
+from tenscasadi.table import Row, Tradeoff
+from tenscasadi.tradeoff import tradeoff
 from tenscasadi.trajectory import Trajectory
 
 __all__ = [
@@ -66,4 +69,11 @@ __all__ = [
     "stable_step",
     "Trajectory",
     "CompileError",
+    # speed against accuracy
+    "tradeoff",
+    "Tradeoff",
+    "Row",
+    "certify",
+    "Reference",
+    "NoReference",
 ]

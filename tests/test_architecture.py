@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # From the bottom up; a module imports from the levels below its own, never sideways.
 TENSCASADI = (
     {"validate"},
-    {"algebra", "class_one", "compiled", "loads", "signals", "stage", "strings", "subdivision", "tableaux", "trajectory"},
+    {"algebra", "class_one", "compiled", "loads", "signals", "stage", "strings", "subdivision", "tableaux", "trajectory", "work_precision"},
     {"structure"},
     {"dynamics", "shapes", "statics", "supports"},
     {"scene"},
@@ -27,9 +27,9 @@ TENSCASADI = (
     {"model"},
     {"correction", "linear", "schemes"},
     {"export", "loop", "rattle", "stability"},
-    {"simulate"},
-    {"plots"},
-    {"animation", "demos"},
+    {"simulate", "table"},
+    {"plots", "reference"},
+    {"animation", "demos", "tradeoff"},
     {"cli"},
     {"__main__"},
 )
@@ -44,7 +44,7 @@ OCP = (
     {"explain"},
     {"solve"},
 )
-PICTURES = {"stage", "plots", "animation", "demos", "cli", "__main__"}
+PICTURES = {"stage", "work_precision", "plots", "animation", "demos", "cli", "__main__"}
 
 
 def modules(package: str) -> dict[str, Path]:

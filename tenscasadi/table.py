@@ -1,0 +1,201 @@
+"""Measured runs as a table: what each costs, how wrong it is, and which are worth their time."""
+
+from __future__ import annotations
+
+import ast
+import os
+import zipfile
+import zlib
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from tenscasadi import correction, rattle, schemes
+from tenscasadi.correction import Correction
+from tenscasadi.schemes import Scheme
+from tenscasadi.validate import positive_number
+
+_FORMAT = "tenscasadi tradeoff 1"
+_KINDS: dict[str, Any] = {
+    name: kind
+    for module in (schemes, rattle, correction)
+    for name, kind in vars(module).items()
+    if is_dataclass(kind) and getattr(kind, "__module__", "") == module.__name__
+}
+Cost = Literal["seconds", "work"]
+# Anything that reading a damaged or foreign archive may raise.
+_UNREADABLE = (
+    *(OSError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, AttributeError, SyntaxError),
+    *(zipfile.BadZipFile, zlib.error),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run of a trade-off.
+
+    step: s, NaN for a scheme that chooses its own; fidelity: the name of the model; compiled: as machine code or in the virtual machine.
+    seconds: wall time of the time loop per simulated second, the median of repeats; setup: wall time of equations and compilation, s.
+    position: largest distance of a node from the reference at the end, m; bar, joint (m), energy (J): largest over the run, as in `Trajectory`.
+    instructions: of one step with its correction; steps: of the run.
+    """
+
+    scheme: Scheme
+    step: float
+    correction: Correction | None
+    fidelity: str
+    compiled: bool
+    seconds: float
+    setup: float
+    position: float
+    bar: float
+    joint: float
+    energy: float
+    instructions: int
+    steps: int
+    success: bool
+    message: str
+
+    @property
+    def work(self) -> float:
+        """Instructions of the whole run: a cost that no other load of the machine changes."""
+        return float(self.instructions) * self.steps
+
+    @property
+    def name(self) -> str:
+        """What tells this row's curve from others: all but the step."""
+        extra = [] if self.correction is None else [short(self.correction)]
+        extra += [self.fidelity] if self.fidelity else []
+        return ", ".join([short(self.scheme), *extra, *([] if self.compiled else ["virtual machine"])])
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """The rows of a trade-off study over [0, t_end].
+
+    reference_error: how far the reference itself may be off, m; reference_message: how it was found. complete: False when the study was
+    interrupted; message says so.
+    """
+
+    rows: tuple[Row, ...]
+    t_end: float
+    reference_error: float
+    reference_message: str
+    complete: bool = True
+    message: str = ""
+
+    def pareto(self, cost: Cost = "seconds") -> tuple[Row, ...]:
+        """The rows that no other beats in both cost and position error, from the cheapest to the most accurate.
+
+        cost: "seconds", as measured, or "work", instructions times steps.
+        """
+        front: list[Row] = []
+        for row in sorted(self._good(), key=lambda row: (_cost(row, cost), row.position)):
+            if not front or row.position < front[-1].position:
+                front.append(row)
+        return tuple(front)
+
+    def cheapest(self, tolerance: float, cost: Cost = "seconds") -> Row:
+        """The cheapest row whose position error, with that of the reference, is within `tolerance`, m. ValueError when there is none."""
+        tolerance = positive_number("tolerance", tolerance)
+        within = [row for row in self._good() if row.position + self.reference_error <= tolerance]
+        if within:
+            return min(within, key=lambda row: _cost(row, cost))
+        if tolerance <= self.reference_error:
+            raise ValueError(f"tolerance is {tolerance:g} m: the reference itself may be off by {self.reference_error:.2g} m, give more than that")
+        least = min((row.position for row in self._good()), default=float("nan"))
+        raise ValueError(f"tolerance is {tolerance:g} m: the most accurate of {len(self.rows)} runs is off by {least:.2g} m, add smaller steps")
+
+    def summary(self) -> str:
+        """The table as lines of text; rows of the front of cost against error are marked."""
+        width = max([len(row.name) for row in self.rows] + [6])
+        names = {"step s": 9, "s per s": 9, "position m": 10, "bars": 8, "joints m": 8, "energy J": 9, "instr.": 7, "set-up s": 8}
+        head = f"  {'scheme':<{width}} " + " ".join(f"{name:>{size}}" for name, size in names.items())
+        front = set(map(id, self.pareto()))
+        lines = [head]
+        for row in self.rows:
+            mark = "*" if id(row) in front else " "
+            start = f"{mark} {row.name:<{width}} {_number(row.step, '9.3g')}"
+            if row.success:
+                errors = f"{row.position:10.2g} {row.bar:8.1g} {row.joint:8.1g} {_number(row.energy, '9.2g')}"
+                lines.append(f"{start} {row.seconds:9.2g} {errors} {row.instructions:7} {row.setup:8.2f}")
+            else:
+                lines.append(f"{start}   {row.message.split(';')[0]}")
+        lines.append(f"reference: {self.reference_message}")
+        lines.append("s per s: seconds per simulated second, without set-up; *: no other row is both faster and more accurate")
+        return "\n".join([*lines, self.message] if self.message else lines)
+
+    def plot(self, path: str | os.PathLike[str] | None = None, title: str = "") -> Any:
+        """A work-precision diagram as a matplotlib Figure, saved where `path` is given: seconds per simulated second over position error."""
+        from tenscasadi.work_precision import work_precision  # loads matplotlib
+
+        curves: dict[str, list[tuple[float, float]]] = {}
+        for row in self._good():
+            curves.setdefault(row.name, []).append((row.position, row.seconds))
+        front = [(row.position, row.seconds) for row in self.pareto()]
+        return work_precision(curves, front, self.reference_error, title=title, path=path)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes a compressed .npz file (NumPy arrays only) to exactly `path` and returns it. Raises OSError when it cannot be written."""
+        columns = {field.name: [getattr(row, field.name) for row in self.rows] for field in fields(Row)}
+        for name in ("scheme", "correction"):
+            columns[name] = list(map(repr, columns[name]))
+        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "rows"}
+        content = {f"row_{name}": np.asarray(values) for name, values in columns.items()} | {name: np.asarray(value) for name, value in own.items()}
+        target = Path(path)
+        with open(target, "wb") as file:
+            np.savez_compressed(file, allow_pickle=False, format=np.asarray(_FORMAT), **content)
+        return target
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Tradeoff:
+        """The study saved in `path`. No code in the file is ever run.
+
+        Raises FileNotFoundError, and ValueError naming the file for one that cannot be read or is no study.
+        """
+        try:
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+                content = {name: archive[name] for name in archive.files}
+            if str(content.pop("format", "")) != _FORMAT:
+                raise ValueError(f"its field 'format' is not {_FORMAT!r}")
+            columns = {field.name: content.pop(f"row_{field.name}").tolist() for field in fields(Row)}
+            for name in ("scheme", "correction"):
+                columns[name] = [_value(text) for text in columns[name]]
+            rows = tuple(Row(**dict(zip(columns, values, strict=True))) for values in zip(*columns.values(), strict=True))
+            return Tradeoff(rows=rows, **{name: value.item() for name, value in content.items()})
+        except FileNotFoundError:
+            raise
+        except _UNREADABLE as error:
+            raise ValueError(f"{os.fspath(path)} cannot be read as a trade-off ({error}): give a file written by Tradeoff.save") from None
+
+    def _good(self) -> list[Row]:
+        return [row for row in self.rows if row.success]
+
+
+def short(value: Any) -> str:
+    """A frozen value as text, with only the options that are not the default."""
+    own = [(field.name, getattr(value, field.name), field.default) for field in fields(value)] if is_dataclass(value) else []
+    changed = ", ".join(f"{name}={option!r}" for name, option, default in own if option != default)
+    return type(value).__name__ + (f"({changed})" if changed else "")
+
+
+def _cost(row: Row, cost: Cost) -> float:
+    if cost not in ("seconds", "work"):
+        raise ValueError(f'cost is {cost!r}: give "seconds" or "work"')
+    return row.seconds if cost == "seconds" else row.work
+
+
+def _number(value: float, form: str) -> str:
+    return f"{'–':>{form.split('.')[0]}}" if np.isnan(value) else f"{value:{form}}"
+
+
+def _value(text: str) -> Any:
+    """The scheme or correction that `repr` wrote: a known class with plain options."""
+    tree = ast.parse(text, mode="eval").body
+    if isinstance(tree, ast.Constant) and tree.value is None:
+        return None
+    if not isinstance(tree, ast.Call) or not isinstance(tree.func, ast.Name) or tree.func.id not in _KINDS or tree.args:
+        raise ValueError(f"{text!r} is no scheme or correction")
+    return _KINDS[tree.func.id](**{str(option.arg): ast.literal_eval(option.value) for option in tree.keywords})

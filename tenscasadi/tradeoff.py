@@ -1,0 +1,208 @@
+"""Speed against accuracy, measured: a grid of schemes, steps, corrections and models against a certified reference."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from statistics import median
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from tenscasadi.correction import BarLengthCorrection, Correction, Projection
+from tenscasadi.model import Model, instructions
+from tenscasadi.reference import Reference, certify, distance, end_nodes, interrupted
+from tenscasadi.schemes import Scheme, check_scheme
+from tenscasadi.signals import ControlInput
+from tenscasadi.simulate import simulate
+from tenscasadi.table import Row, Tradeoff
+from tenscasadi.trajectory import Trajectory
+from tenscasadi.validate import Array, instance, positive_number, whole_number
+
+_TIMED = 0.02  # s of one timed run, about: short enough for many, long enough for the clock
+_TRIAL = 2048  # steps that tell how many take that long
+_MOST = 2**18  # steps of a timed run
+
+State = Array | Callable[[Model], Array] | None
+
+
+def tradeoff(
+    models: Model | Mapping[str, Model],
+    t_end: float,
+    schemes: Sequence[Scheme],
+    steps: Sequence[float],
+    reference: Reference | str | None = None,
+    state: State = None,
+    control: ControlInput = None,
+    corrections: Sequence[Correction | None] = (None,),
+    compiled: Sequence[bool | None] = (None,),
+    repeats: int = 3,
+    progress: bool = False,
+) -> Tradeoff:
+    """Runs every scheme with every step, correction, model and way to run on [0, t_end], and measures what each costs and how wrong it is.
+
+    models: a model, or several by name that share their scene's nodes and differ in fidelity: segments, lumping, slack, coordinates.
+    steps: largest steps, s; a scheme with a tolerance (`rtol`) chooses its own within the largest of them, and is run once.
+    reference: what position errors are measured against: a `Reference`, or the name of the model that `certify` solves; None: the first.
+    state: start (nx,), a function model -> (nx,), or None: each model's initial state. control: as for `simulate`.
+    compiled: None: as machine code where there is a compiler, True, False; both (True, False) compare the two.
+    repeats: timed runs, whose median counts. progress: shows a progress bar.
+
+    Ctrl-C ends the study and returns the rows so far, with `complete` False. A run that diverges, and a scheme that cannot serve a model,
+    give rows with `success` False and the reason in `message`. Raises NoReference, TypeError, ValueError, CompileError.
+    """
+    named = dict(models) if isinstance(models, Mapping) else {"": models}
+    _check(named, schemes, corrections)
+    t_end, repeats = positive_number("t_end", t_end), whole_number("repeats", repeats, 1)
+    lengths = sorted({positive_number(f"steps[{i}]", step) for i, step in enumerate(_sequence("steps", steps))}, reverse=True)
+    ways = _sequence("compiled", compiled)
+    rows: list[Row] = []
+    known: Reference | None = None
+    end = "interrupted from the keyboard before the reference was found"
+    plans = list(product(named.items(), schemes, corrections, ways))
+    total = sum(1 if adaptive(scheme) else len(lengths) for _, scheme, _, _ in plans)
+    try:
+        with tqdm(total=total, unit=" runs", disable=not progress) as bar:
+            known = _reference(named, t_end, reference, state, control)
+            for (name, model), scheme, correction, way in plans:
+                case = Case(model, scheme, correction, t_end, start_of(model, state), control, way)
+                for row in _rows(case, name, lengths, known, repeats):
+                    rows.append(row)
+                    bar.update()
+        end = ""
+    except KeyboardInterrupt:
+        end = f"interrupted from the keyboard after {len(rows)} of {total} runs" if known else end
+    error, told = (known.error, known.message) if known else (np.inf, "none")
+    return Tradeoff(tuple(rows), t_end, error, told, complete=not end, message=end)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A way to compute a motion: all but the step."""
+
+    model: Model
+    scheme: Scheme
+    correction: Correction | None
+    t_end: float
+    state: Array | None
+    control: ControlInput
+    compiled: bool | None
+
+    def run(self, step: float, **options: Any) -> Trajectory:
+        """The motion. Raises KeyboardInterrupt where `simulate` returns what it has."""
+        options = {"t_end": self.t_end, "control": self.control, **options}
+        run = simulate(self.model, step=step, scheme=self.scheme, state=self.state, correction=self.correction, compiled=self.compiled, **options)
+        if interrupted(run):
+            raise KeyboardInterrupt
+        return run
+
+    def instructions(self) -> int:
+        """Instructions of one step, with its share of the correction."""
+        project = None if self.correction is None else self.correction.step(self.model)
+        extra = 0 if self.correction is None or project is None else instructions(project) / self.correction.every
+        return round(instructions(self.scheme.advance(self.model)) + extra)
+
+    def seconds_per_step(self, step: float, repeats: int) -> float:
+        """Wall time of a step, s: the median of `repeats` runs that are long enough for the clock, and hardly leave the start.
+
+        A run over [0, t_end] with coarse steps is too short to be timed, and all steps cost the same.
+        """
+        fine = 1e-3 * step
+
+        def seconds(steps: int) -> float:
+            return self.run(fine, t_end=fine * steps, control=self._held(), energy_balance=False, save_every=steps).seconds / steps
+
+        steps = int(np.clip(_TIMED / seconds(_TRIAL), _TRIAL, _MOST))
+        steps = 2 ** int(np.log2(steps))  # what the loop does in one call divides it
+        return median(seconds(steps) for _ in range(repeats))
+
+    def _held(self) -> ControlInput:
+        """A constant control, if it is one: others are not for the short time of a timed run."""
+        return None if callable(self.control) or (self.control is not None and np.ndim(self.control) != 1) else self.control
+
+
+def adaptive(scheme: Scheme) -> bool:
+    """Whether a scheme chooses its steps from a tolerance of its own."""
+    return getattr(scheme, "rtol", None) is not None
+
+
+def start_of(model: Model, state: State) -> Array | None:
+    """The start that `state` means for this model."""
+    return state(model) if callable(state) else state
+
+
+def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int) -> Iterable[Row]:
+    """A row for each step; the time of a step and the set-up are measured once."""
+    chooses = adaptive(case.scheme)
+    empty = Row(
+        case.scheme, np.nan, case.correction, name, case.compiled is not False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, 0, 0, False, ""
+    )
+    try:
+        work = case.instructions()
+    except (TypeError, ValueError) as error:  # such as Rattle where supports are moved
+        for step in lengths[:1] if chooses else lengths:
+            yield replace(empty, step=np.nan if chooses else step, message=str(error))
+        return
+    each = setup = np.nan
+    for step in lengths[:1] if chooses else lengths:
+        began = time.perf_counter()
+        run = case.run(step)
+        if np.isnan(setup):
+            setup = time.perf_counter() - began - run.seconds
+            empty = replace(empty, compiled=run.compiled, setup=setup)
+        count = round(float(run.time[-1]) / run.step)
+        row = replace(empty, step=np.nan if chooses else step, instructions=work, steps=count, success=run.success, message=run.message)
+        if run.success:
+            if chooses:
+                seconds = median(case.run(step, energy_balance=False).seconds for _ in range(repeats))
+            else:
+                each = case.seconds_per_step(lengths[-1], repeats) if np.isnan(each) else each
+                seconds = each * count
+            row = replace(
+                row,
+                seconds=seconds / case.t_end,
+                position=distance(end_nodes(case.model, run), reference.nodes),
+                bar=float(run.bar_length_error.max()),
+                joint=float(run.joint_error.max()),
+                energy=float(np.abs(run.energy_error).max()),
+            )
+        yield row
+
+
+def _reference(named: dict[str, Model], t_end: float, reference: Reference | str | None, state: State, control: ControlInput) -> Reference:
+    if isinstance(reference, Reference):
+        nodes = len(next(iter(named.values())).scene.structure.nodes)
+        if len(reference.nodes) != nodes:
+            raise ValueError(f"reference has {len(reference.nodes)} nodes, the models have {nodes}: give the reference of the same structure")
+        if not np.isclose(reference.t_end, t_end, rtol=1e-12):
+            raise ValueError(f"reference is for t_end = {reference.t_end:g} s and t_end is {t_end:g}: give one of the same time")
+        return reference
+    if reference is not None and reference not in named:
+        raise ValueError(f"reference is {reference!r}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}")
+    model = named[next(iter(named)) if reference is None else reference]
+    return certify(model, t_end, start_of(model, state), control)
+
+
+def _check(named: dict[str, Model], schemes: Any, corrections: Any) -> None:
+    if not named:
+        raise ValueError("models is empty: give a tenscasadi.Model, or models by name")
+    for name, model in named.items():
+        instance(f"models[{name!r}]" if name else "models", model, Model, "a tenscasadi.Model, or models by name")
+    counts = {name: len(model.scene.structure.nodes) for name, model in named.items()}
+    if len(set(counts.values())) > 1:
+        raise ValueError(f"models have scenes of {counts} nodes: give models of one structure, that differ in what is modelled")
+    for scheme in _sequence("schemes", schemes):
+        check_scheme(scheme)
+    for correction in _sequence("corrections", corrections):
+        instance("corrections", correction, (Projection, BarLengthCorrection, type(None)), "(None, Projection())")
+
+
+def _sequence(field: str, values: Any) -> Sequence[Any]:
+    if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
+        raise TypeError(f"{field} is {values!r}: give a sequence, such as a list")
+    if not len(values):
+        raise ValueError(f"{field} is empty: give at least one")
+    return list(values)
