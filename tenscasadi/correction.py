@@ -96,7 +96,7 @@ def _rescale(mech: Mechanism, N: Any) -> Any:
     """Bars that stand alone: b (1 + μ G_ii) has its length back at once."""
     B = ca.mtimes(N, sparse(mech.C_b.T))
     stretch = ca.DM(mech.lengths).T / ca.sqrt(ca.sum1(B * B)) - 1
-    return N + mech.with_inverse(dynamics.push(mech, B, stretch / ca.DM(mech.G()[0].diagonal()).T, ca.DM.zeros(3, 0)))
+    return N + mech.with_inverse(dynamics.push(mech, B, stretch / ca.DM(mech.G[0].diagonal()).T, ca.DM.zeros(3, 0)))
 
 
 def _appendix_c(model: Model, weight: float) -> ca.Function:

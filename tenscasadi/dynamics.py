@@ -13,6 +13,7 @@ bar has its own nodes, G is diagonal, λ̂ is eliminated bar by bar and Ω solve
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -24,6 +25,7 @@ from tenscasadi.structure import Structure, connectivity
 from tenscasadi.validate import Array, Indices
 
 UNROLL_MEMBERS = 300  # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
+UNROLL_UNKNOWNS = 60  # the same for the unknowns of the multipliers' system
 UNROLL_SOLVE = 6  # above, linear systems are solved by a routine instead of unrolled scalar code: shorter derivatives
 
 Coordinates = Literal["reduced", "full"]
@@ -73,7 +75,7 @@ class Mechanism:
     @property
     def large(self) -> bool:
         """Whether expressions are kept as vector operations instead of unrolled scalars."""
-        return bool(self.bars + self.C_s.shape[0] > UNROLL_MEMBERS)
+        return bool(self.bars + self.C_s.shape[0] > UNROLL_MEMBERS or self.system_size > UNROLL_UNKNOWNS)
 
     def with_inverse(self, X: Any, then: Any = None) -> Any:
         """X M⁻ (3×n), or X M⁻ `then` (a constant matrix of n rows)."""
@@ -82,16 +84,17 @@ class Mechanism:
             return ca.mtimes(X, factors[0])
         return ca.vertcat(*(ca.mtimes(X[axis, :], factors[axis]) for axis in range(3)))
 
+    @cached_property
     def G(self) -> tuple[sp.csr_array, ...]:
         """C_b M⁻ C_bᵀ (β×β) for each axis, or once."""
         return tuple(clean(self.C_b @ inverse @ self.C_b.T) for inverse in self.inverse)
 
-    @property
+    @cached_property
     def system_size(self) -> int:
         """Unknowns of the linear system that has to be solved: 0 where every bar stands alone."""
         if self.joints:
             return 3 * self.joints
-        G = self.G()
+        G = self.G
         alone = len(G) == 1 and is_diagonal(G[0]) and bool(np.all(G[0].diagonal() > 0))
         return 0 if alone else self.bars
 
@@ -181,12 +184,12 @@ def without_stretching(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
 def _bar_scale(mech: Mechanism, B: Any) -> Any:
     """h = bᵀb G_ii (1×β) of bars that stand alone; l² G_ii with the paper's constant length."""
     squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
-    return squared * ca.DM(mech.G()[0].diagonal()).T
+    return squared * ca.DM(mech.G[0].diagonal()).T
 
 
 def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
     """Σ over axes of (b bᵀ) ∘ G (β×β), on the pattern of G only."""
-    G = mech.G()
+    G = mech.G
     pattern = sp.coo_array(sum(abs(g) for g in G) + sp.eye_array(mech.bars))
     order = np.lexsort((pattern.row, pattern.col))
     rows, columns = pattern.row[order].tolist(), pattern.col[order].tolist()

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.validate import Array, finite_array, node_index, positive_number
+from tenscasadi.validate import Array, Indices, finite_array, node_index, positive_number
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class Ground:
 
     d is the depth (m) and v the speed along the normal (m/s); `stiffness` N/m, `damping` N·s/m, the plane is normalᵀx = `height` (m).
     `friction` is Coulomb's coefficient μ, or None for a frictionless plane. It is regularised: the tangential force is
-    μ f v_t/√(v_t² + v_s²) with `slip_speed` v_s (m/s), so a body that should stick creeps at a speed below v_s.
+    μ f v_t/√(v_t² + v_s²) with `slip_speed` v_s (m/s), so a body that should stick creeps, at v_s r/√(1 − r²) where it
+    needs the share r of the friction that there is.
     """
 
     stiffness: float = 1e4
@@ -101,7 +102,7 @@ class Pressure:
     surface under inner pressure).
     """
 
-    faces: Sequence[Sequence[int]]
+    faces: Sequence[Sequence[int]] | Indices
     difference: float
 
     def __post_init__(self) -> None:

@@ -41,6 +41,7 @@ class Model(StateSpace):
 
     `coordinates="reduced"`: the state holds the coordinates of physical nodes that are free to move; joints and pins cannot drift.
     `coordinates="full"`: the state holds the paper's class-one nodes, and Ω keeps joints and pins.
+    Reduced systems couple all bars that hang together: long chains of joined bars, from a hundred on, are cheaper in full coordinates.
     State x = (positions, velocities), each node by node, and a clock where loads depend on time. Control u: one entry per parent
     string (`ForceDensity`, N/m; `RestLength`, m) or none. `bar_length="constant"` is the paper's λ̂ as printed, for comparison: it
     divides by l² where "current" divides by bᵀb, and then errors of length grow exponentially. Raises TypeError, ValueError;

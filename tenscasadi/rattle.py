@@ -146,5 +146,5 @@ def _drift(mech: Mechanism, N: Any, V: Any, h: Any, D: Any, iterations: int) -> 
     # ‖b + ν B‖² = l²: the root nearest zero
     mixed, excess = ca.sum1(b * B), ca.sum1(b * b) - lengths**2
     nu = -excess / (mixed + ca.sqrt(mixed**2 - ca.sum1(B * B) * excess))
-    change = mech.with_inverse(dynamics.push(mech, B, nu / ca.DM(mech.G()[0].diagonal()).T, ca.DM.zeros(3, 0)))
+    change = mech.with_inverse(dynamics.push(mech, B, nu / ca.DM(mech.G[0].diagonal()).T, ca.DM.zeros(3, 0)))
     return free + change, V + change / h
