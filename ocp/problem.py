@@ -44,6 +44,8 @@ class Problem:
             raise ValueError(f"Problem.model has the control {self.model.scene.control}: give a model of Scene(..., control=ForceDensity())")
         if self.model.nu == 0:
             raise ValueError("Problem.model has no strings: there is nothing to plan")
+        if self.model.nq == 0:
+            raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
         own = self.__dict__
         own["duration"] = _duration(self.duration)
         own["start"] = self._start()

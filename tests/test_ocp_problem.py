@@ -36,6 +36,11 @@ BAD = {
     "control is none": (lambda: ocp.Problem(tc.Model(tc.Scene(PRISM))), ValueError, "Problem.model has the control None"),
     "control is rest length": (lambda: ocp.Problem(tc.Model(tc.Scene(PRISM, control=tc.RestLength()))), ValueError, "ForceDensity"),
     "no strings": (lambda: ocp.Problem(tc.Model(tc.Scene(tc.shapes.pendulum(), control=tc.ForceDensity()))), ValueError, "no strings"),
+    "no free node": (
+        lambda: ocp.Problem(tc.Model(tc.Scene(PRISM.replace(pinned=range(6)), control=tc.ForceDensity()))),
+        ValueError,
+        "all nodes pinned",
+    ),
     "duration zero": (lambda: problem(duration=0.0), ValueError, "Problem.duration is 0"),
     "duration nan": (lambda: problem(duration=float("nan")), ValueError, "Problem.duration"),
     "duration text": (lambda: problem(duration="long"), TypeError, "Problem.duration"),

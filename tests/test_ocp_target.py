@@ -8,7 +8,8 @@ import pytest
 
 import ocp
 import tenscasadi as tc
-from ocp.invariants import free_motions, invariants
+from ocp.invariants import invariants
+from ocp.momentum import bodies, free_motions
 from ocp.reach import Reach, controlled
 from ocp.reduction import RowFunction, null_space, soft_directions
 from ocp.target import Scales, find_target
@@ -16,6 +17,11 @@ from ocp.target import Scales, find_target
 PRISM = tc.shapes.prism()
 BALL = tc.shapes.six_bar_ball()
 D_BAR = tc.shapes.d_bar()
+TWO = tc.Structure(
+    np.concatenate([PRISM.nodes, PRISM.nodes + (3, 0, 0)]),
+    np.concatenate([PRISM.bars, PRISM.bars + 6]),
+    np.concatenate([PRISM.strings, PRISM.strings + 6]),
+)
 GRAVITY = tc.Gravity((0.0, 0.0, -9.81))
 
 
@@ -56,6 +62,8 @@ KEPT = {
     "ball": (driven(BALL), 12 + 9),
     "pressed ball": (driven(BALL, pressure=tc.Pressure([(0, 4, 8)], 5.0)), 12),
     "d-bar in full coordinates": (tc.Model(tc.Scene(D_BAR.replace(pinned=[0]), control=tc.ForceDensity()), coordinates="full"), None),
+    "two prisms": (driven(TWO), 2 * (6 + 9)),
+    "two prisms, each on a pin": (driven(TWO.replace(pinned=[0, 6])), 2 * (6 + 3)),
     "flat d-bar": (driven(D_BAR), None),
     "flat d-bar falls in its plane": (driven(D_BAR, gravity=tc.Gravity((1.0, -2.0, 0.0))), None),
 }
@@ -123,16 +131,23 @@ def test_sensitivities_agree_with_differences():
 
 
 def test_free_motions():
-    along, rotations = free_motions(PRISM, np.zeros(3))
+    along, rotations = free_motions(PRISM.nodes, PRISM.fixed, np.zeros(3))
     assert along.all()
     assert len(rotations) == 3
-    along, rotations = free_motions(PRISM.replace(pinned=[1]), np.zeros(3))
+    along, rotations = free_motions(PRISM.nodes, PRISM.replace(pinned=[1]).fixed, np.zeros(3))
     assert not along.any()
+    assert len(rotations) == 3
     for t, omega in rotations:
         assert t + np.cross(omega, PRISM.nodes[1]) == pytest.approx(np.zeros(3), abs=1e-12)
-    # a pin that holds no member holds nothing
-    lonely = tc.Structure([*PRISM.nodes, (9, 9, 9)], PRISM.bars, PRISM.strings, pinned=[6])
-    assert free_motions(lonely, np.zeros(3))[0].all()
+
+
+def test_bodies_end_at_pins():
+    nodes = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (5, 5, 5), (1, 1, 0)]
+    structure = tc.Structure(nodes, bars=[(0, 1), (0, 2)], strings=[(1, 4)], node_mass=[0, 0, 0, 1, 1], pinned=[0])
+    found = bodies(structure, np.zeros(3))
+    assert [body.nodes.tolist() for body in found] == [[1, 4], [2], [3]]
+    assert [body.along.all() for body in found] == [False, False, True]
+    assert [len(body.rotations) for body in found] == [3, 3, 3]
 
 
 # --- counts ---
