@@ -14,8 +14,9 @@ from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
 from tenscasadi.model import Model
 from tenscasadi.redundancy import RedundantConstraints
 from tenscasadi.scene import Scene
-from tenscasadi.strings import ForceDensity, RestLength, Smooth
+from tenscasadi.strings import Clip, ForceDensity, RestLength, Slack, Smooth
 from tenscasadi.structure import Structure
+from tenscasadi.supports import SupportMotion
 
 BOTH = pytest.mark.parametrize("coordinates", ["reduced", "full"])
 PRISM = {
@@ -165,14 +166,29 @@ def test_nearly_aligned_bars_stay_close_to_the_saddle_point_solution(gap: float,
 
 
 @BOTH
-def test_ode_derivatives_agree_with_central_differences(coordinates: dynamics.Coordinates) -> None:
+@pytest.mark.parametrize("moved", [False, True], ids=["standing", "moved"])
+@pytest.mark.parametrize("slack", [Clip(), Smooth(0.01)], ids=["clip", "smooth"])
+def test_ode_derivatives_agree_with_central_differences(slack: Slack, moved: bool, coordinates: dynamics.Coordinates) -> None:
+    """Every term at once, away from where strings go slack or nodes touch down."""
     rng = np.random.default_rng(3)
     tower = Structure(rng.normal(size=(7, 3)), [(0, 1), (1, 2), (2, 3), (4, 5)], [(0, 4), (3, 5), (2, 6), (4, 6)], node_mass=[0] * 6 + [1],
-                      pinned=(0,), damping=0.3, rest_length=0.2)  # fmt: skip
-    ground = Ground(100.0, 1.0, friction=0.4, height=0.3)
-    scene = Scene(tower, control=RestLength(), gravity=Gravity(), ground=ground, pressure=Pressure([(0, 1, 2)], 5.0), slack=Smooth(0.01))
+                      pinned={0: "xyz", 3: "z"}, damping=0.3, rest_length=0.2, string_mass=0.1)  # fmt: skip
+    start = tower.nodes[0]
+    scene = Scene(
+        tower,
+        control=RestLength(),
+        segments=2,
+        gravity=Gravity(),
+        ground=Ground(100.0, 1.0, friction=0.4, height=0.3),
+        pressure=Pressure([(0, 1, 2)], 5.0),
+        forces=NodalForce(rng.normal(size=(3, 7, 3)), times=[0.0, 1.0, 2.0]),
+        slack=slack,
+        supports=SupportMotion({0: lambda t: [start[0] + np.sin(t), start[1] + t**2, start[2] - t]}) if moved else None,
+    )
     model = Model(scene, coordinates)
-    x = model.state(tower.nodes, np.where(tower.fixed, 0, rng.normal(size=(7, 3))))
+    fixed = model.structure.fixed
+    x = model.state(model.structure.nodes, np.where(fixed, 0, rng.normal(size=fixed.shape)))
+    x[-1] = 0.3  # s
     u = model.initial_control * 0.9
     sx, su = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
     rate = model.ode(sx, su)
