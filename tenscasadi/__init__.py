@@ -13,6 +13,7 @@ from tenscasadi.dynamics import Multipliers
 from tenscasadi.export import export_c
 from tenscasadi.linear import Linearization, Modes, linearize, modes
 from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.mode_motion import mode_motion
 from tenscasadi.model import Energy, Model
 from tenscasadi.rattle import Rattle
 from tenscasadi.redundancy import RedundantConstraints
@@ -58,6 +59,7 @@ __all__ = [
     "Linearization",
     "modes",
     "Modes",
+    "mode_motion",
     # over time
     "simulate",
     "RungeKutta4",

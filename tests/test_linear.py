@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from tenscasadi import shapes
+from tenscasadi import plots, shapes
+from tenscasadi.animation import animate
 from tenscasadi.linear import linearize, modes
 from tenscasadi.loads import Gravity
+from tenscasadi.mode_motion import mode_motion
 from tenscasadi.model import Model
 from tenscasadi.scene import Scene
 from tenscasadi.simulate import simulate
@@ -79,3 +83,21 @@ def test_bad_input_is_refused_by_name() -> None:
         modes("prism")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="x has shape"):
         linearize(Model(Scene(shapes.prism())), np.zeros(3))
+
+
+def test_a_mode_is_drawn_and_animated(tmp_path: Path) -> None:
+    model = Model(Scene(shapes.prism(prestress=30.0)))
+    result = modes(model)
+    motion = mode_motion(model, result, 0, amplitude=0.02)
+    assert motion.time[-1] == pytest.approx(1 / result.frequency[0])
+    assert np.linalg.norm(motion.nodes - model.structure.nodes, axis=2).max() == pytest.approx(0.02, rel=1e-3)
+    assert motion.bar_length_error.max() < 1e-3
+    assert np.allclose(motion.nodes[0], motion.nodes[-1])
+    plots.time_lapse(motion, instants=3, path=tmp_path / "mode.png")
+    animate(motion, tmp_path / "mode.gif", speed=0.2)
+    assert (tmp_path / "mode.png").stat().st_size > 5000
+    assert (tmp_path / "mode.gif").stat().st_size > 5000
+    with pytest.raises(ValueError, match="index is 9"):
+        mode_motion(model, result, 9)
+    with pytest.raises(ValueError, match=r"modes\.shape"):
+        mode_motion(Model(Scene(shapes.six_bar_ball())), result, 0)
