@@ -90,8 +90,8 @@ def _chain(name: str, steps: list[ca.Function]) -> ca.Function:
     return ca.Function(name, [start, *inputs], [ca.horzcat(*results)], first.name_in(), first.name_out())
 
 
-class Runner:
-    """A Function (z, h, u[, u_next]) -> columns evaluated on NumPy memory, without conversions."""
+class LoopRunner:
+    """Calls of `chunk_function`'s Function on NumPy memory, without conversions."""
 
     def __init__(self, function: ca.Function, step: float) -> None:
         self._z = np.zeros(function.size1_in(0))
@@ -118,3 +118,7 @@ class Runner:
         if self._buffer.ret():
             raise RuntimeError("the time loop stopped: CasADi could not evaluate a step")
         return self._out
+
+    def report(self, taken: int, step: float) -> tuple[str, float]:
+        """What was done in `taken` steps of `step` s, in words, and the length of a step, s."""
+        return f"{taken} steps of {step:g} s", step

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tenscasadi.model import Model
 from tenscasadi.tableaux import CLASSICAL, DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
-from tenscasadi.validate import Array, instance
+from tenscasadi.validate import Array, instance, positive_number, whole_number
 
 Complex = NDArray[np.complex128]
 
@@ -75,19 +75,70 @@ class RungeKutta4(ExplicitRungeKutta):
 
 
 @dataclass(frozen=True)
-class DormandPrince54(ExplicitRungeKutta):
-    """Dormand and Prince's explicit method of order 5: six evaluations a step, stable for step · ω_max < 1 (3.3 for overdamped motion)."""
+class EmbeddedRungeKutta(ExplicitRungeKutta):
+    """Explicit methods with an estimate of their error: fixed steps, or steps of their own size when `rtol` is given.
+
+    rtol: largest error of a step relative to each entry of the state; None: fixed steps and no control of errors. atol: what is added
+    to it, m and m/s; None: rtol times the structure's extent. Errors are root mean squares over all coordinates and velocities; after
+    many steps the motion is off by more, by a factor that depends on the motion.
+    Steps end where strings go slack or taut and where nodes meet or leave the ground, so that the order is kept across such events.
+    max_attempts: steps and repetitions, between two times of the grid that `simulate` lays, before the run is given up.
+    """
+
+    rtol: float | None = None
+    atol: float | None = None
+    max_attempts: int = 100_000
+    order: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        if self.rtol is not None:
+            object.__setattr__(self, "rtol", positive_number(f"{name}.rtol", self.rtol))
+            if self.rtol < 1e-15 or self.rtol >= 1:
+                raise ValueError(f"{name}.rtol is {self.rtol:g}: give 1e-15 or more, which is rounding, and less than 1")
+        if self.atol is not None:
+            if self.rtol is None:
+                raise ValueError(f"{name}.atol is {self.atol}, but rtol is None: give both for control of the error, or neither")
+            object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol, zero=True))
+        whole_number(f"{name}.max_attempts", self.max_attempts, 1)
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the scheme chooses its steps in `simulate`."""
+        return self.rtol is not None
+
+    def tolerances(self, model: Model) -> tuple[float, float]:
+        """rtol and atol for a model. ValueError for fixed steps."""
+        if self.rtol is None:
+            raise ValueError(f"{type(self).__name__}.rtol is None: give a tolerance for control of the error")
+        return self.rtol, extent(model) * self.rtol if self.atol is None else self.atol
+
+
+@dataclass(frozen=True)
+class DormandPrince54(EmbeddedRungeKutta):
+    """Dormand and Prince's explicit method of order 5: six evaluations a step, stable for step · ω_max < 1 (3.3 for overdamped motion).
+
+    `rtol`, `atol`, `max_attempts`: control of the error, see `EmbeddedRungeKutta`; None: fixed steps.
+    """
 
     tableau: ClassVar[Tableau] = DORMAND_PRINCE_54
     order: ClassVar[int] = 5
 
 
 @dataclass(frozen=True)
-class DormandPrince853(ExplicitRungeKutta):
-    """Dormand and Prince's explicit method of order 8, as in DOP853: twelve evaluations a step, stable for step · ω_max < 5.96."""
+class DormandPrince853(EmbeddedRungeKutta):
+    """Dormand and Prince's explicit method of order 8, as in DOP853: twelve evaluations a step, stable for step · ω_max < 5.96.
+
+    `rtol`, `atol`, `max_attempts`: control of the error, see `EmbeddedRungeKutta`; None: fixed steps.
+    """
 
     tableau: ClassVar[Tableau] = DORMAND_PRINCE_853
     order: ClassVar[int] = 8
+
+
+def extent(model: Model) -> float:
+    """The largest distance along an axis between two nodes of the structure, m; 1 where there is one node."""
+    return float(np.ptp(model.structure.nodes, axis=0).max()) or 1.0
 
 
 def with_work(ode: ca.Function, power: ca.Function) -> ca.Function:

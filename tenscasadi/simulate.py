@@ -9,10 +9,9 @@ import casadi as ca
 import numpy as np
 from tqdm import tqdm
 
-from tenscasadi.compiled import CompileError, compile_function, find_compiler
 from tenscasadi.correction import BarLengthCorrection, Correction, Projection, projection
-from tenscasadi.loop import Runner, chunk_function, chunk_steps
 from tenscasadi.model import Model
+from tenscasadi.runners import Runner, StepFailure, Task, make_runner, own_steps
 from tenscasadi.schemes import RungeKutta4, Scheme, check_scheme
 from tenscasadi.signals import ControlInput, Signal, signal
 from tenscasadi.stability import fastest_rate, stable_step
@@ -29,7 +28,7 @@ _LOOK_SECONDS = 0.5  # wall time between checks of the bar lengths
 def simulate(
     model: Model,
     t_end: float,
-    step: float = 1e-3,
+    step: float | None = None,
     scheme: Scheme = RungeKutta4(),
     state: Any = None,
     control: ControlInput = None,
@@ -42,18 +41,20 @@ def simulate(
 ) -> Trajectory:
     """The motion of `model` from time 0 to `t_end`, s.
 
-    step: largest step, s; the run takes equal steps, the fewest that end exactly at t_end.
+    step: largest step, s; the run takes equal steps, the fewest that end exactly at t_end. Schemes that control their error take any
+    number of steps of their own, none of them larger, within each of these. None: 1 ms, or a hundredth of t_end for schemes that control their error.
     state: start (nx,), None: `model.initial_state`.
     control: None: `model.initial_control`; an array (nu,): constant; an array (K, nu): constant on each of K equal parts of [0, t_end]
     (steps are shortened to fit the parts); a function t -> (nu,) called with the time at the start of each step, where it is held.
-    correction: `Projection(every)`, `BarLengthCorrection(weight, every)` or None; applied after every `every`-th step.
+    correction: `Projection(every)`, `BarLengthCorrection(weight, every)` or None; applied after every `every`-th step (each of its own
+    for schemes that control their error).
     save_every: steps from one kept row to the next, None: what keeps about 1000 rows or fewer; the first and last state are always kept.
     compiled: None: as machine code if a C compiler is found, True: that or `CompileError`, False: in CasADi's virtual machine, to the same result.
     progress: shows a progress bar.
     energy_balance: False leaves out the account of the work of damping, contact and control, which takes time, where `energy_error` needs it.
 
-    A run that diverges (state not finite, a bar off by 10 % of its length) or is interrupted from the keyboard returns what it has up to
-    there, with `success` False and the reason in `message`.
+    A run that diverges (state not finite, a bar off by 10 % of its length), that a scheme gives up or that is interrupted from the keyboard
+    returns what it has up to there, with `success` False and the reason in `message`.
     Raises TypeError and ValueError naming the argument, CompileError.
     """
     instance("model", model, Model, "a tenscasadi.Model")
@@ -64,14 +65,16 @@ def simulate(
         if not (isinstance(flag, bool) or (flag is None and name == "compiled")):
             raise TypeError(f"{name} is {flag!r}: give True or False{' or None' if name == 'compiled' else ''}")
     start = np.array(model.initial_state if state is None else finite_array("state", state, (model.nx,)))
+    if step is None:
+        step = positive_number("t_end", t_end) / 100 if own_steps(scheme) else 1e-3
     n_steps = _count(positive_number("t_end", t_end), positive_number("step", step))
     inputs = signal(control, model.initial_control, float(t_end), n_steps)
     every = max(1, -(-inputs.steps // _ROWS)) if save_every is None else whole_number("save_every", save_every, 1)
 
     power = energy_balance and model.power is not None
     jumps = energy_balance and inputs.varies
-    loop = _loop(model, scheme, correction, power, jumps, compiled, inputs.steps)
-    run = _run(model, loop.function, inputs, start, float(t_end), every, progress)
+    built = make_runner(Task(model, scheme, correction, power, jumps), float(t_end) / inputs.steps, inputs.steps, compiled)
+    run = _run(model, built.runner, inputs, np.append(start, np.zeros(int(power or jumps))), float(t_end), every, progress)
 
     states, controls = run.rows[:, : model.nx], run.controls
     # Rows after a fault overflow: they are cut below.
@@ -84,10 +87,12 @@ def simulate(
     good, fault = _first_fault(states, observed["bar_length_error"])
     if fault:
         message = f"diverged between t = {run.time[good - 1]:g} and {run.time[good]:g} s: {fault}; {_cause(model, scheme, run, good - 1)}"
+    elif run.failure:
+        message = f"stopped after t = {run.time[-1]:g} s: {run.failure}"
     elif run.interrupted:
         message = f"interrupted from the keyboard, the last state kept is at t = {run.time[-1]:g} s"
     else:
-        message = f"finished {inputs.steps} steps of {run.step:g} s" + _energy_note(parts, error, observed["tension"], observed["nodes"])
+        message = f"finished {run.report}" + _energy_note(parts, error, observed["tension"], observed["nodes"])
     nodes = (good, len(model.structure.nodes), 3)
     return Trajectory(
         time=run.time[:good],
@@ -105,11 +110,11 @@ def simulate(
         bars=model.structure.bars,
         strings=model.structure.strings,
         pinned=np.array(sorted(model.structure.pinned), dtype=np.intp),
-        success=not fault and not run.interrupted,
-        message=message + loop.note,
+        success=not (fault or run.failure or run.interrupted),
+        message=message + built.note,
         step=run.step,
         seconds=run.seconds,
-        compiled=loop.compiled,
+        compiled=built.compiled,
     )
 
 
@@ -121,12 +126,6 @@ def observe(model: Model, states: Array, controls: Array) -> dict[str, Array]:
     return {name: result.full().T.copy() for name, result in zip(model.observe.name_out(), results, strict=True)}
 
 
-class _Loop(NamedTuple):
-    function: ca.Function
-    compiled: bool
-    note: str
-
-
 class _Run(NamedTuple):
     """What the loop left: rows (R, nz) and controls (R, nu) at `time` (R,)."""
 
@@ -134,8 +133,10 @@ class _Run(NamedTuple):
     rows: Array
     controls: Array
     step: float
+    report: str
     seconds: float
     interrupted: bool
+    failure: str
 
 
 def _count(t_end: float, step: float) -> int:
@@ -147,34 +148,15 @@ def _count(t_end: float, step: float) -> int:
     return max(1, nearest if abs(ratio - nearest) <= 1e-9 * ratio else int(np.ceil(ratio)))
 
 
-def _loop(model: Model, scheme: Scheme, correction: Correction | None, power: bool, jumps: bool, compiled: bool | None, steps: int) -> _Loop:
-    """The compiled loop, or the one for the virtual machine and why."""
-    every = 1 if correction is None else correction.every
-    chunk = chunk_steps(model, every)
-    if compiled is not False:
-        try:
-            return _Loop(compile_function(chunk_function(model, scheme, correction, power, jumps, chunk)), True, "")
-        except CompileError as error:
-            if compiled:
-                raise
-            found = find_compiler()
-            note = "; not compiled: " + (f"{found[0]} failed, compiled=True shows why" if found else str(error))
-    else:
-        note = ""
-    short = every * min(chunk // every, -(-steps // every))  # nothing is reused: no longer than the run
-    return _Loop(chunk_function(model, scheme, correction, power, jumps, short), False, note)
-
-
-def _run(model: Model, function: ca.Function, inputs: Signal, start: Array, t_end: float, every: int, progress: bool) -> _Run:
-    """Calls `function` until the end of the run or its failure; keeps each `every`-th state and the last."""
+def _run(model: Model, runner: Runner, inputs: Signal, start: Array, t_end: float, every: int, progress: bool) -> _Run:
+    """Calls `runner` until the end of the run or its failure; keeps each `every`-th state and the last."""
     n, h = inputs.steps, t_end / inputs.steps
     kept = np.append(np.arange(0, n, every), n)
-    runner = Runner(function, h)
-    z = np.zeros(function.size1_in(0))
-    z[: model.nx] = start
+    z = start.copy()
     rows, controls = np.empty((len(kept), len(z))), np.empty((len(kept), model.nu))
     u = inputs.window(0, 1)
     rows[0], controls[0], count, interrupted = z, u[0], 1, False
+    failure = ""
     began = looked = time.perf_counter()
     try:
         with tqdm(total=n, unit=" steps", unit_scale=True, disable=not progress) as bar:
@@ -196,12 +178,15 @@ def _run(model: Model, function: ca.Function, inputs: Signal, start: Array, t_en
                     newest = rows[[0, count - 1], : model.nx]
                     if _first_fault(newest, observe(model, newest, controls[[0, count - 1]])["bar_length_error"])[1]:
                         break
+    except StepFailure as error:
+        failure = str(error)
     except KeyboardInterrupt:
         interrupted = True
+    report, step = runner.report(int(kept[count - 1]), h)
     times = kept[:count] * h
     if count == len(kept):
         times[-1] = t_end
-    return _Run(times, rows[:count], controls[:count], h, time.perf_counter() - began, interrupted)
+    return _Run(times, rows[:count], controls[:count], step, report, time.perf_counter() - began, interrupted, failure)
 
 
 def _first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
@@ -225,6 +210,8 @@ def _cause(model: Model, scheme: Scheme, run: _Run, last: int) -> str:
     moved = float(np.abs(projection(model)(start).full().ravel() - start).max(initial=0.0))
     if moved > 1e-6 * np.abs(start).max(initial=0.0):
         return f"the start is off the lengths of its bars or its joints, or about to leave them, by {moved:.2g}: start from projection(model)(state)"
+    if own_steps(scheme):
+        return f"the error of each step was kept, so the motion itself breaks down or was not resolved: try a smaller {type(scheme).__name__}(rtol)"
     limits = []
     for row in (0, last):  # the start first: a state that is about to break has limits of its own
         x, u = run.rows[row, : model.nx], run.controls[row]

@@ -53,12 +53,14 @@ class Tableau:
         return ca.Function("step", [x, u, h], [_advance(x, h, self.b, slopes)], ["x", "u", "h"], ["x_next"])
 
     def trial(self, ode: ca.Function) -> ca.Function:
-        """One step and its estimated errors: Function "trial" (x, u, h) -> (x_next, errors (nx, rows of `errors`), slope at x)."""
+        """One step and its estimated errors: Function "trial" (x, u, h) -> (x_next, errors (nx, rows of `errors`), slopes at x and x_next)."""
         x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
         slopes = self._slopes(ode, x, u, h, set(range(len(self.b))))
         errors = ca.horzcat(*(_advance(ca.MX(x.shape[0], 1), h, row, slopes) for row in self.errors))
-        outputs = [_advance(x, h, self.b, slopes), ca.densify(errors), slopes[0]]
-        return ca.Function("trial", [x, u, h], outputs, ["x", "u", "h"], ["x_next", "errors", "slope"])
+        after = _advance(x, h, self.b, slopes)
+        same_as_last = self.a[-1] == self.b[:-1] and self.b[-1] == 0
+        outputs = [after, ca.densify(errors), slopes[0], slopes[-1] if same_as_last else ode(after, u)]
+        return ca.Function("trial", [x, u, h], outputs, ["x", "u", "h"], ["x_next", "errors", "slope", "slope_next"])
 
     def _slopes(self, ode: ca.Function, x: ca.MX, u: ca.MX, h: ca.MX, needed: set[int]) -> list[ca.MX]:
         # Calls instead of inlined copies: code stays as small as ode's, and compiles and runs faster than one unrolled graph.

@@ -27,6 +27,7 @@ TENSCASADI = (
     {"model"},
     {"correction", "events", "linear", "schemes"},
     {"adaptive", "export", "loop", "rattle", "stability"},
+    {"runners"},
     {"simulate", "table"},
     {"mode_motion", "plots", "reference"},
     {"animation", "demos", "tradeoff"},

@@ -377,7 +377,7 @@ def test_observed_is_what_the_model_says_row_by_row() -> None:
     [
         ("model", shapes.prism(), TypeError), ("t_end", 0, ValueError), ("t_end", -1.0, ValueError), ("t_end", np.inf, ValueError),
         ("t_end", "long", TypeError), ("t_end", 1e12, ValueError), ("step", 0.0, ValueError), ("step", np.nan, ValueError),
-        ("step", None, TypeError), ("scheme", "rk4", TypeError), ("scheme", RungeKutta4, TypeError), ("state", np.zeros(3), ValueError),
+        ("step", "small", TypeError), ("scheme", "rk4", TypeError), ("scheme", RungeKutta4, TypeError), ("state", np.zeros(3), ValueError),
         ("state", np.full(36, np.nan), ValueError), ("state", "rest", TypeError),
         ("control", np.zeros(4), ValueError), ("control", np.zeros((0, 9)), ValueError),
         ("control", np.zeros((2, 4)), ValueError), ("control", np.full(9, np.inf), ValueError), ("control", 1.0, ValueError),

@@ -1,0 +1,175 @@
+"""Steps with error control as one CasADi Function: attempts that are accepted or rejected inside compiled code, events located."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from tenscasadi.correction import Correction
+from tenscasadi.events import held_ode, potential, switching
+from tenscasadi.model import Model
+from tenscasadi.schemes import EmbeddedRungeKutta, with_work
+
+ATTEMPTS = 64  # a call: those that are not needed cost next to nothing
+_BLOCK = 8
+_LARGEST, _SMALLEST, _SAFETY = 8.0, 0.2, 0.9  # change of the step from one attempt to the next: Hairer, Nørsett, Wanner I, (II.4.13)
+_EVENT_SHARE = 0.1  # of the tolerance that a step may lose by ending after an event instead of at it
+_SHORTEST = 1e-9  # of the largest step: events that are over after less are not looked for
+_MARGIN = 0.01  # of a bracket that a trial keeps from its ends, so that the bracket shrinks fast whatever the function
+
+
+class Memory(NamedTuple):
+    """What attempts hand on beside the state; one number each."""
+
+    rest: Any  # s, until the time at which the attempts end
+    step: Any  # s, to try next
+    low: Any  # s, a step without an event in it, and
+    high: Any  # s, one with an event; 0: no event has been seen
+    above: Any  # value of the switching function at `low`, > 0, and
+    below: Any  # at `high`
+    side: Any  # the end of the bracket that moved last: 1 high, -1 low
+    accepted: Any  # steps
+    rejected: Any  # attempts with too large an error
+    located: Any  # attempts to locate events
+    events: Any  # modes that changed
+
+
+def attempts_function(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
+    """`ATTEMPTS` attempts: Function "attempts" (z, memory, u, longest) -> (z, memory) with steps of at most `longest` s.
+
+    Attempts after the one that reaches `memory.rest` = 0 do nothing.
+    """
+    attempt = _attempt(model, scheme, correction, power)
+    arguments = _symbols(attempt)
+    idle = ca.Function("idle", arguments, arguments[:2], attempt.name_in(), attempt.name_out())
+    choice = ca.Function.if_else("choice", attempt, idle)
+    memory = arguments[1]
+    guarded = ca.Function("guarded", arguments, list(choice(memory[0] > 0, *arguments)), attempt.name_in(), attempt.name_out())
+    return _repeated("attempts", _repeated("block", guarded, _BLOCK), ATTEMPTS // _BLOCK)
+
+
+def _repeated(name: str, function: ca.Function, times: int) -> ca.Function:
+    arguments = _symbols(function)
+    z, memory, *inputs = arguments
+    for _ in range(times):
+        z, memory = function(z, memory, *inputs)
+    return ca.Function(name, arguments, [z, memory], function.name_in(), function.name_out())
+
+
+def _symbols(function: ca.Function) -> list[ca.MX]:
+    return [ca.MX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())]
+
+
+def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
+    """One trial of a step and what follows from it."""
+    nz = model.nx + power
+    z, packed, u, longest = ca.MX.sym("z", nz), ca.MX.sym("memory", len(Memory._fields)), ca.MX.sym("u", model.nu), ca.MX.sym("longest")
+    m = Memory(*ca.vertsplit(packed))
+    gaps = switching(model)
+    x = z[: model.nx]
+    trial = ca.if_else(m.high > 0, _inside(m), ca.if_else(m.step >= m.rest, m.rest, m.step))
+
+    held = u
+    if gaps is None:
+        ode = with_work(model.ode, model.power) if power and model.power is not None else model.ode
+    else:
+        ode = held_ode(model, power)
+        gap = gaps(x, u)
+        mode = gap > 0
+        held = ca.vertcat(u, mode)
+    after, errors, slope, end_slope = scheme.tableau.trial(ode)(z, held, trial)
+    if gaps is not None and power:
+        stored = potential(model)
+        after = ca.vertcat(after[: model.nx], after[model.nx :] + stored(after[: model.nx], u) - stored(x, u))
+    project = None if correction is None else correction.step(model)
+    if project is not None:
+        after = ca.vertcat(project(after[: model.nx]), after[model.nx :])
+
+    moving = slice(0, 2 * model.nq)
+    rtol, atol = scheme.tolerances(model)
+    scale = atol + rtol * ca.fmax(ca.fabs(z[moving]), ca.fabs(after[moving]))
+    error = _norm([ca.vec(column)[moving] / scale for column in ca.horzsplit(errors)])
+    growth = ca.fmin(_LARGEST, ca.fmax(_SMALLEST, _SAFETY * ca.fmax(error, 1e-300) ** (-1 / scheme.order)))
+    passed = error <= 1  # not for NaN
+
+    changed = located = hidden = ca.MX(0)
+    value, start = ca.MX(1), ca.MX(1)
+    if gaps is not None:
+        sign = 2 * mode - 1
+        gap_after = gaps(after[: model.nx], u)
+        mode_after = gap_after > 0
+        changed = ca.sum1(mode_after != mode)
+        value, start = ca.mmin(sign * gap_after), ca.mmin(sign * gap)
+        # half the overshoot, at most the whole of it for a kink; the slope is the chord's: twice as much to be safe
+        low, above = ca.if_else(m.high > 0, m.low, 0), ca.if_else(m.high > 0, m.above, start)
+        overshoot = (trial - low) * ca.fmin(1, 2 * value / (value - above))
+        jump = _jump(ode, moving)(after, held, ca.vertcat(u, mode_after), scale, changed)
+        negligible = ca.logic_or(overshoot * jump <= _EVENT_SHARE, trial - low <= 1e-15 * longest)
+        located = ca.logic_and(changed > 0, negligible)
+        hidden = _hidden(gaps, model)(x, slope[: model.nx], after[: model.nx], end_slope[: model.nx], u, trial, mode)
+
+    crossing = ca.logic_and(changed > 0, ca.logic_not(located))
+    bracketed = m.high > 0
+    early = ca.logic_and(bracketed, ca.logic_and(changed == 0, trial < m.high))
+    unseen = ca.logic_and(hidden > 0, ca.logic_and(changed == 0, trial > _SHORTEST * longest))
+    suspect = ca.logic_and(unseen, ca.logic_not(bracketed))
+    zero = ca.MX(0)
+    same_high, same_low = ca.logic_and(bracketed, m.side == 1), ca.logic_and(bracketed, m.side == -1)
+
+    rejected = m._replace(step=trial * growth, low=zero, high=zero, rejected=m.rejected + 1)
+    inspected = m._replace(step=trial * hidden, low=zero, high=zero, located=m.located + 1)
+    shortened = m._replace(
+        low=ca.if_else(bracketed, m.low, 0), above=ca.if_else(bracketed, ca.if_else(same_high, m.above / 2, m.above), start),
+        high=trial, below=value, side=ca.MX(1), located=m.located + 1,
+    )  # fmt: skip
+    lengthened = m._replace(low=trial, above=value, below=ca.if_else(same_low, m.below / 2, m.below), side=ca.MX(-1), located=m.located + 1)
+    grown = ca.fmin(longest, ca.if_else(trial < m.step, ca.fmax(m.step, trial * growth), trial * growth))
+    taken = m._replace(rest=m.rest - trial, step=grown, low=zero, high=zero, accepted=m.accepted + 1, events=m.events + changed)
+
+    result = ca.vertcat(*taken)
+    for condition, outcome in ((early, lengthened), (crossing, shortened), (suspect, inspected), (ca.logic_not(passed), rejected)):
+        result = ca.if_else(condition, ca.vertcat(*outcome), result)
+    again = ca.logic_or(ca.logic_not(passed), ca.logic_or(suspect, ca.logic_or(crossing, early)))
+    outputs = [ca.if_else(again, z, after), result]
+    return ca.Function("attempt", [z, packed, u, longest], outputs, ["z", "memory", "u", "longest"], ["z_next", "memory_next"])
+
+
+def _inside(m: Memory) -> Any:
+    """The next trial in a bracket: regula falsi, kept from the ends; `above` or `below` is halved when an end stays (Illinois)."""
+    width = m.high - m.low
+    secant = m.low + width * m.above / ca.fmax(m.above - m.below, 1e-300)
+    return ca.fmin(ca.fmax(secant, m.low + _MARGIN * width), m.high - _MARGIN * width)
+
+
+def _norm(errors: list[Any]) -> Any:
+    """The root mean square of one scaled error; of two, Hairer's mixture for DOP853: as small as the better, warned by the worse."""
+    squared = [ca.sumsqr(error) for error in errors]
+    n = max(errors[0].shape[0], 1)
+    if len(squared) == 1:
+        return ca.sqrt(squared[0] / n)
+    return squared[0] / ca.sqrt(n * (squared[0] + 0.01 * squared[1]) + 1e-300)
+
+
+def _jump(ode: ca.Function, moving: slice) -> ca.Function:
+    """(z, w, w_after, scale, changed) -> norm of the change of slope where the mode has changed, else 0 at no cost."""
+    z, w, after = ca.MX.sym("z", ode.sparsity_in(0)), ca.MX.sym("w", ode.sparsity_in(1)), ca.MX.sym("after", ode.sparsity_in(1))
+    scale = ca.MX.sym("scale", moving.stop)
+    arguments = [z, w, after, scale]
+    difference = ca.Function("difference", arguments, [_norm([(ode(z, after) - ode(z, w))[moving] / scale])])
+    nothing = ca.Function("nothing", arguments, [ca.MX(0)])
+    changed = ca.MX.sym("changed")
+    choice = ca.Function.if_else("jump_choice", difference, nothing)
+    return ca.Function("jump", [*arguments, changed], [choice(changed > 0, *arguments)])
+
+
+def _hidden(gaps: ca.Function, model: Model) -> ca.Function:
+    """The earliest quarter of a step, as a fraction, at which its cubic interpolation is in another mode; 0 when none is."""
+    x, slope, after, end = (ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end"))
+    u, h, mode = ca.MX.sym("u", model.nu), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))
+    found = ca.MX(0)
+    for t in (0.75, 0.5, 0.25):
+        a, b, c, d = (1 + 2 * t) * (1 - t) ** 2, t * (1 - t) ** 2, t * t * (3 - 2 * t), t * t * (t - 1)
+        between = a * x + c * after + h * (b * slope + d * end)  # Hermite's, ibid. (II.6.7)
+        found = ca.if_else(ca.sum1((gaps(between, u) > 0) != mode) > 0, t, found)
+    return ca.Function("hidden", [x, slope, after, end, u, h, mode], [found])
