@@ -14,7 +14,9 @@ STRIDE = 0.1  # of the structure's size: the longest step
 STEPS = 100
 NEARLY_SINGULAR = 3e-2  # as RANK, where Newton's steps become too long and a quadratic equation takes over
 QUICK = 0.9  # a step that leaves less than this share of the residual is taken without looking at others
+CRAWL, PATIENCE = 0.99, 5  # so many steps that leave more than this share lead nowhere
 DONE = 1e-13
+STARTS = 4  # directions, the most curved ones, along which a quadratic equation is tried from both sides
 
 
 class Search:
@@ -30,9 +32,10 @@ class Search:
     def nearest(self, goal: RowFunction, kept: Sequence[RowFunction], y: Array) -> Array:
         """y where the rows of `goal` are as small as the rows `kept`, which are zero there, let them be."""
         functions = [goal, *kept]
+        crawling = 0
         for _ in range(STEPS):
             best, least = None, _size(functions, y)
-            if least < DONE:
+            if least < DONE or crawling == PATIENCE:
                 break
             enough = QUICK * least
             for trial in self._trials(functions, y):
@@ -42,6 +45,7 @@ class Search:
                     break
             if best is None:
                 break
+            crawling = crawling + 1 if least > CRAWL * _size(functions, y) else 0
             y = best
         for _ in range(10 if kept else 0):  # what cannot give comes last: the goal's residual shows what is missing
             y = self._moved(y, self._step(kept, y, RANK))
@@ -84,9 +88,12 @@ class Search:
         def rows(d: Array) -> Array:
             return np.asarray(c + b @ d + np.einsum("jkl,k,l->j", K, d, d) / 2)
 
+        def slopes(d: Array) -> Array:
+            return np.asarray(b + np.einsum("jkl,l->jk", K, d))
+
         reach = np.sqrt(2 * np.abs(c).max() / max(np.abs(K).max(), 1e-12))
-        starts = [sign * reach * axis for axis in np.eye(directions.shape[1]) for sign in (1.0, -1.0)]
-        tried = [scipy.optimize.least_squares(rows, d) for d in starts]
+        starts = [sign * reach * axis for axis in np.eye(directions.shape[1])[-STARTS:] for sign in (1.0, -1.0)]
+        tried = [scipy.optimize.least_squares(rows, d, slopes) for d in starts]
         found = min(tried, key=lambda result: (round(float(result.cost), 15), float(np.linalg.norm(result.x))))
         return _strided(directions @ found.x)
 
