@@ -16,6 +16,7 @@ from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
 from tenscasadi.mode_motion import mode_motion
 from tenscasadi.model import Energy, Model
 from tenscasadi.rattle import Rattle
+from tenscasadi.recommend import NoScheme, Recommendation, recommend
 from tenscasadi.redundancy import RedundantConstraints
 from tenscasadi.reference import NoReference, Reference, certify
 from tenscasadi.scene import Scene
@@ -78,4 +79,7 @@ __all__ = [
     "certify",
     "Reference",
     "NoReference",
+    "recommend",
+    "Recommendation",
+    "NoScheme",
 ]

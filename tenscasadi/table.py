@@ -39,7 +39,7 @@ class Row:
     step: s, NaN for a scheme that chooses its own; fidelity: the name of the model; compiled: as machine code or in the virtual machine.
     seconds: wall time of the time loop per simulated second, the median of repeats; setup: wall time of equations and compilation, s.
     position: largest distance of a node from the reference at the end, m; bar, joint (m), energy (J): largest over the run, as in `Trajectory`.
-    instructions: of one step with its correction; steps: of the run.
+    instructions: of one step with its correction, 0 where they are not known; steps: of the run; errors are NaN where it failed.
     """
 
     scheme: Scheme
@@ -60,8 +60,11 @@ class Row:
 
     @property
     def work(self) -> float:
-        """Instructions of the whole run: a cost that no other load of the machine changes."""
-        return float(self.instructions) * self.steps
+        """Instructions of the whole run: a cost that no other load of the machine changes; NaN where they are not known.
+
+        Iterations of implicit schemes count once: compare explicit ones by it.
+        """
+        return float(self.instructions) * self.steps if self.instructions else float("nan")
 
     @property
     def name(self) -> str:
@@ -92,7 +95,7 @@ class Tradeoff:
         cost: "seconds", as measured, or "work", instructions times steps.
         """
         front: list[Row] = []
-        for row in sorted(self._good(), key=lambda row: (_cost(row, cost), row.position)):
+        for *_, row in self._by(cost):
             if not front or row.position < front[-1].position:
                 front.append(row)
         return tuple(front)
@@ -100,9 +103,9 @@ class Tradeoff:
     def cheapest(self, tolerance: float, cost: Cost = "seconds") -> Row:
         """The cheapest row whose position error, with that of the reference, is within `tolerance`, m. ValueError when there is none."""
         tolerance = positive_number("tolerance", tolerance)
-        within = [row for row in self._good() if row.position + self.reference_error <= tolerance]
-        if within:
-            return min(within, key=lambda row: _cost(row, cost))
+        for *_, row in self._by(cost):
+            if row.position + self.reference_error <= tolerance:
+                return row
         if tolerance <= self.reference_error:
             raise ValueError(f"tolerance is {tolerance:g} m: the reference itself may be off by {self.reference_error:.2g} m, give more than that")
         least = min((row.position for row in self._good()), default=float("nan"))
@@ -173,18 +176,19 @@ class Tradeoff:
     def _good(self) -> list[Row]:
         return [row for row in self.rows if row.success]
 
+    def _by(self, cost: Cost) -> list[tuple[float, float, int, Row]]:
+        """(cost, position, place, row) of each good row whose cost is known, from the cheapest."""
+        if cost not in ("seconds", "work"):
+            raise ValueError(f'cost is {cost!r}: give "seconds" or "work"')
+        known = [(float(getattr(row, cost)), row.position, place, row) for place, row in enumerate(self._good())]
+        return sorted(entry for entry in known if not np.isnan(entry[0]))
+
 
 def short(value: Any) -> str:
     """A frozen value as text, with only the options that are not the default."""
     own = [(field.name, getattr(value, field.name), field.default) for field in fields(value)] if is_dataclass(value) else []
     changed = ", ".join(f"{name}={option!r}" for name, option, default in own if option != default)
     return type(value).__name__ + (f"({changed})" if changed else "")
-
-
-def _cost(row: Row, cost: Cost) -> float:
-    if cost not in ("seconds", "work"):
-        raise ValueError(f'cost is {cost!r}: give "seconds" or "work"')
-    return row.seconds if cost == "seconds" else row.work
 
 
 def _number(value: float, form: str) -> str:

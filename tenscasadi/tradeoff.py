@@ -12,15 +12,17 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from tenscasadi.compiled import CompileError
 from tenscasadi.correction import BarLengthCorrection, Correction, Projection
 from tenscasadi.model import Model, instructions
 from tenscasadi.reference import Reference, certify, distance, end_nodes, interrupted
-from tenscasadi.schemes import Scheme, check_scheme
+from tenscasadi.runners import own_steps
+from tenscasadi.schemes import EmbeddedRungeKutta, Scheme, check_scheme
 from tenscasadi.signals import ControlInput
 from tenscasadi.simulate import simulate
 from tenscasadi.table import Row, Tradeoff
 from tenscasadi.trajectory import Trajectory
-from tenscasadi.validate import Array, instance, positive_number, whole_number
+from tenscasadi.validate import Array, finite_array, instance, positive_number, whole_number
 
 _TIMED = 0.02  # s of one timed run, about: short enough for many, long enough for the clock
 _TRIAL = 2048  # steps that tell how many take that long
@@ -45,14 +47,14 @@ def tradeoff(
     """Runs every scheme with every step, correction, model and way to run on [0, t_end], and measures what each costs and how wrong it is.
 
     models: a model, or several by name that share their scene's nodes and differ in fidelity: segments, lumping, slack, coordinates.
-    steps: largest steps, s; a scheme with a tolerance (`rtol`) chooses its own within the largest of them, and is run once.
+    steps: largest steps, s; a scheme that controls its error (`rtol`) takes its own, up to the largest of them, and is run once.
     reference: what position errors are measured against: a `Reference`, or the name of the model that `certify` solves; None: the first.
     state: start (nx,), a function model -> (nx,), or None: each model's initial state. control: as for `simulate`.
     compiled: None: as machine code where there is a compiler, True, False; both (True, False) compare the two.
     repeats: timed runs, whose median counts. progress: shows a progress bar.
 
     Ctrl-C ends the study and returns the rows so far, with `complete` False. A run that diverges, and a scheme that cannot serve a model,
-    give rows with `success` False and the reason in `message`. Raises NoReference, TypeError, ValueError, CompileError.
+    give rows with `success` False and the reason in `message`. Raises NoReference, TypeError, ValueError.
     """
     named = dict(models) if isinstance(models, Mapping) else {"": models}
     _check(named, schemes, corrections)
@@ -63,7 +65,7 @@ def tradeoff(
     known: Reference | None = None
     end = "interrupted from the keyboard before the reference was found"
     plans = list(product(named.items(), schemes, corrections, ways))
-    total = sum(1 if adaptive(scheme) else len(lengths) for _, scheme, _, _ in plans)
+    total = sum(1 if own_steps(scheme) else len(lengths) for _, scheme, _, _ in plans)
     try:
         with tqdm(total=total, unit=" runs", disable=not progress) as bar:
             known = _reference(named, t_end, reference, state, control)
@@ -100,7 +102,9 @@ class Case:
         return run
 
     def instructions(self) -> int:
-        """Instructions of one step, with its share of the correction."""
+        """Instructions of one step, with its share of the correction; 0: not known, the scheme does not step by a CasADi Function."""
+        if own_steps(self.scheme) and not isinstance(self.scheme, EmbeddedRungeKutta):
+            return 0
         project = None if self.correction is None else self.correction.step(self.model)
         extra = 0 if self.correction is None or project is None else instructions(project) / self.correction.every
         return round(instructions(self.scheme.advance(self.model)) + extra)
@@ -124,37 +128,32 @@ class Case:
         return None if callable(self.control) or (self.control is not None and np.ndim(self.control) != 1) else self.control
 
 
-def adaptive(scheme: Scheme) -> bool:
-    """Whether a scheme chooses its steps from a tolerance of its own."""
-    return getattr(scheme, "rtol", None) is not None
-
-
 def start_of(model: Model, state: State) -> Array | None:
-    """The start that `state` means for this model."""
-    return state(model) if callable(state) else state
+    """The start that `state` means for this model. Raises TypeError, ValueError."""
+    value = state(model) if callable(state) else state
+    return None if value is None else finite_array("state", value, (model.nx,))
 
 
 def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int) -> Iterable[Row]:
     """A row for each step; the time of a step and the set-up are measured once."""
-    chooses = adaptive(case.scheme)
+    chooses = own_steps(case.scheme)
     empty = Row(
         case.scheme, np.nan, case.correction, name, case.compiled is not False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, 0, 0, False, ""
     )
-    try:
-        work = case.instructions()
-    except (TypeError, ValueError) as error:  # such as Rattle where supports are moved
-        for step in lengths[:1] if chooses else lengths:
-            yield replace(empty, step=np.nan if chooses else step, message=str(error))
-        return
     each = setup = np.nan
     for step in lengths[:1] if chooses else lengths:
         began = time.perf_counter()
-        run = case.run(step)
+        empty = replace(empty, step=np.nan if chooses else step)
+        try:
+            run, work = case.run(step), case.instructions()
+        except (TypeError, ValueError, CompileError) as error:  # such as Rattle where supports are moved
+            yield replace(empty, message=str(error))
+            continue
         if np.isnan(setup):
             setup = time.perf_counter() - began - run.seconds
             empty = replace(empty, compiled=run.compiled, setup=setup)
         count = round(float(run.time[-1]) / run.step)
-        row = replace(empty, step=np.nan if chooses else step, instructions=work, steps=count, success=run.success, message=run.message)
+        row = replace(empty, instructions=work, steps=count, success=run.success, message=run.message)
         if run.success:
             if chooses:
                 seconds = median(case.run(step, energy_balance=False).seconds for _ in range(repeats))

@@ -31,6 +31,7 @@ TENSCASADI = (
     {"simulate", "table"},
     {"mode_motion", "plots", "reference"},
     {"animation", "demos", "tradeoff"},
+    {"recommend"},
     {"cli"},
     {"__main__"},
 )
