@@ -90,6 +90,10 @@ def _chain(name: str, steps: list[ca.Function]) -> ca.Function:
     return ca.Function(name, [start, *inputs], [ca.horzcat(*results)], first.name_in(), first.name_out())
 
 
+class StepFailure(RuntimeError):
+    """A scheme cannot go on; the message says why and what to do."""
+
+
 class LoopRunner:
     """Calls of `chunk_function`'s Function on NumPy memory, without conversions."""
 
@@ -116,7 +120,7 @@ class LoopRunner:
         self._z[:] = z
         self._trigger()
         if self._buffer.ret():
-            raise RuntimeError("the time loop stopped: CasADi could not evaluate a step")
+            raise StepFailure("CasADi could not evaluate a step: try a smaller step")
         return self._out
 
     def report(self, taken: int, step: float) -> tuple[str, float]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from tenscasadi.linear import Modes
 from tenscasadi.model import Model
-from tenscasadi.simulate import observe
+from tenscasadi.record import record
 from tenscasadi.trajectory import Trajectory
 from tenscasadi.validate import instance, positive_number, whole_number
 
@@ -37,27 +35,5 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
     velocities = omega * np.cos(omega * time)[:, None, None] * moved
     states = np.array([model.state(*row) for row in zip(nodes, velocities, strict=True)])
     controls = np.tile(model.initial_control, (count, 1))
-    seen = observe(model, states, controls)
-    energy: Any = seen["energy"].sum(axis=1)
-    return Trajectory(
-        time=time,
-        nodes=nodes,
-        velocities=velocities,
-        force_density=seen["force_density"],
-        tension=seen["tension"],
-        energy=energy,
-        energy_parts=seen["energy"],
-        energy_error=np.full(count, np.nan),
-        bar_length_error=seen["bar_length_error"][:, 0],
-        joint_error=seen["joint_error"][:, 0],
-        states=states,
-        control=controls,
-        bars=model.structure.bars,
-        strings=model.structure.strings,
-        pinned=np.array(sorted(model.structure.pinned), dtype=np.intp),
-        success=True,
-        message=f"mode {index}, {modes.frequency[index]:.4g} Hz",
-        step=float(time[1]),
-        seconds=0.0,
-        compiled=False,
-    )
+    message = f"mode {index}, {modes.frequency[index]:.4g} Hz"
+    return record(model, time, states, controls, step=float(time[1]), message=message)

@@ -10,16 +10,13 @@ import numpy as np
 from tenscasadi.adaptive import ATTEMPTS, Memory, attempts_function
 from tenscasadi.compiled import CompileError, compile_function, find_compiler
 from tenscasadi.correction import Correction
-from tenscasadi.loop import LoopRunner, chunk_function, chunk_steps, energy_function
+from tenscasadi.loop import LoopRunner, StepFailure, chunk_function, chunk_steps, energy_function
 from tenscasadi.model import Model
 from tenscasadi.schemes import EmbeddedRungeKutta, Scheme
+from tenscasadi.sundials import GRID, Sundials, SundialsRunner
 from tenscasadi.validate import Array
 
 _STUCK = 1e-13  # of the grid's spacing: a step as short as this makes no headway
-
-
-class StepFailure(RuntimeError):
-    """A scheme cannot go on; the message says why and what to do."""
 
 
 class Runner(Protocol):
@@ -57,13 +54,20 @@ class Task(NamedTuple):
 
 def own_steps(scheme: Scheme) -> bool:
     """Whether a scheme takes steps of its own size between the times of the grid."""
-    return isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive
+    return isinstance(scheme, Sundials) or (isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive)
 
 
 def make_runner(task: Task, step: float, steps: int, compiled: bool | None) -> Built:
     """The runner of a task on a grid of `steps` steps of `step` s; `compiled` as for `simulate`. Raises CompileError, ValueError."""
     model, scheme, correction = task.model, task.scheme, task.correction
     every = 1 if correction is None else correction.every
+    if isinstance(scheme, Sundials):
+        if compiled:
+            raise CompileError(f"{type(scheme).__name__} is an integrator of SUNDIALS, which makes no C code: give compiled=None or another scheme")
+        project = None if correction is None else correction.step(model)
+        power = model.power if task.power else None
+        calls = GRID if correction is None else every
+        return Built(SundialsRunner(model, scheme, power, task.jumps, project, step, calls), False, "")
     if own_steps(scheme) and every != 1:
         raise ValueError(f"correction.every is {every}: {type(scheme).__name__} with rtol corrects after each of its own steps, give every=1")
     note = ""

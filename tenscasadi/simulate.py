@@ -5,13 +5,15 @@ from __future__ import annotations
 import time
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 from tqdm import tqdm
 
 from tenscasadi.correction import BarLengthCorrection, Correction, Projection, projection
+from tenscasadi.correction_effect import correction_effect
+from tenscasadi.loop import StepFailure
 from tenscasadi.model import Model
-from tenscasadi.runners import Runner, StepFailure, Task, make_runner, own_steps
+from tenscasadi.record import observe, record
+from tenscasadi.runners import Runner, Task, make_runner, own_steps
 from tenscasadi.schemes import RungeKutta4, Scheme, check_scheme
 from tenscasadi.signals import ControlInput, Signal, signal
 from tenscasadi.stability import fastest_rate, stable_step
@@ -93,37 +95,23 @@ def simulate(
         message = f"interrupted from the keyboard, the last state kept is at t = {run.time[-1]:g} s"
     else:
         message = f"finished {run.report}" + _energy_note(parts, error, observed["tension"], observed["nodes"])
-    nodes = (good, len(model.structure.nodes), 3)
-    return Trajectory(
-        time=run.time[:good],
-        nodes=observed["nodes"][:good].reshape(nodes),
-        velocities=observed["velocities"][:good].reshape(nodes),
-        force_density=observed["force_density"][:good],
-        tension=observed["tension"][:good],
-        energy=energy[:good],
-        energy_parts=parts[:good],
-        energy_error=error[:good],
-        bar_length_error=observed["bar_length_error"][:good, 0],
-        joint_error=observed["joint_error"][:good, 0],
-        states=states[:good].copy(),
-        control=controls[:good],
-        bars=model.structure.bars,
-        strings=model.structure.strings,
-        pinned=np.array(sorted(model.structure.pinned), dtype=np.intp),
-        success=not (fault or run.failure or run.interrupted),
-        message=message + built.note,
+    told: tuple[Array, Array] | None = None
+    if correction is not None:
+        unknown = np.full(good, np.nan)
+        told = (unknown, unknown) if own_steps(scheme) else correction_effect(model, scheme, correction, states[:good], controls[:good], run.step)
+    return record(
+        model,
+        run.time[:good],
+        states[:good],
+        controls[:good],
         step=run.step,
+        message=message + built.note,
+        success=not (fault or run.failure or run.interrupted),
+        energy_error=error[:good],
+        correction=told,
         seconds=run.seconds,
         compiled=built.compiled,
     )
-
-
-def observe(model: Model, states: Array, controls: Array) -> dict[str, Array]:
-    """What `model.observe` gives, by name, each (T, size), of T states (T, nx) and controls (T, nu)."""
-    rows = len(states)
-    mapped = model.observe.map(rows)
-    results = mapped.call([ca.DM(states.T), ca.DM(controls.T) if model.nu else ca.DM(0, rows)])
-    return {name: result.full().T.copy() for name, result in zip(model.observe.name_out(), results, strict=True)}
 
 
 class _Run(NamedTuple):

@@ -16,7 +16,7 @@ from tenscasadi.validate import Array, Indices
 
 _FORMAT = "tenscasadi trajectory 1"
 # Anything that reading a damaged or foreign archive may raise.
-_UNREADABLE = (OSError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+_UNREADABLE = (OSError, AttributeError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,8 @@ class Trajectory:
     energy (T,) J in total and energy_parts (T, 3) kinetic, elastic, gravity;
     energy_error (T,) J: what the total gained beyond the work of all forces and of changes of the control, so an error of the numerics
     (NaN where it was not computed); bar_length_error (T,): the largest |length − l| / l; joint_error (T,) m: the largest gap of a joint;
+    correction_shift (T,) m and correction_energy (T,) J: how far the correction after the step that starts here moves a node, and what it adds to
+    the energy (0 without correction, NaN for schemes that take their own steps);
     states (T, nx) and control (T, nu) of the model: a row's control acts from that row's time on (in the last row: until that time);
     bars (β, 2), strings (α, 2) and pinned (any,): node indices; success and message tell how the run ended; step s; seconds: wall time of
     the time loop; compiled: whether it ran as machine code.
@@ -42,6 +44,8 @@ class Trajectory:
     energy_error: Array
     bar_length_error: Array
     joint_error: Array
+    correction_shift: Array
+    correction_energy: Array
     states: Array
     control: Array
     bars: Indices
@@ -77,6 +81,8 @@ class Trajectory:
             f"bar lengths   largest relative error {_largest(self.bar_length_error)}",
             f"joints        largest gap {_largest(self.joint_error)} m",
         ]
+        if np.any(self.correction_shift > 0):
+            lines.append(f"correction    moves a node by {_largest(self.correction_shift)} m and adds {_largest(self.correction_energy)} J at most")
         if self.tension.size:
             lines.append(f"tension       {self.tension.min():.4g} … {self.tension.max():.4g} N")
         return "\n".join(lines)
@@ -129,6 +135,8 @@ _SHAPES: dict[str, tuple[str, str]] = {
     "energy_error": ("T", "f"),
     "bar_length_error": ("T", "f"),
     "joint_error": ("T", "f"),
+    "correction_shift": ("T", "f"),
+    "correction_energy": ("T", "f"),
     "states": ("Tx", "f"),
     "control": ("Tu", "f"),
     "bars": ("β2", "i"),

@@ -156,3 +156,26 @@ def test_the_printed_multiplier_lets_lengths_drift_where_the_current_one_does_no
     with pytest.raises(ValueError, match=r"Model\.bar_length"):
         Model(Scene(LOOP), bar_length="constant")
     assert Model(Scene(LOOP), "full", "constant").ode is not None
+
+
+@pytest.mark.parametrize("correction", [Projection(), Projection(every=7), BarLengthCorrection(weight=2.0)], ids=str)
+def test_a_trajectory_tells_what_its_correction_did(correction: Projection | BarLengthCorrection) -> None:
+    model = Model(certified("prism_n1").scene)
+    effects = {}
+    for step in (1e-2, 5e-3):
+        run = simulate(model, 1.0, step, correction=correction)
+        assert run.correction_shift.shape == run.correction_energy.shape == run.time.shape
+        effects[step] = run.correction_shift.max(), abs(run.correction_energy).max()
+        assert "correction    moves a node by" in run.summary()
+    assert 1e-12 < effects[5e-3][0] < effects[1e-2][0] / 10  # what a step does wrong falls like its fifth power
+    assert 0 < effects[5e-3][1] < effects[1e-2][1] / 10
+    plain = simulate(model, 1.0, 1e-2)
+    assert not plain.correction_shift.any()
+    if correction == Projection():  # one step, by hand
+        x = model.initial_state
+        once = simulate(model, 1e-2, 1e-2).states[-1]
+        moved = projection(model)(once).full().ravel()
+        assert effects[1e-2][0] >= 0
+        assert run.correction_shift.min() >= 0
+        first = simulate(model, 1e-2, 1e-2, correction=correction, state=x).correction_shift[0]
+        assert first == pytest.approx(np.linalg.norm(model.nodes(moved) - model.nodes(once), axis=1).max(), rel=1e-6)

@@ -153,7 +153,10 @@ def test_errors_that_are_all_zero_are_drawn(motion):
 
 def test_a_single_row_can_be_drawn(motion):
     one = {name: getattr(motion, name)[:1] for name in ("time", "nodes", "velocities", "force_density", "tension", "energy")}
-    one |= {name: getattr(motion, name)[:1] for name in ("energy_parts", "energy_error", "bar_length_error", "joint_error", "states", "control")}
+    one |= {
+        name: getattr(motion, name)[:1]
+        for name in ("energy_parts", "energy_error", "bar_length_error", "joint_error", "correction_shift", "correction_energy", "states", "control")
+    }
     start = dataclasses.replace(motion, **one)
     for draw in (plots.structure, plots.time_lapse, plots.node_histories, plots.force_densities, plots.errors):
         draw(start).draw_without_rendering()

@@ -18,9 +18,10 @@ from tenscasadi.correction import Projection, projection
 from tenscasadi.loads import Gravity
 from tenscasadi.loop import chunk_steps
 from tenscasadi.model import Model
+from tenscasadi.record import observe
 from tenscasadi.scene import Scene
 from tenscasadi.schemes import RungeKutta4
-from tenscasadi.simulate import observe, simulate
+from tenscasadi.simulate import simulate
 from tenscasadi.stability import fastest_rate, stable_step
 from tenscasadi.strings import ForceDensity, RestLength
 from tenscasadi.structure import Structure

@@ -23,7 +23,8 @@ def example(rows: int = 4, **changes: Any) -> Trajectory:
         "time": np.linspace(0, 1, rows), "nodes": random.normal(size=(rows, 3, 3)), "velocities": random.normal(size=(rows, 3, 3)),
         "force_density": random.normal(size=(rows, 2)), "tension": random.normal(size=(rows, 2)), "energy": random.normal(size=rows),
         "energy_parts": random.normal(size=(rows, 3)), "energy_error": np.full(rows, np.nan), "bar_length_error": np.zeros(rows),
-        "joint_error": np.zeros(rows), "states": random.normal(size=(rows, 18)), "control": np.zeros((rows, 0)),
+        "joint_error": np.zeros(rows), "correction_shift": np.zeros(rows), "correction_energy": np.zeros(rows),
+        "states": random.normal(size=(rows, 18)), "control": np.zeros((rows, 0)),
         "bars": np.array([[0, 1]]), "strings": np.array([[1, 2], [2, 0]]), "pinned": np.array([0]),
         "success": True, "message": "finished: γ → 0", "step": 0.1, "seconds": 0.01, "compiled": False,
     }  # fmt: skip
