@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from tenscasadi import shapes
 from tenscasadi.class_one import ClassOne
+from tenscasadi.collocation import Collocation
 from tenscasadi.compiled import CompileError
 from tenscasadi.correction import BarLengthCorrection, Projection
 from tenscasadi.dynamics import Multipliers
@@ -26,6 +27,7 @@ from tenscasadi.stability import stable_step
 from tenscasadi.statics import EquilibriumError, equilibrium_force_density, self_stress
 from tenscasadi.strings import Clip, ForceDensity, RestLength, Smooth
 from tenscasadi.structure import Structure
+from tenscasadi.sundials import Cvodes, Idas
 from tenscasadi.supports import SupportMotion
 from tenscasadi.table import Row, Tradeoff
 from tenscasadi.tradeoff import tradeoff
@@ -67,6 +69,9 @@ __all__ = [
     "DormandPrince54",
     "DormandPrince853",
     "Rattle",
+    "Collocation",
+    "Cvodes",
+    "Idas",
     "Projection",
     "BarLengthCorrection",
     "stable_step",

@@ -1,0 +1,182 @@
+"""Implicit schemes: collocation, CVODES and IDAS: orders, tolerances, stiffness, and what happens when they fail."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from references import certified
+
+from tenscasadi import shapes
+from tenscasadi.collocation import Collocation
+from tenscasadi.compiled import CompileError, find_compiler
+from tenscasadi.correction import Projection
+from tenscasadi.loads import Gravity
+from tenscasadi.model import Model
+from tenscasadi.redundancy import RedundantConstraints
+from tenscasadi.scene import Scene
+from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4, stability_limit
+from tenscasadi.simulate import simulate
+from tenscasadi.stability import stable_step
+from tenscasadi.strings import RestLength
+from tenscasadi.structure import Structure
+from tenscasadi.sundials import Cvodes, Idas, Sundials
+
+needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
+
+
+def error(name: str, scheme: Any, step: float | None = None, coordinates: Any = "reduced") -> float:
+    """The largest error of any node at any certified time."""
+    case = certified(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RedundantConstraints)
+        model = Model(case.scene, coordinates)
+    times = case.data["t"]
+    every = 1 if step is None else round(times[1] / step)
+    run = simulate(model, times[-1], times[1] / every, scheme, model.state(case.nodes[0], case.velocities), save_every=every, compiled=False)
+    assert run.success, run.message
+    return float(abs(run.nodes - case.nodes).max())
+
+
+# --- collocation ---
+
+
+@pytest.mark.parametrize(
+    ("scheme", "step"),
+    [(Collocation(1), 5e-3), (Collocation(), 0.01), (Collocation(3), 0.02), (Collocation(2, "radau"), 5e-3), (Collocation(3, "radau"), 0.01)],
+)
+def test_order_of_collocation(scheme: Collocation, step: float) -> None:
+    for name in ("prism_n1", "spin_bar"):
+        assert np.log2(error(name, scheme, step) / error(name, scheme, step / 2)) == pytest.approx(scheme.order, abs=0.25)
+
+
+def test_coefficients_are_those_of_the_books() -> None:
+    root = np.sqrt(3)
+    A, b = Collocation().coefficients
+    assert pytest.approx(np.array([[1 / 4, 1 / 4 - root / 6], [1 / 4 + root / 6, 1 / 4]])) == A
+    assert pytest.approx([1 / 2, 1 / 2]) == b
+    A, b = Collocation(2, "radau").coefficients
+    assert pytest.approx(np.array([[5 / 12, -1 / 12], [3 / 4, 1 / 4]])) == A
+    assert pytest.approx([3 / 4, 1 / 4]) == b
+
+
+def test_no_step_is_too_large_for_stability() -> None:
+    directions = np.exp(1j * np.linspace(np.pi / 2, np.pi, 5))
+    model = Model(Scene(shapes.prism(stiffness=1e7, prestress=30.0)))
+    for scheme in (Collocation(), Collocation(3, "radau"), Cvodes(), Idas()):
+        assert np.isinf(stability_limit(scheme, directions)).all()
+        assert stable_step(model, scheme=scheme) == np.inf
+    z = np.array([-1e6, 1e6j])
+    assert abs(Collocation().amplification(z)) == pytest.approx(np.ones(2), abs=1e-4)
+    assert abs(Collocation(2, "radau").amplification(z)).max() < 1e-5
+    assert Collocation().amplification(np.array([0.1j]))[0] == pytest.approx(np.exp(0.1j), abs=1e-7)
+
+
+@needs_compiler
+def test_compiled_collocation_gives_the_same_numbers() -> None:
+    model = Model(Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))))
+    machine, virtual = (simulate(model, 1.0, 0.02, Collocation(), compiled=compiled) for compiled in (True, False))
+    assert (machine.compiled, virtual.compiled) == (True, False)
+    assert abs(machine.states - virtual.states).max() < 1e-10
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)])
+def test_a_step_that_newton_cannot_solve_ends_the_run(compiled: bool) -> None:
+    model = Model(Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))))
+    run = simulate(model, 30.0, 3.0, Collocation(iterations=2), compiled=compiled)
+    assert not run.success
+    assert "not finite" in run.message
+    assert np.isfinite(run.states).all()
+
+
+# --- SUNDIALS ---
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+@pytest.mark.parametrize("scheme", [Cvodes, Idas])
+@pytest.mark.parametrize("name", ["double_pendulum", "cross_bar", "spin_bar", "net4"])
+def test_sundials_follow_their_tolerance(name: str, scheme: type[Sundials], coordinates: Any) -> None:
+    coarse, fine = (error(name, scheme(rtol), coordinates=coordinates) for rtol in (1e-6, 1e-10))
+    assert fine < 5e-6
+    assert fine < coarse / 50
+
+
+def test_idas_meets_the_ground() -> None:
+    assert error("lander_mass", Idas(1e-6)) < 1e-4
+
+
+@pytest.mark.parametrize("scheme", [Cvodes(1e-9), Idas(1e-9)])
+def test_controls_work_and_corrections(scheme: Sundials) -> None:
+    model = Model(Scene(shapes.prism(stiffness=1000.0, prestress=30.0, damping=1.0), control=RestLength()))
+    table = model.initial_control * np.array([[1.0], [1.02], [0.99]])
+    fine = simulate(model, 0.3, 1e-4, control=table, compiled=False)
+    for correction in (None, Projection(), Projection(every=7)):
+        run = simulate(model, 0.3, 0.01, scheme, control=table, correction=correction)
+        assert abs(run.nodes[-1] - fine.nodes[-1]).max() < 1e-6
+        assert np.ptp(run.energy) > 1e-3
+        assert abs(run.energy_error).max() < 1e-4
+        if correction is not None:
+            assert run.bar_length_error[:: correction.every].max() < 1e-14
+    plain = Model(Scene(shapes.prism(stiffness=1000.0, prestress=30.0), control=RestLength()))
+    assert abs(simulate(plain, 0.3, 0.01, scheme, control=table).energy_error).max() < 1e-4
+
+
+@pytest.mark.parametrize("scheme", [Cvodes(1e-10), Idas(1e-10), Collocation(4)])
+def test_the_step_function_follows_the_model(scheme: Any) -> None:
+    model = Model(Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))))
+    reference = DormandPrince853().advance(model)(model.initial_state, [], 0.05)
+    assert abs(scheme.advance(model)(model.initial_state, [], 0.05) - reference).full().max() < 1e-6
+
+
+def test_failures_of_sundials_are_messages() -> None:
+    model = Model(Scene(shapes.prism(stiffness=1000.0, prestress=30.0), gravity=Gravity()))
+    start = model.state(model.structure.nodes, np.random.default_rng(0).normal(size=(6, 3)))
+    for scheme in (Cvodes(1e-9, max_steps=3), Idas(1e-9, max_steps=3)):
+        run = simulate(model, 1.0, 0.5, scheme, start)
+        assert not run.success
+        assert f"{type(scheme).__name__} gave up" in run.message
+    with pytest.raises(CompileError, match="Cvodes"):
+        simulate(model, 1.0, scheme=Cvodes(), compiled=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RedundantConstraints)
+        held = Model(Scene(Structure([[0, 0, 0], [1, 0, 0], [0, 0, 1]], bars=[(0, 1)], node_mass=[0, 0, 1.0], pinned=[0, 1])))
+    with pytest.raises(ValueError, match="no free node"):
+        simulate(Model(Scene(Structure([[0, 0, 0]], node_mass=1.0, pinned=[0]))), 0.1, scheme=Cvodes())
+    with pytest.raises(ValueError, match="redundant"):
+        simulate(held, 0.1, scheme=Idas())
+
+
+def test_mistakes_are_named() -> None:
+    for options in ({"degree": 0}, {"degree": 10}, {"points": "lobatto"}, {"tolerance": 0.0}, {"iterations": 0}):
+        with pytest.raises(ValueError, match=rf"Collocation\.{next(iter(options))}"):
+            Collocation(**options)  # type: ignore[arg-type]
+    for scheme in (Cvodes, Idas):
+        for wrong in ({"rtol": 0.0}, {"atol": -1.0}, {"max_steps": 0}):
+            with pytest.raises(ValueError, match=rf"{scheme.__name__}\.{next(iter(wrong))}"):
+                scheme(**wrong)  # type: ignore[arg-type]
+
+
+# --- stiffness ---
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_stiff_damped_strings_are_faster_implicitly() -> None:
+    """k = 1e7 N/m, five segments, fast vibrations damped: to 1e-6 m, CVODES takes less time than any explicit scheme."""
+    structure = shapes.prism(stiffness=1e7, prestress=30.0, damping=1e3, string_mass=0.1)
+    model = Model(Scene(structure, segments=5, gravity=Gravity()))
+    nodes = model.structure.nodes
+    start = model.state(nodes, np.cross([0.5, 0.3, 1.0], nodes - nodes.mean(axis=0)))
+    options: dict[str, Any] = {"state": start, "save_every": 10**9, "energy_balance": False}
+    exact = simulate(model, 0.1, scheme=DormandPrince853(1e-12), **options).nodes[-1]
+
+    def seconds(scheme: Any, step: float | None) -> float:
+        runs = [simulate(model, 0.1, step, scheme, **options) for _ in range(3)]
+        assert abs(runs[0].nodes[-1] - exact).max() < 1e-6
+        return min(run.seconds for run in runs)
+
+    explicit = [seconds(scheme, stable_step(model, start, scheme=scheme)) for scheme in (RungeKutta4(), DormandPrince853())]
+    explicit += [seconds(scheme, None) for scheme in (DormandPrince54(1e-6), DormandPrince853(1e-6))]
+    assert seconds(Cvodes(1e-8), 0.002) < min(explicit)
