@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,7 +24,7 @@ class Rows:
     speed: bool = False
 
 
-class Goal(Protocol):
+class Goal:
     """Anything that can be asked of the final state."""
 
     def check(self, structure: Structure) -> None:
@@ -32,10 +32,11 @@ class Goal(Protocol):
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """The rows that vanish when the goal is met, of nodes and velocities 3×n (CasADi)."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
-class StringLengths:
+class StringLengths(Goal):
     """Strings of given lengths, m: one number for each string, or {string: length} for some of them.
 
     The length of a string that is modelled in segments is the distance between its ends.
@@ -78,7 +79,7 @@ class StringLengths:
 
 
 @dataclass(frozen=True, eq=False)
-class NodePositions:
+class NodePositions(Goal):
     """Nodes at given places: {node: (x, y, z)}, m, None for an axis that is free; or all nodes (n, 3)."""
 
     positions: Mapping[int, Sequence[float | None]] | ArrayLike
@@ -134,7 +135,7 @@ class NodePositions:
 
 
 @dataclass(frozen=True)
-class AtRest:
+class AtRest(Goal):
     """No node moves at the end."""
 
     def check(self, structure: Structure) -> None:

@@ -6,19 +6,22 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.bounds import Bound, ForceDensityLimits, TensionLimits
+from ocp.bounds import Bound, ForceDensityLimits, Limits, PathBound, TensionLimits
 from ocp.checks import dimensions
-from ocp.costs import Cost, Effort, Smoothness
-from ocp.goals import AtRest, Goal, NodePositions, StringLengths
+from ocp.costs import Cost, FinalCost, RunningCost
+from ocp.goals import Goal
+from ocp.instant import symbolic
 from tenscasadi.correction import projection
 from tenscasadi.model import Model
 from tenscasadi.strings import ForceDensity
 from tenscasadi.validate import Array, finite_array, instance, positive_number
 
 BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, a start with other bars is refused
+START_TOLERANCE = 1e-6  # of the structure's size: beyond it a start is out of bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +30,7 @@ class Problem:
 
     duration: seconds, or (shortest, longest) to let the solver choose. start: nodes (n, 3) at rest, m, or a state (nx,); None: the
     model's initial state; rounded numbers are put right. goals: `StringLengths`, `NodePositions`, `AtRest`, all met at the end.
-    bounds: `ForceDensityLimits`, `TensionLimits`, along the way. costs: `Effort`, `Smoothness`, summed.
+    bounds: `ForceDensityLimits`, `TensionLimits`, `BarClearance` …, along the way. costs: `Effort`, `Tracking` …, summed.
     Raises TypeError, ValueError that name the field.
     """
 
@@ -55,11 +58,12 @@ class Problem:
                 raise TypeError(f"Problem.{field} is {values!r}: give a list of them, such as {example}")
             own[field] = tuple(values)
             for k, value in enumerate(own[field]):
-                instance(f"Problem.{field}[{k}]", value, kinds, f"one of {', '.join(kind.__name__ for kind in kinds)}")
+                instance(f"Problem.{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}")
         structure = self.model.scene.structure
-        for item in (*own["goals"], *own["bounds"]):
+        for item in (*own["goals"], *own["bounds"], *own["costs"]):
             item.check(structure)
         self._check_limits()
+        self._check_expressions()
 
     @property
     def shortest(self) -> float:
@@ -74,7 +78,7 @@ class Problem:
     def limits(self, kind: type) -> tuple[Array, Array]:
         """Lower and upper limits (α,) that all bounds of one kind leave; −inf and inf where there is none."""
         structure = self.model.scene.structure
-        given = [bound.limits(structure) for bound in self.bounds if isinstance(bound, kind)]
+        given = [bound.limits(structure) for bound in self.bounds if isinstance(bound, kind) and isinstance(bound, Limits)]
         count = len(structure.strings)
         lower = np.max([np.full(count, -np.inf), *(low for low, _ in given)], axis=0)
         upper = np.min([np.full(count, np.inf), *(up for _, up in given)], axis=0)
@@ -119,6 +123,32 @@ class Problem:
                 i = int(crossed[0])
                 raise ValueError(f"Problem.bounds: {kind.__name__} leave string {i} nothing, lower {lower[i]:g} and upper {upper[i]:g}: widen one")
 
+    def _check_expressions(self) -> None:
+        """Builds what is asked once, so that a fault shows here, and refuses a start that is out of bounds."""
+        start = np.asarray(self.start)
+        for bound in self.bounds:
+            if not isinstance(bound, PathBound):
+                continue
+            now = symbolic(self.model)
+            limited = bound.limited(now)
+            if bound.needs_control or not limited.names:
+                continue
+            value = ca.Function("start", [now.state, now.control, now.time], [ca.densify(limited.value)])(start, 0, 0).full().ravel()
+            excess = np.maximum(limited.lower - value, value - limited.upper)
+            worst = int(np.argmax(excess))
+            if excess[worst] > START_TOLERANCE * np.ptp(self.model.structure.nodes):
+                low, high = limited.lower[worst], limited.upper[worst]
+                raise ValueError(
+                    f"Problem.start has {limited.names[worst]} at {value[worst]:g}, and Problem.bounds keep it between {low:g} and {high:g}: "
+                    "start within them, or widen them"
+                )
+        for cost in self.costs:
+            now = symbolic(self.model)
+            if isinstance(cost, RunningCost):
+                cost.rate(now)
+            elif isinstance(cost, FinalCost):
+                cost.final(now)
+
 
 def _duration(value: Any) -> float | tuple[float, float]:
     if dimensions(value) == 0:
@@ -130,8 +160,8 @@ def _duration(value: Any) -> float | tuple[float, float]:
     return shortest if pair[1] == shortest else (shortest, float(pair[1]))
 
 
-_KINDS: tuple[tuple[str, tuple[type, ...], str], ...] = (
-    ("goals", (StringLengths, NodePositions, AtRest), "[AtRest()]"),
-    ("bounds", (ForceDensityLimits, TensionLimits), "[ForceDensityLimits(0, 200)]"),
-    ("costs", (Effort, Smoothness), "[Effort()]"),
+_KINDS: tuple[tuple[str, type, str], ...] = (
+    ("goals", Goal, "[AtRest()]"),
+    ("bounds", Bound, "[ForceDensityLimits(0, 200)]"),
+    ("costs", Cost, "[Effort()]"),
 )

@@ -1,0 +1,87 @@
+"""Limits and costs along a plan as functions of instants, scaled: what every transcription imposes in the same way."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ocp.bounds import CornerBound, Limited, PathBound
+from ocp.costs import ControlCost, FinalCost, RunningCost
+from ocp.instant import symbolic
+from ocp.problem import Problem
+from ocp.target import Scales
+from tenscasadi.validate import Array
+
+
+class StageRows(NamedTuple):
+    """Scaled rows, to be imposed at these ends ("start", "end") of every interval."""
+
+    function: ca.Function
+    lower: Array
+    upper: Array
+    names: tuple[str, ...]
+    ends: tuple[str, ...]
+
+
+def stage_rows(problem: Problem, scales: Scales, strength: float) -> list[StageRows]:
+    """Rows of all bounds of instants, Functions (x, u, t) → rows: of nodes at the end of every interval, of forces at both its ends.
+
+    strength: a typical γ, N/m.
+    """
+    result = []
+    for bound in problem.bounds:
+        if isinstance(bound, PathBound):
+            now = symbolic(problem.model)
+            ends = ("start", "end") if bound.needs_control else ("end",)
+            result += _rows(bound.limited(now), [now.state, now.control, now.time], ends, scales, strength)
+    return result
+
+
+def corner_rows(problem: Problem, scales: Scales, strength: float) -> list[StageRows]:
+    """Rows of all bounds between the starts of neighbouring intervals: Functions (x, u, x⁺, u⁺, h) → rows."""
+    result = []
+    for bound in problem.bounds:
+        if isinstance(bound, CornerBound):
+            before, after = symbolic(problem.model), symbolic(problem.model)
+            h: Any = type(before.state).sym("h")
+            inputs = [before.state, before.control, after.state, after.control, h]
+            result += _rows(bound.limited_between(before, after, h), inputs, ("end",), scales, strength)
+    return result
+
+
+def typical_cost(problem: Problem, strength: float, states: Array, force_density: Array, duration: float) -> float:
+    """The costs of states (K + 1, nx) and force densities (K, α) that alternate about `strength`: what makes the objective of order one."""
+    count = len(force_density)
+    pattern = strength * (1 + 0.5 * (-1.0) ** np.indices(force_density.T.shape).sum(axis=0))
+    total, x = 0.0, states.T
+    for cost in problem.costs:
+        now = symbolic(problem.model)
+        inputs = [now.state, now.control, now.time]
+        if isinstance(cost, ControlCost):
+            total += float(ca.DM(cost.expression(ca.DM(pattern), duration / count)))
+        elif isinstance(cost, RunningCost):
+            rate = ca.Function("rate", inputs, [cost.rate(now)]).map(count)
+            total += duration / count * float(ca.sum2(rate(x[:, 1:], pattern, np.linspace(0.0, duration, count + 1)[None, 1:])))
+        elif isinstance(cost, FinalCost):
+            total += float(ca.Function("final", inputs, [cost.final(now)])(x[:, -1], pattern[:, -1], duration))
+    return abs(total) if np.isfinite(total) and total else 1.0
+
+
+def _rows(limited: Limited, inputs: list[Any], ends: tuple[str, ...], scales: Scales, strength: float) -> list[StageRows]:
+    if not limited.names:
+        return []
+    scale = _scale(limited, scales, strength)
+    function = ca.Function("bound", inputs, [ca.densify(limited.value / ca.DM(scale))])
+    return [StageRows(function, limited.lower / scale, limited.upper / scale, limited.names, ends)]
+
+
+def _scale(limited: Limited, scales: Scales, strength: float) -> Array:
+    """What one row of each entry stands for."""
+    sizes = {"N": strength * scales.length, "N/m": strength, "m": scales.length, "m/s": scales.length / scales.time}
+    if limited.unit:
+        return np.full(len(limited.names), sizes[limited.unit])
+    ends = np.array([limited.lower, limited.upper])
+    largest = np.max(np.where(np.isfinite(ends), np.abs(ends), 0.0), axis=0)
+    return np.where(largest > 0, largest, 1.0)
