@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 
 from ocp.guess import Guess
+from ocp.program import Program
 from ocp.reach import Reach, controlled
 from ocp.solver import Solution
 from ocp.target import Target
-from ocp.transcription import Program
 from tenscasadi.validate import Array
 
 VIOLATED = 1e-6  # in scaled rows: below it a constraint counts as met

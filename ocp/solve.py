@@ -13,11 +13,12 @@ from ocp.explain import explain_failure
 from ocp.guess import Guess, make_guess
 from ocp.plan import Plan
 from ocp.problem import Problem
+from ocp.program import Program
 from ocp.reach import HARDLY_REACHED, REACHED, Reach, controlled
 from ocp.solver import Ipopt, Solution, Solver
 from ocp.target import Scales, Target, find_target
-from ocp.transcription import MultipleShooting, Program, Transcription
-from tenscasadi.simulate import observe
+from ocp.transcription import MultipleShooting, OnGrid, Transcription
+from tenscasadi.record import record
 from tenscasadi.trajectory import Trajectory
 from tenscasadi.validate import Array, instance
 
@@ -41,14 +42,14 @@ def solve(problem: Problem, transcription: Transcription | None = None, solver: 
     instance("problem", problem, Problem, "an ocp.Problem")
     transcription = MultipleShooting() if transcription is None else transcription
     solver = Ipopt() if solver is None else solver
-    instance("transcription", transcription, MultipleShooting, "an ocp.MultipleShooting")
+    instance("transcription", transcription, OnGrid, "a transcription, such as ocp.MultipleShooting()")
     instance("solver", solver, Ipopt, "an ocp.Ipopt")
     began = time.perf_counter()
     scales = Scales.of(problem)
     target = find_target(problem, scales)
-    _check_freedom(problem, target, transcription.intervals)
-    guess = make_guess(problem, target, transcription.intervals)
-    reach = Reach(transcription.step(problem.model), transcription.intervals, problem.shortest < problem.longest)
+    _check_freedom(problem, target, transcription.count)
+    guess = make_guess(problem, target, transcription.count)
+    reach = Reach(transcription.step(problem.model), transcription.count, problem.shortest < problem.longest)
     imposed = _controlled(target, reach, guess)
     outcome = _attempt(problem, transcription, solver, imposed, scales, guess)
     if imposed.count < target.count and not (outcome.solution.success and _met(target, outcome.guess, scales)):
@@ -165,28 +166,6 @@ def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:
 def _trajectory(problem: Problem, grid: Array, found: Guess, seconds: float, success: bool) -> Trajectory:
     model = problem.model
     controls = np.concatenate([found.force_density, found.force_density[-1:]])
+    message = "planned motion at the ends of the intervals"
     with np.errstate(all="ignore"):
-        seen = observe(model, found.states, controls)
-    nodes = (len(grid), len(model.structure.nodes), 3)
-    return Trajectory(
-        time=grid,
-        nodes=seen["nodes"].reshape(nodes),
-        velocities=seen["velocities"].reshape(nodes),
-        force_density=seen["force_density"],
-        tension=seen["tension"],
-        energy=seen["energy"].sum(axis=1),
-        energy_parts=seen["energy"],
-        energy_error=np.full(len(grid), np.nan),
-        bar_length_error=seen["bar_length_error"][:, 0],
-        joint_error=seen["joint_error"][:, 0],
-        states=found.states.copy(),
-        control=controls,
-        bars=model.structure.bars,
-        strings=model.structure.strings,
-        pinned=np.array(sorted(model.structure.pinned), dtype=np.intp),
-        success=success,
-        message="planned motion at the ends of the intervals",
-        step=float(grid[1]),
-        seconds=seconds,
-        compiled=False,
-    )
+        return record(model, grid, found.states, controls, step=float(grid[1]), message=message, success=success, seconds=seconds)

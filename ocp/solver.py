@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import casadi as ca
 import numpy as np
 
-from ocp.transcription import Program
+from ocp.program import Program
 from tenscasadi.validate import Array, positive_number, whole_number
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
@@ -69,7 +69,16 @@ class Ipopt:
             **self.options,
         }
         # error_on_fail: an iterate that does not converge is a result, which says so.
-        options: dict[str, Any] = {"ipopt": ipopt, "print_time": False, "error_on_fail": False, "show_eval_warnings": self.verbose}
+        exact = program.derivatives()
+        options: dict[str, Any] = {
+            "grad_f": exact["nlp_grad_f"],
+            "jac_g": exact["nlp_jac_g"],
+            "hess_lag": exact["nlp_hess_l"],
+            "ipopt": ipopt,
+            "print_time": False,
+            "error_on_fail": False,
+            "show_eval_warnings": self.verbose,
+        }
         began = time.perf_counter()
         try:
             solver = ca.nlpsol("solver", "ipopt", program.problem, options)

@@ -37,11 +37,13 @@ TENSCASADI = (
     {"__main__"},
 )
 OCP = (
-    {"checks", "instant", "momentum", "reach", "reduction"},
+    {"blocks", "checks", "grid", "instant", "momentum", "reach", "reduction"},
     {"bounds", "costs", "goals", "search"},
     {"expressions", "invariants", "places", "problem"},
     {"plan", "target"},
     {"guess", "path"},
+    {"stages"},
+    {"program"},
     {"transcription"},
     {"solver"},
     {"explain"},

@@ -1,0 +1,188 @@
+"""What all transcriptions share: unknowns interval by interval, goals, limits and costs, and the program that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.blocks import Block, Separable, Unknowns
+from ocp.grid import Profile, at, between, constant_matrix, node_values, spread
+from ocp.guess import Guess
+from ocp.path import stop_rows, typical_cost
+from ocp.problem import Problem
+from ocp.stages import bound_blocks, cost_blocks, stop_block
+from ocp.target import Scales, Target
+from tenscasadi.correction import projection
+from tenscasadi.model import Model
+from tenscasadi.validate import Array, Indices
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """minimise f(w) subject to lower ≤ g(w) ≤ upper and w_lower ≤ w ≤ w_upper, all in scaled numbers of order one.
+
+    problem: {"x": w, "f": f, "g": g} as `casadi.nlpsol` takes it. first: w to start from. names: one for each row of g, and w_names for each of w.
+    objective: what f is multiplied by to be the cost. unpack: Function w → states (nx, intervals + 1), force densities (α, intervals; or
+    intervals + 1 where they are piecewise linear), duration. unknowns, rows, costs: what w, g and f consist of.
+    """
+
+    problem: dict[str, Any]
+    w_lower: Array
+    w_upper: Array
+    lower: Array
+    upper: Array
+    first: Array
+    names: tuple[str, ...]
+    w_names: tuple[str, ...]
+    objective: float
+    unpack: ca.Function
+    unknowns: Unknowns
+    rows: tuple[Block, ...]
+    costs: tuple[Block, ...]
+
+    def derivatives(self) -> dict[str, ca.Function]:
+        """Gradient, Jacobian and Hessian as CasADi's solvers name and call them."""
+        return Separable(self.unknowns, self.rows, self.costs, 1 / self.objective, self.problem["x"]).functions()
+
+
+class Assembly:
+    """Collects the unknowns and rows of a plan; a transcription adds the motion.
+
+    fractions (K,): shares of the duration. guess: on this grid, with its force densities as the profile has them. In references
+    (`Unknowns`): states (K + 1, nx), controls (K, m) or (K + 1, m) of the m groups of strings, duration (1,), and, as parts of
+    it, share (K, 1) of each interval and time (K + 1, 1) of their ends.
+    """
+
+    def __init__(self, problem: Problem, target: Target, scales: Scales, guess: Guess, fractions: Array, profile: Profile) -> None:
+        self.problem, self.target, self.scales, self.fractions = problem, target, scales, fractions
+        self.model, self.count = problem.model, len(fractions)
+        self.strength = _strength(problem, scales, guess)
+        self.profile = profile
+        self.spread = spread(profile, self.model.nu)
+        self.objective = typical_cost(problem, self.strength, guess.states, guess.force_density, guess.duration)
+        self.guess = on_grid(self.model, guess, fractions, profile)
+        self.unknowns = Unknowns()
+        self.states = np.zeros((self.count + 1, self.model.nx), dtype=np.intp)
+        self.states[0] = self.unknowns.constant(target.start)
+        self.controls = np.zeros((self.count + profile.linear, self.spread.shape[1]), dtype=np.intp)
+        self.share = self.unknowns.constant(fractions[:, None])
+        self.time = self.unknowns.constant(np.append(0.0, np.cumsum(fractions))[:, None])
+        self.duration = self.unknowns.constant([problem.longest])
+        self.rows: list[Block] = []
+
+    # --- unknowns ---
+
+    def add_control(self, k: int) -> None:
+        """Force densities of interval k, or, where they are piecewise linear, at its start; k = K: at the end."""
+        least, most = self.problem.force_density_limits
+        members = [np.flatnonzero(column) for column in self.spread.T]
+        lower, upper = (np.array([choose(limit[own]) for own in members]) for choose, limit in ((np.max, least), (np.min, most)))
+        first = np.array([self.guess.force_density[k, own].mean() for own in members])
+        names = [f"force density of string{'s' * (len(own) > 1)} {', '.join(map(str, own))}, interval {k}" for own in members]
+        self.controls[k] = self.unknowns.add(names, first, self.strength, lower, upper, stage=k)
+
+    def add_state(self, k: int, part: slice = slice(None)) -> None:
+        """The state, or part of it, at the end of interval k − 1."""
+        names = [f"{name}, interval {k - 1}" for name in state_names(self.model)[part]]
+        self.states[k, part] = self.unknowns.add(names, self.guess.states[k, part], self.scales.state[part], stage=k)
+
+    def add_duration(self) -> None:
+        """The duration, where it is free: comes last."""
+        shortest, longest = self.problem.shortest, self.problem.longest
+        if shortest < longest:
+            self.duration = self.unknowns.add(["duration"], self.guess.duration, self.scales.time, shortest, longest, stage=self.count)
+
+    # --- what an interval sees ---
+
+    @property
+    def interval_controls(self) -> Indices:
+        """References (K, m or 2m) to what `gamma` needs in each interval."""
+        return np.hstack([self.controls[:-1], self.controls[1:]]) if self.profile.linear else self.controls
+
+    def gamma(self, local: Any, share: float) -> Any:
+        """Force densities (α,) at a share of an interval, from its entries of `interval_controls`."""
+        m = self.spread.shape[1]
+        left = local[:m]
+        return ca.mtimes(constant_matrix(self.spread), between(left, local[m:] if self.profile.linear else left, share))
+
+    def repeated(self, reference: Indices, count: int | None = None) -> Indices:
+        """The same references (n,) for every instance."""
+        return np.tile(reference, (self.count if count is None else count, 1))
+
+    # --- the program ---
+
+    def finish(self, states: Any = None) -> Program:
+        """The program with goals, limits along the way and costs; states: the expression of w for those that are no unknowns."""
+        rows = [*self.rows, *bound_blocks(self), *self._goal()]
+        costs = cost_blocks(self)
+        unknowns = self.unknowns
+        w = ca.MX.sym("w", len(unknowns.names))
+        separable = Separable(unknowns, rows, costs, 1 / self.objective, w)
+        y = unknowns.physical(w)
+
+        def seen(reference: Indices) -> Any:
+            return ca.reshape(y[unknowns.place(reference).ravel().tolist()], reference.shape[-1], reference.size // reference.shape[-1])
+
+        controls = ca.mtimes(constant_matrix(self.spread), seen(self.controls))
+        motion = seen(self.states) if states is None else ca.Function("states", [y_ := ca.MX.sym("y", y.shape[0])], [states(y_)])(y)
+        limits = [block.limits() for block in rows]
+        first, scale, lower, upper = (unknowns.column(k) for k in range(4))
+        return Program(
+            {"x": w, "f": separable.f, "g": separable.g},
+            lower / scale,
+            upper / scale,
+            np.concatenate([np.zeros(0), *(low for low, _ in limits)]),
+            np.concatenate([np.zeros(0), *(up for _, up in limits)]),
+            first / scale,
+            tuple(name for block in rows for name in block.names),
+            tuple(unknowns.names),
+            self.objective,
+            ca.Function("unpack", [w], [motion, controls, seen(self.duration)]),
+            unknowns,
+            tuple(rows),
+            tuple(costs),
+        )
+
+    def _goal(self) -> list[Block]:
+        """The rows of waypoints, and those of the end."""
+        blocks = [stop_block(self, rows) for rows in stop_rows(self.target, self.fractions)]
+        if not self.target.count:
+            return blocks
+        names = tuple(f"goal, combination {k}" for k in range(self.target.count))
+        return [*blocks, Block(self.target.rows, self.states[-1:], names)]
+
+
+def on_grid(model: Model, guess: Guess, fractions: Array, profile: Profile) -> Guess:
+    """A guess on equal intervals, moved to another grid and another profile."""
+    intervals, nodes = len(guess.states) - 1, np.append(0.0, np.cumsum(fractions))
+    if intervals == len(fractions) and np.ptp(fractions) < 1e-12:
+        states, held = guess.states, guess.force_density
+    else:
+        before = np.linspace(0.0, 1.0, intervals + 1)
+        states = np.column_stack([np.interp(nodes, before, column) for column in guess.states.T])
+        if model.mechanism.constrained:
+            states[1:-1] = np.asarray(projection(model, 3).map(len(nodes))(states.T).full()).T[1:-1]
+        held = at(guess.force_density, before, (nodes[:-1] + nodes[1:]) / 2)
+    return Guess(states, node_values(held, fractions) if profile.linear else held, guess.duration)
+
+
+def state_names(model: Model) -> tuple[str, ...]:
+    """What each entry of the state is, such as "node 2 z velocity"."""
+    mech = model.mechanism
+    places = [f"node {mech.physical[k // 3]} {'xyz'[k % 3]}" for k in np.flatnonzero(mech.free.ravel())]
+    return (*places, *(f"{place} velocity" for place in places), *["clock"] * (model.nx - 2 * len(places)))
+
+
+def interval_names(count: int, rows: Sequence[str]) -> tuple[str, ...]:
+    """Names of the rows of the motion."""
+    return tuple(f"dynamics of interval {k}, {name}" for k in range(count) for name in rows)
+
+
+def _strength(problem: Problem, scales: Scales, guess: Guess) -> float:
+    """A typical force density, N/m: of the guess, or what moves the structure's mass by its size within the duration."""
+    mass = float(problem.model.structure.mass_matrix().sum())
+    return max(float(np.sqrt(np.mean(guess.force_density**2))), mass / scales.time**2)
