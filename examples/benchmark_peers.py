@@ -1,0 +1,220 @@
+"""The same motion by tenscasadi, MuJoCo and SciPy: seconds per simulated second over the error, each swept over its own step or tolerance.
+
+A free prism and a free six-bar ball with elastic strings, prestressed, turning at 3.7 rad/s, no gravity, one second. MuJoCo has each bar as
+a free body and each string as a tendon that pulls beyond its rest length; contacts and constraints are switched off. Two things differ and
+do not change the motion: its bars have an inertia about their own axis, about which they do not turn, and quaternions in place of ends.
+SciPy integrates the right-hand side as one writes it in NumPy. All are measured against the same certified reference.
+
+Run it with a folder for the picture: python examples/benchmark_peers.py pictures
+MuJoCo is optional: pip install 'tenscasadi[peers]'
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: small matrices gain nothing from threads
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import tenscasadi as tc
+from tenscasadi.reference import distance
+from tenscasadi.work_precision import work_precision
+
+T_END = 1.0
+TURNING = np.array([1.0, 2.0, 3.0])  # rad/s
+TOLERANCES = (1e-3, 1e-6, 1e-9)  # m
+_WORST = 0.1  # m: what is further off is not drawn
+AXIAL = 1e-4  # kg m² about a bar's own axis, which MuJoCo wants to be positive
+
+
+class Point(NamedTuple):
+    """One run: its error, m, wall time per simulated second, s, and steps per second where steps are equal, else NaN."""
+
+    error: float
+    seconds: float
+    rate: float
+
+
+class Result(NamedTuple):
+    """Of one shape: the error of the reference, m, and the points of each program and method."""
+
+    shape: str
+    reference_error: float
+    curves: dict[str, list[Point]]
+
+    def cheapest(self, program: str, tolerance: float) -> tuple[float, str]:
+        """Seconds per simulated second and name of the fastest method of a program within a tolerance; infinite when there is none."""
+        within = [
+            (point.seconds, name)
+            for name, points in self.curves.items()
+            for point in points
+            if name.startswith(program) and point.error + self.reference_error <= tolerance
+        ]
+        return min(within, default=(np.inf, "none"))
+
+    def rate(self, name: str) -> float:
+        """Steps per second of a method of equal steps, the median over its steps; NaN when it was not run."""
+        return float(median([point.rate for point in self.curves[name]])) if name in self.curves else np.nan
+
+
+def main(folder: Path = Path(), quick: bool = False) -> list[Result]:
+    """Measures, prints the tables, saves a picture of each shape and returns the results. `quick`: few steps and schemes, once."""
+    try:
+        mujoco: Any = import_module("mujoco")
+        mujoco.set_mju_user_warning(lambda _: None)  # of steps that are too long, into a file
+    except ImportError:
+        mujoco = None
+        print("MuJoCo is not installed and left out: pip install 'tenscasadi[peers]'\n")
+    shapes = {"prism": tc.shapes.prism(prestress=50.0, stiffness=1000.0), "six-bar ball": tc.shapes.six_bar_ball(prestress=50.0, stiffness=1000.0)}
+    results = []
+    for shape, structure in shapes.items():
+        result = measure(shape, structure, mujoco, quick)
+        results.append(result)
+        report(result)
+        curves = {name: [point[:2] for point in points if point.error < _WORST] for name, points in result.curves.items()}
+        picture = folder / f"benchmark_peers_{shape.replace(' ', '_').replace('-', '_')}.png"
+        work_precision(curves, reference_error=result.reference_error, title=f"{shape}, elastic strings, 1 s", path=picture)
+    return results
+
+
+def measure(shape: str, s: tc.Structure, mujoco: Any, quick: bool) -> Result:
+    """All programs on one structure, each over its own steps or tolerances."""
+    model = tc.Model(tc.Scene(s))
+    velocities = np.cross(TURNING, s.nodes)
+    start = model.state(s.nodes, velocities)
+    reference = tc.certify(model, T_END, start)
+    repeats = 1 if quick else 5
+    counts = np.unique(np.geomspace(100 if quick else 40, 4000, 4 if quick else 24).astype(int)).tolist()
+
+    curves: dict[str, list[Point]] = {}
+    schemes: tuple[Any, ...] = (tc.RungeKutta4(), tc.DormandPrince853(), tc.DormandPrince54(), tc.Rattle())[: 2 if quick else 4]
+    steps, corrections = [T_END / count for count in counts], (None, tc.Projection())[: 1 if quick else 2]
+    table = tc.tradeoff(model, T_END, schemes, steps, reference, start, corrections=corrections, repeats=repeats)
+    for row in table.rows:
+        if row.success and not (row.correction and row.scheme == tc.Rattle()):  # Rattle keeps bars by itself
+            curves.setdefault(f"tenscasadi {row.name}", []).append(Point(row.position, row.seconds, row.steps / (row.seconds * T_END)))
+    if mujoco is not None:
+        for integrator in ("RK4", "Euler", "implicitfast"):
+            points = [mujoco_run(mujoco, s, integrator, count, reference.nodes, repeats) for count in counts]
+            curves[f"MuJoCo {integrator}"] = [point for point in points if np.isfinite(point.error)]
+    for method in ("DOP853", "RK45"):
+        tolerances = np.geomspace(1e-3, 1e-12, 4 if quick else 19)
+        curves[f"SciPy {method}"] = [scipy_run(s, start, method, float(rtol), reference.nodes, repeats) for rtol in tolerances]
+    return Result(shape, reference.error, curves)
+
+
+def report(result: Result) -> None:
+    """Prints who needs how long for which accuracy."""
+    programs = [name for name in ("tenscasadi", "MuJoCo", "SciPy") if any(curve.startswith(name) for curve in result.curves)]
+    print(f"{result.shape}: seconds per simulated second of the fastest within a tolerance; reference error {result.reference_error:.1g} m")
+    print(f"{'m':>6}" + "".join(f"{name:>44}" for name in programs))
+    for tolerance in TOLERANCES:
+        cells = []
+        ours = result.cheapest("tenscasadi", tolerance)[0]
+        for program in programs:
+            seconds, name = result.cheapest(program, tolerance)
+            times = "" if program == "tenscasadi" else f", {seconds / ours:.0f} times ours"
+            cells.append(f"{seconds:.2g} ({name.removeprefix(program + ' ')}{times})")
+        print(f"{tolerance:6.0e}" + "".join(f"{cell:>44}" for cell in cells))
+    ours_rk4, theirs = result.rate("tenscasadi RungeKutta4"), result.rate("MuJoCo RK4")
+    compared = "" if np.isnan(theirs) else f", MuJoCo's {theirs:,.0f}: {ours_rk4 / theirs:.0f} times"
+    print(f"steps of RK4 per second: {ours_rk4:,.0f}{compared}\n")
+
+
+def mujoco_run(mujoco: Any, s: tc.Structure, integrator: str, count: int, reference: np.ndarray, repeats: int) -> Point:
+    """`count` equal steps by MuJoCo, in one call."""
+    model = mujoco.MjModel.from_xml_string(mujoco_scene(mujoco, s, integrator, T_END / count))
+    data = mujoco.MjData(model)
+
+    def start() -> None:
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_kinematics(model, data)
+        for b, ends in enumerate(s.bars):
+            first = model.jnt_dofadr[b]
+            own = data.xmat[b + 1].reshape(3, 3).T @ TURNING  # rotation is told in the body's own axes
+            data.qvel[first : first + 6] = [*np.cross(TURNING, s.nodes[ends].mean(axis=0)), own[0], own[1], 0.0]
+
+    def run() -> float:
+        start()
+        began = time.perf_counter()
+        mujoco.mj_step(model, data, count)
+        return time.perf_counter() - began
+
+    seconds = median(run() for _ in range(repeats))
+    mujoco.mj_kinematics(model, data)
+    nodes = np.array([data.site(f"n{node}").xpos for node in range(len(s.nodes))])
+    lost = data.time < 0.99 * T_END  # MuJoCo starts again where it diverges
+    return Point(np.inf if lost else distance(nodes, reference), seconds / T_END, count / seconds)
+
+
+def mujoco_scene(mujoco: Any, s: tc.Structure, integrator: str, step: float) -> str:
+    """The structure in MuJoCo's XML: a body with its inertia for each bar, a tendon for each string."""
+    lines = [
+        f'<mujoco><option timestep="{step!r}" integrator="{integrator}" gravity="0 0 0" density="0" viscosity="0">',
+        '<flag contact="disable" constraint="disable" eulerdamp="disable"/></option><worldbody>',
+    ]
+    for (first, second), mass, inertia, length in zip(s.bars, s.bar_mass, s.bar_inertia, s.bar_lengths, strict=True):
+        turn = np.zeros(4)
+        mujoco.mju_quatZ2Vec(turn, (s.nodes[second] - s.nodes[first]) / length)  # bars lie along their body's z axis
+        across = inertia * length**2  # J of Eq. 19 times l²
+        lines += [
+            f'<body pos="{_text(s.nodes[[first, second]].mean(axis=0))}" quat="{_text(turn)}"><freejoint/>',
+            f'<inertial pos="0 0 0" mass="{_text([mass])}" diaginertia="{_text([across, across, AXIAL])}"/>',
+            f'<site name="n{first}" pos="{_text([0, 0, -length / 2])}"/><site name="n{second}" pos="{_text([0, 0, length / 2])}"/></body>',
+        ]
+    lines.append("</worldbody><tendon>")
+    for (first, second), stiffness, rest in zip(s.strings, s.stiffness, s.rest_length, strict=True):
+        # force 0 between the two spring lengths, k (s − ρ) beyond: a string that goes slack
+        lines.append(f'<spatial stiffness="{_text([stiffness])}" springlength="0 {_text([rest])}">')
+        lines.append(f'<site site="n{first}"/><site site="n{second}"/></spatial>')
+    return "".join([*lines, "</tendon></mujoco>"])
+
+
+def _text(numbers: Sequence[float] | np.ndarray) -> str:
+    return " ".join(f"{number:.17g}" for number in numbers)
+
+
+def scipy_run(s: tc.Structure, start: np.ndarray, method: str, rtol: float, reference: np.ndarray, repeats: int) -> Point:
+    """`solve_ivp` with a tolerance, on the right-hand side in NumPy."""
+    rhs = numpy_rhs(s)
+
+    def run() -> tuple[float, Any]:
+        began = time.perf_counter()
+        solution = solve_ivp(rhs, (0.0, T_END), start, method=method, rtol=max(rtol, 3e-14), atol=rtol)
+        return time.perf_counter() - began, solution
+
+    runs = [run() for _ in range(repeats)]
+    nodes = runs[0][1].y[: len(start) // 2, -1].reshape(-1, 3)
+    return Point(distance(nodes, reference), median(seconds for seconds, _ in runs) / T_END, np.nan)
+
+
+def numpy_rhs(s: tc.Structure) -> Callable[[float, np.ndarray], np.ndarray]:
+    """ẋ of a free structure whose bars share no nodes: constant matrices once, then a dozen array operations."""
+    C_b, C_s, k, rest = s.C_b, s.C_s, s.stiffness, s.rest_length
+    inverse_mass = np.linalg.inv(s.mass_matrix().toarray())
+    pull, push = -inverse_mass @ C_s.T, inverse_mass @ C_b.T
+    G = np.diag(C_b @ push)
+
+    def rhs(_: float, x: np.ndarray) -> np.ndarray:
+        N, V = x.reshape(2, -1, 3)
+        S, B, Bd = C_s @ N, C_b @ N, C_b @ V
+        gamma = np.maximum(k * (1 - rest / np.sqrt((S * S).sum(1))), 0.0)
+        A = pull @ (gamma[:, None] * S)
+        lam = -((Bd * Bd).sum(1) + (B * (C_b @ A)).sum(1)) / (G * (B * B).sum(1))
+        return np.concatenate([V.ravel(), (A + push @ (lam[:, None] * B)).ravel()])
+
+    return rhs
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path())
