@@ -24,6 +24,7 @@ from tenscasadi.validate import instance
 log = logging.getLogger(__name__)
 
 # No fused multiply-add and no fast maths: compiled or not, the same formulas are rounded the same way.
+_LONG = 1_000_000  # characters of C above which optimisation is cut short: compile time would grow with their square
 _FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno")
 _NATIVE = "-march=native"  # 10 to 20 % faster
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -60,13 +61,14 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None) 
     compiler = find_compiler()
     if compiler is None:
         raise CompileError("no C compiler found: install gcc or clang, or name one in the environment variable CC")
-    flags = _default_flags(compiler) if flags is None else tuple(flags)
     generator = ca.CodeGenerator(function.name() + ".c")
     try:
         generator.add(function)
         source = generator.dump()
     except RuntimeError as error:
         raise CompileError(f"CasADi cannot write C code for {function}: {error}") from None
+    if flags is None:
+        flags = _default_flags(compiler) if len(source) < _LONG else ("-O1", *_default_flags(compiler)[1:])
     identity = (_identity(compiler, flags), platform.machine(), *flags, ca.CasadiMeta.version(), source)
     key = hashlib.sha256("\0".join(identity).encode()).hexdigest()
     library = cache_folder() / f"{function.name()}-{key[:32]}{_SUFFIX}"

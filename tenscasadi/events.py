@@ -52,7 +52,7 @@ def held_ode(model: Model, work: bool = False) -> ca.Function:
     u, taut, touching = w[: model.nu], w[model.nu : model.nu + strings].T, w[model.nu + strings :].T
     frozen = copy.copy(model)
     frozen.scene = _frozen(model.scene, taut if strings else None, touching)
-    acceleration = frozen._motion(N, V, u, time)[0]
+    acceleration = frozen.motion(N, V, u, time)[0]
     parts = [model.pack(V, acceleration, 1)]
     if work:
         if model.scene.supports is None:

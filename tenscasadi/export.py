@@ -56,7 +56,7 @@ def _jacobian(model: Model) -> ca.Function:
 
 def _step(model: Model, scheme: Scheme) -> ca.Function:
     x, u, h = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("h")
-    after: Any = scheme.step(model.ode)(x, u, h)
+    after: Any = scheme.advance(model)(x, u, h)
     project = Projection().step(model)
     return ca.Function("step", [x, u, h], [after if project is None else project(after)], ["x", "u", "h"], ["x_next"])
 

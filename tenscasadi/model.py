@@ -10,6 +10,7 @@ import numpy as np
 
 from tenscasadi import dynamics, forces
 from tenscasadi.algebra import solve_semidefinite, sparse, staged
+from tenscasadi.compiled import compile_function
 from tenscasadi.dynamics import Multipliers
 from tenscasadi.state_space import StateSpace
 from tenscasadi.strings import ForceDensity
@@ -55,8 +56,12 @@ class Model(StateSpace):
         """(x, u) → xdot: self-contained, differentiable, usable by any CasADi tool."""
         x, u = self._symbols(self._unrolled)
         N, V, time = self.unpack(x)
-        A, _, _ = self._motion(N, V, u, time)
+        A, _, _ = self.motion(N, V, u, time)
         return ca.Function("ode", [x, u], ca.cse([self.pack(V, A, 1)]), ["x", "u"], ["xdot"])
+
+    def compile(self) -> ca.Function:
+        """`ode` as machine code: the same inputs, outputs and values, without derivatives. Raises CompileError without a C compiler."""
+        return compile_function(self.ode)
 
     @cached_property
     def observe(self) -> ca.Function:
@@ -86,7 +91,7 @@ class Model(StateSpace):
         if self._supports is None:
             push = _sum(forces.terms(self.scene, self.mechanism, N, V, u, time), self.mechanism)
         else:  # with the reactions of the supports, which work too: all that moves the mass
-            push = ca.mtimes(self._motion(N, V, u, time)[0], sparse(self.mechanism.M))
+            push = ca.mtimes(self.motion(N, V, u, time)[0], sparse(self.mechanism.M))
         n: Any = type(N).sym("n", N.shape)
         total = sum(forces.potential(self.scene, self.mechanism, n, u))
         slope = ca.substitute(ca.jtimes(total, n, V), n, N)
@@ -97,7 +102,7 @@ class Model(StateSpace):
         """(x, u) → λ (β) and Ω (3×c): see `multipliers`."""
         x, u = self._symbols(self._unrolled)
         N, V, time = self.unpack(x)
-        A, lam, omega = self._motion(N, V, u, time)
+        A, lam, omega = self.motion(N, V, u, time)
         if self.coordinates == "reduced" and len(self.structure.bars):
             omega = self._joint_forces(N, V, A, lam, u, time)
         return ca.Function("multipliers", [x, u], [ca.densify(lam.T), ca.densify(omega)], ["x", "u"], ["bar_force_density", "joint_force"])
@@ -177,14 +182,14 @@ class Model(StateSpace):
         kind = ca.SX if unrolled else ca.MX
         return kind.sym("x", self.nx), kind.sym("u", self.nu)
 
-    def _motion(self, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, Any, Any]:
+    def motion(self, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, Any, Any]:
         """N̈ (3×n), λ (1×β) and Ω (3×c)."""
         mech = self.mechanism
         C_bT = sparse(mech.C_b.T)
 
         def unconstrained(N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
             F = _sum(forces.terms(self.scene, mech, N, V, u, time), mech)
-            moved = self._moved_acceleration(time)
+            moved = self.moved_acceleration(time)
             if moved is not None:
                 F = F - ca.mtimes(moved, sparse(mech.M))
             if not mech.constrained:
@@ -199,7 +204,7 @@ class Model(StateSpace):
         def constrained(F: Any, time: Any, *rows: Any) -> tuple[Any, ...]:
             lam, omega = dynamics.multipliers(mech, *rows) if rows else (ca.DM.zeros(1, 0), ca.DM.zeros(3, 0))
             A = mech.with_inverse(F + dynamics.push(mech, rows[0], lam, omega) if rows else F)
-            moved = self._moved_acceleration(time)
+            moved = self.moved_acceleration(time)
             return A if moved is None else A + moved, lam, omega
 
         F, *rows = staged(mech.large, unconstrained, N, V, u, time)

@@ -152,7 +152,7 @@ class StateSpace:
         parts = [ca.vec(matrix)[free] if self.nq < 3 * matrix.shape[1] else ca.vec(matrix) for matrix in (upper, lower)]
         return ca.densify(ca.vertcat(*parts, *([clock] if self.scene.has_clock else [])))
 
-    def _moved_acceleration(self, time: Any) -> Any | None:
+    def moved_acceleration(self, time: Any) -> Any | None:
         """Accelerations (3×n) of supports that are moved in reduced coordinates; None when there are none. In full ones P holds them."""
         if self._supports is None or self.coordinates == "full":
             return None

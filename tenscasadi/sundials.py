@@ -120,7 +120,7 @@ class Idas(Sundials):
         lam, Omega = z[: mech.bars].T, ca.reshape(z[mech.bars :], 3, mech.joints)
         B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
         total = sum(forces.terms(model.scene, mech, N, V, u, time).values(), start=ca.DM.zeros(*mech.N.shape))
-        moved = model._moved_acceleration(time)
+        moved = model.moved_acceleration(time)
         if moved is not None:
             total = total - ca.mtimes(moved, sparse(mech.M))
         A = mech.with_inverse(total + dynamics.push(mech, B, lam, Omega))

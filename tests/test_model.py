@@ -10,6 +10,7 @@ import pytest
 from references import CERTIFIED, MOTES, certified, motes
 
 from tenscasadi import dynamics
+from tenscasadi.compiled import CompileError
 from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
 from tenscasadi.model import Model
 from tenscasadi.redundancy import RedundantConstraints
@@ -316,6 +317,17 @@ def test_power_is_the_rate_of_change_of_energy(coordinates: dynamics.Coordinates
     assert model.power is not None
     assert float(model.power(x, [])) == pytest.approx(slope, rel=1e-6)
     assert Model(Scene(Structure(**PRISM))).power is None
+
+
+def test_the_compiled_right_hand_side_gives_the_same_numbers() -> None:
+    model = Model(Scene(Structure(**PRISM), control=RestLength(), gravity=Gravity()))
+    x, u = model.initial_state, 0.9 * model.initial_control
+    try:
+        compiled = model.compile()
+    except CompileError:
+        pytest.skip("no C compiler")
+    assert np.allclose(compiled(x, u).full(), model.ode(x, u).full(), rtol=1e-14, atol=1e-13)
+    assert compiled.name_in() == ["x", "u"]
 
 
 def test_parent_strings_are_controlled_as_a_whole() -> None:

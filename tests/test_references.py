@@ -12,6 +12,7 @@ from tenscasadi.correction import Projection
 from tenscasadi.dynamics import Coordinates
 from tenscasadi.model import Model
 from tenscasadi.redundancy import RedundantConstraints
+from tenscasadi.schemes import DormandPrince853
 from tenscasadi.simulate import simulate
 
 SMOOTH = {"cross_bar": 4e-3, "double_pendulum": 1e-2, "prism_n1": 4e-3, "spin_bar": 2e-3}  # a step in the asymptotic range, s
@@ -61,6 +62,21 @@ def test_certified_solution_to_a_nanometre(name: str, coordinates: Coordinates) 
 def test_certified_solution_across_slack_and_contact(name: str, step: float, tolerance: float, coordinates: Coordinates) -> None:
     case = certified(name)
     assert error(case, case.data["t"], step, coordinates).max() < tolerance
+
+
+@BOTH
+@pytest.mark.parametrize("name", ["dbar_regular", "net4", "lander_mass", "redundant_triangle"])
+def test_certified_solution_across_located_events(name: str, coordinates: Coordinates) -> None:
+    case = certified(name)
+    times, nodes = case.data["t"], case.nodes
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RedundantConstraints)
+        model = Model(case.scene, coordinates)
+    run = simulate(
+        model, times[-1], times[1], DormandPrince853(rtol=1e-12), model.state(nodes[0], case.velocities), correction=Projection(), save_every=1
+    )
+    assert run.success, run.message
+    assert abs(run.nodes - nodes).max() < 1e-9
 
 
 @BOTH
