@@ -23,8 +23,8 @@ from tenscasadi.validate import instance
 
 log = logging.getLogger(__name__)
 
-# No fused multiply-add and no fast maths: compiled or not, the same formulas are rounded the same way.
 _LONG = 1_000_000  # characters of C above which optimisation is cut short: compile time would grow with their square
+# No fused multiply-add and no fast maths: compiled or not, the same formulas are rounded the same way.
 _FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno")
 _NATIVE = "-march=native"  # 10 to 20 % faster
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
