@@ -2,28 +2,59 @@
 
 from __future__ import annotations
 
-from ocp.bounds import ForceDensityLimits, TensionLimits
-from ocp.costs import Effort, Smoothness
-from ocp.goals import AtRest, NodePositions, StringLengths
+from ocp.bounds import BarForceLimits, Buckling, ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
+from ocp.collocation import Collocation
+from ocp.costs import Duration, Effort, Prestress, Smoothness, Tracking, Work
+from ocp.expressions import AtEnd, Constraint, Integral
+from ocp.goals import AtRest, NodePositions, Periodic, Shape, StringLengths, Waypoint
+from ocp.grid import PiecewiseConstant, PiecewiseLinear
+from ocp.implicit import ImplicitMidpoint
+from ocp.instant import Instant
+from ocp.places import AboveGround, BarClearance, InsideBox, Obstacle
 from ocp.plan import Plan
 from ocp.problem import Problem
 from ocp.solve import solve
 from ocp.solver import Ipopt
 from ocp.target import UnreachableGoal
 from ocp.transcription import MultipleShooting
+from ocp.variational import Variational
 
 __all__ = [
     # what is asked
     "Problem",
     "StringLengths",
     "NodePositions",
+    "Shape",
     "AtRest",
+    "Periodic",
+    "Waypoint",
     "ForceDensityLimits",
     "TensionLimits",
+    "RestLengthLimits",
+    "RestLengthRateLimits",
+    "BarForceLimits",
+    "Buckling",
+    "InsideBox",
+    "AboveGround",
+    "BarClearance",
+    "Obstacle",
     "Effort",
     "Smoothness",
+    "Prestress",
+    "Tracking",
+    "Duration",
+    "Work",
+    "Instant",
+    "Constraint",
+    "Integral",
+    "AtEnd",
     # how it is solved
     "MultipleShooting",
+    "ImplicitMidpoint",
+    "Variational",
+    "Collocation",
+    "PiecewiseConstant",
+    "PiecewiseLinear",
     "Ipopt",
     "solve",
     # what comes of it

@@ -155,7 +155,7 @@ class Work(RunningCost):
     """
 
     weight: float = 1.0
-    smoothing: float = 1e-2
+    smoothing: float = 0.1
 
     def __post_init__(self) -> None:
         _weighted(self)

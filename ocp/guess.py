@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.interpolate
 import scipy.optimize
 
 from ocp.problem import Problem
@@ -48,6 +49,11 @@ def _path(problem: Problem, target: Target, intervals: int, duration: float) -> 
     rise, fall = s**3 * (10 - 15 * s + 6 * s**2), -4 * s**3 + 7 * s**4 - 3 * s**5
     out = s - 6 * s**3 + 8 * s**4 - 3 * s**5  # leaves with the start's velocity; `fall` arrives with the target's
     q = start[:nq] + rise * (end - start)[:nq] + duration * (out * start[nq : 2 * nq] + fall * end[nq : 2 * nq])
+    stops = [(stop.share, stop.target.state) for stop in target.stops if stop.target.state is not None]
+    if stops:
+        places = [start[:nq], *(state[:nq] for _, state in stops), end[:nq]]
+        rates = [(1, duration * state[nq : 2 * nq]) for state in (start, end)]
+        q = scipy.interpolate.CubicSpline([0.0, *(share for share, _ in stops), 1.0], places, bc_type=tuple(rates))(s[:, 0])
     clock = start[2 * nq :] + duration * s[:, : model.nx - 2 * nq]
     project = projection(model, 10).map(intervals + 1)
     still = np.column_stack([q, np.zeros_like(q), clock])

@@ -11,7 +11,7 @@ from ocp.bounds import CornerBound, Limited, PathBound
 from ocp.costs import ControlCost, FinalCost, RunningCost
 from ocp.instant import symbolic
 from ocp.problem import Problem
-from ocp.target import Scales
+from ocp.target import Scales, Target
 from tenscasadi.validate import Array
 
 
@@ -85,3 +85,43 @@ def _scale(limited: Limited, scales: Scales, strength: float) -> Array:
     ends = np.array([limited.lower, limited.upper])
     largest = np.max(np.where(np.isfinite(ends), np.abs(ends), 0.0), axis=0)
     return np.where(largest > 0, largest, 1.0)
+
+
+class StopRows(NamedTuple):
+    """Rows of a waypoint in interval `interval`: Function (x, x⁺, h) of its two ends and its length → rows, all zero."""
+
+    interval: int
+    function: ca.Function
+    names: tuple[str, ...]
+
+
+def stop_rows(target: Target, fractions: Array) -> list[StopRows]:
+    """The rows of all waypoints on a grid with these shares of the duration (K,)."""
+    result = []
+    for number, stop in enumerate(target.stops):
+        if not stop.target.count:
+            continue
+        k, share = within(fractions, stop.share)
+        size = len(target.start)
+        x, y, h = (ca.MX.sym(name, n) for name, n in (("x", size), ("y", size), ("h", 1)))
+        state = y if share == 1.0 else cubic(x, y, h, share, stop.positions)
+        names = tuple(f"goal of waypoint {number}, combination {row}" for row in range(stop.target.count))
+        result.append(StopRows(k, ca.Function("stop", [x, y, h], [stop.target.rows(state)]), names))
+    return result
+
+
+def within(fractions: Array, share: float) -> tuple[int, float]:
+    """The interval in which a share of the duration lies, and the share of that interval: more than 0, up to 1."""
+    ends = np.cumsum(fractions)
+    k = min(int(np.searchsorted(ends, share - 1e-9)), len(ends) - 1)
+    part = float((share - ends[k] + fractions[k]) / fractions[k])
+    return k, 1.0 if part > 1 - 1e-9 else part
+
+
+def cubic(x: Any, y: Any, h: Any, share: float, positions: int) -> Any:
+    """The state at a share of an interval of length h between states x and y, along the cubic with their places and velocities."""
+    s, nq = share, positions
+    q = (1 + 2 * s) * (1 - s) ** 2 * x[:nq] + s**2 * (3 - 2 * s) * y[:nq] + h * s * (1 - s) * ((1 - s) * x[nq : 2 * nq] - s * y[nq : 2 * nq])
+    change = (y[:nq] - x[:nq]) / h
+    v = 6 * s * (1 - s) * change + (1 - s) * (1 - 3 * s) * x[nq : 2 * nq] + s * (3 * s - 2) * y[nq : 2 * nq]
+    return ca.vertcat(q, v, (1 - s) * x[2 * nq :] + s * y[2 * nq :])

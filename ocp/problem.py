@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ocp.bounds import Bound, ForceDensityLimits, Limits, PathBound, TensionLimits
 from ocp.checks import dimensions
 from ocp.costs import Cost, FinalCost, RunningCost
-from ocp.goals import Goal
+from ocp.goals import Goal, Periodic, Waypoint
 from ocp.instant import symbolic
 from tenscasadi.correction import projection
 from tenscasadi.model import Model
@@ -29,7 +29,7 @@ class Problem:
     """A plan to be found for `model`, whose control is `ForceDensity()`.
 
     duration: seconds, or (shortest, longest) to let the solver choose. start: nodes (n, 3) at rest, m, or a state (nx,); None: the
-    model's initial state; rounded numbers are put right. goals: `StringLengths`, `NodePositions`, `AtRest`, all met at the end.
+    model's initial state; rounded numbers are put right. goals: `StringLengths`, `AtRest`, `Waypoint` …, all met, at the end unless they say when.
     bounds: `ForceDensityLimits`, `TensionLimits`, `BarClearance` …, along the way. costs: `Effort`, `Tracking` …, summed.
     Raises TypeError, ValueError that name the field.
     """
@@ -62,6 +62,7 @@ class Problem:
         structure = self.model.scene.structure
         for item in (*own["goals"], *own["bounds"], *own["costs"]):
             item.check(structure)
+        own["goals"] = tuple(self._with_start(goal) for goal in own["goals"])
         self._check_limits()
         self._check_expressions()
 
@@ -74,6 +75,20 @@ class Problem:
     def longest(self) -> float:
         """The greatest duration, s."""
         return self.duration[1] if isinstance(self.duration, tuple) else self.duration
+
+    @property
+    def final_goals(self) -> tuple[Goal, ...]:
+        """The goals that are met at the end."""
+        return tuple(goal for goal in self.goals if not isinstance(goal, Waypoint))
+
+    @property
+    def waypoints(self) -> list[tuple[float, Problem]]:
+        """The goals on the way in their order: each a share of the duration, and the problem that ends there."""
+        found = sorted(((goal.at(self.shortest, self.longest), goal) for goal in self.goals if isinstance(goal, Waypoint)), key=lambda pair: pair[0])
+        return [
+            (share, replace(self, goals=goal.goals, bounds=(), costs=(), duration=(share * self.shortest, share * self.longest)))
+            for share, goal in found
+        ]
 
     def limits(self, kind: type) -> tuple[Array, Array]:
         """Lower and upper limits (α,) that all bounds of one kind leave; −inf and inf where there is none."""
@@ -114,6 +129,16 @@ class Problem:
             i = int(bad[0])
             raise ValueError(f"Problem.start stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths")
         return np.asarray(projection(self.model, 10)(state).full()).ravel()
+
+    def _with_start(self, goal: Goal) -> Goal:
+        """Periodic goals learn where the plan starts."""
+        if isinstance(goal, Waypoint):
+            goal.at(self.shortest, self.longest)
+            return replace(goal, goals=tuple(self._with_start(inner) for inner in goal.goals))
+        if isinstance(goal, Periodic) and goal.start is None:
+            start, count = np.asarray(self.start), len(self.model.scene.structure.nodes)
+            return replace(goal, start=(self.model.nodes(start)[:count], self.model.velocities(start)[:count]))
+        return goal
 
     def _check_limits(self) -> None:
         for kind in (ForceDensityLimits, TensionLimits):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +47,10 @@ class Program:
     def derivatives(self) -> dict[str, ca.Function]:
         """Gradient, Jacobian and Hessian as CasADi's solvers name and call them."""
         return Separable(self.unknowns, self.rows, self.costs, 1 / self.objective, self.problem["x"]).functions()
+
+
+States = Callable[[Callable[[Indices], Any]], Any]
+Missing = Callable[[Callable[[Indices], Array]], list[Block]]
 
 
 class Assembly:
@@ -115,10 +119,19 @@ class Assembly:
 
     # --- the program ---
 
-    def finish(self, states: Any = None) -> Program:
-        """The program with goals, limits along the way and costs; states: the expression of w for those that are no unknowns."""
-        rows = [*self.rows, *bound_blocks(self), *self._goal()]
-        costs = cost_blocks(self)
+    def finish(self, states: States | None = None, missing: Missing | None = None) -> Program:
+        """The program with goals, limits along the way and costs.
+
+        states: gives all states, from what reads references, where some are no unknowns; missing: adds unknowns and rows for those that goals, limits
+        and costs depend on, from what tells which of some references they are.
+        """
+        rows, costs = self._asked()
+        if missing is not None:
+            more = missing(lambda references: _needed([*rows, *costs], references))
+            self.rows += more
+            if more:
+                rows, costs = self._asked()
+        rows = [*self.rows, *rows]
         unknowns = self.unknowns
         w = ca.MX.sym("w", len(unknowns.names))
         separable = Separable(unknowns, rows, costs, 1 / self.objective, w)
@@ -128,7 +141,7 @@ class Assembly:
             return ca.reshape(y[unknowns.place(reference).ravel().tolist()], reference.shape[-1], reference.size // reference.shape[-1])
 
         controls = ca.mtimes(constant_matrix(self.spread), seen(self.controls))
-        motion = seen(self.states) if states is None else ca.Function("states", [y_ := ca.MX.sym("y", y.shape[0])], [states(y_)])(y)
+        motion = seen(self.states) if states is None else states(seen)
         limits = [block.limits() for block in rows]
         first, scale, lower, upper = (unknowns.column(k) for k in range(4))
         return Program(
@@ -147,6 +160,9 @@ class Assembly:
             tuple(costs),
         )
 
+    def _asked(self) -> tuple[list[Block], list[Block]]:
+        return [*bound_blocks(self), *self._goal()], cost_blocks(self)
+
     def _goal(self) -> list[Block]:
         """The rows of waypoints, and those of the end."""
         blocks = [stop_block(self, rows) for rows in stop_rows(self.target, self.fractions)]
@@ -154,6 +170,15 @@ class Assembly:
             return blocks
         names = tuple(f"goal, combination {k}" for k in range(self.target.count))
         return [*blocks, Block(self.target.rows, self.states[-1:], names)]
+
+
+def _needed(blocks: Sequence[Block], references: Indices) -> Array:
+    """Which of the references some block depends on."""
+    used: set[int] = set()
+    for block in blocks:
+        columns = np.unique(np.array(block.function.jac_sparsity(0, 0).get_triplet()[1], dtype=np.intp))
+        used.update(block.index[:, columns].ravel().tolist())
+    return np.array([int(reference) in used for reference in references], dtype=bool)
 
 
 def on_grid(model: Model, guess: Guess, fractions: Array, profile: Profile) -> Guess:

@@ -156,6 +156,9 @@ def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:
     if not replayed.success:
         return np.nan, np.nan
     metres, speeds = (np.asarray(value.full()) for value in target.misfit(replayed.states[-1]))
+    for share, stop, _ in target.stops:
+        state = np.array([np.interp(share * plan.time[-1], replayed.time, column) for column in replayed.states.T])
+        metres, speeds = (np.append(before, value.full()) for before, value in zip((metres, speeds), stop.misfit(state), strict=True))
     if not metres.size:
         metres = np.linalg.norm(replayed.nodes[-1] - plan.trajectory.nodes[-1], axis=1)
     if not speeds.size:

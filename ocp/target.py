@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 import scipy.sparse
 
+from ocp.goals import rows_of
 from ocp.invariants import Invariant, invariants
 from ocp.problem import Problem
 from ocp.reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
@@ -49,7 +50,7 @@ class Target:
     start: x₀ (nx,) on the constraints. state: the nearest state (nx,) that meets the goals, or None without goals. rows: Function
     x → independent rows, zero at the goal. misfit: Function x → (metres, metres per second), the distance from the goals in each of
     `names` (first those in metres). given: rows of the goals; repeated: rows left out, by what repeats them; shape: rows added
-    because string lengths are singular at the target.
+    because string lengths are singular at the target. stops: what is to be met on the way.
     """
 
     start: Array
@@ -61,6 +62,7 @@ class Target:
     repeated: dict[str, int]
     shape: int
     adjusted: float
+    stops: tuple[Stop, ...] = ()
 
     @property
     def count(self) -> int:
@@ -77,8 +79,27 @@ class Target:
         return text + (f"; goals adjusted by {self.adjusted:.1e} m to fit the bars" if self.adjusted else "")
 
 
+class Stop(NamedTuple):
+    """A target on the way, at a share of the duration."""
+
+    share: float
+    target: Target
+    positions: int  # entries of the state before its velocities
+
+
 def find_target(problem: Problem, scales: Scales) -> Target:
     """The target of a problem. Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much."""
+    stops = []
+    for share, part in problem.waypoints:
+        try:
+            stops.append(Stop(share, _end(part, scales), problem.model.nq))
+        except UnreachableGoal as error:
+            raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
+    return replace(_end(problem, scales), stops=tuple(stops))
+
+
+def _end(problem: Problem, scales: Scales) -> Target:
+    """The target at the end of a problem."""
     model = problem.model
     start = np.asarray(problem.start)
     finder = _Finder(problem, start, scales)
@@ -99,7 +120,8 @@ class _Finder:
         self.y = ca.vertcat(self.x, duration)
         self.scale = np.append(scales.state, scales.time)
         self.free_duration = problem.shortest < problem.longest
-        goals = [goal.rows(model.scene.structure, model.nodes(self.x), model.velocities(self.x)) for goal in problem.goals]
+        N, V, structure = model.nodes(self.x), model.velocities(self.x), model.scene.structure
+        goals = [rows for goal in problem.final_goals for rows in rows_of(goal, structure, N, V)]
         self.lengths = ca.vertcat(ca.SX(0, 1), *(rows.value for rows in goals if not rows.speed))
         self.speeds = ca.vertcat(ca.SX(0, 1), *(rows.value for rows in goals if rows.speed))
         self.names = tuple(name for speed in (False, True) for rows in goals if rows.speed is speed for name in rows.names)
