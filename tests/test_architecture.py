@@ -45,6 +45,8 @@ OCP = (
     {"stages"},
     {"program"},
     {"transcription"},
+    {"implicit"},
+    {"collocation", "variational"},
     {"solver"},
     {"explain"},
     {"solve"},

@@ -1,0 +1,204 @@
+"""Motion by a discrete principle of least action: leapfrog, with the forces of the bars as unknowns and their lengths as constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.blocks import Block
+from ocp.guess import Guess
+from ocp.implicit import bar_names, bar_rows, check_reduced, parts
+from ocp.problem import Problem
+from ocp.program import Assembly, Program, interval_names, state_names
+from ocp.target import Scales, Target
+from ocp.transcription import OnGrid, unrolled
+from tenscasadi import dynamics, forces
+from tenscasadi.algebra import sparse
+from tenscasadi.correction import projection
+from tenscasadi.validate import Array, Indices
+
+
+@dataclass(frozen=True)
+class Variational(OnGrid):
+    """M (q⁺ − 2q + q⁻)/h² = F(q, γ) + B λ̂ C_b with bᵀb = l² at every node: order 2, momenta and bars kept exactly.
+
+    The discrete Euler-Lagrange equations of the leapfrog (Störmer-Verlet, Rattle) method with a Lagrangian multiplier λ for each bar and node
+    (Marsden, West, Acta Numerica 2001, 10, 357, sections 1.5 and 3.5). Neither accelerations nor inverse matrices appear: all is polynomial,
+    of low degree, with few non-zeros, which makes this the fastest of the transcriptions. Velocities at both ends are those of the discrete
+    momenta; they are unknowns in between only where a goal, a limit or a cost asks for them.
+    """
+
+    def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
+        """The nonlinear program, scaled about the guess. ValueError for full coordinates and moved supports."""
+        check_reduced("Variational", problem.model)
+        a = self.assembly(problem, target, scales, guess)
+        chain = _Chain(a)
+        for k in range(a.count + 1):
+            if k:
+                a.add_state(k, slice(0, chain.nq) if k < a.count else slice(0, 2 * chain.nq))
+            if k < len(a.controls):
+                a.add_control(k)
+            chain.add_forces(k)
+        a.add_duration()
+        a.rows += chain.blocks()
+        return a.finish(chain.all_states, chain.missing)
+
+
+class _Chain:
+    """The equations from node to node."""
+
+    def __init__(self, a: Assembly) -> None:
+        self.a, self.model, self.mech = a, a.model, a.model.mechanism
+        self.nq, self.nx, self.bars = a.model.nq, a.model.nx, a.model.mechanism.bars
+        self.lam: Indices = np.zeros((a.count + 1, self.bars), dtype=np.intp)
+        # what is no unknown, unless asked for: velocities within, and the clock
+        self.hidden = [(k, i) for k in range(1, a.count + 1) for i in range(self.nq if k < a.count else 2 * self.nq, self.nx)]
+        for k, i in self.hidden:
+            a.states[k, i] = a.unknowns.constant([np.nan])[0]
+        self._bar_forces = self._guessed()
+        mass = float(a.model.structure.mass_matrix().sum())
+        self._row_scale = mass * a.scales.length / a.count
+
+    def _guessed(self) -> Array:
+        """λ (K + 1, β) of the guess."""
+        if not self.bars:
+            return np.zeros((self.a.count + 1, 0))
+        guess = self.a.guess
+        gamma = guess.force_density if self.a.profile.linear else np.concatenate([guess.force_density, guess.force_density[-1:]])
+        function = self.model.multiplier_function
+        values = function.map(len(gamma))(guess.states.T, gamma.T)[0].full().T
+        return np.asarray(np.nan_to_num(values, posinf=0.0, neginf=0.0))
+
+    def add_forces(self, k: int) -> None:
+        """λ at node k."""
+        names = [f"{name}, interval {k}" for name in bar_names(self.bars, "force density")]
+        self.lam[k] = self.a.unknowns.add(names, self._bar_forces[k], self.a.strength, stage=k)
+
+    def blocks(self) -> list[Block]:
+        """All rows of the motion."""
+        a, nq = self.a, self.nq
+        q, own, T = a.states[:, :nq], a.interval_controls, a.duration
+        m = own.shape[1]
+        names = state_names(self.model)[:nq]
+
+        # first: v₀ is given. T² and shares instead of h: polynomial also where the duration is free
+        z, (q0, v, q1, c, lam, duration, share, passed) = parts(nq, nq, nq, m, self.bars, 1, 1, 1)
+        force = self._force(q0, v, a.gamma(c, 0.0), lam, duration * passed)
+        row = self._momentum((q1 - q0) / share - duration * v) - duration**2 * share / 2 * force
+        index = np.concatenate([q[0], a.states[0, nq : 2 * nq], q[1], own[0], self.lam[0], T, a.share[0], a.time[0]])[None]
+        result = [self._block("start", z, row, index, tuple(f"dynamics of interval 0, {name}" for name in names))]
+
+        if a.count > 1:
+            z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = parts(nq, nq, nq, m, m, self.bars, 1, 1, 1, 1)
+            both = before + after
+            gamma = (before * a.gamma(c, 1.0) + after * a.gamma(d, 0.0)) / both
+            force = self._force(q1, (q2 - q0) / (duration * both), gamma, lam, duration * passed)
+            row = self._momentum((q2 - q1) / after - (q1 - q0) / before) - duration**2 * both / 2 * force
+            index = np.hstack(
+                [q[:-2], q[1:-1], q[2:], own[:-1], own[1:], self.lam[1:-1], a.repeated(T, a.count - 1), a.share[:-1], a.share[1:], a.time[1:-1]]
+            )
+            rows = tuple(f"dynamics of interval {k}, {name}" for k in range(1, a.count) for name in names)
+            result.append(self._block("middle", z, row, index, rows))
+
+        z, (q0, q1, v, c, lam, duration, share, passed) = parts(nq, nq, nq, m, self.bars, 1, 1, 1)
+        force = self._force(q1, v, a.gamma(c, 1.0), lam, duration * passed)
+        row = self._momentum(duration * v - (q1 - q0) / share) - duration**2 * share / 2 * force
+        index = np.concatenate([q[-2], q[-1], a.states[-1, nq : 2 * nq], own[-1], self.lam[-1], T, a.share[-1], a.time[-1]])[None]
+        result.append(self._block("end", z, row, index, tuple(f"dynamics of interval {a.count - 1}, {name} at its end" for name in names)))
+
+        if self.bars:
+            result += self._lengths()
+        return result
+
+    def _lengths(self) -> list[Block]:
+        a, nq = self.a, self.nq
+        z = ca.SX.sym("z", 2 * nq)
+        x = ca.vertcat(z, ca.SX.zeros(self.nx - 2 * nq))
+        lengths, rates = bar_rows(self.model, x, a.scales, rates=True)
+        at_nodes = ca.Function("lengths", [z[:nq]], [ca.substitute(lengths, z[nq:], ca.SX.zeros(nq))])
+        names = interval_names(a.count, bar_names(self.bars, "length"))
+        last = tuple(f"dynamics of interval {a.count - 1}, {name}" for name in bar_names(self.bars, "rate"))
+        return [
+            Block(at_nodes, a.states[1:, :nq], names),
+            Block(ca.Function("rates", [z], [rates]), a.states[-1:, : 2 * nq], last),
+        ]
+
+    def _block(self, name: str, z: Any, row: Any, index: Indices, names: tuple[str, ...]) -> Block:
+        return Block(unrolled(self.model, ca.Function(name, [z], [row / self._row_scale])), index, names)
+
+    def _state(self, q: Any, v: Any, time: Any) -> Any:
+        clock = [time + float(self.a.target.start[-1])] if self.model.scene.has_clock else []
+        return ca.vertcat(q, v, *clock)
+
+    def _force(self, q: Any, v: Any, gamma: Any, lam: Any, time: Any) -> Any:
+        """F + B λ̂ C_b on the free coordinates."""
+        mech = self.mech
+        N, V, clock = self.model.unpack(self._state(q, v, time))
+        total = sum(forces.terms(self.model.scene, mech, N, V, gamma, clock).values(), start=ca.DM.zeros(*mech.N.shape))
+        if self.bars:
+            total = total + dynamics.push(mech, ca.mtimes(N, sparse(mech.C_b.T)), lam.T, ca.DM.zeros(3, 0))
+        return self.model.pack(total, total, 0)[: self.nq]
+
+    def _momentum(self, change: Any) -> Any:
+        """M times a change of the free coordinates."""
+        _, V, _ = self.model.unpack(self._state(change, change, 0))
+        P = ca.mtimes(V, sparse(self.mech.M))
+        return self.model.pack(P, P, 0)[: self.nq]
+
+    # --- what the motion leaves out ---
+
+    def _central(self) -> ca.Function:
+        """(q⁻, q, q⁺, T, share⁻, share⁺) → v: the slope of the parabola through three nodes, at the middle one."""
+        z, (q0, q1, q2, duration, before, after) = parts(self.nq, self.nq, self.nq, 1, 1, 1)
+        v = (after * (q1 - q0) / before + before * (q2 - q1) / after) / (duration * (before + after))
+        return ca.Function("central", [z], [v])
+
+    def _central_index(self) -> Indices:
+        a, q = self.a, self.a.states[:, : self.nq]
+        return np.hstack([q[:-2], q[1:-1], q[2:], a.repeated(a.duration, a.count - 1), a.share[:-1], a.share[1:]])
+
+    def missing(self, needed: Callable[[Indices], Array]) -> list[Block]:
+        """Unknowns and rows for velocities within and the clock, where a block depends on them."""
+        a, nq = self.a, self.nq
+        blocks = []
+        hidden = np.array([a.states[k, i] for k, i in self.hidden], dtype=np.intp)
+        asked = needed(hidden) if len(hidden) else np.zeros(0, dtype=bool)
+        columns = np.array([i for _, i in self.hidden], dtype=np.intp)
+        if np.any(asked[columns < 2 * nq]) and a.count > 1:
+            v = np.zeros((a.count - 1, nq), dtype=np.intp)
+            scale, names = a.scales.state[nq : 2 * nq], state_names(self.model)[nq : 2 * nq]
+            for k in range(1, a.count):
+                v[k - 1] = a.unknowns.add([f"{name}, interval {k - 1}" for name in names], a.guess.states[k, nq : 2 * nq], scale, stage=k)
+            central = self._central()
+            z = ca.SX.sym("z", central.size1_in(0) + nq)
+            function = ca.Function("velocity", [z], [(z[:nq] - central(z[nq:])) / ca.DM(scale)])
+            blocks.append(Block(function, np.hstack([v, self._central_index()]), interval_names(a.count - 1, names)))
+            a.states[1:-1, nq : 2 * nq] = v
+        if np.any(asked[columns >= 2 * nq]):
+            for k in range(1, a.count + 1):
+                a.add_state(k, slice(2 * nq, None))
+            z = ca.SX.sym("z", 3)
+            row = (z[0] - float(a.target.start[-1]) - z[1] * z[2]) / a.scales.time
+            index = np.hstack([a.states[1:, -1:], a.repeated(a.duration), a.time[1:]])
+            blocks.append(Block(ca.Function("clock", [z], [row]), index, interval_names(a.count, ("clock",))))
+        return blocks
+
+    def all_states(self, seen: Callable[[Indices], Any]) -> Any:
+        """States (nx, K + 1), given what reads references."""
+        a, nq = self.a, self.nq
+        q = seen(a.states[:, :nq])
+        ends = seen(a.states[[0, -1], nq : 2 * nq])
+        v = ends
+        if a.count > 1:
+            v = ca.horzcat(ends[:, 0], self._central().map(a.count - 1)(seen(self._central_index())), ends[:, 1])
+        x = ca.vertcat(q, v)
+        if self.model.scene.has_clock:
+            x = ca.vertcat(x, float(a.target.start[-1]) + ca.mtimes(seen(a.duration[None]), seen(a.time)))
+        if self.bars and a.count > 1:
+            inner = projection(self.model, 1).map(a.count - 1)(x[:, 1:-1])
+            x = ca.horzcat(x[:, 0], inner, x[:, -1])
+        return x
