@@ -16,11 +16,11 @@ from tenscasadi.rattle import Rattle
 from tenscasadi.reference import certify, distance, end_nodes
 from tenscasadi.runners import own_steps
 from tenscasadi.scene import Scene
-from tenscasadi.schemes import DormandPrince54, DormandPrince853, EmbeddedRungeKutta, RungeKutta4, Scheme, check_scheme, extent
+from tenscasadi.schemes import DormandPrince54, DormandPrince853, EmbeddedRungeKutta, RungeKutta4, Scheme, extent
 from tenscasadi.signals import ControlInput
 from tenscasadi.stability import stable_step
 from tenscasadi.table import short
-from tenscasadi.tradeoff import Case
+from tenscasadi.tradeoff import Case, check_ways
 from tenscasadi.validate import Array, finite_array, instance, positive_number
 
 _REFERENCE = 0.1  # error of the reference in units of the tolerance
@@ -30,11 +30,12 @@ _TRIES = 40  # runs to find one step
 _REPEATS = 3  # timed runs
 
 _LARGEST = 1 / 20  # of the run: the longest step of a scheme that controls its error
+_SHORT = 2e8  # instructions that the virtual machine is through with before they are compiled
 _OVERHEAD = 1.5  # of such a step: rejected ones, the error, events
 
 SCHEMES: tuple[Scheme, ...] = (
-    *(DormandPrince853(rtol=1e-6), DormandPrince54(rtol=1e-6)),
-    *(DormandPrince853(), DormandPrince54(), RungeKutta4(), Rattle(), Rattle(order=4)),
+    *(DormandPrince853(), DormandPrince853(rtol=1e-6), DormandPrince54(rtol=1e-6)),
+    *(DormandPrince54(), RungeKutta4(), Rattle(), Rattle(order=4)),
 )
 
 
@@ -89,8 +90,8 @@ def recommend(
     instance("what", what, (Scene, Model), "a tenscasadi.Scene or Model")
     model = what if isinstance(what, Model) else Model(what)
     t_end, tolerance = positive_number("t_end", t_end), positive_number("tolerance", tolerance)
+    check_ways(schemes, corrections)
     for scheme in schemes:
-        check_scheme(scheme)
         if own_steps(scheme) and not isinstance(scheme, EmbeddedRungeKutta):
             raise ValueError(f"schemes holds {scheme!r}, whose instructions are not known: give explicit schemes")
     enough = _REFERENCE * tolerance
@@ -115,7 +116,7 @@ def recommend(
     names = ", ".join(map(short, schemes))
     if best is None:
         raise NoScheme(f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes")
-    seconds = best.seconds()
+    seconds = replace(best, case=replace(best.case, compiled=compiled)).seconds()
     expected = best.error + reference.error
     outcome = f"{best.steps} steps of {short(best.case.scheme)}: {expected:.2g} m, {seconds:.2g} s"
     message = f"{outcome}; compared with {names}; reference: {reference.message}"
@@ -154,6 +155,8 @@ def _measured(case: Case, step: float, each: int, nodes: Array) -> _Choice:
 
 def _loosest(case: Case, each: int, nodes: Array, wanted: float, most: float) -> _Choice | None:
     """About the largest rtol whose error is at most `wanted`; None when that costs `most` or more."""
+    if case.compiled is None and most < _SHORT:
+        case = replace(case, compiled=False)  # each rtol would be compiled anew
     best: _Choice | None = None
     rtol, tight, loose = 0.1 * wanted / extent(case.model), 0.0, 0.1
     for _ in range(_TRIES // 4):

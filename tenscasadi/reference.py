@@ -23,7 +23,7 @@ _FINER = 4  # from one pair of solutions to the next
 _COARSEST = 64  # steps of the first pair, at least
 _TOLERANCES = (1e-10, 1e-12, 1e-14)
 _GRID = 50  # parts of a run with control of the error, at least as many steps
-_ROUNDING = 1e-10  # of the structure's size: what differs by less is not worth another way
+_ROUNDING = 1e-10  # of the structure's size: solutions that differ by less and cease to converge, do so by rounding
 _FASTER = 10.0  # compiled code against the virtual machine
 
 
@@ -78,8 +78,8 @@ def certify(
     for count in _counts(model, t_end, state, work):
         before = pairs.apart
         pairs.try_steps(count)
-        if pairs.error <= enough or (pairs.apart >= before and pairs.error <= accuracy):
-            break
+        if pairs.error <= enough or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size)):
+            break  # finer steps only round more
         if pairs.apart > before / _FINER**3 and switching(model) is not None:
             break
     if pairs.error > enough and pairs.apart > _ROUNDING * size and switching(model) is not None:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tenscasadi import correction, rattle, schemes
+from tenscasadi import collocation, correction, rattle, schemes, sundials
 from tenscasadi.correction import Correction
 from tenscasadi.schemes import Scheme
 from tenscasadi.validate import positive_number
@@ -20,7 +20,7 @@ from tenscasadi.validate import positive_number
 _FORMAT = "tenscasadi tradeoff 1"
 _KINDS: dict[str, Any] = {
     name: kind
-    for module in (schemes, rattle, correction)
+    for module in (schemes, rattle, collocation, sundials, correction)
     for name, kind in vars(module).items()
     if is_dataclass(kind) and getattr(kind, "__module__", "") == module.__name__
 }

@@ -193,6 +193,11 @@ def _check(named: dict[str, Model], schemes: Any, corrections: Any) -> None:
     counts = {name: len(model.scene.structure.nodes) for name, model in named.items()}
     if len(set(counts.values())) > 1:
         raise ValueError(f"models have scenes of {counts} nodes: give models of one structure, that differ in what is modelled")
+    check_ways(schemes, corrections)
+
+
+def check_ways(schemes: Any, corrections: Any) -> None:
+    """TypeError or ValueError unless these are sequences of schemes and of corrections, each with one at least."""
     for scheme in _sequence("schemes", schemes):
         check_scheme(scheme)
     for correction in _sequence("corrections", corrections):
