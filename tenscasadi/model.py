@@ -160,7 +160,7 @@ class Model(StateSpace):
         for name, expression in built.items():
             if name == "string damping":  # the whole string law; what it adds to elasticity is the damping
                 outputs.pop("string elasticity")
-            outputs[name] = expression
+            outputs[name] = ca.vec(expression)[self._free.tolist()]  # what pulls at a pinned node is not needed
             count = ca.Function("terms", [x, u], ca.cse(list(outputs.values()))).n_instructions()
             terms[name] = count - before
             before = count
