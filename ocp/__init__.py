@@ -8,6 +8,7 @@ from ocp.costs import Duration, Effort, Prestress, Smoothness, Tracking, Work
 from ocp.expressions import AtEnd, Constraint, Integral
 from ocp.goals import AtRest, NodePositions, Periodic, Shape, StringLengths, Waypoint
 from ocp.grid import PiecewiseConstant, PiecewiseLinear
+from ocp.guesses import Arrays, Equilibrium, InverseDynamics
 from ocp.implicit import ImplicitMidpoint
 from ocp.instant import Instant
 from ocp.places import AboveGround, BarClearance, InsideBox, Obstacle
@@ -57,6 +58,10 @@ __all__ = [
     "PiecewiseLinear",
     "Ipopt",
     "solve",
+    # where it starts
+    "InverseDynamics",
+    "Equilibrium",
+    "Arrays",
     # what comes of it
     "Plan",
     "UnreachableGoal",

@@ -37,14 +37,23 @@ def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
     bounds for every interval. What it leaves open (self-stress) follows the equilibrium force densities of start and target.
     """
     duration = (problem.shortest + problem.longest) / 2
-    states = _path(problem, target, intervals, duration)
-    return Guess(states, _inverse_dynamics(problem, states, _reference(problem, states), duration / intervals), duration)
+    return follow(problem, target, _line(target, problem.model.nq, intervals, duration), duration)
 
 
-def _path(problem: Problem, target: Target, intervals: int, duration: float) -> Array:
-    model = problem.model
+def follow(problem: Problem, target: Target, positions: Array, duration: float) -> Guess:
+    """The motion along free coordinates (K + 1, nq) at equal times, put onto bars and joints, and the force densities that follow it best."""
+    states = _motion(problem, target, positions, duration)
+    return Guess(states, _inverse_dynamics(problem, states, _reference(problem, states), duration / (len(states) - 1)), duration)
+
+
+def settled(problem: Problem, states: Array) -> Array:
+    """Force densities (K, α) that hold states (K + 1, nx) at rest, as nearly as they can."""
+    return _inverse_dynamics(problem, states, _reference(problem, states), 1.0)
+
+
+def _line(target: Target, nq: int, intervals: int, duration: float) -> Array:
+    """Free coordinates (K + 1, nq) from start to target, through the waypoints."""
     start, end = target.start, target.start if target.state is None else target.state
-    nq = model.nq
     s = np.linspace(0.0, 1.0, intervals + 1)[:, None]
     rise, fall = s**3 * (10 - 15 * s + 6 * s**2), -4 * s**3 + 7 * s**4 - 3 * s**5
     out = s - 6 * s**3 + 8 * s**4 - 3 * s**5  # leaves with the start's velocity; `fall` arrives with the target's
@@ -54,15 +63,23 @@ def _path(problem: Problem, target: Target, intervals: int, duration: float) -> 
         places = [start[:nq], *(state[:nq] for _, state in stops), end[:nq]]
         rates = [(1, duration * state[nq : 2 * nq]) for state in (start, end)]
         q = scipy.interpolate.CubicSpline([0.0, *(share for share, _ in stops), 1.0], places, bc_type=tuple(rates))(s[:, 0])
-    clock = start[2 * nq :] + duration * s[:, : model.nx - 2 * nq]
+    return np.asarray(q)
+
+
+def _motion(problem: Problem, target: Target, q: Array, duration: float) -> Array:
+    model, nq, intervals = problem.model, problem.model.nq, len(q) - 1
+    start = target.start
+    clock = start[2 * nq :] + np.linspace(0.0, duration, intervals + 1)[:, None][:, : model.nx - 2 * nq]
     project = projection(model, 10).map(intervals + 1)
     still = np.column_stack([q, np.zeros_like(q), clock])
     q = np.asarray(project(still.T).full()).T[:, :nq]
     v = np.empty_like(q)
-    v[0], v[-1] = start[nq : 2 * nq], end[nq : 2 * nq]
+    v[0], v[-1] = start[nq : 2 * nq], (start if target.state is None else target.state)[nq : 2 * nq]
     v[1:-1] = (q[2:] - q[:-2]) * (intervals / (2 * duration))
     states = np.asarray(project(np.column_stack([q, v, clock]).T).full()).T
-    states[0], states[-1] = start, end
+    states[0] = start
+    if target.state is not None:
+        states[-1] = target.state
     if not np.all(np.isfinite(states)):  # a bar vanished on the way
         return np.repeat(start[None], intervals + 1, axis=0)
     return states
