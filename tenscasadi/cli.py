@@ -1,4 +1,4 @@
-"""The command line: plan, simulate and info, each prints a summary and writes a .npz and pictures."""
+"""The command line: plan, simulate, tradeoff and info, each prints a summary and writes a .npz and pictures."""
 
 from __future__ import annotations
 
@@ -18,12 +18,15 @@ from tenscasadi.compiled import CompileError, find_compiler
 from tenscasadi.correction import Projection
 from tenscasadi.demos import DEMOS, demo
 from tenscasadi.model import Model
+from tenscasadi.rattle import Rattle
 from tenscasadi.scene import Scene
+from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4, Scheme
 from tenscasadi.simulate import simulate
 from tenscasadi.stability import fastest_rate, stable_step
 from tenscasadi.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.strings import ForceDensity
 from tenscasadi.structure import Structure
+from tenscasadi.tradeoff import tradeoff
 from tenscasadi.trajectory import Trajectory
 
 _FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
@@ -99,6 +102,15 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--uncompiled", action="store_true", help="use CasADi's virtual machine even where there is a C compiler")
     sim.add_argument("--gif", action="store_true", help="write an animation too")
 
+    trade = command("tradeoff", _tradeoff, "measure how fast and how accurate each scheme is", f"{_TRADEOFF}\n\nshapes and how they start:\n{known}")
+    trade.add_argument("--t-end", type=float, metavar="S", help="end of the simulation, s (default: 1 to 3 s, by shape)")
+    trade.add_argument(
+        "--steps", type=float, nargs="+", default=[0.02, 0.01, 0.005, 0.002, 0.001], metavar="S", help="steps, s (default: 0.02 … 0.001)"
+    )
+    trade.add_argument("--rtol", type=float, nargs="+", default=[1e-4, 1e-7, 1e-10], metavar="R", help="tolerances (default: 1e-4 1e-7 1e-10)")
+    trade.add_argument("--tolerance", type=float, metavar="X", help="wanted accuracy, m: names the fastest run within it")
+    trade.add_argument("--uncompiled", action="store_true", help="use CasADi's virtual machine even where there is a C compiler")
+
     command("info", _info, "describe a shape: members, masses, equilibrium, equations, stable step", f"shapes:\n{known}")
     return parser
 
@@ -107,6 +119,11 @@ _PLAN = """\
 The prism starts in its equilibrium shape and ends in the equilibrium shape of the other height, which the same bars allow.
 The plan is found with IPOPT and checked by a simulation with steps ten times finer, whose distance from the goal is printed.
 Bounds near the forces that hold the prism make an easy plan; wide ones may take many iterations."""
+
+
+_TRADEOFF = """\
+Every scheme is run with every step (and error control with every --rtol), with and without Projection, and compared with a reference that two
+schemes agree on. Times do not hold the compilation, which is told apart. Ctrl-C ends the study and keeps what there is."""
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
@@ -143,6 +160,40 @@ def _write_trajectory(arguments: argparse.Namespace, trajectory: Trajectory) -> 
     if arguments.gif:
         files.append(animate(trajectory, folder / f"{name}-simulation.gif", title=name))
     return files
+
+
+def _tradeoff(arguments: argparse.Namespace) -> int:
+    chosen = demo(arguments.shape)
+    model = Model(chosen.scene())
+    schemes: tuple[Scheme, ...] = (
+        RungeKutta4(),
+        DormandPrince54(),
+        DormandPrince853(),
+        Rattle(),
+        *(DormandPrince853(rtol) for rtol in arguments.rtol),
+    )
+    table = tradeoff(
+        model,
+        chosen.t_end if arguments.t_end is None else arguments.t_end,
+        schemes,
+        arguments.steps,
+        state=chosen.start,
+        corrections=(None, Projection()),
+        compiled=(False if arguments.uncompiled else None,),
+        progress=sys.stderr.isatty(),
+    )
+    print(f"{arguments.shape}: {model.structure!r}, {table.t_end:g} s")
+    print(table.summary())
+    if arguments.tolerance is not None:
+        row = table.cheapest(arguments.tolerance)
+        print(f"fastest within {arguments.tolerance:g} m: {row.name}" + ("" if np.isnan(row.step) else f", step {row.step:g} s"))
+    began = time.perf_counter()
+    folder = _folder(arguments.output)
+    files = [folder / f"{arguments.shape}-tradeoff{suffix}" for suffix in (".npz", ".png")]
+    table.save(files[0])
+    table.plot(files[1], title=arguments.shape)
+    _tell(files, time.perf_counter() - began)
+    return 0 if table.complete else _INTERRUPTED
 
 
 def _info(arguments: argparse.Namespace) -> int:

@@ -20,7 +20,7 @@ from tenscasadi.schemes import DormandPrince54, DormandPrince853, EmbeddedRungeK
 from tenscasadi.signals import ControlInput
 from tenscasadi.stability import stable_step
 from tenscasadi.table import short
-from tenscasadi.tradeoff import Case, check_ways
+from tenscasadi.tradeoff import LONGEST, Case, check_ways
 from tenscasadi.validate import Array, finite_array, instance, positive_number
 
 _REFERENCE = 0.1  # error of the reference in units of the tolerance
@@ -29,7 +29,6 @@ _CLOSE = 1.15  # the step found is this close to the largest that serves
 _TRIES = 40  # runs to find one step
 _REPEATS = 3  # timed runs
 
-_LARGEST = 1 / 20  # of the run: the longest step of a scheme that controls its error
 _SHORT = 2e8  # instructions that the virtual machine is through with before they are compiled
 _OVERHEAD = 1.5  # of such a step: rejected ones, the error, events
 
@@ -161,7 +160,7 @@ def _loosest(case: Case, each: int, nodes: Array, wanted: float, most: float) ->
     rtol, tight, loose = 0.1 * wanted / extent(case.model), 0.0, 0.1
     for _ in range(_TRIES // 4):
         rtol = min(max(rtol, 1e-15), 0.1)
-        now = _measured(replace(case, scheme=replace(case.scheme, rtol=rtol, atol=None)), _LARGEST * case.t_end, each, nodes)  # type: ignore[type-var]
+        now = _measured(replace(case, scheme=replace(case.scheme, rtol=rtol, atol=None)), LONGEST * case.t_end, each, nodes)  # type: ignore[type-var]
         if now.error <= wanted:
             tight, best = rtol, now
         else:

@@ -68,10 +68,18 @@ class Row:
 
     @property
     def name(self) -> str:
-        """What tells this row's curve from others: all but the step."""
-        extra = [] if self.correction is None else [short(self.correction)]
-        extra += [self.fidelity] if self.fidelity else []
-        return ", ".join([short(self.scheme), *extra, *([] if self.compiled else ["virtual machine"])])
+        """All but the step in words."""
+        return ", ".join([short(self.scheme), *self._variant()])
+
+    @property
+    def curve(self) -> str:
+        """What rows that differ in step or tolerance only have in common."""
+        swept = "rtol" if np.isnan(self.step) else ""
+        return ", ".join([short(self.scheme, swept) + (f" with {swept}" if swept else ""), *self._variant()])
+
+    def _variant(self) -> list[str]:
+        named = [] if self.correction is None else [short(self.correction)]
+        return [*named, *([self.fidelity] if self.fidelity else []), *([] if self.compiled else ["virtual machine"])]
 
 
 @dataclass(frozen=True)
@@ -136,7 +144,7 @@ class Tradeoff:
 
         curves: dict[str, list[tuple[float, float]]] = {}
         for row in self._good():
-            curves.setdefault(row.name, []).append((row.position, row.seconds))
+            curves.setdefault(row.curve, []).append((row.position, row.seconds))
         front = [(row.position, row.seconds) for row in self.pareto()]
         return work_precision(curves, front, self.reference_error, title=title, path=path)
 
@@ -184,10 +192,10 @@ class Tradeoff:
         return sorted(entry for entry in known if not np.isnan(entry[0]))
 
 
-def short(value: Any) -> str:
-    """A frozen value as text, with only the options that are not the default."""
+def short(value: Any, without: str = "") -> str:
+    """A frozen value as text, with only the options that are not the default, and not that of the name `without`."""
     own = [(field.name, getattr(value, field.name), field.default) for field in fields(value)] if is_dataclass(value) else []
-    changed = ", ".join(f"{name}={option!r}" for name, option, default in own if option != default)
+    changed = ", ".join(f"{name}={option!r}" for name, option, default in own if option != default and name != without)
     return type(value).__name__ + (f"({changed})" if changed else "")
 
 

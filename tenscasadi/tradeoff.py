@@ -27,6 +27,7 @@ from tenscasadi.validate import Array, finite_array, instance, positive_number, 
 _TIMED = 0.02  # s of one timed run, about: short enough for many, long enough for the clock
 _TRIAL = 2048  # steps that tell how many take that long
 _MOST = 2**18  # steps of a timed run
+LONGEST = 1 / 20  # of the run: the largest step of a scheme that controls its error
 
 State = Array | Callable[[Model], Array] | None
 
@@ -47,7 +48,7 @@ def tradeoff(
     """Runs every scheme with every step, correction, model and way to run on [0, t_end], and measures what each costs and how wrong it is.
 
     models: a model, or several by name that share their scene's nodes and differ in fidelity: segments, lumping, slack, coordinates.
-    steps: largest steps, s; a scheme that controls its error (`rtol`) takes its own, up to the largest of them, and is run once.
+    steps: largest steps, s; a scheme that controls its error (`rtol`) takes its own, up to a twentieth of t_end, and is run once.
     reference: what position errors are measured against: a `Reference`, or the name of the model that `certify` solves; None: the first.
     state: start (nx,), a function model -> (nx,), or None: each model's initial state. control: as for `simulate`.
     compiled: None: as machine code where there is a compiler, True, False; both (True, False) compare the two.
@@ -68,7 +69,7 @@ def tradeoff(
     total = sum(1 if own_steps(scheme) else len(lengths) for _, scheme, _, _ in plans)
     try:
         with tqdm(total=total, unit=" runs", disable=not progress) as bar:
-            known = _reference(named, t_end, reference, state, control)
+            known = _reference(named, t_end, reference, state, control, False if all(way is False for way in ways) else None)
             for (name, model), scheme, correction, way in plans:
                 case = Case(model, scheme, correction, t_end, start_of(model, state), control, way)
                 for row in _rows(case, name, lengths, known, repeats):
@@ -141,7 +142,7 @@ def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference,
         case.scheme, np.nan, case.correction, name, case.compiled is not False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, 0, 0, False, ""
     )
     each = setup = np.nan
-    for step in lengths[:1] if chooses else lengths:
+    for step in [LONGEST * case.t_end] if chooses else lengths:
         began = time.perf_counter()
         empty = replace(empty, step=np.nan if chooses else step)
         try:
@@ -171,7 +172,9 @@ def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference,
         yield row
 
 
-def _reference(named: dict[str, Model], t_end: float, reference: Reference | str | None, state: State, control: ControlInput) -> Reference:
+def _reference(
+    named: dict[str, Model], t_end: float, reference: Reference | str | None, state: State, control: ControlInput, compiled: bool | None
+) -> Reference:
     if isinstance(reference, Reference):
         nodes = len(next(iter(named.values())).scene.structure.nodes)
         if len(reference.nodes) != nodes:
@@ -182,7 +185,7 @@ def _reference(named: dict[str, Model], t_end: float, reference: Reference | str
     if reference is not None and reference not in named:
         raise ValueError(f"reference is {reference!r}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}")
     model = named[next(iter(named)) if reference is None else reference]
-    return certify(model, t_end, start_of(model, state), control)
+    return certify(model, t_end, start_of(model, state), control, compiled=compiled)
 
 
 def _check(named: dict[str, Model], schemes: Any, corrections: Any) -> None:

@@ -122,6 +122,19 @@ def test_plan(tmp_path, capsys):
     assert np.linalg.norm(end[3:].mean(axis=0) - end[:3].mean(axis=0)) == pytest.approx(1.1, abs=1e-3)
 
 
+def test_tradeoff(tmp_path, capsys):
+    options = ["--t-end", 0.1, "--steps", 0.01, 0.005, "--rtol", 1e-6, "--tolerance", 1e-4, "--uncompiled"]
+    assert run("tradeoff", "prism", *options, "--output", tmp_path) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"fastest within 0.0001 m: \w+", out)
+    files = written(out)
+    assert sorted(files) == sorted(tmp_path.iterdir())
+    table = tc.Tradeoff.load(files[0])
+    assert len(table.rows) == 2 * (4 * 2 + 1)
+    assert {row.step for row in table.rows if row.step > 0} == {0.01, 0.005}
+    assert not any(row.compiled for row in table.rows)
+
+
 def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
     options = ["--intervals", 5, "--duration", 0.02, "--upper", 20]
     assert run("plan", "prism", *options, "--output", tmp_path) == 1
@@ -137,6 +150,10 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
         (["simulate"], "SHAPE"),
         (["simulate", "cube"], "pendulum, double-pendulum, prism, d-bar, six-bar-ball"),
         (["info", "cube"], "six-bar-ball"),
+        (["tradeoff", "cube"], "six-bar-ball"),
+        (["tradeoff", "prism", "--steps", "0"], "steps[0]"),
+        (["tradeoff", "prism", "--steps"], "--steps"),
+        (["tradeoff", "prism", "--rtol", "2"], "rtol"),
         (["plan", "cube"], "prism"),
         (["simulate", "prism", "--t-end", "soon"], "--t-end"),
         (["simulate", "prism", "--t-end", "nan"], "t_end"),
@@ -187,7 +204,7 @@ def test_interrupted(monkeypatch, capsys):
     assert capsys.readouterr().err == "tenscasadi: interrupted\n"
 
 
-@pytest.mark.parametrize("command", ["simulate", "info"])
+@pytest.mark.parametrize("command", ["simulate", "tradeoff", "info"])
 def test_help_tells_every_shape_and_its_start(command, capsys):
     with pytest.raises(SystemExit) as leaving:
         main([command, "--help"])

@@ -45,7 +45,7 @@ def test_two_commands_do_all_set_up():
     assert "pytest" in tests
 
 
-@pytest.mark.parametrize("command", re.findall(r"(?<![\w/.])(?:\.venv/bin/)?tenscasadi (?:plan|simulate|info) [^`\n]+", README))
+@pytest.mark.parametrize("command", re.findall(r"(?<![\w/.])(?:\.venv/bin/)?tenscasadi (?:plan|simulate|tradeoff|info) [^`\n]+", README))
 def test_commands_are_understood(command):
     assert callable(_parser().parse_args(shlex.split(command)[1:]).run)
 

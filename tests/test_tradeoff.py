@@ -196,6 +196,31 @@ def test_compiled_and_not_are_told_apart():
     assert "virtual machine" in slow.name
 
 
+def test_error_control_is_one_curve_and_runs_once():
+    schemes = [tc.DormandPrince54(rtol=rtol) for rtol in (1e-4, 1e-6)]
+    table = tc.tradeoff(spinning(), 0.2, schemes, [0.1, 0.05], state=start, compiled=(False,), repeats=1)
+    coarse, fine = table.rows
+    assert np.isnan(coarse.step)
+    assert coarse.steps < fine.steps
+    assert coarse.position > fine.position
+    assert coarse.seconds > 0
+    assert coarse.curve == fine.curve == "DormandPrince54 with rtol, virtual machine"
+    assert coarse.name != fine.name
+
+
+def test_schemes_without_code_are_measured_too():
+    table = tc.tradeoff(spinning(), 0.05, [tc.Cvodes(rtol=1e-8)], [0.05], state=start, repeats=1)
+    (row,) = table.rows
+    assert row.position < 1e-5
+    assert not row.compiled
+    assert np.isnan(row.work)
+    assert table.pareto("work") == ()
+    assert table.pareto() == (row,)
+    (refused,) = tc.tradeoff(spinning(), 0.05, [tc.Cvodes()], [0.05], state=start, compiled=(True,), repeats=1).rows
+    assert not refused.success
+    assert "C code" in refused.message
+
+
 # --- interruption ---
 
 
@@ -294,7 +319,7 @@ def test_plot(table, tmp_path):
     (axes,) = figure.axes
     assert axes.get_xscale() == axes.get_yscale() == "log"
     names = {text.get_text() for text in figure.legends[0].get_texts()}
-    assert names == {row.name for row in table.rows}
+    assert names == {row.curve for row in table.rows}
     line = next(line for line in axes.lines if line.get_label() == "RungeKutta4")
     assert sorted(line.get_xdata()) == pytest.approx(sorted(row.position for row in table.rows[:4]))
 
