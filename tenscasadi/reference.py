@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -160,3 +161,9 @@ def distance(nodes: Array, others: Array) -> float:
 def interrupted(trajectory: Trajectory) -> bool:
     """Whether a run was ended from the keyboard."""
     return not trajectory.success and trajectory.message.startswith("interrupted")
+
+
+def attempts(trajectory: Trajectory) -> int:
+    """Steps of a run, with those that error control tried in vain or to locate events: what it cost."""
+    vain = re.findall(r"(\d+) (?:more rejected|to locate)", trajectory.message)
+    return round(float(trajectory.time[-1]) / trajectory.step) + sum(map(int, vain))

@@ -39,7 +39,8 @@ class Row:
     step: s, NaN for a scheme that chooses its own; fidelity: the name of the model; compiled: as machine code or in the virtual machine.
     seconds: wall time of the time loop per simulated second, the median of repeats; setup: wall time of equations and compilation, s.
     position: largest distance of a node from the reference at the end, m; bar, joint (m), energy (J): largest over the run, as in `Trajectory`.
-    instructions: of one step with its correction, 0 where they are not known; steps: of the run; errors are NaN where it failed.
+    instructions: of one step with its correction, 0 where they are not known; steps: of the run, with those tried in vain; errors are NaN where
+    it failed.
     """
 
     scheme: Scheme

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from tenscasadi.compiled import CompileError
 from tenscasadi.correction import BarLengthCorrection, Correction, Projection
 from tenscasadi.model import Model, instructions
-from tenscasadi.reference import Reference, certify, distance, end_nodes, interrupted
+from tenscasadi.reference import Reference, attempts, certify, distance, end_nodes, interrupted
 from tenscasadi.runners import own_steps
 from tenscasadi.schemes import EmbeddedRungeKutta, Scheme, check_scheme
 from tenscasadi.signals import ControlInput
@@ -153,7 +153,7 @@ def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference,
         if np.isnan(setup):
             setup = time.perf_counter() - began - run.seconds
             empty = replace(empty, compiled=run.compiled, setup=setup)
-        count = round(float(run.time[-1]) / run.step)
+        count = attempts(run)
         row = replace(empty, instructions=work, steps=count, success=run.success, message=run.message)
         if run.success:
             if chooses:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import itertools
+import re
 import zipfile
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ import pytest
 
 import tenscasadi as tc
 from tenscasadi.model import instructions
-from tenscasadi.reference import distance, interrupted
+from tenscasadi.reference import attempts, distance, interrupted
 
 STEPS = (0.02, 0.01, 0.005, 0.0025)
 
@@ -206,6 +207,18 @@ def test_error_control_is_one_curve_and_runs_once():
     assert coarse.seconds > 0
     assert coarse.curve == fine.curve == "DormandPrince54 with rtol, virtual machine"
     assert coarse.name != fine.name
+
+
+def test_steps_tried_in_vain_count():
+    """The study reads them in the run's message."""
+    model = tc.Model(tc.Scene(tc.shapes.six_bar_ball(prestress=2.0, stiffness=300.0)))
+    wild = model.state(model.structure.nodes, 2 * np.random.default_rng(1).normal(size=(12, 3)))
+    start = tc.Projection().step(model)(wild).full().ravel()
+    run = tc.simulate(model, 0.2, 0.02, tc.DormandPrince54(rtol=1e-6), start, compiled=False)
+    numbers = [float(number) for number in re.findall(r"(?<![\w.])\d+(?= )", run.message)]
+    taken, rejected, located, events = numbers
+    assert events > 0
+    assert attempts(run) == taken + rejected + located
 
 
 def test_schemes_without_code_are_measured_too():
