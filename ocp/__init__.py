@@ -15,7 +15,7 @@ from ocp.places import AboveGround, BarClearance, InsideBox, Obstacle
 from ocp.plan import Plan
 from ocp.problem import Problem
 from ocp.solve import solve
-from ocp.solver import Ipopt
+from ocp.solver import Fatrop, Ipopt, Progress
 from ocp.target import UnreachableGoal
 from ocp.transcription import MultipleShooting
 from ocp.variational import Variational
@@ -57,6 +57,8 @@ __all__ = [
     "PiecewiseConstant",
     "PiecewiseLinear",
     "Ipopt",
+    "Fatrop",
+    "Progress",
     "solve",
     # where it starts
     "InverseDynamics",

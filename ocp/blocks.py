@@ -70,6 +70,11 @@ class Unknowns:
         self._constants += array.ravel().tolist()
         return -1 - np.arange(start, start + array.size).reshape(array.shape)
 
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """All constants, in the order in which they were added."""
+        return tuple(self._constants)
+
     def column(self, which: int) -> Array:
         """first, scale, lower, upper or stage of all unknowns."""
         return np.concatenate([np.zeros(0), *self._columns[which]])

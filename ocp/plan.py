@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem import Problem
+from ocp.rerun import run_profile
 from tenscasadi.loads import Gravity
 from tenscasadi.model import Model
 from tenscasadi.scene import Scene
@@ -47,7 +48,8 @@ class Plan:
 
     success; status: the solver's word; message: what was imposed, what came of it, and after a failure why and what to try.
     objective: the costs' sum; iterations; seconds: wall time of the solver, building included. time (K + 1,) s;
-    force_density (K, α) N/m, each row held from its time to the next; trajectory: the planned motion at `time`.
+    force_density (K, α) N/m, each row held from its time to the next, or (K + 1, α), linear between the times; trajectory: the planned
+    motion at `time`.
     replay_error: m, and replay_speed_error: m/s: how far the motion that `replay` computes ends from the goals (NaN where it diverges).
     structure, model: what was planned for; `model` is None for a saved plan whose scene has moving supports, or loads other than gravity.
     """
@@ -73,7 +75,7 @@ class Plan:
             object.__setattr__(self, name, view)
 
     def __repr__(self) -> str:
-        count, strings = self.force_density.shape
+        count, strings = len(self.time) - 1, self.force_density.shape[1]
         return f"Plan({count} intervals, {strings} strings, {self.time[-1]:g} s, success={self.success}, replay_error={self.replay_error:.2g} m)"
 
     def summary(self) -> str:
@@ -83,12 +85,17 @@ class Plan:
             [
                 self.message,
                 f"solver        {self.status}, {self.iterations} iterations, {self.seconds:.3g} s",
-                f"plan          {self.time[-1]:g} s in {len(self.force_density)} intervals, objective {self.objective:.6g}",
+                f"plan          {self.time[-1]:g} s in {len(self.time) - 1} intervals, objective {self.objective:.6g}",
                 f"force density {self.force_density.min():.4g} … {self.force_density.max():.4g} N/m",
                 f"tension       {tension.min():.4g} … {tension.max():.4g} N",
                 f"replay        ends {self.replay_error:.2g} m and {self.replay_speed_error:.2g} m/s from the goal",
             ]
         )
+
+    @property
+    def linear(self) -> bool:
+        """Whether force densities are given at the ends of intervals, and linear within."""
+        return len(self.force_density) == len(self.time)
 
     def lengths(self) -> Array:
         """Distances (K + 1, α) between the ends of each string at `time`, m."""
@@ -97,10 +104,13 @@ class Plan:
 
     def tension(self, end: bool = False) -> Array:
         """Tensions γ s (K, α), N, at the start of each interval, or at its end."""
-        return np.asarray(self.force_density * (self.lengths()[1:] if end else self.lengths()[:-1]))
+        lengths, gamma = self.lengths(), self.force_density
+        if self.linear:
+            return np.asarray(gamma[1:] * lengths[1:] if end else gamma[:-1] * lengths[:-1])
+        return np.asarray(gamma * (lengths[1:] if end else lengths[:-1]))
 
     def rest_lengths(self, stiffness: ArrayLike | None = None) -> Array:
-        """Rest lengths ρ = s (1 − γ/k) (K, α), m, that give γ at the start of each interval (Eq. 99, without damping).
+        """Rest lengths ρ = s (1 − γ/k) (K, α), m, that give γ at the start of each interval (Eq. 99, without damping); (K + 1, α) where γ is linear.
 
         stiffness: k, N/m, one number or one per string; None: the structure's. Raises ValueError naming the string where γ ≥ k.
         """
@@ -111,7 +121,7 @@ class Plan:
         if bad.size:
             i = int(bad[0])
             raise ValueError(f"stiffness of string {i} is {k[i]:g} N/m: it must exceed its force density, up to {largest[i]:g} N/m in this plan")
-        return rest_length(self.force_density, self.lengths()[:-1], k)
+        return rest_length(self.force_density, self.lengths()[: len(self.force_density)], k)
 
     def replay(self, scheme: Scheme | None = None, step: float | None = None) -> Trajectory:
         """The motion under the planned force densities, integrated by `scheme` (None: RungeKutta4) in steps of `step` s (None: a tenth of
@@ -121,8 +131,12 @@ class Plan:
         """
         if self.model is None:
             raise ValueError("replay needs the model, whose loads a file does not hold: give Plan.load(path, problem=...)")
-        size = (self.time[1] - self.time[0]) / REPLAY_STEPS if step is None else positive_number("step", step)
+        size = None if step is None else positive_number("step", step)
         start = self.model.state(self.trajectory.nodes[0], self.trajectory.velocities[0])
+        intervals = np.diff(self.time)
+        if self.linear or np.ptp(intervals) > 1e-9 * self.time[-1]:
+            return run_profile(self.model, scheme or RungeKutta4(), start, self.time, self.force_density, REPLAY_STEPS, size)
+        size = intervals[0] / REPLAY_STEPS if size is None else size
         return simulate(self.model, float(self.time[-1]), size, scheme or RungeKutta4(), start, self.force_density, compiled=False)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -199,7 +213,8 @@ def _from_arrays(content: dict[str, Any]) -> Plan:
     motion = {field.name: content[f"trajectory.{field.name}"] for field in fields(Trajectory)}
     trajectory = Trajectory(**{name: value.item() if value.ndim == 0 else value for name, value in motion.items()})
     intervals, strings = len(trajectory.time) - 1, len(structure.strings)
-    for name, shape in (("time", (intervals + 1,)), ("force_density", (intervals, strings))):
+    rows = intervals + (len(values["force_density"]) == intervals + 1)
+    for name, shape in (("time", (intervals + 1,)), ("force_density", (rows, strings))):
         if values[name].shape != shape or values[name].dtype.kind != "f":
             raise ValueError(f"field {name!r} has shape {values[name].shape}, not {shape}")
     return Plan(**values, trajectory=trajectory, structure=structure, model=model)

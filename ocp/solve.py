@@ -10,14 +10,16 @@ import casadi as ca
 import numpy as np
 
 from ocp.explain import explain_failure
-from ocp.guess import Guess, make_guess
+from ocp.grid import held_values
+from ocp.guess import Guess
+from ocp.guesses import GuessValue, guess_of
 from ocp.plan import Plan
 from ocp.problem import Problem
 from ocp.program import Program
 from ocp.reach import HARDLY_REACHED, REACHED, Reach, controlled
-from ocp.solver import Ipopt, Solution, Solver
+from ocp.solver import Fatrop, Ipopt, Solution, Solver
 from ocp.target import Scales, Target, find_target
-from ocp.transcription import MultipleShooting, OnGrid, Transcription
+from ocp.transcription import MultipleShooting, OnGrid
 from tenscasadi.record import record
 from tenscasadi.trajectory import Trajectory
 from tenscasadi.validate import Array, instance
@@ -33,9 +35,10 @@ class _Outcome(NamedTuple):
     guess: Guess  # what the solution says, to start again from
 
 
-def solve(problem: Problem, transcription: Transcription | None = None, solver: Solver | None = None) -> Plan:
+def solve(problem: Problem, transcription: OnGrid | None = None, solver: Solver | None = None, guess: GuessValue | None = None) -> Plan:
     """The plan that a solver finds for `problem`; without arguments by MultipleShooting() and Ipopt().
 
+    guess: where the solver starts: `InverseDynamics(path)`, `Equilibrium()`, `Arrays(...)`, another plan; None: InverseDynamics().
     A plan that could not be found has success False and a message that says why. Raises `UnreachableGoal` before solving where
     no strings can bring the goals about, TypeError and ValueError for arguments.
     """
@@ -43,23 +46,23 @@ def solve(problem: Problem, transcription: Transcription | None = None, solver: 
     transcription = MultipleShooting() if transcription is None else transcription
     solver = Ipopt() if solver is None else solver
     instance("transcription", transcription, OnGrid, "a transcription, such as ocp.MultipleShooting()")
-    instance("solver", solver, Ipopt, "an ocp.Ipopt")
+    instance("solver", solver, (Ipopt, Fatrop), "an ocp.Ipopt or ocp.Fatrop")
     began = time.perf_counter()
     scales = Scales.of(problem)
     target = find_target(problem, scales)
     _check_freedom(problem, target, transcription.count)
-    guess = make_guess(problem, target, transcription.count)
+    first = guess_of(guess, problem, target, transcription.count)
     reach = Reach(transcription.step(problem.model), transcription.count, problem.shortest < problem.longest)
-    imposed = _controlled(target, reach, guess)
-    outcome = _attempt(problem, transcription, solver, imposed, scales, guess)
+    imposed = _controlled(target, reach, first)
+    outcome = _attempt(problem, transcription, solver, imposed, scales, first)
     if imposed.count < target.count and not (outcome.solution.success and _met(target, outcome.guess, scales)):
         # Rows that no string moved along the guess are missed: along a less regular motion they may be within reach.
-        guess = _loosened(problem, guess)
-        again = _controlled(target, reach, guess, HARDLY_REACHED)
+        first = _loosened(problem, first)
+        again = _controlled(target, reach, first, HARDLY_REACHED)
         if again.count > imposed.count:
             imposed = again
-            outcome = _attempt(problem, transcription, solver, imposed, scales, guess)
-    return _plan(problem, target, imposed, reach, outcome, scales, time.perf_counter() - began)
+            outcome = _attempt(problem, transcription, solver, imposed, scales, first)
+    return _plan(problem, transcription, target, imposed, reach, outcome, scales, time.perf_counter() - began)
 
 
 def _check_freedom(problem: Problem, target: Target, intervals: int) -> None:
@@ -97,7 +100,7 @@ def _loosened(problem: Problem, guess: Guess) -> Guess:
     return replace(guess, force_density=np.clip(guess.force_density + LOOSENING * strength * change, lower, upper))
 
 
-def _attempt(problem: Problem, transcription: Transcription, solver: Solver, target: Target, scales: Scales, guess: Guess) -> _Outcome:
+def _attempt(problem: Problem, transcription: OnGrid, solver: Solver, target: Target, scales: Scales, guess: Guess) -> _Outcome:
     program = transcription.program(problem, target, scales, guess)
     solution = solver.solve(program)
     states, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
@@ -118,11 +121,21 @@ def _met(target: Target, guess: Guess, scales: Scales) -> bool:
     return metres <= MET * scales.length + target.adjusted and speeds <= MET * scales.length / scales.time
 
 
-def _plan(problem: Problem, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, scales: Scales, seconds: float) -> Plan:
+def _plan(
+    problem: Problem,
+    transcription: OnGrid,
+    target: Target,
+    imposed: Target,
+    reach: Reach,
+    outcome: _Outcome,
+    scales: Scales,
+    seconds: float,
+) -> Plan:
     program, solution, found = outcome
     model = problem.model
-    intervals = len(found.force_density)
-    grid = np.linspace(0.0, found.duration, intervals + 1)
+    grid = found.duration * np.append(0.0, np.cumsum(transcription.fractions))
+    grid[-1] = found.duration
+    held = replace(found, force_density=held_values(found.force_density, transcription.count))
     success = solution.success and _met(target, found, scales)
     cost = ca.Function("cost", [program.problem["x"]], [program.problem["f"]])(solution.w)
     plan = Plan(
@@ -141,7 +154,7 @@ def _plan(problem: Problem, target: Target, imposed: Target, reach: Reach, outco
         model=model,
     )
     error, speed_error = _replay_errors(plan, target)
-    verdict = f"found after {solution.iterations} iterations" if success else explain_failure(target, imposed, reach, program, solution, found)
+    verdict = f"found after {solution.iterations} iterations" if success else explain_failure(target, imposed, reach, program, solution, held)
     message = f"{verdict}; {imposed.describe()}; its replay ends {error:.2g} m and {speed_error:.2g} m/s from the goal"
     if success and not (error <= COARSE * scales.length and speed_error <= COARSE * scales.length / scales.time):
         message += ", as the intervals are too long for this motion: give more of them, or substeps"
@@ -168,7 +181,7 @@ def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:
 
 def _trajectory(problem: Problem, grid: Array, found: Guess, seconds: float, success: bool) -> Trajectory:
     model = problem.model
-    controls = np.concatenate([found.force_density, found.force_density[-1:]])
+    controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(grid)]
     message = "planned motion at the ends of the intervals"
     with np.errstate(all="ignore"):
         return record(model, grid, found.states, controls, step=float(grid[1]), message=message, success=success, seconds=seconds)

@@ -68,6 +68,10 @@ class OnGrid:
         """The motion over one interval of length h, nearly, by one step of RK4: Function (x, u, h) → x_next."""
         return shooting_step(model, RungeKutta4(), 1)
 
+    def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
+        """The nonlinear program, scaled about the guess."""
+        raise NotImplementedError
+
     def assembly(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Assembly:
         """An empty program on this grid."""
         return Assembly(problem, target, scales, guess, self.fractions, self.control)

@@ -21,6 +21,9 @@ from tenscasadi.algebra import sparse
 from tenscasadi.correction import projection
 from tenscasadi.validate import Array, Indices
 
+# Where, in an interval, a linear γ has its mean in the sense of the hat functions of the interval's start and end: its impulse there.
+EARLY, LATE = 1 / 3, 2 / 3
+
 
 @dataclass(frozen=True)
 class Variational(OnGrid):
@@ -87,7 +90,7 @@ class _Chain:
 
         # first: v₀ is given. T² and shares instead of h: polynomial also where the duration is free
         z, (q0, v, q1, c, lam, duration, share, passed) = parts(nq, nq, nq, m, self.bars, 1, 1, 1)
-        force = self._force(q0, v, a.gamma(c, 0.0), lam, duration * passed)
+        force = self._force(q0, v, a.gamma(c, EARLY), lam, duration * passed)
         row = self._momentum((q1 - q0) / share - duration * v) - duration**2 * share / 2 * force
         index = np.concatenate([q[0], a.states[0, nq : 2 * nq], q[1], own[0], self.lam[0], T, a.share[0], a.time[0]])[None]
         result = [self._block("start", z, row, index, tuple(f"dynamics of interval 0, {name}" for name in names))]
@@ -95,7 +98,7 @@ class _Chain:
         if a.count > 1:
             z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = parts(nq, nq, nq, m, m, self.bars, 1, 1, 1, 1)
             both = before + after
-            gamma = (before * a.gamma(c, 1.0) + after * a.gamma(d, 0.0)) / both
+            gamma = (before * a.gamma(c, LATE) + after * a.gamma(d, EARLY)) / both
             force = self._force(q1, (q2 - q0) / (duration * both), gamma, lam, duration * passed)
             row = self._momentum((q2 - q1) / after - (q1 - q0) / before) - duration**2 * both / 2 * force
             index = np.hstack(
@@ -105,7 +108,7 @@ class _Chain:
             result.append(self._block("middle", z, row, index, rows))
 
         z, (q0, q1, v, c, lam, duration, share, passed) = parts(nq, nq, nq, m, self.bars, 1, 1, 1)
-        force = self._force(q1, v, a.gamma(c, 1.0), lam, duration * passed)
+        force = self._force(q1, v, a.gamma(c, LATE), lam, duration * passed)
         row = self._momentum(duration * v - (q1 - q0) / share) - duration**2 * share / 2 * force
         index = np.concatenate([q[-2], q[-1], a.states[-1, nq : 2 * nq], own[-1], self.lam[-1], T, a.share[-1], a.time[-1]])[None]
         result.append(self._block("end", z, row, index, tuple(f"dynamics of interval {a.count - 1}, {name} at its end" for name in names)))

@@ -47,7 +47,7 @@ OCP = (
     {"stages"},
     {"program"},
     {"transcription"},
-    {"implicit"},
+    {"implicit", "staged"},
     {"collocation", "variational"},
     {"solver"},
     {"explain"},
