@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ocp.bounds import BarForceLimits, Buckling, ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
+from ocp.closed_loop import ClosedLoop, run
 from ocp.collocation import Collocation
 from ocp.costs import Duration, Effort, Prestress, Smoothness, Tracking, Work
 from ocp.expressions import AtEnd, Constraint, Integral
@@ -11,14 +12,19 @@ from ocp.grid import PiecewiseConstant, PiecewiseLinear
 from ocp.guesses import Arrays, Equilibrium, InverseDynamics
 from ocp.implicit import ImplicitMidpoint
 from ocp.instant import Instant
+from ocp.mpc import Mpc
 from ocp.places import AboveGround, BarClearance, InsideBox, Obstacle
 from ocp.plan import Plan
 from ocp.problem import Problem
+from ocp.refine import refine
+from ocp.report import Report, report
 from ocp.solve import solve
 from ocp.solver import Fatrop, Ipopt, Progress
 from ocp.target import UnreachableGoal
+from ocp.track import Tracker, track
 from ocp.transcription import MultipleShooting
 from ocp.variational import Variational
+from ocp.winding import reachable, replay_wound
 
 __all__ = [
     # what is asked
@@ -67,4 +73,15 @@ __all__ = [
     # what comes of it
     "Plan",
     "UnreachableGoal",
+    "refine",
+    "Report",
+    "report",
+    "replay_wound",
+    "reachable",
+    # in closed loop
+    "Mpc",
+    "Tracker",
+    "track",
+    "run",
+    "ClosedLoop",
 ]

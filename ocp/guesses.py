@@ -19,7 +19,7 @@ from tenscasadi.validate import Array, finite_array, positive_number
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics:
-    """The force densities that make nodes follow a path best: accelerations are linear in γ, so that they are a small convex problem in each interval.
+    """The force densities that make nodes follow a path best: accelerations are linear in γ, a small convex problem in each interval.
 
     path: nodes (P, n, 3), m, at equal times from the start to the end, projected onto bars and joints; None: from the start to the
     goals along a smooth line, which is what `solve` does by itself.

@@ -42,8 +42,8 @@ OCP = (
     {"expressions", "invariants", "places", "problem"},
     {"rerun", "target"},
     {"plan"},
-    {"guess", "path"},
-    {"guesses"},
+    {"guess", "linearized", "path", "report", "winding"},
+    {"closed_loop", "guesses", "mpc", "track"},
     {"stages"},
     {"program"},
     {"transcription"},
@@ -52,6 +52,7 @@ OCP = (
     {"solver"},
     {"explain"},
     {"solve"},
+    {"refine"},
 )
 PICTURES = {"stage", "work_precision", "plots", "animation", "demos", "cli", "__main__"}
 

@@ -1,0 +1,97 @@
+"""A motion over several intervals and its exact derivatives, as arrays: what controllers of a plan work with."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.instant import norms
+from ocp.invariants import invariants
+from tenscasadi.model import Model
+from tenscasadi.validate import Array
+
+_A = ((), (0.5,), (0.0, 0.5), (0.0, 0.0, 1.0))  # Runge and Kutta's method of order 4
+_B = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+
+
+class Motion:
+    """Runge-Kutta steps of order 4 over `count` intervals of `length` s, `substeps` in each; built once, evaluated along any controls."""
+
+    def __init__(self, model: Model, count: int, length: float, substeps: int = 1) -> None:
+        self.model, self.count, self._substeps, self._h = model, count, substeps, length / substeps
+        x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
+        stages: list[Any] = []
+        points: list[Any] = []
+        for row in _A:
+            points.append(x + sum((self._h * a * k for a, k in zip(row, stages, strict=True)), start=ca.MX(0)))
+            stages.append(model.ode(points[-1], u))
+        end = x + self._h * sum((b * k for b, k in zip(_B, stages, strict=True)), start=ca.MX(0))
+        one = ca.Function("step", [x, u], [end, ca.horzcat(*points)])
+        self._run = one.mapaccum(count * substeps)
+        kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
+        sx, su = kind.sym("x", model.nx), kind.sym("u", model.nu)
+        rate = model.ode(sx, su)
+        slopes = ca.Function("slopes", [sx, su], [ca.densify(ca.jacobian(rate, sx)), ca.densify(ca.jacobian(rate, su))], {"cse": True})
+        self._slopes = slopes.map(4 * count * substeps)
+
+    def states(self, start: Array, controls: Array) -> tuple[Array, Array]:
+        """States (count + 1, nx) under controls (count, nu), and the points (count · substeps, 4, nx) where the derivative is taken."""
+        n = self._substeps
+        ends, points = (np.asarray(value.full()) for value in self._run(start, np.repeat(controls, n, axis=0).T))
+        return np.column_stack([start, ends[:, n - 1 :: n]]).T, points.T.reshape(-1, 4, self.model.nx)
+
+    def derivatives(self, points: Array, controls: Array) -> tuple[Array, Array]:
+        """∂x⁺/∂x (count, nx, nx) and ∂x⁺/∂u (count, nx, nu) of each interval, exact for the steps taken."""
+        nx, nu, n, h = self.model.nx, self.model.nu, self._substeps, self._h
+        held = np.repeat(controls, 4 * n, axis=0)
+        J, K = (np.asarray(value.full()) for value in self._slopes(points.reshape(-1, nx).T, held.T))
+        J = J.T.reshape(-1, 4, nx, nx).transpose(0, 1, 3, 2)
+        K = K.T.reshape(-1, 4, nu, nx).transpose(0, 1, 3, 2)
+        eye = np.broadcast_to(np.concatenate([np.eye(nx), np.zeros((nx, nu))], axis=1), (len(J), nx, nx + nu))
+        stages: list[Array] = []
+        for i, row in enumerate(_A):
+            change = eye + h * sum((a * k for a, k in zip(row, stages, strict=True) if a), start=np.zeros_like(eye))
+            stage = J[:, i] @ change
+            stage[:, :, nx:] += K[:, i]
+            stages.append(stage)
+        step = eye + h * sum((b * k for b, k in zip(_B, stages, strict=True)), start=np.zeros_like(eye))
+        A, B = step[0::n, :, :nx], step[0::n, :, nx:]
+        for k in range(1, n):
+            A, B = step[k::n, :, :nx] @ A, step[k::n, :, :nx] @ B + step[k::n, :, nx:]
+        return A, B
+
+
+class Tangents:
+    """Orthonormal bases of the small changes of a state that bars and joints allow, of places and velocities together."""
+
+    def __init__(self, model: Model, start: Array) -> None:
+        x = ca.SX.sym("x", model.nx)
+        rigid = [group.value for group in invariants(model, start, x, 0) if group.kind in ("bar", "joint", "clock")]
+        self._jacobian = ca.Function("jacobian", [x], [ca.densify(ca.jacobian(ca.vertcat(ca.SX(0, 1), *rigid), x))])
+        self._size = model.nx
+
+    def __call__(self, state: Array) -> Array:
+        """(nx, d) at a state (nx,)."""
+        J = np.asarray(self._jacobian(state).full())
+        if not J.shape[0]:
+            return np.eye(self._size)
+        _, values, right = np.linalg.svd(J)
+        return np.asarray(right[int(np.sum(values > 1e-9 * values.max(initial=0.0))) :].T)
+
+
+def departures(model: Model, place: float, speed: float) -> ca.Function:
+    """x → what is to be kept, and its derivative: coordinates and velocities; of free structures distances between nodes, and their rates."""
+    x = ca.SX.sym("x", model.nx)
+    if model.scene.structure.fixed.any() or model.scene.ground is not None:
+        q, v = x[: model.nq], x[model.nq : 2 * model.nq]
+    else:
+        N = model.nodes(x)
+        bars = {frozenset(bar) for bar in model.structure.bars.tolist()}
+        pairs = [(a, b) for a, b in combinations(range(N.shape[1]), 2) if frozenset((a, b)) not in bars]
+        q = norms(N[:, [b for _, b in pairs]] - N[:, [a for a, _ in pairs]])
+        v = ca.jtimes(q, x, ca.vertcat(x[model.nq : 2 * model.nq], ca.DM.zeros(model.nx - model.nq)))
+    value = ca.vertcat(q / place, v / speed)
+    return ca.Function("departures", [x], [value, ca.densify(ca.jacobian(value, x))])

@@ -1,0 +1,134 @@
+"""What becomes of a plan: finer grids until the replay meets a tolerance, reports of limits, rest lengths, guesses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ocp
+import tenscasadi as tc
+from ocp.refine import defects
+
+BAR = 1.4
+
+
+def prism(height, **options):
+    return tc.shapes.prism(3, np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height, **options)
+
+
+MODEL = tc.Model(tc.Scene(prism(1.0, stiffness=1000.0), control=tc.ForceDensity()))
+
+
+def problem(*bounds, to=1.15):
+    goals = [ocp.Shape(prism(to).nodes), ocp.AtRest()]
+    return ocp.Problem(MODEL, 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(5.0, 100.0), *bounds], costs=[ocp.Effort()])
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return ocp.solve(problem(), ocp.MultipleShooting(8))
+
+
+def test_a_refined_plan_meets_its_tolerance(coarse):
+    assert coarse.replay_error > 1e-5
+    fine = ocp.refine(problem(), 1e-6, ocp.MultipleShooting(8), plan=coarse)
+    assert fine.success
+    assert fine.replay_error <= 1e-6
+    assert fine.replay_speed_error <= 1e-6
+    assert np.diff(fine.time).max() > 1.5 * np.diff(fine.time).min()  # cut where it is needed
+    assert defects(fine).max() < 1e-2 * defects(coarse).max()
+
+
+def test_a_good_plan_is_left_alone(coarse):
+    again = ocp.refine(problem(), 1e-2, ocp.MultipleShooting(8), plan=coarse)
+    assert len(again.time) == 9
+
+
+def test_a_tolerance_that_is_not_met_is_said():
+    plan = ocp.refine(problem(), 1e-12, ocp.MultipleShooting(6), attempts=2)
+    assert "the tolerance of 1e-12 m was not met in 2 attempts" in plan.message
+
+
+@pytest.mark.parametrize("arguments", [(1.0,), (0.0,), (1e-3, 8)])
+def test_bad_arguments_of_refine(arguments):
+    with pytest.raises((TypeError, ValueError), match=r"problem|tolerance|transcription"):
+        ocp.refine(MODEL if arguments == (1.0,) else problem(), *arguments)
+
+
+def test_a_report_names_what_holds_the_plan():
+    most = 13.0
+    asked = problem(ocp.TensionLimits(upper=most))
+    plan = ocp.solve(asked, ocp.MultipleShooting(16))
+    found = ocp.report(plan, asked)
+    assert plan.success
+    assert ("force density of string 0", "lower") in {(one.name, one.side) for one in found.active}
+    assert not found.violated
+    text = str(found)
+    assert "force density of string 0: lower limit 5 N/m" in text
+    assert "violated by the replay: none" in text
+
+
+def test_a_report_names_what_the_replay_breaks(coarse):
+    peak = coarse.replay().tension.max()
+    found = ocp.report(coarse, problem(ocp.TensionLimits(upper=0.9 * peak)))
+    worst = max(found.violated, key=lambda one: one.worst)
+    assert worst.name.startswith("tension of string")
+    assert worst.side == "upper"
+    assert worst.worst == pytest.approx(peak)
+    assert 0 <= worst.time <= 1.0
+    assert worst.name in str(found)
+
+
+def test_wound_strings_do_what_force_densities_do(coarse):
+    fine = ocp.solve(problem(), ocp.MultipleShooting(20))
+    errors = []
+    for updates in (5, 20):
+        wound = ocp.replay_wound(fine, 500.0, damping=1.0, updates=updates)
+        assert wound.success
+        errors.append(np.abs(wound.nodes[-1] - fine.trajectory.nodes[-1]).max())
+    assert errors[1] < 1e-3
+    assert ocp.reachable(fine).all()
+    soft = ocp.reachable(fine, 8.0)
+    assert soft.any()
+    assert not soft.all()
+    assert not ocp.reachable(fine, 500.0, shortest=1.05).all()
+    with pytest.raises(ValueError, match="stiffness of string"):
+        ocp.replay_wound(fine, 8.0)
+
+
+# --- guesses ---
+
+
+def guesses():
+    plan = ocp.solve(problem(), ocp.MultipleShooting(10))
+    middle = plan.trajectory.nodes[[0, 5, -1]]
+    return [
+        ocp.InverseDynamics(),
+        ocp.InverseDynamics(middle),
+        ocp.Equilibrium(),
+        ocp.Arrays(plan.trajectory.states, plan.force_density),
+        plan,
+    ]
+
+
+def test_all_guesses_lead_to_the_same_plan():
+    plans = [ocp.solve(problem(), ocp.MultipleShooting(12), guess=guess) for guess in guesses()]
+    assert all(plan.success for plan in plans)
+    assert [plan.objective for plan in plans] == pytest.approx([plans[0].objective] * 5, rel=1e-4)
+
+
+BAD = {
+    "no guess": (lambda: 1.0, TypeError, "guess is 1.0"),
+    "path of one instant": (lambda: ocp.InverseDynamics(np.zeros((1, 6, 3))), ValueError, "InverseDynamics.path has 1"),
+    "path of other nodes": (lambda: ocp.InverseDynamics(np.zeros((3, 5, 3))), ValueError, "InverseDynamics.path"),
+    "states of other size": (lambda: ocp.Arrays(np.zeros((3, 5)), np.zeros((2, 9))), ValueError, "Arrays.states"),
+    "forces of other size": (lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 8))), ValueError, "Arrays.force_density"),
+    "duration zero": (lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 9)), 0.0), ValueError, "Arrays.duration"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_guesses_are_refused_by_name(name):
+    make, error, message = BAD[name]
+    with pytest.raises(error, match=message):
+        ocp.solve(problem(), ocp.MultipleShooting(5), guess=make())
