@@ -7,26 +7,30 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import tenscasadi as tc
 
-T_END = 1.0
 TOLERANCES = (1e-3, 1e-6, 1e-9)  # m
 
 
 def main(folder: Path = Path(), quick: bool = False) -> tuple[tc.Tradeoff, tc.Tradeoff, tc.Recommendation]:
-    """Prints both tables and a recommendation, saves the pictures and returns all three. `quick`: fewer steps and schemes."""
+    """Prints both tables and a recommendation, saves the pictures and returns all three. `quick`: a short run, few steps and
+    schemes, nothing compiled."""
     prism = tc.shapes.prism(prestress=5.0, stiffness=500.0, string_mass=0.1)
     steps = np.geomspace(2e-2, 2e-3 if quick else 2e-4, 3 if quick else 7).tolist()
+
+    t_end = 0.1 if quick else 1.0
+    common: dict[str, Any] = {"state": turning, "repeats": 1 if quick else 3, "compiled": (False if quick else None,)}
 
     model = tc.Model(tc.Scene(prism))
     schemes: list[tc.RungeKutta4 | tc.DormandPrince54 | tc.DormandPrince853 | tc.Rattle] = [tc.RungeKutta4(), tc.DormandPrince853(), tc.Rattle()]
     if not quick:
         schemes += [tc.DormandPrince853(rtol=rtol) for rtol in (1e-4, 1e-6, 1e-8, 1e-10)]
-    numerics = tc.tradeoff(model, T_END, schemes, steps, state=turning, repeats=1 if quick else 3)
-    print(f"schemes: {prism!r}, {T_END:g} s\n{numerics.summary()}\n")
+    numerics = tc.tradeoff(model, t_end, schemes, steps, **common)
+    print(f"schemes: {prism!r}, {t_end:g} s\n{numerics.summary()}\n")
     for tolerance in TOLERANCES[: 1 if quick else 3]:
         row = numerics.cheapest(tolerance)
         print(f"fastest within {tolerance:g} m: {row.name}" + ("" if np.isnan(row.step) else f", step {row.step:.2g} s"))
@@ -36,11 +40,12 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[tc.Tradeoff, tc.Tr
     models = {f"{finest} segments, lumped": strings(prism, finest, lumped=True)}
     models |= {f"{k} segments{', lumped' * lumped}": strings(prism, k, lumped) for k in (2, finest - 1) for lumped in (False, True)}
     models |= {"massless strings": model, "massless, slack smooth over 1 mm": tc.Model(tc.Scene(prism, slack=tc.Smooth(1e-3)))}
-    modelling = tc.tradeoff(models, T_END, [tc.DormandPrince853()], [1e-3], state=turning, repeats=1 if quick else 3)
+    modelling = tc.tradeoff(models, t_end, [tc.DormandPrince853()], [1e-3], **common)
     print(f"\nmodelling, against {finest} lumped segments a string:\n{modelling.summary()}")
     modelling.plot(folder / "tradeoff_prism_modelling.png", title="a prism that goes slack: modelling")
 
-    advice = tc.recommend(model, T_END, 1e-3 if quick else 1e-6, turning(model), schemes=schemes[:3] if quick else (*schemes[:2], schemes[-1]))
+    wanted, choices = (1e-3, schemes[:1]) if quick else (1e-6, [*schemes[:2], schemes[-1]])
+    advice = tc.recommend(model, t_end, wanted, turning(model), schemes=choices, compiled=False if quick else None)
     print(f"\nrecommended: {advice.message}")
     return numerics, modelling, advice
 

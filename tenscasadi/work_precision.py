@@ -42,8 +42,9 @@ def work_precision(
             resolved = sorted((point for point in points if point[0] > smallest), reverse=True)
             beyond = sorted((value, smallest) for error, value in points if error <= smallest)[:1]  # more say nothing: they are not resolved
             shown = [*resolved, *((error, value) for value, error in beyond)]
+            colour = heads.index(head) if len(heads) > 1 else variant
             style: dict[str, Any] = {"marker": _MARKERS[variant % len(_MARKERS)], "ls": _DASHES[variant % len(_DASHES)]}
-            ax.plot(*zip(*shown, strict=True), ms=4.5, lw=1.3, color=f"C{heads.index(head) % 10}", label=name, zorder=2, **style)
+            ax.plot(*zip(*shown, strict=True), ms=4.5, lw=1.3, color=f"C{colour % 10}", label=name, zorder=2, **style)
     if reference_error:
         ax.axvspan(reference_error / 5, reference_error, color="0.93", zorder=0, lw=0)
         ax.set_xlim(left=reference_error / 5)
