@@ -136,18 +136,18 @@ def cases() -> Iterator[Case]:
     """All problems."""
     for bars in (3, 4, 5, 6):
         for low, high in ((1.0, 1.05), (1.0, 1.15), (1.1, 0.8)):
-            yield Case(f"prism of {bars}, {low} to {high} m", lambda b=bars, a=low, z=high: free_prism(b, a, z), 20, 1, 1e-4, bars == 3)  # type: ignore[misc]
+            yield Case(f"prism of {bars}, {low} to {high} m", lambda b=bars, a=low, z=high: free_prism(b, a, z), 20, 1, 1e-4, bars == 3 and high == 1.15)  # type: ignore[misc]
     yield Case("prism of 3, flat to tall", lambda: free_prism(3, 0.3, 1.2), 30, 2, 1e-4)
-    yield Case("prism of 3, free duration", lambda: free_prism(3, 1.0, 1.1, (0.6, 1.6)), 20, 1, 1e-4, True)
+    yield Case("prism of 3, free duration", lambda: free_prism(3, 1.0, 1.1, (0.6, 1.6)), 20, 1, 1e-4)
     yield Case("prism of 4, free duration", lambda: free_prism(4, 1.0, 1.1, (0.6, 1.6)), 20, 1, 1e-4)
     yield Case("prism on its feet, turns", lambda: standing_prism(3, 0.1), 20, 2, 1e-4, True)
     yield Case("prism on its feet, turns back", lambda: standing_prism(3, -0.2), 20, 2, 1e-4)
     yield Case("prism of 4 on its feet", lambda: standing_prism(4, 0.1), 20, 2, 1e-4)
-    yield Case("prism there and back", there_and_back, 20, 1, 2e-4, True)
+    yield Case("prism there and back", there_and_back, 20, 1, 2e-4)
     yield Case("prism in free fall", falling, 20, 1, 1e-4)
     yield Case("prism, limited tension", lambda: limited(ocp.TensionLimits(upper=12.0)), 20, 1, 1e-4)
     yield Case("prism, limited winding", lambda: limited(ocp.RestLengthRateLimits(0.4, stiffness=1000.0)), 20, 1, 1e-4)
-    yield Case("D-bar, free, opens", lambda: d_bar(np.pi / 4, 0.9, ()), 20, 2, 1e-4, True)
+    yield Case("D-bar, free, opens", lambda: d_bar(np.pi / 4, 0.9, ()), 20, 2, 1e-4)
     yield Case("D-bar, pinned, folds", lambda: d_bar(np.pi / 4, 0.6), 20, 2, 1e-4, True)
     yield Case("D-bar, pinned, folds far", lambda: d_bar(np.pi / 4, 0.3), 30, 2, 1e-3)
     yield Case("D-bar, pinned, unfolds", lambda: d_bar(0.4, 1.0), 30, 2, 1e-3)
@@ -174,9 +174,8 @@ def main(quick: bool = False) -> list[Row]:
         plan = ocp.solve(case.problem(), ocp.MultipleShooting(case.intervals, substeps=case.substeps))
         row = Row(case.name, plan.success, plan.iterations, time.perf_counter() - began, plan.replay_error, case.tolerance)
         note = "" if row.met else f"  ← {plan.message[:100]}"
-        print(
-            f"{row.name:32}  {'yes' if row.success else 'no':5}  {row.iterations:10}  {row.seconds:7.2f}  {row.error:12.1e}  {row.tolerance:9.0e}{note}"
-        )
+        found = "yes" if row.success else "no"
+        print(f"{row.name:32}  {found:5}  {row.iterations:10}  {row.seconds:7.2f}  {row.error:12.1e}  {row.tolerance:9.0e}{note}")
         rows.append(row)
     met = sum(row.met for row in rows)
     print(f"{met} of {len(rows)} problems ({met / len(rows):.0%}) solved from the default guess within their tolerance")

@@ -1,0 +1,61 @@
+"""An arm, hinged to the ground and held by four strings, reaches a point under its weight, round a ball that stands in its way.
+
+Run it with a folder for the pictures: python examples/arm_reaches.py pictures
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import ocp
+import tenscasadi as tc
+from tenscasadi import plots
+
+REACH = (0.6, 0.1, None)  # m; the height follows from the arm's length
+BALL, RADIUS = (0.0, -0.05, 0.9), 0.25  # m
+
+
+def arm() -> tc.Structure:
+    """Node 0: shoulder on the ground, 1: hand; nodes 2-5: winches on the ground."""
+    nodes = [(0, 0, 0), (-0.6, 0.1, np.sqrt(1 - 0.37)), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)]
+    return tc.Structure(nodes, bars=[(0, 1)], strings=[(1, 2), (1, 3), (1, 4), (1, 5)], pinned=[0, 2, 3, 4, 5])
+
+
+def main(folder: Path = Path()) -> dict[str, ocp.Plan]:
+    """Prints both plans, with and without the ball, saves the pictures, and returns the plans."""
+    structure = arm()
+    model = tc.Model(tc.Scene(structure, control=tc.ForceDensity(), gravity=tc.Gravity()))
+    plans = {}
+    for name, obstacles in (("straight", []), ("round the ball", [ocp.Obstacle(BALL, RADIUS)])):
+        problem = ocp.Problem(
+            model,
+            duration=1.0,
+            goals=[ocp.NodePositions({1: REACH}), ocp.AtRest()],
+            bounds=[ocp.ForceDensityLimits(1.0, 100.0), *obstacles],
+            costs=[ocp.Effort(), ocp.Smoothness(1e-2)],
+        )
+        plan = plans[name] = ocp.solve(problem, ocp.MultipleShooting(30, substeps=2))
+        replay = plan.replay()
+        print(f"--- {name}\n{plan.summary()}")
+        print(ocp.report(plan, problem))
+        print(f"hand          at {replay.nodes[-1, 1].round(5)} m, wanted {REACH}")
+        print(f"ball          bars come as near as {nearest(replay):.4f} m to its centre, its radius is {RADIUS} m")
+    plots.time_lapse(plans["round the ball"].replay(), instants=6, title="arm: reaches round a ball", path=folder / "arm_reaches.png")
+    return plans
+
+
+def nearest(motion: tc.Trajectory) -> float:
+    """The least distance of the bars from the ball's centre."""
+    least = np.inf
+    for a, b in motion.bars:
+        start, along = motion.nodes[:, a], motion.nodes[:, b] - motion.nodes[:, a]
+        share = np.clip(np.sum((np.array(BALL) - start) * along, axis=1) / np.sum(along**2, axis=1), 0, 1)
+        least = min(least, float(np.linalg.norm(start + share[:, None] * along - np.array(BALL), axis=1).min()))
+    return least
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:2]))
