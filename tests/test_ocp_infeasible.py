@@ -1,0 +1,116 @@
+"""Plans that cannot be: each failure is explained with its cause, its numbers and a cure."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import ocp
+import tenscasadi as tc
+
+BAR = 1.4
+
+
+def prism(height, **options):
+    return tc.shapes.prism(3, np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height, **options)
+
+
+def driven(structure, **options):
+    return tc.Model(tc.Scene(structure, control=tc.ForceDensity(), **options))
+
+
+MODEL = driven(prism(1.0, bar_radius=0.005, stiffness=1000.0))
+RISE = (ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest())
+LEAST = ocp.ForceDensityLimits(5.0, 100.0)
+
+
+def arm():
+    nodes = [(0, 0, 0), (0, 0, 1.0), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)]
+    return tc.Structure(nodes, bars=[(0, 1)], strings=[(1, 2), (1, 3), (1, 4), (1, 5)], pinned=[0, 2, 3, 4, 5])
+
+
+def asked(*bounds, goals=RISE, duration=1.0, model=MODEL, start=None):
+    return ocp.Problem(model, duration, start, goals=goals, bounds=[LEAST, *bounds], costs=[ocp.Effort()])
+
+
+# --- refused before solving: what, by how much, why ---
+
+REFUSED = {
+    "bars are too short": (
+        lambda: asked(goals=[ocp.StringLengths({0: 3.0})], model=driven(tc.shapes.d_bar())),
+        ("string 0 misses its goal by", "bar", "keeps its length", "give goals that fit the bars"),
+    ),
+    "goals contradict each other": (
+        lambda: asked(goals=[ocp.NodePositions({0: (0.5, None, None)}), ocp.NodePositions({0: (0.7, None, None)})]),
+        ("node 0 x misses its goal by",),
+    ),
+    "the centre of mass would move": (
+        lambda: asked(goals=[ocp.NodePositions(prism(1.0).nodes + [0.3, 0, 0])]),
+        ("misses its goal by 0.3", "centre of mass", "pin a node"),
+    ),
+    "a spin would stop": (
+        lambda: asked(goals=[ocp.AtRest()], start=MODEL.state(prism(1.0).nodes, np.cross([0, 0, 1.0], prism(1.0).nodes))),
+        ("AtRest", "m/s", "angular momentum"),
+    ),
+    "a flat structure would leave its plane": (
+        lambda: asked(goals=[ocp.NodePositions({1: (None, None, 0.2)})], model=driven(tc.shapes.d_bar(pinned=[0]))),
+        ("node 1 z misses its goal by", "plane"),
+    ),
+    "a waypoint is out of reach": (
+        lambda: asked(goals=[ocp.Waypoint([ocp.StringLengths({0: 3.0})], time=0.5)], model=driven(tc.shapes.d_bar())),
+        ("waypoint at 0.5 of the duration", "string 0 misses", "bar"),
+    ),
+    "a gait would need a push": (lambda: asked(goals=[ocp.Periodic((0.5, 0, 0))]), (" x misses its goal by 0.5", "centre of mass")),
+    "a falling prism would stay": (
+        lambda: asked(goals=[ocp.AtRest()], model=driven(prism(1.0), gravity=tc.Gravity())),
+        ("AtRest: node", "m/s", "the centre of mass keeps its speed along z"),
+    ),
+    "limits leave nothing": (lambda: asked(ocp.ForceDensityLimits(0.0, 4.0)), ("ForceDensityLimits leave string 0 nothing", "lower 5 and upper 4")),
+    "the start is out of bounds": (lambda: asked(ocp.AboveGround(0.2)), ("Problem.start has z of node 0 at 0", "start within them")),
+    "a pin is out of bounds": (lambda: asked(ocp.AboveGround(0.2), goals=[], model=driven(arm())), ("leaves out node 0, pinned at z = 0",)),
+    "a pinned node would move": (
+        lambda: asked(goals=[ocp.NodePositions({0: (None, None, 1.0)})], model=driven(arm())),
+        ("node that is pinned at 0 m", "leave that axis None"),
+    ),
+    "a shape has other bars": (lambda: asked(goals=[ocp.Shape(2 * prism(1.0).nodes)]), ("Shape.nodes make bar 0 2.8 m long, not 1.4 m",)),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_is_refused_before_solving(name):
+    make, words = REFUSED[name]
+    with pytest.raises(ValueError, match=re.escape(words[0])) as caught:
+        ocp.solve(make(), ocp.MultipleShooting(8))
+    for word in words:
+        assert word in str(caught.value)
+
+
+# --- found out by solving ---
+
+FAILED = {
+    "too little force": (lambda: asked(ocp.ForceDensityLimits(5.0, 7.5)), ("upper limits hold", "most often the force density of string")),
+    "too little time": (lambda: asked(ocp.ForceDensityLimits(5.0, 20.0), duration=0.1), ("upper limits hold", "longer duration")),
+    "too little tension": (lambda: asked(ocp.TensionLimits(upper=6.5)), ("upper limits hold", "tension of string")),
+    "bars too slender": (lambda: asked(ocp.Buckling(5e7)), ("upper limits hold", "buckling of bar")),
+    "a slow motor": (lambda: asked(ocp.RestLengthRateLimits(0.01)), ("rest length rate of string",)),
+    "too few iterations": (lambda: asked(), ("raise Ipopt(max_iterations=...)", "largest violation")),
+    "the goal is in the obstacle": (
+        lambda: asked(
+            ocp.Obstacle((0.6, 0.0, 0.8), 0.2), goals=[ocp.NodePositions({1: (0.6, 0.0, None)}), ocp.AtRest()], model=driven(arm()), duration=1.0
+        ),
+        ("obstacle clear of bar 0, end of interval",),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAILED)
+def test_what_cannot_be_solved_is_explained(name):
+    make, words = FAILED[name]
+    limit = 2 if name == "too few iterations" else 100
+    plan = ocp.solve(make(), ocp.MultipleShooting(8), ocp.Ipopt(max_iterations=limit))
+    assert not plan.success
+    assert plan.message.startswith("no plan: ")
+    for word in words:
+        assert word in plan.message
