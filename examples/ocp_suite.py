@@ -136,7 +136,8 @@ def cases() -> Iterator[Case]:
     """All problems."""
     for bars in (3, 4, 5, 6):
         for low, high in ((1.0, 1.05), (1.0, 1.15), (1.1, 0.8)):
-            yield Case(f"prism of {bars}, {low} to {high} m", lambda b=bars, a=low, z=high: free_prism(b, a, z), 20, 1, 1e-4, bars == 3 and high == 1.15)  # type: ignore[misc]
+            name, quick = f"prism of {bars}, {low} to {high} m", bars == 3 and high == 1.15
+            yield Case(name, lambda b=bars, a=low, z=high: free_prism(b, a, z), 20, 1, 1e-4, quick)  # type: ignore[misc]
     yield Case("prism of 3, flat to tall", lambda: free_prism(3, 0.3, 1.2), 30, 2, 1e-4)
     yield Case("prism of 3, free duration", lambda: free_prism(3, 1.0, 1.1, (0.6, 1.6)), 20, 1, 1e-4)
     yield Case("prism of 4, free duration", lambda: free_prism(4, 1.0, 1.1, (0.6, 1.6)), 20, 1, 1e-4)

@@ -43,7 +43,7 @@ def explain_failure(target: Target, imposed: Target, reach: Reach, program: Prog
     if violation[worst] > VIOLATED:
         name = program.names[worst]
         parts.append(
-            "largest violation: " + (_worst_goal(target, found) if name.startswith("goal") else f"{name}, {violation[worst]:.2g} of its scale")
+            "largest violation: " + (_worst_goal(target, found) if name.startswith("goal,") else f"{name}, {violation[worst]:.2g} of its scale")
         )
     held = _held(program.w_names, solution.w, program.w_lower, program.w_upper) + _held(program.names, g, program.lower, program.upper)
     if held:
@@ -65,6 +65,8 @@ def _held(names: tuple[str, ...], value: Array, lower: Array, upper: Array) -> l
 
 def _worst_goal(target: Target, found: Guess) -> str:
     metres, speeds = (np.abs(np.asarray(value.full()).ravel()) for value in target.misfit(found.states[-1]))
+    if not metres.size and not speeds.size:  # goals on the way only
+        return "a goal on the way is missed"
     if metres.max(initial=0.0) > VIOLATED or not speeds.size:
         return f"{target.names[int(np.argmax(metres))]} misses its goal by {metres.max(initial=0.0):.2g} m"
     return f"{target.names[len(metres) + int(np.argmax(speeds))]} misses its goal by {speeds.max():.2g} m/s"

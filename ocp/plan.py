@@ -109,6 +109,18 @@ class Plan:
             return np.asarray(gamma[1:] * lengths[1:] if end else gamma[:-1] * lengths[:-1])
         return np.asarray(gamma * (lengths[1:] if end else lengths[:-1]))
 
+    def bar_forces(self) -> Array:
+        """Forces of the bars (K, β), N, at the start of each interval, positive in compression: λ ‖b‖ (Eqs. 46, 87).
+
+        Raises ValueError where the model is not known.
+        """
+        if self.model is None:
+            raise ValueError("bar_forces needs the model, whose loads a file does not hold: give Plan.load(path, problem=...)")
+        count = len(self.time) - 1
+        lam = self.model.multiplier_function.map(count)(self.trajectory.states[:-1].T, self.force_density[:count].T)[0]
+        ends = self.trajectory.nodes[:-1, self.structure.bars]
+        return np.asarray(np.asarray(lam.full()).T * np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2))
+
     def rest_lengths(self, stiffness: ArrayLike | None = None) -> Array:
         """Rest lengths ρ = s (1 − γ/k) (K, α), m, that give γ at the start of each interval (Eq. 99, without damping); (K + 1, α) where γ is linear.
 

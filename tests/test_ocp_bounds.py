@@ -58,6 +58,7 @@ def test_bar_force_is_what_holds_the_bars(free):
     force = along(free, lambda now: now.bar_force)
     x, u = free.trajectory.states[3], free.force_density[3]
     assert force[3] == pytest.approx(MODEL.multipliers(x, u).bar_force_density * BAR, rel=1e-6)
+    assert free.bar_forces() == pytest.approx(force, rel=1e-9)
     assert np.all(force > 0)  # strings in tension hold bars in compression
 
 

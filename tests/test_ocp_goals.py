@@ -57,11 +57,18 @@ def test_a_waypoint_between_the_ends_of_intervals():
 
 
 def test_waypoints_count_in_the_replay_error():
-    coarse = planned(ocp.Waypoint([ocp.Shape(prism(1.15).nodes), ocp.AtRest()], share=0.5), intervals=6, bounds=[ocp.ForceDensityLimits(0.0, 400.0)])
+    coarse = planned(ocp.Waypoint([ocp.Shape(prism(1.15).nodes), ocp.AtRest()], share=0.5), intervals=8)
     assert coarse.success
     replay = coarse.replay()
     middle = replay.nodes[np.argmin(abs(replay.time - 0.5))]
     assert coarse.replay_error >= 0.99 * np.abs(distances(middle) - distances(prism(1.15).nodes)).max()
+
+
+def test_a_missed_waypoint_is_named():
+    plan = planned(ocp.Waypoint([ocp.Shape(prism(1.3).nodes), ocp.AtRest()], share=0.1), intervals=10, bounds=[ocp.ForceDensityLimits(5.0, 12.0)])
+    assert not plan.success
+    assert plan.message.startswith("no plan: ")
+    assert plan.replay_error > 0.01 or np.isnan(plan.replay_error)
 
 
 def test_a_periodic_motion_repeats():
