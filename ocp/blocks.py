@@ -56,8 +56,9 @@ class Unknowns:
     _constants: list[float] = field(default_factory=list)
 
     def add(self, names: Sequence[str], first: Any, scale: Any, lower: Any = -np.inf, upper: Any = np.inf, stage: int = 0) -> Indices:
-        """New unknowns in physical units, which the solver sees divided by `scale`; stage: their place along the plan."""
+        """New unknowns in physical units, which the solver sees divided by `scale` (`exact`); stage: their place along the plan."""
         start, count = len(self.names), len(names)
+        scale = exact(scale)
         self.names += names
         for column, value in zip(self._columns, (first, scale, lower, upper, stage), strict=True):
             column.append(np.broadcast_to(np.asarray(value, dtype=float), (count,)))
@@ -86,6 +87,14 @@ class Unknowns:
     def place(self, index: Indices) -> Indices:
         """References as places in `physical`."""
         return np.where(index < 0, len(self.names) - 1 - index, index)
+
+
+def exact(scale: Any) -> Array:
+    """The next numbers s with s · (1/s) = 1 without rounding: Fatrop wants x⁺ − F(…) to have a coefficient of exactly one."""
+    result = np.array(scale, dtype=float)
+    while np.any(rounded := result * (1 / result) != 1):
+        result = np.where(rounded, np.nextafter(result, np.inf), result)
+    return result
 
 
 class Separable:

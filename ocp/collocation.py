@@ -47,7 +47,7 @@ class Collocation(OnGrid):
             before, after = a.guess.states[k : k + 2]
             first = np.concatenate([(1 - point) * before + point * after for point in points])
             inside = [f"{name}, point {j} of interval {k}" for j in range(d) for name in names]
-            inner[k] = a.unknowns.add(inside, first, np.tile(scales.state, d), stage=k)
+            inner[k] = a.unknowns.add(inside, first, np.tile(a.scales.state, d), stage=k)
             closing.add(k)
             a.add_state(k + 1)
         if self.control.linear:
@@ -57,7 +57,7 @@ class Collocation(OnGrid):
         z, (x, c, stages, after, m, duration, share) = parts(nx, a.interval_controls.shape[1], d * nx, nx, closing.size, 1, 1)
         X = ca.horzcat(x, ca.reshape(stages, nx, d))
         slopes = ca.horzcat(*(model.ode(X[:, j + 1], a.gamma(c, point)) for j, point in enumerate(points)))
-        defects = (duration * share * slopes - ca.mtimes(X, C)) / ca.repmat(ca.DM(scales.state), 1, d)
+        defects = (duration * share * slopes - ca.mtimes(X, C)) / ca.repmat(ca.DM(a.scales.state), 1, d)
         rows = ca.vertcat(ca.vec(defects), closing.rows(ca.mtimes(X, D), after, m))
         function = unrolled(model, ca.Function("collocation", [z], [rows]))
         index = np.hstack([a.states[:-1], a.interval_controls, inner, a.states[1:], closing.index, a.repeated(a.duration), a.share])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ocp.blocks import Block, Separable, Unknowns
+from ocp.blocks import Block, Separable, Unknowns, exact
 from ocp.grid import Profile, at, between, constant_matrix, node_values, spread
 from ocp.guess import Guess
 from ocp.path import stop_rows, typical_cost
@@ -62,7 +62,8 @@ class Assembly:
     """
 
     def __init__(self, problem: Problem, target: Target, scales: Scales, guess: Guess, fractions: Array, profile: Profile) -> None:
-        self.problem, self.target, self.scales, self.fractions = problem, target, scales, fractions
+        self.problem, self.target, self.fractions = problem, target, fractions
+        self.scales = replace(scales, state=exact(scales.state))
         self.model, self.count = problem.model, len(fractions)
         self.strength = _strength(problem, scales, guess)
         self.profile = profile

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -18,6 +18,7 @@ from tenscasadi.validate import Array, positive_number, whole_number
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 
 NEAR = 1e-6  # violation, scaled, below which iterates are judged by their objective
+FATROP_BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more problems
 WARM = {"warm_start_init_point": "yes", "mu_init": 1e-6, "warm_start_bound_push": 1e-8, "warm_start_mult_bound_push": 1e-8}
 
 
@@ -124,7 +125,8 @@ class Fatrop:
     """Fatrop (Vanroye et al., 2023, IROS): an interior-point method that factors stage by stage, with exact derivatives.
 
     max_iterations, tolerance, verbose: as for `Ipopt`; options: further Fatrop options. What a stage needs of earlier ones is handed on as
-    states. CasADi's Fatrop does not report its iterations: it can be neither watched nor stopped in time. Raises TypeError, ValueError.
+    states. CasADi's Fatrop does not report its iterations: it can be neither watched nor stopped in time, and Fatrop 1.1 fails, or does not
+    return at all, on some problems that IPOPT solves: try it where speed counts. Raises TypeError, ValueError.
     """
 
     max_iterations: int = 300
@@ -148,7 +150,13 @@ class Fatrop:
             "nu": parts.controls,
             "ng": parts.paths,
             "equality": parts.equality,
-            "fatrop": {"max_iter": self.max_iterations, "tol": self.tolerance, "print_level": 5 if self.verbose else 0, **self.options},
+            "fatrop": {
+                "max_iter": self.max_iterations,
+                "tol": self.tolerance,
+                "mu_init": FATROP_BARRIER,
+                "print_level": 5 if self.verbose else 0,
+                **self.options,
+            },
             "print_time": False,
             "error_on_fail": False,
             "show_eval_warnings": self.verbose,
@@ -166,7 +174,7 @@ class Fatrop:
         return Solution(w[parts.original], success, status, int(stats["iter_count"]), time.perf_counter() - began)
 
 
-class Best(ca.Callback):  # type: ignore[misc]
+class Best(ca.Callback):
     """Follows IPOPT: tells the watcher, remembers the best iterate."""
 
     def __init__(self, size: int, rows: int, lower: Array, upper: Array, objective: float, watch: Watcher | None) -> None:
@@ -200,7 +208,7 @@ class Best(ca.Callback):  # type: ignore[misc]
         """As `nlpsol` sizes its outputs."""
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
 
-    def eval(self, arg: list[Any]) -> list[Any]:
+    def eval(self, arg: Sequence[ca.DM]) -> list[Any]:
         """0 to go on, 1 to stop."""
         w, f, g = (arg[ca.nlpsol_out().index(name)].full().ravel() for name in ("x", "f", "g"))
         violation = float(np.maximum(np.maximum(self._lower - g, g - self._upper), 0.0).max(initial=0.0))

@@ -115,7 +115,7 @@ class MultipleShooting(OnGrid):
             end = ramped_step(model, self.scheme, self.substeps)(x, a.gamma(c, 0.0), a.gamma(c, 1.0), duration * share)
         else:
             end = self.step(model)(x, a.gamma(c, 0.0), duration * share)
-        gap = unrolled(model, ca.Function("gap", [z], [(after - end) / ca.DM(scales.state)]))
+        gap = unrolled(model, ca.Function("gap", [z], [(after - end) / ca.DM(a.scales.state)]))
         index = np.hstack([a.states[:-1], a.interval_controls, a.states[1:], a.repeated(a.duration), a.share])
         a.rows.append(Block(gap, index, interval_names(a.count, state_names(model)), closes=a.states[1:]))
         return a.finish()
