@@ -1,4 +1,4 @@
-"""An arm, hinged to the ground and held by four strings, reaches a point under its weight, round a ball that stands in its way.
+"""An arm, hinged to the ground and held by four strings, reaches a point, round a ball that stands in its way.
 
 Run it with a folder for the pictures: python examples/arm_reaches.py pictures
 """
