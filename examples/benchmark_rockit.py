@@ -1,0 +1,110 @@
+"""Against rockit: same problem, same model expression, same grid and start, IPOPT for both; seconds and replay errors.
+
+rockit gets what it cannot know: the rows of the goals without those that repeat what bars and momenta keep (with all of them no solver
+converges), and the guess. (Its DirectCollocation cannot take a guess in version 0.6.7.) Install it by `pip install rockit-meco`;
+without it the example says so.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+import ocp
+import tenscasadi as tc
+from ocp.guess import make_guess
+from ocp.target import Scales, find_target
+from ocp.transcription import OnGrid
+
+BAR = 1.4  # m
+LEAST, MOST = 5.0, 100.0  # N/m
+
+
+class Row(NamedTuple):
+    """Seconds include building; the replay error is the largest distance from the goal, m, after steps ten times finer than the intervals."""
+
+    name: str
+    seconds: float
+    iterations: int
+    replay_error: float
+    objective: float
+
+
+def problem() -> ocp.Problem:
+    """A prism is raised from 1 m to 1.1 m in a second, from rest to rest, at the least effort."""
+
+    def prism(height: float) -> tc.Structure:
+        return tc.shapes.prism(bars=3, radius=np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height=height)
+
+    goals = [ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest()]
+    model = tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity()))
+    return ocp.Problem(model, goals=goals, bounds=[ocp.ForceDensityLimits(LEAST, MOST)], costs=[ocp.Effort()])
+
+
+def ours(name: str, transcription: OnGrid) -> Row:
+    """A plan of this package."""
+    plan = ocp.solve(problem(), transcription)
+    return Row(name, plan.seconds, plan.iterations, plan.replay_error, plan.objective)
+
+
+def theirs(rockit: Any, name: str, method: Any) -> Row:
+    """A plan of rockit, replayed as ours are."""
+    asked = problem()
+    model, count = asked.model, method.N
+    began = time.perf_counter()
+    target = find_target(asked, Scales.of(asked))
+    guess = make_guess(asked, target, count)
+    stage = rockit.Ocp(T=1.0)
+    x, u = stage.state(model.nx), stage.control(model.nu)
+    stage.set_der(x, model.ode(x, u))
+    stage.subject_to(stage.at_t0(x) == target.start)
+    stage.subject_to(target.rows(stage.at_tf(x)) == 0)
+    stage.subject_to(u >= LEAST)
+    stage.subject_to(u <= MOST)
+    stage.add_objective(stage.integral(ca.sumsqr(u)))
+    stage.solver("ipopt", {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False})
+    stage.method(method)
+    stage.set_initial(x, guess.states.T)
+    stage.set_initial(u, guess.force_density.T)
+    solution = stage.solve()
+    seconds = time.perf_counter() - began
+    gamma = np.clip(np.asarray(solution.sample(u, grid="control")[1])[:count], LEAST, MOST)
+    replay = tc.simulate(model, 1.0, 0.1 / count, state=target.start, control=gamma, compiled=False)
+    metres = np.abs(np.asarray(target.misfit(replay.states[-1])[0].full())).max()
+    return Row(name, seconds, int(solution.stats["iter_count"]), float(metres), float(np.sum(gamma**2) / count))
+
+
+def main(quick: bool = False) -> list[Row]:
+    """Prints the table and returns its rows; those of rockit are missing where it is not installed."""
+    count = 8 if quick else 60
+    ours("warm-up", ocp.Variational(5))
+    rows = [
+        ours("Variational", ocp.Variational(count)),
+        ours("MultipleShooting, 2 substeps", ocp.MultipleShooting(count, substeps=2)),
+        ours("Collocation, degree 2", ocp.Collocation(count, degree=2)),
+        ours("Collocation, degree 3, a third of the intervals", ocp.Collocation(max(5, count // 3), degree=3)),
+    ]
+    try:
+        rockit: Any = importlib.import_module("rockit")
+    except ImportError:
+        print("rockit is not installed (pip install rockit-meco): only this package's plans are shown, nothing is compared")
+    else:
+        rows.append(theirs(rockit, "rockit, MultipleShooting, M=2", rockit.MultipleShooting(N=count, M=2, intg="rk")))
+        rows.append(theirs(rockit, "rockit, MultipleShooting, M=1", rockit.MultipleShooting(N=count, M=1, intg="rk")))
+    print(f"{'':<50}{'seconds':>10}{'iterations':>12}{'replay error (m)':>18}{'objective':>12}")
+    for row in rows:
+        print(f"{row.name:<50}{row.seconds:>10.3f}{row.iterations:>12}{row.replay_error:>18.1e}{row.objective:>12.4f}")
+    for peer in rows[4:]:
+        better = [row for row in rows[:4] if row.replay_error <= peer.replay_error]
+        if better:
+            best = min(better, key=lambda row: row.seconds)
+            print(f"{peer.name}: {best.name} is as exact and {peer.seconds / best.seconds:.1f} times as fast")
+    return rows
+
+
+if __name__ == "__main__":
+    main()
