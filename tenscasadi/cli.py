@@ -252,6 +252,8 @@ def _plan(arguments: argparse.Namespace) -> int:
     plan = ocp.solve(problem, ocp.MultipleShooting(intervals=arguments.intervals), ocp.Ipopt())
     print(f"prism: {start!r}, from a height of {arguments.height:g} m to {goal.nodes[:, 2].max():g} m in {arguments.duration:g} s")
     print(plan.summary())
+    if find_compiler() is None:
+        print("C compiler    none found: it runs uncompiled")
     began = time.perf_counter()
     folder = _folder(arguments.output)
     files = [folder / f"prism-plan{suffix}" for suffix in (".npz", ".png", "-forces.png")]

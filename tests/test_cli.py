@@ -79,6 +79,8 @@ def test_without_a_compiler_it_says_so(tmp_path, capsys, monkeypatch):
     assert "not compiled" in capsys.readouterr().out
     assert run("info", "pendulum", "--output", tmp_path) == 0
     assert "none found" in capsys.readouterr().out
+    assert run("plan", "prism", "--intervals", 10, "--output", tmp_path) == 0
+    assert "runs uncompiled" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("shape", DEMOS)
