@@ -35,8 +35,16 @@ class Memory(NamedTuple):
     events: Any  # modes that changed
 
 
+class Limits(NamedTuple):
+    """What attempts keep to: inputs, so that one compiled Function serves all tolerances."""
+
+    longest: Any  # s, of a step
+    rtol: Any
+    atol: Any  # m and m/s
+
+
 def attempts_function(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
-    """`ATTEMPTS` attempts: Function "attempts" (z, memory, u, longest) -> (z, memory) with steps of at most `longest` s.
+    """`ATTEMPTS` attempts: Function "attempts" (z, memory, u, limits) -> (z, memory), with `Memory` and `Limits` as columns.
 
     Attempts after the one that reaches `memory.rest` = 0 do nothing.
     """
@@ -64,8 +72,9 @@ def _symbols(function: ca.Function) -> list[ca.MX]:
 def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
     """One trial of a step and what follows from it."""
     nz = model.nx + power
-    z, packed, u, longest = ca.MX.sym("z", nz), ca.MX.sym("memory", len(Memory._fields)), ca.MX.sym("u", model.nu), ca.MX.sym("longest")
-    m = Memory(*ca.vertsplit(packed))
+    z, u = ca.MX.sym("z", nz), ca.MX.sym("u", model.nu)
+    packed, limits = ca.MX.sym("memory", len(Memory._fields)), ca.MX.sym("limits", len(Limits._fields))
+    m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), Limits(*ca.vertsplit(limits))
     gaps = switching(model)
     x = z[: model.nx]
     trial = ca.if_else(m.high > 0, _inside(m), ca.if_else(m.step >= m.rest, m.rest, m.step))
@@ -87,7 +96,6 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
         after = ca.vertcat(project(after[: model.nx]), after[model.nx :])
 
     moving = slice(0, 2 * model.nq)
-    rtol, atol = scheme.tolerances(model)
     scale = atol + rtol * ca.fmax(ca.fabs(z[moving]), ca.fabs(after[moving]))
     error = _norm([ca.vec(column)[moving] / scale for column in ca.horzsplit(errors)])
     growth = ca.fmin(_LARGEST, ca.fmax(_SMALLEST, _SAFETY * ca.fmax(error, 1e-300) ** (-1 / scheme.order)))
@@ -132,7 +140,7 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
         result = ca.if_else(condition, ca.vertcat(*outcome), result)
     again = ca.logic_or(ca.logic_not(passed), ca.logic_or(suspect, ca.logic_or(crossing, early)))
     outputs = [ca.if_else(again, z, after), result]
-    return ca.Function("attempt", [z, packed, u, longest], outputs, ["z", "memory", "u", "longest"], ["z_next", "memory_next"])
+    return ca.Function("attempt", [z, packed, u, limits], outputs, ["z", "memory", "u", "limits"], ["z_next", "memory_next"])
 
 
 def _inside(m: Memory) -> Any:

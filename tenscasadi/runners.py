@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 import casadi as ca
 import numpy as np
 
-from tenscasadi.adaptive import ATTEMPTS, Memory, attempts_function
+from tenscasadi.adaptive import ATTEMPTS, Limits, Memory, attempts_function
 from tenscasadi.compiled import CompileError, compile_function, find_compiler
 from tenscasadi.correction import Correction
 from tenscasadi.loop import LoopRunner, StepFailure, chunk_function, chunk_steps, energy_function
@@ -108,10 +108,10 @@ class AdaptiveRunner:
         self._memory = np.zeros(len(Memory._fields))
         self._memory[_STEP] = step
         self._u, self._next_u = np.zeros(task.model.nu), np.zeros(task.model.nu)
-        self._longest = np.array([step])
+        self._limits = np.array(Limits(step, *scheme.tolerances(task.model)))
         self._buffer: Any
         self._buffer, self._trigger = function.buffer()
-        for i, values in enumerate((self._z, self._memory, self._u, self._longest)):
+        for i, values in enumerate((self._z, self._memory, self._u, self._limits)):
             if values.size:
                 self._buffer.set_arg(i, values.data)
         self._after = np.zeros(self._nz), np.zeros(len(self._memory))

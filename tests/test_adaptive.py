@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,17 @@ def test_compiled_and_not_give_the_same_numbers(scheme: EmbeddedRungeKutta, corr
     assert (machine.compiled, virtual.compiled) == (True, False)
     assert abs(machine.states - virtual.states).max() < 1e-11
     assert machine.message == virtual.message
+
+
+@needs_compiler
+def test_one_compiled_function_serves_all_tolerances(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path))
+    schemes = [DormandPrince54(1e-4), DormandPrince54(1e-9), DormandPrince54(1e-9, 1e-4)]
+    runs = [simulate(spring(1.5), 0.15, step, scheme, compiled=True) for scheme, step in zip(schemes, (0.1, 0.1, 0.15), strict=True)]
+    assert len(list(tmp_path.iterdir())) == 1
+    errors = [abs(run.nodes[-1, 1, 0] - 1 - 0.5 * np.cos(1.5)) for run in runs]  # taut all along
+    assert errors[1] < 1e-3 * errors[0]
+    assert errors[2] > 100 * errors[1]  # atol counts too
 
 
 # --- events ---
