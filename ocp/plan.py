@@ -222,8 +222,8 @@ def _from_arrays(content: dict[str, Any]) -> Plan:
             )
         )
     values = {name: value.item() if value.ndim == 0 else value for name, value in ((name, content[name]) for name in _VALUES)}
-    motion = {field.name: content[f"trajectory.{field.name}"] for field in fields(Trajectory)}
-    trajectory = Trajectory(**{name: value.item() if value.ndim == 0 else value for name, value in motion.items()})
+    prefix = "trajectory."
+    trajectory = Trajectory.from_arrays({name.removeprefix(prefix): value for name, value in content.items() if name.startswith(prefix)})
     intervals, strings = len(trajectory.time) - 1, len(structure.strings)
     rows = intervals + (len(values["force_density"]) == intervals + 1)
     for name, shape in (("time", (intervals + 1,)), ("force_density", (rows, strings))):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -90,6 +90,14 @@ def _chain(name: str, steps: list[ca.Function]) -> ca.Function:
     return ca.Function(name, [start, *inputs], [ca.horzcat(*results)], first.name_in(), first.name_out())
 
 
+class Report(NamedTuple):
+    """What a run did: in words, the mean length of a step, s, and how many steps were computed, in vain or not."""
+
+    text: str
+    step: float
+    attempts: int
+
+
 class StepFailure(RuntimeError):
     """A scheme cannot go on; the message says why and what to do."""
 
@@ -123,6 +131,6 @@ class LoopRunner:
             raise StepFailure("CasADi could not evaluate a step: try a smaller step")
         return self._out
 
-    def report(self, taken: int, step: float) -> tuple[str, float]:
-        """What was done in `taken` steps of `step` s, in words, and the length of a step, s."""
-        return f"{taken} steps of {step:g} s", step
+    def report(self, taken: int, step: float) -> Report:
+        """What was done in `taken` steps of `step` s."""
+        return Report(f"{taken} steps of {step:g} s", step, taken)

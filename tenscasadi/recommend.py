@@ -13,7 +13,7 @@ import numpy as np
 from tenscasadi.correction import Correction, Projection
 from tenscasadi.model import Model
 from tenscasadi.rattle import Rattle
-from tenscasadi.reference import attempts, certify, distance, end_nodes
+from tenscasadi.reference import certify, distance, end_nodes
 from tenscasadi.runners import own_steps
 from tenscasadi.scene import Scene
 from tenscasadi.schemes import DormandPrince54, DormandPrince853, EmbeddedRungeKutta, RungeKutta4, Scheme, extent
@@ -149,7 +149,7 @@ def _measured(case: Case, step: float, each: int, nodes: Array) -> _Choice:
     """A run; its error is infinite when it fails."""
     run = case.run(step, energy_balance=False, save_every=10**9)
     error = distance(end_nodes(case.model, run), nodes) if run.success else np.inf
-    return _Choice(case, step, attempts(run), error, each)
+    return _Choice(case, step, run.attempts, error, each)
 
 
 def _loosest(case: Case, each: int, nodes: Array, wanted: float, most: float) -> _Choice | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -130,7 +129,7 @@ class _Pairs:
         ends = []
         for scheme, count in pair:
             run = simulate(self._model, self._t_end, self._t_end / count, scheme, save_every=count, **self._options)
-            if interrupted(run):
+            if run.interrupted:
                 raise KeyboardInterrupt
             if not run.success:
                 self.fault = run.message
@@ -160,14 +159,3 @@ def end_nodes(model: Model, trajectory: Trajectory) -> Array:
 def distance(nodes: Array, others: Array) -> float:
     """The largest distance of a node from its other self, m."""
     return float(np.linalg.norm(nodes - others, axis=1).max(initial=0.0))
-
-
-def interrupted(trajectory: Trajectory) -> bool:
-    """Whether a run was ended from the keyboard."""
-    return not trajectory.success and trajectory.message.startswith("interrupted")
-
-
-def attempts(trajectory: Trajectory) -> int:
-    """Steps of a run, with those that error control tried in vain or to locate events: what it cost."""
-    vain = re.findall(r"(\d+) (?:more rejected|to locate)", trajectory.message)
-    return round(float(trajectory.time[-1]) / trajectory.step) + sum(map(int, vain))

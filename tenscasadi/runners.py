@@ -10,7 +10,7 @@ import numpy as np
 from tenscasadi.adaptive import ATTEMPTS, Limits, Memory, attempts_function
 from tenscasadi.compiled import CompileError, compile_function, find_compiler
 from tenscasadi.correction import Correction
-from tenscasadi.loop import LoopRunner, StepFailure, chunk_function, chunk_steps, energy_function
+from tenscasadi.loop import LoopRunner, Report, StepFailure, chunk_function, chunk_steps, energy_function
 from tenscasadi.model import Model
 from tenscasadi.schemes import EmbeddedRungeKutta, Scheme
 from tenscasadi.sundials import GRID, Sundials, SundialsRunner
@@ -30,8 +30,8 @@ class Runner(Protocol):
     def __call__(self, z: Array) -> Array:
         """z after each grid step (steps, nz), valid until the next call. Raises StepFailure."""
 
-    def report(self, taken: int, step: float) -> tuple[str, float]:
-        """What was done in `taken` grid steps of `step` s, in words, and the mean length of a step, s."""
+    def report(self, taken: int, step: float) -> Report:
+        """What was done in `taken` grid steps of `step` s."""
 
 
 class Built(NamedTuple):
@@ -151,12 +151,13 @@ class AdaptiveRunner:
             self._out[0, self._nx] += float(self._energy(x, self._next_u)) - float(self._energy(x, self._u))
         return self._out
 
-    def report(self, taken: int, step: float) -> tuple[str, float]:
+    def report(self, taken: int, step: float) -> Report:
         """See `Runner.report`."""
         m = Memory(*self._memory)
         mean = taken * step / max(m.accepted, 1)
         text = f"{m.accepted:.0f} steps of {mean:.3g} s in the mean, {m.rejected:.0f} more rejected"
-        return text + (f", {m.located:.0f} to locate {m.events:.0f} events" if m.events else ""), mean
+        text += f", {m.located:.0f} to locate {m.events:.0f} events" if m.events else ""
+        return Report(text, mean, round(m.accepted + m.rejected + m.located))
 
 
 _REST, _STEP = Memory._fields.index("rest"), Memory._fields.index("step")

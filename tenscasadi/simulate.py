@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from tqdm import tqdm
 
 from tenscasadi.correction import BarLengthCorrection, Correction, Projection, projection
 from tenscasadi.correction_effect import correction_effect
-from tenscasadi.loop import StepFailure
+from tenscasadi.loop import Report, StepFailure
 from tenscasadi.model import Model
 from tenscasadi.record import observe, record
 from tenscasadi.runners import Runner, Task, make_runner, own_steps
@@ -94,12 +95,12 @@ def simulate(
     elif run.interrupted:
         message = f"interrupted from the keyboard, the last state kept is at t = {run.time[-1]:g} s"
     else:
-        message = f"finished {run.report}" + _energy_note(parts, error, observed["tension"], observed["nodes"])
+        message = f"finished {run.report.text}" + _energy_note(parts, error, observed["tension"], observed["nodes"])
     told: tuple[Array, Array] | None = None
     if correction is not None:
         unknown = np.full(good, np.nan)
         told = (unknown, unknown) if own_steps(scheme) else correction_effect(model, scheme, correction, states[:good], controls[:good], run.step)
-    return record(
+    recorded = record(
         model,
         run.time[:good],
         states[:good],
@@ -112,6 +113,7 @@ def simulate(
         seconds=run.seconds,
         compiled=built.compiled,
     )
+    return replace(recorded, attempts=run.report.attempts, interrupted=run.interrupted)
 
 
 class _Run(NamedTuple):
@@ -120,11 +122,15 @@ class _Run(NamedTuple):
     time: Array
     rows: Array
     controls: Array
-    step: float
-    report: str
+    report: Report
     seconds: float
     interrupted: bool
     failure: str
+
+    @property
+    def step(self) -> float:
+        """The length of a step, s, in the mean."""
+        return self.report.step
 
 
 def _count(t_end: float, step: float) -> int:
@@ -170,11 +176,11 @@ def _run(model: Model, runner: Runner, inputs: Signal, start: Array, t_end: floa
         failure = str(error)
     except KeyboardInterrupt:
         interrupted = True
-    report, step = runner.report(int(kept[count - 1]), h)
+    report = runner.report(int(kept[count - 1]), h)
     times = kept[:count] * h
     if count == len(kept):
         times[-1] = t_end
-    return _Run(times, rows[:count], controls[:count], step, report, time.perf_counter() - began, interrupted, failure)
+    return _Run(times, rows[:count], controls[:count], report, time.perf_counter() - began, interrupted, failure)
 
 
 def _first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscasadi import dynamics, forces
 from tenscasadi.algebra import sparse
-from tenscasadi.loop import StepFailure, energy_function
+from tenscasadi.loop import Report, StepFailure, energy_function
 from tenscasadi.model import Model
 from tenscasadi.schemes import Complex, check_ode, extent, with_work
 from tenscasadi.validate import Array, positive_number, whole_number
@@ -197,6 +197,6 @@ class SundialsRunner:
         guess = {} if self._start is None else {"z0": self._start(start[: self._model.nx], controls[0])}
         return np.asarray(integrate(x0=start, u=controls.T, **guess)["xf"].full()).T
 
-    def report(self, taken: int, step: float) -> tuple[str, float]:
+    def report(self, taken: int, step: float) -> Report:
         """See `runners.Runner`."""
-        return f"{taken} times {step:g} s apart, by {type(self._scheme).__name__}", step
+        return Report(f"{taken} times {step:g} s apart, by {type(self._scheme).__name__}", step, taken)

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from tenscasadi.compiled import CompileError
 from tenscasadi.correction import BarLengthCorrection, Correction, Projection
 from tenscasadi.model import Model, instructions
-from tenscasadi.reference import Reference, attempts, certify, distance, end_nodes, interrupted
+from tenscasadi.reference import Reference, certify, distance, end_nodes
 from tenscasadi.runners import own_steps
 from tenscasadi.schemes import EmbeddedRungeKutta, Scheme, check_scheme
 from tenscasadi.signals import ControlInput
@@ -98,7 +98,7 @@ class Case:
         """The motion. Raises KeyboardInterrupt where `simulate` returns what it has."""
         options = {"t_end": self.t_end, "control": self.control, **options}
         run = simulate(self.model, step=step, scheme=self.scheme, state=self.state, correction=self.correction, compiled=self.compiled, **options)
-        if interrupted(run):
+        if run.interrupted:
             raise KeyboardInterrupt
         return run
 
@@ -153,14 +153,13 @@ def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference,
         if np.isnan(setup):
             setup = time.perf_counter() - began - run.seconds
             empty = replace(empty, compiled=run.compiled, setup=setup)
-        count = attempts(run)
-        row = replace(empty, instructions=work, steps=count, success=run.success, message=run.message)
+        row = replace(empty, instructions=work, steps=run.attempts, success=run.success, message=run.message)
         if run.success:
             if chooses:
                 seconds = median(case.run(step, energy_balance=False).seconds for _ in range(repeats))
             else:
                 each = case.seconds_per_step(lengths[-1], repeats) if np.isnan(each) else each
-                seconds = each * count
+                seconds = each * run.attempts
             row = replace(
                 row,
                 seconds=seconds / case.t_end,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import zipfile
 import zlib
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,9 @@ class Trajectory:
     correction_shift (T,) m and correction_energy (T,) J: how far the correction after the step that starts here moves a node, and what it adds to
     the energy (0 without correction, NaN for schemes that take their own steps);
     states (T, nx) and control (T, nu) of the model: a row's control acts from that row's time on (in the last row: until that time);
-    bars (β, 2), strings (α, 2) and pinned (any,): node indices; success and message tell how the run ended; step s; seconds: wall time of
-    the time loop; compiled: whether it ran as machine code.
+    bars (β, 2), strings (α, 2) and pinned (any,): node indices; success and message tell how the run ended, interrupted whether from the
+    keyboard; step s, in the mean; attempts: steps computed, with those that error control rejected or took to locate events (0: not
+    counted); seconds: wall time of the time loop; compiled: whether it ran as machine code.
     """
 
     time: Array
@@ -56,6 +57,8 @@ class Trajectory:
     step: float
     seconds: float
     compiled: bool
+    attempts: int = 0
+    interrupted: bool = False
 
     def __post_init__(self) -> None:
         _check({field.name: getattr(self, field.name) for field in fields(self)})
@@ -73,10 +76,12 @@ class Trajectory:
         """How the run went, its errors and its speed, as a few lines of text."""
         steps = round((self.time[-1] - self.time[0]) / self.step)
         rate = f" ({steps / self.seconds:,.0f} steps/s)" if self.seconds > 0 else ""
+        tried = f" by {self.attempts} attempts" if self.attempts > steps else ""
+        way = ("compiled" if self.compiled else "not compiled") + (", interrupted" if self.interrupted else "")
         lines = [
             f"{self.message}",
-            f"time          {self.time[0]:g} … {self.time[-1]:g} s, {steps} steps of {self.step:g} s, {len(self.time)} rows kept",
-            f"wall time     {self.seconds:.3g} s{rate}, {'compiled' if self.compiled else 'not compiled'}",
+            f"time          {self.time[0]:g} … {self.time[-1]:g} s, {steps} steps of {self.step:g} s{tried}, {len(self.time)} rows kept",
+            f"wall time     {self.seconds:.3g} s{rate}, {way}",
             f"energy        {self.energy[0]:.6g} → {self.energy[-1]:.6g} J, largest error {_largest(self.energy_error)} J",
             f"bar lengths   largest relative error {_largest(self.bar_length_error)}",
             f"joints        largest gap {_largest(self.joint_error)} m",
@@ -113,14 +118,23 @@ class Trajectory:
         try:
             if str(content.pop("format", "")) != _FORMAT:
                 raise ValueError(f"its field 'format' is not {_FORMAT!r}")
-            missing = [field.name for field in fields(Trajectory) if field.name not in content]
-            if missing:
-                raise ValueError(f"it has no field {missing[0]!r}")
-            _check(content)
-            values: dict[str, Any] = {name: value.item() if value.ndim == 0 else value for name, value in content.items()}
-            return Trajectory(**values)
+            return Trajectory.from_arrays(content)
         except ValueError as error:
             raise ValueError(f"{os.fspath(path)} is not a trajectory: {error}") from None
+
+    @staticmethod
+    def from_arrays(content: dict[str, Any]) -> Trajectory:
+        """The trajectory whose fields are these arrays, by name; those with a default may be missing. ValueError naming what is wrong."""
+        given = {}
+        for field in fields(Trajectory):
+            if field.name in content:
+                given[field.name] = content[field.name]
+            elif field.default is MISSING:
+                raise ValueError(f"it has no field {field.name!r}")
+            else:
+                given[field.name] = np.asarray(field.default)
+        _check(given)
+        return Trajectory(**{name: value.item() if value.ndim == 0 else value for name, value in given.items()})
 
 
 # The shape of each field by the letters of the class's description, and the kind of its numbers (NumPy's letters; i: also small integers).
@@ -147,6 +161,8 @@ _SHAPES: dict[str, tuple[str, str]] = {
     "step": ("", "f"),
     "seconds": ("", "f"),
     "compiled": ("", "b"),
+    "attempts": ("", "i"),
+    "interrupted": ("", "b"),
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -217,6 +218,11 @@ def test_rows_and_steps() -> None:
     run = simulate(model, 2.0, scheme=DormandPrince54(1e-8), compiled=False)
     assert run.time == pytest.approx(np.linspace(0, 2, 101))
     assert 0 < run.step <= 0.02
+    counts = [int(word) for word in re.findall(r"\b(\d+) (?:steps|more|to)\b", run.message)]
+    assert len(counts) == 3
+    assert all(counts)
+    assert run.attempts == sum(counts)
+    assert f"by {run.attempts} attempts" in run.summary()
     few = simulate(model, 2.0, scheme=DormandPrince54(1e-8), save_every=30, compiled=False)
     assert few.time == pytest.approx([0, 0.6, 1.2, 1.8, 2.0])
     assert np.array_equal(few.nodes[-1], run.nodes[-1])

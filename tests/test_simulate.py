@@ -189,6 +189,7 @@ def test_the_last_row_is_exactly_t_end(t_end: float, step: float, steps: int) ->
     assert run.time[-1] == t_end
     assert len(run.time) == steps + 1
     assert run.step == pytest.approx(t_end / steps)
+    assert (run.attempts, run.interrupted) == (steps, False)
     assert np.diff(run.time) == pytest.approx(run.step)
 
 
@@ -311,6 +312,7 @@ def test_the_keyboard_interrupts(monkeypatch: pytest.MonkeyPatch) -> None:
 
     run = simulate(model, 1000.0, 1e-3, control=control, compiled=False)
     assert not run.success
+    assert run.interrupted
     assert run.message.startswith("interrupted from the keyboard, the last state kept is at t = ")
     assert 1 < run.time[-1] <= 5
     assert len(run.time) == len(run.states)

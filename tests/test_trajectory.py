@@ -27,6 +27,7 @@ def example(rows: int = 4, **changes: Any) -> Trajectory:
         "states": random.normal(size=(rows, 18)), "control": np.zeros((rows, 0)),
         "bars": np.array([[0, 1]]), "strings": np.array([[1, 2], [2, 0]]), "pinned": np.array([0]),
         "success": True, "message": "finished: γ → 0", "step": 0.1, "seconds": 0.01, "compiled": False,
+        "attempts": 12, "interrupted": True,
     }  # fmt: skip
     return Trajectory(**(fields | changes))
 
@@ -65,7 +66,7 @@ def test_the_file_holds_no_objects(tmp_path: Path) -> None:
 
 def test_summary_and_repr() -> None:
     text = example(energy_error=np.array([0, 1e-9, np.nan, -2e-9]), bar_length_error=np.array([0, 3e-7, 0, 0])).summary()
-    for part in ("finished: γ → 0", "10 steps of 0.1 s", "1,000 steps/s", "not compiled", "2e-09 J", "3e-07"):
+    for part in ("finished: γ → 0", "10 steps of 0.1 s by 12 attempts", "1,000 steps/s", "not compiled, interrupted", "2e-09 J", "3e-07"):
         assert part in text
     assert "not computed" in example().summary()
     assert repr(example()) == "Trajectory(4 rows, 3 nodes, t = 0 … 1 s, success=True)"
@@ -77,7 +78,7 @@ def test_summary_and_repr() -> None:
         ("nodes", np.zeros((4, 3, 2))), ("nodes", np.zeros((3, 3, 3))), ("velocities", np.zeros((4, 2, 3))), ("tension", np.zeros((4, 1))),
         ("control", np.zeros((3, 1))), ("energy", np.zeros(4, dtype=int)), ("bars", np.array([[0, 3]])), ("strings", np.array([[-1, 0], [0, 1]])),
         ("pinned", np.array([0.0])), ("pinned", np.array([7])), ("success", 1), ("message", 3), ("step", "0.1"), ("time", np.array([None] * 4)),
-        ("time", np.zeros(0)),
+        ("attempts", 1.5), ("interrupted", 1), ("time", np.zeros(0)),
     ],
 )  # fmt: skip
 def test_fields_that_do_not_fit_are_named(field: str, value: Any, tmp_path: Path) -> None:
@@ -92,7 +93,7 @@ def test_fields_that_do_not_fit_are_named(field: str, value: Any, tmp_path: Path
 
 def test_missing_fields_and_foreign_files_are_named(tmp_path: Path) -> None:
     fields = content(example())
-    for field in fields:
+    for field in set(fields) - {"attempts", "interrupted"}:
         np.savez(tmp_path / "run.npz", format="tenscasadi trajectory 1", **{name: value for name, value in fields.items() if name != field})
         with pytest.raises(ValueError, match=rf"run\.npz is not a trajectory: it has no field '{field}'"):
             Trajectory.load(tmp_path / "run.npz")
@@ -109,6 +110,15 @@ def test_missing_fields_and_foreign_files_are_named(tmp_path: Path) -> None:
         Trajectory.load(tmp_path)
     with pytest.raises(FileNotFoundError, match="nowhere"):
         Trajectory.load(tmp_path / "nowhere.npz")
+
+
+def test_files_from_before_attempts_were_counted(tmp_path: Path) -> None:
+    older = {name: value for name, value in content(example()).items() if name not in ("attempts", "interrupted")}
+    np.savez(tmp_path / "old.npz", format="tenscasadi trajectory 1", **older)
+    loaded = Trajectory.load(tmp_path / "old.npz")
+    assert (loaded.attempts, loaded.interrupted) == (0, False)
+    assert "attempts" not in loaded.summary()
+    assert np.array_equal(loaded.nodes, example().nodes)
 
 
 class Harm:
