@@ -8,6 +8,7 @@ import hashlib
 import logging
 import os
 import platform
+import re
 import shlex
 import shutil
 import stat
@@ -23,7 +24,8 @@ from tenscasadi.validate import instance
 
 log = logging.getLogger(__name__)
 
-_LONG = 1_000_000  # characters of C above which optimisation is cut short: compile time would grow with their square
+_LONG = 1_000_000  # characters of C, constants apart, above which optimisation is cut short: compile time would grow with their square
+_CONSTANTS = re.compile(r"=\s*\{[^}]*\}")
 # No fused multiply-add and no fast maths: compiled or not, the same formulas are rounded the same way.
 # Hidden but for what CasADi marks as exported: else gcc may not inline a library's own helpers, and each square is a call.
 _FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
@@ -69,7 +71,7 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None) 
     except RuntimeError as error:
         raise CompileError(f"CasADi cannot write C code for {function}: {error}") from None
     if flags is None:
-        flags = _default_flags(compiler) if len(source) < _LONG else ("-O1", *_default_flags(compiler)[1:])
+        flags = _default_flags(compiler) if len(_CONSTANTS.sub("", source)) < _LONG else ("-O1", *_default_flags(compiler)[1:])
     identity = (_identity(compiler, flags), platform.machine(), *flags, ca.CasadiMeta.version(), source)
     key = hashlib.sha256("\0".join(identity).encode()).hexdigest()
     library = cache_folder() / f"{function.name()}-{key[:32]}{_SUFFIX}"

@@ -204,3 +204,21 @@ def test_wrong_types_are_refused(argument: str, value: object) -> None:
     arguments = {"function": function(), "flags": ("-O0",)} | {argument: value}
     with pytest.raises(TypeError, match=argument):
         compile_function(**arguments)  # type: ignore[arg-type]
+
+
+def test_large_constants_do_not_cost_optimisation(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    levels: list[str] = []
+
+    def stop(command: tuple[str, ...], flags: tuple[str, ...], source: str, library: Path) -> None:
+        levels.append(flags[0])
+        raise CompileError("not built")
+
+    monkeypatch.setattr(compiled, "_build", stop)
+    x, a = ca.MX.sym("x", 60_000), ca.SX.sym("a")
+    long = a
+    for k in range(20_000):
+        long = ca.sin(long) * (a + k)
+    for function in (ca.Function("constants", [x], [x * np.linspace(0.1, 0.7, 60_000)]), ca.Function("code", [a], [long])):
+        with pytest.raises(CompileError, match="not built"):
+            compile_function(function)
+    assert levels == ["-O3", "-O1"]
