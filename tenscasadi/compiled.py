@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import functools
 import hashlib
 import logging
@@ -15,6 +16,7 @@ import stat
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -29,8 +31,12 @@ _CONSTANTS = re.compile(r"=\s*\{[^}]*\}")
 # No fused multiply-add and no fast maths: compiled or not, the same formulas are rounded the same way.
 # Hidden but for what CasADi marks as exported: else gcc may not inline a library's own helpers, and each square is a call.
 _FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
+_LIMIT = 500_000_000  # bytes of all libraries in the cache
+_RECENT = 60.0  # s since a library was used in which it is not removed: another process may be about to load it
+_ABANDONED = 86_400.0  # s after which what a compilation left behind is nobody's any more
 _NATIVE = "-march=native"  # 10 to 20 % faster
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+_LIBRARY, _BUILD = re.compile(rf"-[0-9a-f]{{32}}{re.escape(_SUFFIX)}$"), "tenscasadi-build-"
 
 
 class CompileError(RuntimeError):
@@ -55,7 +61,8 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None) 
 
     `flags` for the compiler, None: optimised for this machine and rounded as CasADi does.
     The library is kept in the user's cache folder (see `cache_folder`) under the hash of its source, the compiler, the flags, what these
-    mean on this machine, and CasADi's version, so it is compiled once. Any number of processes may do so at the same time.
+    mean on this machine, and CasADi's version, so it is compiled once. Any number of processes may do so at the same time. Libraries
+    beyond 500 MB are removed, those first that have not been used for longest; what a process has loaded, it keeps.
     Raises TypeError for anything but a casadi.Function and strings, CompileError with the compiler's words when compilation fails.
     """
     instance("function", function, ca.Function, "a casadi.Function")
@@ -75,16 +82,22 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None) 
     identity = (_identity(compiler, flags), platform.machine(), *flags, ca.CasadiMeta.version(), source)
     key = hashlib.sha256("\0".join(identity).encode()).hexdigest()
     library = cache_folder() / f"{function.name()}-{key[:32]}{_SUFFIX}"
-    if library.exists() and not _distrust(library):
+    reason: object = ""
+    for build in (False, True, True):  # twice: another process may remove the first before it is loaded
         try:
+            if build:
+                _build(compiler, flags, source, library)
+                _trim(library.parent)
+            elif not library.exists() or _distrust(library):
+                continue
+            os.utime(library)  # used now
             return ca.external(function.name(), str(library))
-        except RuntimeError:  # a damaged file, for instance of a disk that was full
-            log.info("replacing %s, which cannot be loaded", library)
-    _build(compiler, flags, source, library)
-    try:
-        return ca.external(function.name(), str(library))
-    except RuntimeError as error:
-        raise CompileError(f"{library} was compiled by {compiler[0]} but cannot be loaded: {error}") from None
+        except (RuntimeError, OSError) as error:  # removed by another process, or damaged, for instance by a disk that was full
+            if isinstance(error, CompileError):
+                raise
+            log.info("%s cannot be loaded: %s", library, error)
+            reason = error
+    raise CompileError(f"{library} was compiled by {compiler[0]} but cannot be loaded: {reason}")
 
 
 def cache_folder() -> Path:
@@ -105,6 +118,25 @@ def cache_folder() -> Path:
     temporary = _temporary_folder()
     log.info("compiled code goes to %s for this process: %s", temporary, reason)
     return temporary
+
+
+def _trim(folder: Path) -> None:
+    """Removes libraries of this module, least recently used first, down to `_LIMIT`, and what compilations that were killed left behind."""
+    now, found = time.time(), []
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):  # another process has removed it
+            status = path.stat()
+            if _LIBRARY.search(path.name):  # the folder is the user's choice: other files in it are not ours
+                found.append((status.st_mtime, status.st_size, path))
+            elif path.name.startswith(_BUILD) and now - status.st_mtime > _ABANDONED:
+                shutil.rmtree(path, ignore_errors=True)
+    excess = sum(size for _, size, _ in found) - _LIMIT
+    for used, size, path in sorted(found):
+        if excess <= 0 or now - used < _RECENT:
+            return
+        with contextlib.suppress(OSError):  # Windows: in use
+            path.unlink(missing_ok=True)
+            excess -= size
 
 
 def _preferred_folder() -> Path:
@@ -167,7 +199,7 @@ def _run(command: list[str]) -> str:
 def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, library: Path) -> None:
     """Compiles in a folder of its own, then moves the library into place in one operation: no process ever sees half a file."""
     try:
-        with tempfile.TemporaryDirectory(prefix="build-", dir=library.parent) as folder:
+        with tempfile.TemporaryDirectory(prefix=_BUILD, dir=library.parent) as folder:
             code, result = Path(folder) / "code.c", Path(folder) / library.name
             code.write_text(source, encoding="utf-8")
             position = [] if sys.platform == "win32" else ["-fPIC"]

@@ -134,6 +134,82 @@ def test_damaged_and_planted_libraries_are_replaced(cache: Path, count: list[str
     assert stat.S_IMODE(library.stat().st_mode) == 0o700
 
 
+# --- its size ---
+
+
+def library(cache: Path, name: str, age: float, size: int = 100) -> Path:
+    """A file of the cache last used `age` s ago."""
+    path = cache / name
+    path.write_bytes(b"x" * size)
+    os.utime(path, (time.time() - age,) * 2)
+    return path
+
+
+@needs_compiler
+@pytest.mark.parametrize(("limit", "kept"), [(10**6, "old older newer recent"), (450_000, "newer recent"), (100_000, "recent")])
+def test_the_cache_has_a_limit(cache: Path, monkeypatch: pytest.MonkeyPatch, limit: int, kept: str) -> None:
+    monkeypatch.setattr(compiled, "_LIMIT", limit)
+    cache_folder()
+    ages = {"newer": 2000, "old": 4000, "recent": 1, "older": 3000}  # what is recent, another process may be loading
+    files = {name: library(cache, f"{name}-{'a' * 32}{compiled._SUFFIX}", age, 200_000) for name, age in ages.items()}
+    others = [library(cache, f"lib{name}", 9000, 10**6) for name in ("-mine", f"-{'g' * 32}{compiled._SUFFIX}", f"{compiled._SUFFIX}")]
+    f = compile_function(function())
+    assert float(f([1, 1, 1], [])[1]) == 3
+    assert {name for name, path in files.items() if path.exists()} == set(kept.split())
+    assert all(path.exists() for path in others)
+
+
+@needs_compiler
+def test_use_keeps_a_library_in_the_cache(cache: Path, monkeypatch: pytest.MonkeyPatch, count: list[str]) -> None:
+    cache_folder()
+    compile_function(function("g"))
+    (used,) = cache.iterdir()
+    os.utime(used, (0, 0))
+    unused = library(cache, f"f-{'0' * 32}{compiled._SUFFIX}", 1000)
+    compile_function(function("g"))
+    monkeypatch.setattr(compiled, "_LIMIT", 50)
+    compile_function(function("h"))
+    assert used.exists()
+    assert not unused.exists()
+    assert len(count) == 2
+
+
+@needs_compiler
+@posix
+def test_a_library_that_is_removed_still_serves_and_is_compiled_again(cache: Path, monkeypatch: pytest.MonkeyPatch, count: list[str]) -> None:
+    loaded = compile_function(function())
+    (path,) = cache.iterdir()
+    path.unlink()
+    assert float(loaded([1, 1, 1], [])[1]) == 3
+    original = compiled._trim
+
+    def by_another_process(folder: Path) -> None:
+        original(folder)
+        if len(count) < 3:
+            path.unlink()
+
+    monkeypatch.setattr(compiled, "_trim", by_another_process)
+    assert float(compile_function(function())([1, 1, 1], [])[1]) == 3
+    assert len(count) == 3
+    monkeypatch.setattr(compiled, "_trim", lambda folder: path.unlink())
+    path.unlink()
+    with pytest.raises(CompileError, match="cannot be loaded"):
+        compile_function(function())
+
+
+@needs_compiler
+def test_what_killed_compilations_left_is_removed(cache: Path) -> None:
+    cache_folder()
+    left, busy = cache / "tenscasadi-build-1", cache / "tenscasadi-build-2"
+    for folder, age in ((left, 2 * 86_400), (busy, 60)):
+        folder.mkdir()
+        library(folder, "code.c", age)
+        os.utime(folder, (time.time() - age,) * 2)
+    compile_function(function())
+    assert not left.exists()
+    assert busy.exists()
+
+
 PROCESS = """
 import sys, time, casadi as ca
 from tenscasadi.compiled import compile_function
