@@ -16,6 +16,7 @@ from tenscasadi.linear import Linearization, Modes, linearize, modes
 from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
 from tenscasadi.mode_motion import mode_motion
 from tenscasadi.model import Energy, Model
+from tenscasadi.precision import Single
 from tenscasadi.rattle import Rattle
 from tenscasadi.recommend import NoScheme, Recommendation, recommend
 from tenscasadi.redundancy import RedundantConstraints
@@ -74,6 +75,7 @@ __all__ = [
     "Idas",
     "Projection",
     "BarLengthCorrection",
+    "Single",
     "stable_step",
     "Trajectory",
     "CompileError",

@@ -22,6 +22,7 @@ from pathlib import Path
 
 import casadi as ca
 
+from tenscasadi.precision import c_code
 from tenscasadi.validate import instance
 
 log = logging.getLogger(__name__)
@@ -56,10 +57,10 @@ def find_compiler() -> tuple[str, ...] | None:
     return None
 
 
-def compile_function(function: ca.Function, flags: Sequence[str] | None = None) -> ca.Function:
+def compile_function(function: ca.Function, flags: Sequence[str] | None = None, single: bool = False) -> ca.Function:
     """`function` as machine code, with the same inputs, outputs and values; derivatives are not included.
 
-    `flags` for the compiler, None: optimised for this machine and rounded as CasADi does.
+    `flags` for the compiler, None: optimised for this machine and rounded as CasADi does. `single`: computes in float, see `Single`.
     The library is kept in the user's cache folder (see `cache_folder`) under the hash of its source, the compiler, the flags, what these
     mean on this machine, and CasADi's version, so it is compiled once. Any number of processes may do so at the same time. Libraries
     beyond 500 MB are removed, those first that have not been used for longest; what a process has loaded, it keeps.
@@ -71,10 +72,8 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None) 
     compiler = find_compiler()
     if compiler is None:
         raise CompileError("no C compiler found: install gcc or clang, or name one in the environment variable CC")
-    generator = ca.CodeGenerator(function.name() + ".c")
     try:
-        generator.add(function)
-        source = generator.dump()
+        source = c_code(function, single)
     except RuntimeError as error:
         raise CompileError(f"CasADi cannot write C code for {function}: {error}") from None
     if flags is None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscasadi.correction import Correction, Projection
 from tenscasadi.model import Model
+from tenscasadi.precision import Compiled, Single
 from tenscasadi.rattle import Rattle
 from tenscasadi.reference import certify, distance, end_nodes
 from tenscasadi.runners import own_steps
@@ -74,7 +75,7 @@ def recommend(
     control: ControlInput = None,
     schemes: Sequence[Scheme] = SCHEMES,
     corrections: Sequence[Correction | None] = (None, Projection()),
-    compiled: bool | None = None,
+    compiled: Compiled = None,
 ) -> Recommendation:
     """The scheme, step and correction that bring all nodes within `tolerance`, m, of where they are at `t_end`, s, for the least work.
 
@@ -95,7 +96,7 @@ def recommend(
             raise ValueError(f"schemes holds {scheme!r}, whose instructions are not known: give explicit schemes")
     enough = _REFERENCE * tolerance
     start = None if state is None else finite_array("state", state, (model.nx,))
-    reference = certify(model, t_end, start, control, accuracy=enough, enough=enough, compiled=compiled)
+    reference = certify(model, t_end, start, control, accuracy=enough, enough=enough, compiled=None if isinstance(compiled, Single) else compiled)
     wanted = _MARGIN * tolerance - reference.error
 
     best: _Choice | None = None

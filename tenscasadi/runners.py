@@ -12,10 +12,12 @@ from tenscasadi.compiled import CompileError, compile_function, find_compiler
 from tenscasadi.correction import Correction
 from tenscasadi.loop import LoopRunner, Report, StepFailure, chunk_function, chunk_steps, energy_function
 from tenscasadi.model import Model
+from tenscasadi.precision import Compiled, Single
 from tenscasadi.schemes import EmbeddedRungeKutta, Scheme
 from tenscasadi.sundials import GRID, Sundials, SundialsRunner
 from tenscasadi.validate import Array
 
+_SINGLE_RTOL = 1e-6  # some five times the rounding of float, as 1e-15 is of double
 _STUCK = 1e-13  # of the grid's spacing: a step as short as this makes no headway
 
 
@@ -57,7 +59,7 @@ def own_steps(scheme: Scheme) -> bool:
     return isinstance(scheme, Sundials) or (isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive)
 
 
-def make_runner(task: Task, step: float, steps: int, compiled: bool | None) -> Built:
+def make_runner(task: Task, step: float, steps: int, compiled: Compiled) -> Built:
     """The runner of a task on a grid of `steps` steps of `step` s; `compiled` as for `simulate`. Raises CompileError, ValueError."""
     model, scheme, correction = task.model, task.scheme, task.correction
     every = 1 if correction is None else correction.every
@@ -70,10 +72,14 @@ def make_runner(task: Task, step: float, steps: int, compiled: bool | None) -> B
         return Built(SundialsRunner(model, scheme, power, task.jumps, project, step, calls), False, "")
     if own_steps(scheme) and every != 1:
         raise ValueError(f"correction.every is {every}: {type(scheme).__name__} with rtol corrects after each of its own steps, give every=1")
+    single = isinstance(compiled, Single)
+    if single and isinstance(scheme, EmbeddedRungeKutta) and scheme.rtol is not None and scheme.rtol < _SINGLE_RTOL:
+        raise ValueError(f"{type(scheme).__name__}.rtol is {scheme.rtol:g}: give {_SINGLE_RTOL:g} or more in single precision, less is rounding")
     note = ""
     if compiled is not False:
         try:
-            return Built(_wrapped(task, compile_function(_function(task, chunk_steps(model, every))), step), True, "")
+            function = compile_function(_function(task, chunk_steps(model, every)), single=single)
+            return Built(_wrapped(task, function, step), True, "; in single precision" if single else "")
         except CompileError as error:
             if compiled:
                 raise

@@ -13,6 +13,7 @@ from tenscasadi.correction import BarLengthCorrection, Correction, Projection, p
 from tenscasadi.correction_effect import correction_effect
 from tenscasadi.loop import Report, StepFailure
 from tenscasadi.model import Model
+from tenscasadi.precision import Compiled, Single
 from tenscasadi.record import observe, record
 from tenscasadi.runners import Runner, Task, make_runner, own_steps
 from tenscasadi.schemes import RungeKutta4, Scheme, check_scheme
@@ -37,7 +38,7 @@ def simulate(
     control: ControlInput = None,
     correction: Correction | None = None,
     save_every: int | None = None,
-    compiled: bool | None = None,
+    compiled: Compiled = None,
     progress: bool = False,
     *,
     energy_balance: bool = True,
@@ -52,7 +53,8 @@ def simulate(
     correction: `Projection(every)`, `BarLengthCorrection(weight, every)` or None; applied after every `every`-th step (each of its own
     for schemes that control their error).
     save_every: steps from one kept row to the next, None: what keeps about 1000 rows or fewer; the first and last state are always kept.
-    compiled: None: as machine code if a C compiler is found, True: that or `CompileError`, False: in CasADi's virtual machine, to the same result.
+    compiled: None: as machine code if a C compiler is found, True: that or `CompileError`, False: in CasADi's virtual machine, to the same result;
+    `Single()`: as machine code that computes in single precision, or `CompileError`.
     progress: shows a progress bar.
     energy_balance: False leaves out the account of the work of damping, contact and control, which takes time, where `energy_error` needs it.
 
@@ -65,8 +67,8 @@ def simulate(
     if correction is not None:
         instance("correction", correction, (Projection, BarLengthCorrection), "Projection(every), BarLengthCorrection(weight) or None")
     for name, flag in {"compiled": compiled, "progress": progress, "energy_balance": energy_balance}.items():
-        if not (isinstance(flag, bool) or (flag is None and name == "compiled")):
-            raise TypeError(f"{name} is {flag!r}: give True or False{' or None' if name == 'compiled' else ''}")
+        if not isinstance(flag, bool) and not (name == "compiled" and (flag is None or isinstance(flag, Single))):
+            raise TypeError(f"{name} is {flag!r}: give True or False{', None or Single()' if name == 'compiled' else ''}")
     start = np.array(model.initial_state if state is None else finite_array("state", state, (model.nx,)))
     if step is None:
         step = positive_number("t_end", t_end) / 100 if own_steps(scheme) else 1e-3

@@ -17,7 +17,7 @@ from tenscasadi.correction import Correction
 from tenscasadi.schemes import Scheme
 from tenscasadi.validate import positive_number
 
-_FORMAT = "tenscasadi tradeoff 1"
+_FORMAT = "tenscasadi tradeoff 2"
 _KINDS: dict[str, Any] = {
     name: kind
     for module in (schemes, rattle, collocation, sundials, correction)
@@ -36,7 +36,8 @@ _UNREADABLE = (
 class Row:
     """One run of a trade-off.
 
-    step: s, NaN for a scheme that chooses its own; fidelity: the name of the model; compiled: as machine code or in the virtual machine.
+    step: s, NaN for a scheme that chooses its own; fidelity: the name of the model; compiled: as machine code or in the virtual machine;
+    single: in single precision.
     seconds: wall time of the time loop per simulated second, the median of repeats; setup: wall time of equations and compilation, s.
     position: largest distance of a node from the reference at the end, m; bar, joint (m), energy (J): largest over the run, as in `Trajectory`.
     instructions: of one step with its correction, 0 where they are not known; steps: of the run, with those tried in vain; errors are NaN where
@@ -48,16 +49,17 @@ class Row:
     correction: Correction | None
     fidelity: str
     compiled: bool
-    seconds: float
-    setup: float
-    position: float
-    bar: float
-    joint: float
-    energy: float
-    instructions: int
-    steps: int
-    success: bool
-    message: str
+    single: bool
+    seconds: float = np.nan
+    setup: float = np.nan
+    position: float = np.nan
+    bar: float = np.nan
+    joint: float = np.nan
+    energy: float = np.nan
+    instructions: int = 0
+    steps: int = 0
+    success: bool = False
+    message: str = ""
 
     @property
     def work(self) -> float:
@@ -80,7 +82,8 @@ class Row:
 
     def _variant(self) -> list[str]:
         named = [] if self.correction is None else [short(self.correction)]
-        return [*named, *([self.fidelity] if self.fidelity else []), *([] if self.compiled else ["virtual machine"])]
+        way = ["single precision"] if self.single else [] if self.compiled else ["virtual machine"]
+        return [*named, *([self.fidelity] if self.fidelity else []), *way]
 
 
 @dataclass(frozen=True)

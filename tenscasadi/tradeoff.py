@@ -15,6 +15,7 @@ from tqdm import tqdm
 from tenscasadi.compiled import CompileError
 from tenscasadi.correction import BarLengthCorrection, Correction, Projection
 from tenscasadi.model import Model, instructions
+from tenscasadi.precision import Compiled, Single
 from tenscasadi.reference import Reference, certify, distance, end_nodes
 from tenscasadi.runners import own_steps
 from tenscasadi.schemes import EmbeddedRungeKutta, Scheme, check_scheme
@@ -41,7 +42,7 @@ def tradeoff(
     state: State = None,
     control: ControlInput = None,
     corrections: Sequence[Correction | None] = (None,),
-    compiled: Sequence[bool | None] = (None,),
+    compiled: Sequence[Compiled] = (None,),
     repeats: int = 3,
     progress: bool = False,
 ) -> Tradeoff:
@@ -51,7 +52,7 @@ def tradeoff(
     steps: largest steps, s; a scheme that controls its error (`rtol`) takes its own, up to a twentieth of t_end, and is run once.
     reference: what position errors are measured against: a `Reference`, or the name of the model that `certify` solves; None: the first.
     state: start (nx,), a function model -> (nx,), or None: each model's initial state. control: as for `simulate`.
-    compiled: None: as machine code where there is a compiler, True, False; both (True, False) compare the two.
+    compiled: ways to run, each as for `simulate`: None, True, False or `Single()`; several, such as (True, Single()), are compared.
     repeats: timed runs, whose median counts. progress: shows a progress bar.
 
     Ctrl-C ends the study and returns the rows so far, with `complete` False. A run that diverges, and a scheme that cannot serve a model,
@@ -60,8 +61,10 @@ def tradeoff(
     named = dict(models) if isinstance(models, Mapping) else {"": models}
     _check(named, schemes, corrections)
     t_end, repeats = positive_number("t_end", t_end), whole_number("repeats", repeats, 1)
-    lengths = sorted({positive_number(f"steps[{i}]", step) for i, step in enumerate(_sequence("steps", steps))}, reverse=True)
     ways = _sequence("compiled", compiled)
+    for way in ways:
+        instance("compiled", way, (bool, Single, type(None)), "True, False, None or Single()")
+    lengths = sorted({positive_number(f"steps[{i}]", step) for i, step in enumerate(_sequence("steps", steps))}, reverse=True)
     rows: list[Row] = []
     known: Reference | None = None
     end = "interrupted from the keyboard before the reference was found"
@@ -92,7 +95,7 @@ class Case:
     t_end: float
     state: Array | None
     control: ControlInput
-    compiled: bool | None
+    compiled: Compiled
 
     def run(self, step: float, **options: Any) -> Trajectory:
         """The motion. Raises KeyboardInterrupt where `simulate` returns what it has."""
@@ -138,9 +141,7 @@ def start_of(model: Model, state: State) -> Array | None:
 def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int) -> Iterable[Row]:
     """A row for each step; the time of a step and the set-up are measured once."""
     chooses = own_steps(case.scheme)
-    empty = Row(
-        case.scheme, np.nan, case.correction, name, case.compiled is not False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, 0, 0, False, ""
-    )
+    empty = Row(case.scheme, np.nan, case.correction, name, compiled=case.compiled is not False, single=isinstance(case.compiled, Single))
     each = setup = np.nan
     for step in [LONGEST * case.t_end] if chooses else lengths:
         began = time.perf_counter()

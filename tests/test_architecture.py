@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # From the bottom up; a module imports from the levels below its own, never sideways.
 TENSCASADI = (
-    {"validate"},
+    {"precision", "validate"},
     {"algebra", "class_one", "compiled", "loads", "signals", "stage", "strings", "subdivision", "tableaux", "trajectory", "work_precision"},
     {"structure"},
     {"dynamics", "shapes", "statics", "supports"},
@@ -37,22 +37,21 @@ TENSCASADI = (
     {"__main__"},
 )
 OCP = (
-    {"blocks", "checks", "grid", "instant", "momentum", "reach", "reduction"},
-    {"bounds", "costs", "goals", "search"},
+    {"blocks", "checks", "duals", "grid", "instant", "momentum", "reach", "reduction"},
+    {"bounds", "costs", "goals", "refine", "search"},
     {"expressions", "invariants", "places", "problem"},
-    {"rerun", "target"},
-    {"plan"},
-    {"guess", "linearized", "path", "report", "winding"},
+    {"report", "rerun", "target"},
+    {"misses", "plan"},
+    {"guess", "linearized", "path", "winding"},
     {"closed_loop", "guesses", "mpc", "track"},
     {"stages"},
     {"program"},
-    {"transcription"},
+    {"multipliers", "transcription"},
     {"implicit", "staged"},
     {"collocation", "variational"},
     {"solver"},
     {"explain"},
     {"solve"},
-    {"refine"},
 )
 PICTURES = {"stage", "work_precision", "plots", "animation", "demos", "cli", "__main__"}
 

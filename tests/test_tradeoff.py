@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
+from tenscasadi.compiled import find_compiler
 from tenscasadi.model import instructions
 from tenscasadi.reference import distance
 
+needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 STEPS = (0.02, 0.01, 0.005, 0.0025)
 
 
@@ -195,6 +197,23 @@ def test_compiled_and_not_are_told_apart():
     assert "virtual machine" in slow.name
 
 
+@needs_compiler
+def test_single_precision_has_a_floor_where_double_goes_on():
+    """The same scheme, steps and instructions; the errors are those of the motion computed in float."""
+    schemes, ways = [tc.RungeKutta4(), tc.DormandPrince853(rtol=1e-9)], (tc.Single(), False)
+    table = tc.tradeoff(spinning(), 0.5, schemes, (4e-3, 2e-3, 1e-3, 2.5e-4), state=start, compiled=ways, repeats=1)
+    single, double = table.rows[:4], table.rows[4:8]
+    assert all(row.single and row.compiled and row.success for row in single)
+    assert not any(row.single for row in double)
+    assert single[0].name == "RungeKutta4, single precision"
+    assert all(2e-7 < row.position < 5e-6 for row in single)
+    assert all(1e-7 < row.bar < 5e-6 for row in single)
+    assert double[-1].position < 5e-11
+    assert [row.instructions for row in single] == [row.instructions for row in double]
+    assert "single precision" in table.rows[8].message  # so fine an rtol is refused there
+    assert table.rows[9].success
+
+
 def test_error_control_is_one_curve_and_runs_once():
     schemes = [tc.DormandPrince54(rtol=rtol) for rtol in (1e-4, 1e-6)]
     table = tc.tradeoff(spinning(), 0.2, schemes, [0.1, 0.05], state=start, compiled=(False,), repeats=1)
@@ -344,6 +363,7 @@ def test_summary_has_a_line_for_each_row(table):
         ({"reference": tc.Reference(np.zeros((6, 3)), 0.0, 0.2)}, "t_end"),
         ({"repeats": 0}, "repeats"),
         ({"compiled": True}, "compiled"),
+        ({"compiled": ["yes"]}, r"Single\(\)"),
         ({"state": np.zeros(3)}, "state"),
     ],
 )
