@@ -16,7 +16,8 @@ _BLOCK = 8
 _LARGEST, _SMALLEST, _SAFETY = 8.0, 0.2, 0.9  # change of the step from one attempt to the next: Hairer, Nørsett, Wanner I, (II.4.13)
 _EVENT_SHARE = 0.1  # of the tolerance that a step may lose by ending after an event instead of at it
 _SHORTEST = 1e-9  # of the largest step: events that are over after less are not looked for
-_MARGIN = 0.01  # of a bracket that a trial keeps from its ends, so that the bracket shrinks fast whatever the function
+_HALVING = 6  # trials of a bracket after which it is halved, whatever the interpolation says
+_RIDDERS = 8  # iterations to the root of an interpolation
 
 
 class Memory(NamedTuple):
@@ -26,9 +27,9 @@ class Memory(NamedTuple):
     step: Any  # s, to try next
     low: Any  # s, a step without an event in it, and
     high: Any  # s, one with an event; 0: no event has been seen
-    above: Any  # value of the switching function at `low`, > 0, and
-    below: Any  # at `high`
-    side: Any  # the end of the bracket that moved last: 1 high, -1 low
+    aim: Any  # s, the step to try in that bracket
+    allowed: Any  # s, by which it may overshoot the event
+    trials: Any  # of that bracket
     accepted: Any  # steps
     rejected: Any  # attempts with too large an error
     located: Any  # attempts to locate events
@@ -77,7 +78,8 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
     m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), Limits(*ca.vertsplit(limits))
     gaps = switching(model)
     x = z[: model.nx]
-    trial = ca.if_else(m.high > 0, _inside(m), ca.if_else(m.step >= m.rest, m.rest, m.step))
+    bracketed = m.high > 0
+    trial = ca.if_else(bracketed, m.aim, ca.if_else(m.step >= m.rest, m.rest, m.step))
 
     held = u
     if gaps is None:
@@ -101,39 +103,31 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
     growth = ca.fmin(_LARGEST, ca.fmax(_SMALLEST, _SAFETY * ca.fmax(error, 1e-300) ** (-1 / scheme.order)))
     passed = error <= 1  # not for NaN
 
-    changed = located = hidden = ca.MX(0)
-    value, start = ca.MX(1), ca.MX(1)
+    changed = located = hidden = root = jump = ca.MX(0)
     if gaps is not None:
-        sign = 2 * mode - 1
-        gap_after = gaps(after[: model.nx], u)
-        mode_after = gap_after > 0
+        mode_after = gaps(after[: model.nx], u) > 0
         changed = ca.sum1(mode_after != mode)
-        value, start = ca.mmin(sign * gap_after), ca.mmin(sign * gap)
-        # half the overshoot, at most the whole of it for a kink; the slope is the chord's: twice as much to be safe
-        low, above = ca.if_else(m.high > 0, m.low, 0), ca.if_else(m.high > 0, m.above, start)
-        overshoot = (trial - low) * ca.fmin(1, 2 * value / (value - above))
+        path = x, slope[: model.nx], after[: model.nx], end_slope[: model.nx], u, trial, mode
         jump = _jump(ode, moving)(after, held, ca.vertcat(u, mode_after), scale, changed)
-        negligible = ca.logic_or(overshoot * jump <= _EVENT_SHARE, trial - low <= 1e-15 * longest)
+        ends = ca.if_else(changed > 0, m.low, trial), ca.if_else(changed > 0, trial, m.high)
+        root = _root(gaps, model)(*path, *ends, ca.logic_or(changed > 0, bracketed))
+        negligible = ca.logic_or((trial - root) * jump <= _EVENT_SHARE, trial - root <= 1e-15 * longest)
         located = ca.logic_and(changed > 0, negligible)
-        hidden = _hidden(gaps, model)(x, slope[: model.nx], after[: model.nx], end_slope[: model.nx], u, trial, mode)
+        hidden = _hidden(gaps, model)(*path)
 
     crossing = ca.logic_and(changed > 0, ca.logic_not(located))
-    bracketed = m.high > 0
     early = ca.logic_and(bracketed, ca.logic_and(changed == 0, trial < m.high))
     unseen = ca.logic_and(hidden > 0, ca.logic_and(changed == 0, trial > _SHORTEST * longest))
     suspect = ca.logic_and(unseen, ca.logic_not(bracketed))
     zero = ca.MX(0)
-    same_high, same_low = ca.logic_and(bracketed, m.side == 1), ca.logic_and(bracketed, m.side == -1)
 
-    rejected = m._replace(step=trial * growth, low=zero, high=zero, rejected=m.rejected + 1)
-    inspected = m._replace(step=trial * hidden, low=zero, high=zero, located=m.located + 1)
-    shortened = m._replace(
-        low=ca.if_else(bracketed, m.low, 0), above=ca.if_else(bracketed, ca.if_else(same_high, m.above / 2, m.above), start),
-        high=trial, below=value, side=ca.MX(1), located=m.located + 1,
-    )  # fmt: skip
-    lengthened = m._replace(low=trial, above=value, below=ca.if_else(same_low, m.below / 2, m.below), side=ca.MX(-1), located=m.located + 1)
+    rejected = m._replace(step=trial * growth, low=zero, high=zero, trials=zero, rejected=m.rejected + 1)
+    inspected = m._replace(step=trial * hidden, located=m.located + 1)
+    allowed = _EVENT_SHARE / ca.fmax(jump, 1e-300)
+    shortened = _aimed(m._replace(high=trial, allowed=allowed, located=m.located + 1), root)
+    lengthened = _aimed(m._replace(low=trial, located=m.located + 1), root)
     grown = ca.fmin(longest, ca.if_else(trial < m.step, ca.fmax(m.step, trial * growth), trial * growth))
-    taken = m._replace(rest=m.rest - trial, step=grown, low=zero, high=zero, accepted=m.accepted + 1, events=m.events + changed)
+    taken = m._replace(rest=m.rest - trial, step=grown, low=zero, high=zero, trials=zero, accepted=m.accepted + 1, events=m.events + changed)
 
     result = ca.vertcat(*taken)
     for condition, outcome in ((early, lengthened), (crossing, shortened), (suspect, inspected), (ca.logic_not(passed), rejected)):
@@ -143,11 +137,11 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
     return ca.Function("attempt", [z, packed, u, limits], outputs, ["z", "memory", "u", "limits"], ["z_next", "memory_next"])
 
 
-def _inside(m: Memory) -> Any:
-    """The next trial in a bracket: regula falsi, kept from the ends; `above` or `below` is halved when an end stays (Illinois)."""
-    width = m.high - m.low
-    secant = m.low + width * m.above / ca.fmax(m.above - m.below, 1e-300)
-    return ca.fmin(ca.fmax(secant, m.low + _MARGIN * width), m.high - _MARGIN * width)
+def _aimed(m: Memory, root: Any) -> Memory:
+    """The next trial in a bracket: where an interpolation has its root, and half of what is allowed beyond; the middle where that is no help."""
+    aim = root + m.allowed / 2
+    inside = ca.logic_and(ca.logic_and(aim > m.low, aim < m.high), m.trials < _HALVING)
+    return m._replace(aim=ca.if_else(inside, aim, (m.low + m.high) / 2), trials=m.trials + 1)
 
 
 def _norm(errors: list[Any]) -> Any:
@@ -173,11 +167,47 @@ def _jump(ode: ca.Function, moving: slice) -> ca.Function:
 
 def _hidden(gaps: ca.Function, model: Model) -> ca.Function:
     """The earliest quarter of a step, as a fraction, at which its cubic interpolation is in another mode; 0 when none is."""
-    x, slope, after, end = (ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end"))
-    u, h, mode = ca.MX.sym("u", model.nu), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))
+    *step, u, h, mode = path = _path(gaps, model)
     found = ca.MX(0)
     for t in (0.75, 0.5, 0.25):
-        a, b, c, d = (1 + 2 * t) * (1 - t) ** 2, t * (1 - t) ** 2, t * t * (3 - 2 * t), t * t * (t - 1)
-        between = a * x + c * after + h * (b * slope + d * end)  # Hermite's, ibid. (II.6.7)
-        found = ca.if_else(ca.sum1((gaps(between, u) > 0) != mode) > 0, t, found)
-    return ca.Function("hidden", [x, slope, after, end, u, h, mode], [found])
+        found = ca.if_else(ca.sum1((gaps(_between(*step, h, t), u) > 0) != mode) > 0, t, found)
+    return ca.Function("hidden", path, [found])
+
+
+def _root(gaps: ca.Function, model: Model) -> ca.Function:
+    """(a step, low, high, wanted) -> the time, s, of the first event that its cubic interpolation meets in between; at no cost unless wanted."""
+    *step, u, h, mode = path = _path(gaps, model)
+    low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
+    sign = 2 * mode - 1
+    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(_between(*step, h, t / h), u))])
+    a, b, at_a, at_b = (ca.MX.sym(name) for name in ("a", "b", "at_a", "at_b"))
+    middle = (a + b) / 2
+    at_middle = value(middle, *path)
+    new = middle + (middle - a) * at_middle / ca.sqrt(at_middle**2 - at_a * at_b + 1e-300)
+    at_new = value(new, *path)
+    before, half = at_new > 0, at_middle > 0
+    ends = [ca.if_else(before, new, ca.if_else(half, middle, a)), ca.if_else(before, ca.if_else(half, b, middle), new)]
+    ends += [ca.if_else(before, at_new, ca.if_else(half, at_middle, at_a)), ca.if_else(before, ca.if_else(half, at_b, at_middle), at_new)]
+    ridders = ca.Function("ridders", [a, b, at_a, at_b, *path], ends)
+    bracket = [low, high, value(low, *path), value(high, *path)]
+    sure = ca.logic_and(bracket[2] > 0, bracket[3] < 0)
+    outside = ca.if_else(bracket[2] > 0, high, low)
+    for _ in range(_RIDDERS):
+        bracket = list(ridders(*bracket, *path))
+    arguments = [*path, low, high]
+    found = ca.Function("found", arguments, [ca.if_else(sure, bracket[1], outside)])
+    nothing = ca.Function("nothing", arguments, [ca.MX(0)])
+    wanted = ca.MX.sym("wanted")
+    return ca.Function("root", [*arguments, wanted], [ca.Function.if_else("root_choice", found, nothing)(wanted, *arguments)])
+
+
+def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:
+    """Symbols for a step: x and its slope, where it ends and the slope there, u, the step's length, s, and the mode."""
+    ends = [ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end")]
+    return [*ends, ca.MX.sym("u", model.nu), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]
+
+
+def _between(x: Any, slope: Any, after: Any, end: Any, h: Any, t: Any) -> Any:
+    """The cubic interpolation of a step at the fraction `t`: Hermite's, ibid. (II.6.7)."""
+    a, b, c, d = (1 + 2 * t) * (1 - t) ** 2, t * (1 - t) ** 2, t * t * (3 - 2 * t), t * t * (t - 1)
+    return a * x + c * after + h * (b * slope + d * end)

@@ -7,11 +7,12 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from references import certified
 
-from tenscasadi import shapes
+from tenscasadi import adaptive, shapes
 from tenscasadi.compiled import find_compiler
 from tenscasadi.correction import BarLengthCorrection, Projection, projection
 from tenscasadi.events import held_ode, switching
@@ -63,7 +64,15 @@ def test_order_is_kept_across_events(name: str) -> None:
     order = np.log(coarse[0] / fine[0]) / np.log(coarse[1].step / fine[1].step)
     assert order > 4.5
     assert fine[0] < 1e-9
-    assert f"to locate {EVENTS[name]} events" in fine[1].message
+    for _, run in (coarse, fine):
+        assert 0 < located(run, EVENTS[name]) <= 2 * EVENTS[name]
+
+
+def located(run: Trajectory, events: int) -> int:
+    """Attempts that it took to locate so many events."""
+    found = re.search(rf"(\d+) to locate {events} events", run.message)
+    assert found is not None, run.message
+    return int(found[1])
 
 
 @pytest.mark.parametrize("coordinates", ["reduced", "full"])
@@ -71,6 +80,7 @@ def test_order_is_kept_across_events(name: str) -> None:
 def test_order_eight_reaches_a_tenth_of_a_nanometre_across_events(name: str, coordinates: Any) -> None:
     error, run = solved(name, DormandPrince853(1e-12), coordinates, correction=Projection())
     assert error < 1e-10
+    assert located(run, EVENTS[name]) <= 3 * EVENTS[name]
     assert run.bar_length_error.max() < 1e-14
     assert run.joint_error.max() < 1e-14
 
@@ -126,6 +136,18 @@ def test_scenes_without_events_have_no_switching_function() -> None:
     for scene in (Scene(prism, control=ForceDensity()), Scene(prism, slack=Smooth(1e-3)), Scene(shapes.pendulum(), gravity=Gravity())):
         assert switching(Model(scene)) is None
     assert switching(Model(Scene(shapes.pendulum(), ground=Ground()))) is not None
+
+
+def test_events_are_located_even_where_interpolation_is_of_no_help(monkeypatch: pytest.MonkeyPatch) -> None:
+    def useless(gaps: ca.Function, model: Model) -> ca.Function:
+        arguments = exact(gaps, model).mx_in()
+        return ca.Function("root", arguments, [arguments[-3]])  # the start of the bracket
+
+    exact = adaptive._root
+    monkeypatch.setattr(adaptive, "_root", useless)
+    error, run = solved("net4", DormandPrince853(1e-10))
+    assert error < 1e-8
+    assert located(run, EVENTS["net4"]) > 5 * EVENTS["net4"]
 
 
 def spring(length: float = 1.0, **options: Any) -> Model:
