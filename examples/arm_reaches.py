@@ -40,7 +40,7 @@ def main(folder: Path = Path()) -> dict[str, ocp.Plan]:
         plan = plans[name] = ocp.solve(problem, ocp.MultipleShooting(30, substeps=2))
         replay = plan.replay()
         print(f"--- {name}\n{plan.summary()}")
-        print(ocp.report(plan, problem))
+        print(plan.report())
         print(f"hand          at {replay.nodes[-1, 1].round(5)} m, wanted {REACH}")
         print(f"ball          bars come as near as {nearest(replay):.4f} m to its centre, its radius is {RADIUS} m")
     plots.time_lapse(plans["round the ball"].replay(), instants=6, title="arm: reaches round a ball", path=folder / "arm_reaches.png")

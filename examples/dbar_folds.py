@@ -34,7 +34,7 @@ def main(folder: Path = Path()) -> ocp.Plan:
     )
     plan = ocp.solve(problem, ocp.MultipleShooting(40, substeps=2))
     print(plan.summary())
-    print(ocp.report(plan, problem))
+    print(plan.report())
     replay = plan.replay()
     strings = np.linalg.norm(np.diff(replay.nodes[:, structure.strings], axis=2)[:, :, 0], axis=2)
     middle = strings[np.argmin(abs(replay.time - 1.0))]

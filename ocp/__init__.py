@@ -6,6 +6,7 @@ from ocp.bounds import BarForceLimits, Buckling, ForceDensityLimits, RestLengthL
 from ocp.closed_loop import ClosedLoop, run
 from ocp.collocation import Collocation
 from ocp.costs import Duration, Effort, Prestress, Smoothness, Tracking, Work
+from ocp.duals import Duals
 from ocp.expressions import AtEnd, Constraint, Integral
 from ocp.goals import AtRest, NodePositions, Periodic, Shape, StringLengths, Waypoint
 from ocp.grid import PiecewiseConstant, PiecewiseLinear
@@ -16,8 +17,7 @@ from ocp.mpc import Mpc
 from ocp.places import AboveGround, BarClearance, InsideBox, Obstacle
 from ocp.plan import Plan
 from ocp.problem import Problem
-from ocp.refine import refine
-from ocp.report import Report, report
+from ocp.report import Report
 from ocp.solve import solve
 from ocp.solver import Fatrop, Ipopt, Progress
 from ocp.target import UnreachableGoal
@@ -73,9 +73,8 @@ __all__ = [
     # what comes of it
     "Plan",
     "UnreachableGoal",
-    "refine",
+    "Duals",
     "Report",
-    "report",
     "replay_wound",
     "reachable",
     # in closed loop

@@ -20,8 +20,9 @@ from tenscasadi.validate import Array, Indices
 class Block:
     """Rows lower ≤ function(z_k) ≤ upper of `count` instances k; z_k are the entries `index[k]` of the unknowns and constants.
 
-    function: z (nz) → rows (m); index (count, nz); lower, upper (count, m) or broadcast to it; names: count·m, instance by instance.
-    closes: None, or for each row of an instance the unknown x⁺ of which it is x⁺ − F(…), in the same scale.
+    function: z (nz) → rows (m); index (count, nz); lower, upper, scale (count, m) or broadcast to it; names: count·m, instance by instance.
+    scale: what one stands for, in the unit of what is limited. closes: None, or for each row of an instance the unknown x⁺ of which it is
+    x⁺ − F(…), in the same scale.
     """
 
     function: ca.Function
@@ -29,6 +30,7 @@ class Block:
     names: tuple[str, ...]
     lower: Any = 0.0
     upper: Any = 0.0
+    scale: Any = 1.0
     closes: Indices | None = None
 
     @property
@@ -41,10 +43,10 @@ class Block:
         """Rows of one instance."""
         return int(self.function.size1_out(0))
 
-    def limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits of all rows, instance by instance."""
-        shape = (self.count, self.rows)
-        return tuple(np.broadcast_to(np.asarray(value, dtype=float), shape).ravel() for value in (self.lower, self.upper))  # type: ignore[return-value]
+    def limits(self) -> tuple[Array, Array, Array]:
+        """Lower and upper limits and scales of all rows, instance by instance."""
+        shape, given = (self.count, self.rows), (self.lower, self.upper, self.scale)
+        return tuple(np.broadcast_to(np.asarray(value, dtype=float), shape).ravel() for value in given)  # type: ignore[return-value]
 
 
 @dataclass(eq=False)

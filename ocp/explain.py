@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.guess import Guess
+from ocp.misses import Misses
 from ocp.program import Program
 from ocp.reach import Reach, controlled
 from ocp.solver import Solution
@@ -30,10 +31,8 @@ _CAUSES = {
 _STEPS = f"the solver could not go on: {_ROOM}, or more intervals"
 
 
-def explain_failure(target: Target, imposed: Target, reach: Reach, program: Program, solution: Solution, found: Guess) -> str:
+def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Program, solution: Solution, found: Guess) -> str:
     """The cause and its cure, the largest violation by name, the limits that hold, and how many rows of the goals the strings move."""
-    if solution.success:
-        return f"no plan: {_worst_goal(target, found)}, and no string moves it there to first order: give a goal that the motion passes"
     parts = [f"no plan: {_CAUSES.get(solution.status, _STEPS)}"]
     g = np.asarray(ca.Function("rows", [program.problem["x"]], [program.problem["g"]])(solution.w).full()).ravel()
     if not np.all(np.isfinite(g)):
@@ -42,15 +41,13 @@ def explain_failure(target: Target, imposed: Target, reach: Reach, program: Prog
     worst = int(np.argmax(violation))
     if violation[worst] > VIOLATED:
         name = program.names[worst]
-        parts.append(
-            "largest violation: " + (_worst_goal(target, found) if name.startswith("goal,") else f"{name}, {violation[worst]:.2g} of its scale")
-        )
+        parts.append("largest violation: " + (missed.worst() if name.startswith("goal") else f"{name}, {violation[worst]:.2g} of its scale"))
     held = _held(program.w_names, solution.w, program.w_lower, program.w_upper) + _held(program.names, g, program.lower, program.upper)
     if held:
         often, _ = Counter(name.split(",")[0] for name in held).most_common(1)[0]
         parts.append(f"upper limits hold {len(held)} times, most often the {often}")
     if imposed.count:
-        states = reach.rollout(target.start, found.force_density, found.duration)
+        states = reach.rollout(imposed.start, found.force_density, found.duration)
         if np.all(np.isfinite(states)):
             rank = len(controlled(reach.of_rows(imposed.rows, states, found.force_density, found.duration)))
             parts.append(f"the strings move {rank} of {imposed.count} rows of the goals")
@@ -61,12 +58,3 @@ def _held(names: tuple[str, ...], value: Array, lower: Array, upper: Array) -> l
     """The entries at (or beyond) their upper limit."""
     limited = np.isfinite(upper) & (lower < upper)
     return [names[k] for k in np.flatnonzero(limited) if value[k] > upper[k] - AT_LIMIT * abs(upper[k])]
-
-
-def _worst_goal(target: Target, found: Guess) -> str:
-    metres, speeds = (np.abs(np.asarray(value.full()).ravel()) for value in target.misfit(found.states[-1]))
-    if not metres.size and not speeds.size:  # goals on the way only
-        return "a goal on the way is missed"
-    if metres.max(initial=0.0) > VIOLATED or not speeds.size:
-        return f"{target.names[int(np.argmax(metres))]} misses its goal by {metres.max(initial=0.0):.2g} m"
-    return f"{target.names[len(metres) + int(np.argmax(speeds))]} misses its goal by {speeds.max():.2g} m/s"

@@ -16,13 +16,14 @@ from tenscasadi.validate import Array
 
 
 class StageRows(NamedTuple):
-    """Scaled rows, to be imposed at these ends ("start", "end") of every interval."""
+    """Rows divided by `scale`, to be imposed at these ends ("start", "end") of every interval."""
 
     function: ca.Function
     lower: Array
     upper: Array
     names: tuple[str, ...]
     ends: tuple[str, ...]
+    scale: Array
 
 
 def stage_rows(problem: Problem, scales: Scales, strength: float) -> list[StageRows]:
@@ -74,7 +75,7 @@ def _rows(limited: Limited, inputs: list[Any], ends: tuple[str, ...], scales: Sc
         return []
     scale = _scale(limited, scales, strength)
     function = ca.Function("bound", inputs, [ca.densify(limited.value / ca.DM(scale))])
-    return [StageRows(function, limited.lower / scale, limited.upper / scale, limited.names, ends)]
+    return [StageRows(function, limited.lower / scale, limited.upper / scale, limited.names, ends, scale)]
 
 
 def _scale(limited: Limited, scales: Scales, strength: float) -> Array:

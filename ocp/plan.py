@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import zipfile
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ocp.duals import Duals
 from ocp.problem import Problem
+from ocp.refine import finer
+from ocp.report import Report, report_of
 from ocp.rerun import run_profile
 from tenscasadi.loads import Gravity
 from tenscasadi.model import Model
@@ -22,7 +26,7 @@ from tenscasadi.simulate import simulate
 from tenscasadi.strings import ForceDensity, rest_length
 from tenscasadi.structure import PARAMETERS, Structure
 from tenscasadi.trajectory import Trajectory
-from tenscasadi.validate import Array, at_least, instance, per_item, positive_number
+from tenscasadi.validate import Array, at_least, instance, per_item, positive_number, whole_number
 
 _FORMAT = "tenscasadi plan 1"
 # Anything that reading a damaged or foreign archive may raise.
@@ -40,18 +44,22 @@ _UNREADABLE = (
     zlib.error,
 )
 REPLAY_STEPS = 10  # steps of a replay for one interval of the plan
+LOST = 1e6  # tolerances that a replay which diverges counts as its error
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Force densities of α strings over K intervals, and the motion that they cause; also what is left when no plan was found.
 
-    success; status: the solver's word; message: what was imposed, what came of it, and after a failure why and what to try.
+    success: an optimum was found, and its replay meets the tolerance; status: the solver's word; message: what was imposed, what came of it,
+    and after a failure why and what to try.
     objective: the costs' sum; iterations; seconds: wall time of the solver, building included. time (K + 1,) s;
     force_density (K, α) N/m, each row held from its time to the next, or (K + 1, α), linear between the times; trajectory: the planned
     motion at `time`.
     replay_error: m, and replay_speed_error: m/s: how far the motion that `replay` computes ends from the goals (NaN where it diverges).
     structure, model: what was planned for; `model` is None for a saved plan whose scene has moving supports, or loads other than gravity.
+    duals: what constraints cost; None where the solver found no optimum. problem: what was asked, and again: how it was solved, on intervals
+    of these relative lengths, from a plan, to a tolerance; both None for a saved plan, unless `load` is given the problem.
     """
 
     success: bool
@@ -67,6 +75,9 @@ class Plan:
     replay_speed_error: float
     structure: Structure
     model: Model | None
+    duals: Duals | None = None
+    problem: Problem | None = None
+    again: Callable[[Array, Plan, float], Plan] | None = None
 
     def __post_init__(self) -> None:
         for name in ("time", "force_density"):
@@ -151,6 +162,42 @@ class Plan:
         size = intervals[0] / REPLAY_STEPS if size is None else size
         return simulate(self.model, float(self.time[-1]), size, scheme or RungeKutta4(), start, self.force_density, compiled=False)
 
+    def report(self) -> Report:
+        """The limits that hold the plan back, with what they cost, and those that its replay breaks between the ends of its intervals.
+
+        Raises ValueError where the problem is not known: for a loaded plan.
+        """
+        if self.problem is None:
+            raise ValueError("report needs the problem, which a file does not hold: give Plan.load(path, problem=...)")
+        return report_of(self.problem, self.time, self.trajectory.states, self.force_density, self.replay(), self.duals)
+
+    def refine(self, tolerance: float, attempts: int = 5) -> Plan:
+        """The plan whose replay ends within `tolerance`, m, of the goals (and as many m per duration in speed).
+
+        Cuts the intervals whose steps go wrong, in proportion, and solves again from what was found, at most `attempts` times. A plan that
+        was not found is returned as it is; one that still misses the tolerance says so. Raises TypeError, ValueError; also for a
+        loaded plan: solve with it as guess.
+        """
+        limit = positive_number("tolerance", tolerance)
+        whole_number("attempts", attempts, 1)
+        if self.again is None or self.model is None:
+            raise ValueError("refine needs to know how the plan was solved, which a file does not hold: refine solve(problem, ..., guess=plan)")
+        found, again, model = self, self.again, self.model
+        for _ in range(attempts):
+            error = found.worst_error
+            if found.duals is None or error <= limit:
+                return found
+            times_too_large = error / limit if np.isfinite(error) else LOST
+            found = again(finer(model, found.time, found.trajectory.states, found.force_density, times_too_large), found, limit)
+        if found.duals is None or found.worst_error <= limit:
+            return found
+        return replace(found, message=f"{found.message}; the tolerance of {limit:g} m was not met in {attempts} attempts: give more, or substeps")
+
+    @property
+    def worst_error(self) -> float:
+        """The larger of the replay's errors in place, and in speed times the duration, m."""
+        return max(self.replay_error, self.replay_speed_error * float(self.time[-1]))
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes a compressed .npz file (NumPy arrays only) to exactly `path` and returns it. Raises OSError when it cannot be written."""
         content = {name: np.asarray(getattr(self, name)) for name in _VALUES}
@@ -158,6 +205,8 @@ class Plan:
         content |= {f"structure.{name}": np.asarray(getattr(self.structure, name)) for name in PARAMETERS if name != "pinned"}
         content["structure.fixed"] = np.asarray(self.structure.fixed)
         content |= _scene_arrays(self.model)
+        if self.duals is not None:
+            content |= {f"duals.{field.name}": np.asarray(getattr(self.duals, field.name)) for field in fields(Duals)}
         target = Path(path)
         with open(target, "wb") as file:
             np.savez_compressed(file, allow_pickle=False, format=np.asarray(_FORMAT), **content)
@@ -189,7 +238,7 @@ class Plan:
             raise ValueError(f"{name} is not a plan: it has no field {error}") from None
         except (TypeError, ValueError) as error:
             raise ValueError(f"{name} is not a plan: {error}") from None
-        return plan if problem is None else replace(plan, model=problem.model)
+        return plan if problem is None else replace(plan, model=problem.model, problem=problem)
 
 
 _VALUES = ("success", "status", "message", "objective", "iterations", "seconds", "time", "force_density", "replay_error", "replay_speed_error")
@@ -229,4 +278,7 @@ def _from_arrays(content: dict[str, Any]) -> Plan:
     for name, shape in (("time", (intervals + 1,)), ("force_density", (rows, strings))):
         if values[name].shape != shape or values[name].dtype.kind != "f":
             raise ValueError(f"field {name!r} has shape {values[name].shape}, not {shape}")
-    return Plan(**values, trajectory=trajectory, structure=structure, model=model)
+    duals = None
+    if "duals.names" in content:
+        duals = Duals(tuple(content["duals.names"].tolist()), content["duals.values"], content["duals.point"])
+    return Plan(**values, trajectory=trajectory, structure=structure, model=model, duals=duals)

@@ -26,8 +26,9 @@ class Program:
     """minimise f(w) subject to lower ≤ g(w) ≤ upper and w_lower ≤ w ≤ w_upper, all in scaled numbers of order one.
 
     problem: {"x": w, "f": f, "g": g} as `casadi.nlpsol` takes it. first: w to start from. names: one for each row of g, and w_names for each of w.
-    objective: what f is multiplied by to be the cost. unpack: Function w → states (nx, intervals + 1), force densities (α, intervals; or
-    intervals + 1 where they are piecewise linear), duration. unknowns, rows, costs: what w, g and f consist of.
+    objective, scale, w_scale: what f, g and w are multiplied by to be costs, and in physical units (rows of goals have none). unpack: Function
+    w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration. unknowns, rows,
+    costs: what w, g and f consist of. multipliers: those of g and of w's limits to start from, where they are known.
     """
 
     problem: dict[str, Any]
@@ -35,14 +36,17 @@ class Program:
     w_upper: Array
     lower: Array
     upper: Array
+    scale: Array
     first: Array
     names: tuple[str, ...]
     w_names: tuple[str, ...]
+    w_scale: Array
     objective: float
     unpack: ca.Function
     unknowns: Unknowns
     rows: tuple[Block, ...]
     costs: tuple[Block, ...]
+    multipliers: tuple[Array, Array] | None = None
 
     def derivatives(self) -> dict[str, ca.Function]:
         """Gradient, Jacobian and Hessian as CasADi's solvers name and call them."""
@@ -143,17 +147,19 @@ class Assembly:
 
         controls = ca.mtimes(constant_matrix(self.spread), seen(self.controls))
         motion = seen(self.states) if states is None else states(seen)
-        limits = [block.limits() for block in rows]
+        least, most, row_scale = (np.concatenate(columns) for columns in zip(*(block.limits() for block in rows), strict=True))
         first, scale, lower, upper = (unknowns.column(k) for k in range(4))
         return Program(
             {"x": w, "f": separable.f, "g": separable.g},
             lower / scale,
             upper / scale,
-            np.concatenate([np.zeros(0), *(low for low, _ in limits)]),
-            np.concatenate([np.zeros(0), *(up for _, up in limits)]),
+            least,
+            most,
+            row_scale,
             first / scale,
             tuple(name for block in rows for name in block.names),
             tuple(unknowns.names),
+            scale,
             self.objective,
             ca.Function("unpack", [w], [motion, controls, seen(self.duration)]),
             unknowns,

@@ -30,15 +30,17 @@ class Reach:
         states = self._chain(start, controls.T, np.full((1, self._count), duration / self._count))
         return np.column_stack([start, np.asarray(states.full())]).T
 
-    def of_rows(self, rows: ca.Function, states: Array, controls: Array, duration: float) -> Array:
-        """Gradient (m, count·nu [+ 1]) of rows(x) at the end of `states` with respect to all controls (and the duration)."""
+    def of_rows(self, rows: ca.Function, states: Array, controls: Array, duration: float, at: int | None = None) -> Array:
+        """Gradient (m, count·nu [+ 1]) of rows(x) at states[at] (None: the last) with respect to all controls (and the duration)."""
+        end = self._count if at is None else at
         before = states[:-1].T
         A, B = (np.asarray(value.full()) for value in self._slopes(before, controls.T, np.full((1, self._count), duration / self._count)))
         nx, width = len(states[0]), B.shape[1] // self._count
         x: Any = ca.SX.sym("x", nx)
-        M = np.asarray(ca.Function("gradient", [x], [ca.densify(ca.jacobian(rows(x), x))])(states[-1]).full())
-        columns, last = [], np.zeros((len(M), 1))
-        for k in reversed(range(self._count)):
+        M = np.asarray(ca.Function("gradient", [x], [ca.densify(ca.jacobian(rows(x), x))])(states[end]).full())
+        later, last = np.zeros((len(M), self._nu)), np.zeros((len(M), 1))
+        columns = [later] * (self._count - end)
+        for k in reversed(range(end)):
             effect = M @ B[:, k * width : (k + 1) * width]
             columns.append(effect[:, : self._nu])
             if self._free_duration:

@@ -1,4 +1,4 @@
-"""Which limits a plan meets, and which its replay breaks: by string, bar or node, and when."""
+"""Which limits a plan meets, what they cost, and which its replay breaks: by string, bar or node, and when."""
 
 from __future__ import annotations
 
@@ -9,18 +9,23 @@ import casadi as ca
 import numpy as np
 
 from ocp.bounds import CornerBound, ForceDensityLimits, Limited, PathBound
+from ocp.duals import Duals
 from ocp.grid import at
 from ocp.instant import symbolic
-from ocp.plan import Plan
 from ocp.problem import Problem
-from tenscasadi.validate import Array, instance
+from tenscasadi.trajectory import Trajectory
+from tenscasadi.validate import Array
 
 TOUCHES = 1e-4  # of a limit's range or size: nearer counts as held by it
 BREAKS = 1e-4  # of the same: beyond counts as broken
 
 
 class Finding(NamedTuple):
-    """One limit of one member: how much of the plan it holds (share of the instants), the worst value and when it occurs, s."""
+    """One limit of one member: how much of the plan it holds (share of the instants), the worst value and when it occurs, s.
+
+    price: by how much the objective would fall for each unit by which the limit gave way, over the whole plan and to first order; NaN
+    where it is not known: of what the replay breaks, and of the single strings of a group.
+    """
 
     name: str
     side: str  # "lower" or "upper"
@@ -29,15 +34,21 @@ class Finding(NamedTuple):
     time: float
     share: float
     unit: str
+    price: float = np.nan
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
-        return f"{self.name}: {self.side} limit {self.limit:g}{unit}, {self.worst:.6g}{unit} at t = {self.time:.4g} s, {self.share:.0%} of the time"
+        cost = f", costs {self.price:.3g} per {self.unit or 'unit'}" if np.isfinite(self.price) else ""
+        worst = f"{self.worst:.6g}{unit} at t = {self.time:.4g} s, {self.share:.0%} of the time"
+        return f"{self.name}: {self.side} limit {self.limit:g}{unit}, {worst}{cost}"
 
 
 @dataclass(frozen=True)
 class Report:
-    """active: the limits that hold the plan back; violated: those that its replay, on a finer grid, oversteps. Prints as a text."""
+    """active: the limits that hold the plan back, the most costly first; violated: those that its replay, on a finer grid, oversteps.
+
+    Prints as a text.
+    """
 
     active: tuple[Finding, ...]
     violated: tuple[Finding, ...]
@@ -50,18 +61,24 @@ class Report:
         return "\n".join(lines)
 
 
-def report(plan: Plan, problem: Problem) -> Report:
-    """The limits of `problem` that hold at the ends of the plan's intervals, and those that its replay breaks between them, worst first."""
-    instance("plan", plan, Plan, "an ocp.Plan")
-    instance("problem", problem, Problem, "an ocp.Problem")
-    ends = plan.time[:-1], plan.trajectory.states[:-1]
-    planned = _findings(problem, *ends, at(plan.force_density, plan.time, ends[0]), TOUCHES, inside=True)
+def report_of(problem: Problem, time: Array, states: Array, force_density: Array, replay: Trajectory, duals: Duals | None) -> Report:
+    """The limits of `problem` that hold at the ends of a plan's intervals, and those that its replay breaks between them."""
+    planned = _findings(problem, time[:-1], states[:-1], at(force_density, time, time[:-1]), TOUCHES, inside=True)
     # the ends of intervals are planned for too, under the force densities before them
-    later = plan.time[1:], plan.trajectory.states[1:]
-    planned += _findings(problem, *later, at(plan.force_density, plan.time, later[0] - 1e-9 * plan.time[-1]), TOUCHES, inside=True)
-    replay = plan.replay()
+    planned += _findings(problem, time[1:], states[1:], at(force_density, time, time[1:] - 1e-9 * time[-1]), TOUCHES, inside=True)
     broken = _findings(problem, replay.time, replay.states, replay.control, BREAKS, inside=False)
-    return Report(_merged(planned), _merged(broken))
+    active = [finding._replace(price=_price(finding, duals)) for finding in _merged(planned)]
+    return Report(tuple(sorted(active, key=lambda one: (-np.nan_to_num(one.price), -one.share))), _merged(broken))
+
+
+def _price(finding: Finding, duals: Duals | None) -> float:
+    if duals is None:
+        return np.nan
+    try:
+        held = duals[finding.name]
+    except KeyError:
+        return np.nan
+    return float(np.maximum(held if finding.side == "upper" else -held, 0.0).sum())
 
 
 def _findings(problem: Problem, time: Array, states: Array, controls: Array, margin: float, inside: bool) -> list[Finding]:

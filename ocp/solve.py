@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from ocp.duals import Duals
 from ocp.explain import explain_failure
 from ocp.grid import held_values
 from ocp.guess import Guess
 from ocp.guesses import GuessValue, guess_of
+from ocp.misses import misses
+from ocp.multipliers import duals_of, started
+from ocp.path import cubic, within
 from ocp.plan import Plan
 from ocp.problem import Problem
 from ocp.program import Program
@@ -22,10 +27,10 @@ from ocp.target import Scales, Target, find_target
 from ocp.transcription import MultipleShooting, OnGrid
 from tenscasadi.record import record
 from tenscasadi.trajectory import Trajectory
-from tenscasadi.validate import Array, instance
+from tenscasadi.validate import Array, instance, positive_number
 
-MET = 3e-4  # of the structure's size (and of it per duration): rows left to bars and momenta hold as exactly as the scheme keeps those
-COARSE = 1e-3  # of the same: replay errors beyond are remarked upon
+MET = 3e-4  # of the structure's size (and of it per duration): goals missed by more are missed
+RELIABLE = 1e-2  # of the same: what a replay may miss by, unless a tolerance is stated
 LOOSENING = 0.3  # of the strongest force density: disturbs a guess along which some rows are out of control
 
 
@@ -35,61 +40,88 @@ class _Outcome(NamedTuple):
     guess: Guess  # what the solution says, to start again from
 
 
-def solve(problem: Problem, transcription: OnGrid | None = None, solver: Solver | None = None, guess: GuessValue | None = None) -> Plan:
+def solve(
+    problem: Problem,
+    transcription: OnGrid | None = None,
+    solver: Solver | None = None,
+    guess: GuessValue | None = None,
+    tolerance: float | None = None,
+) -> Plan:
     """The plan that a solver finds for `problem`; without arguments by MultipleShooting() and Ipopt().
 
-    guess: where the solver starts: `InverseDynamics(path)`, `Equilibrium()`, `Arrays(...)`, another plan; None: InverseDynamics().
-    A plan that could not be found has success False and a message that says why. Raises `UnreachableGoal` before solving where
-    no strings can bring the goals about, TypeError and ValueError for arguments.
+    guess: where the solver starts: `InverseDynamics(path)`, `Equilibrium()`, `Arrays(...)`, another plan; None: InverseDynamics(). From a plan of
+    the same grid and constraints the solver starts exactly, with its multipliers (see `Ipopt.warm`). tolerance: m, by how much the
+    replay may miss the goals (and as many m per duration in speed) for the plan to be a success; None: 1 % of the structure's size.
+    A plan that could not be found, or whose replay misses more, has success False and a message that says why. Raises `UnreachableGoal`
+    before solving where no strings can bring the goals about, TypeError and ValueError for arguments.
     """
     instance("problem", problem, Problem, "an ocp.Problem")
     transcription = MultipleShooting() if transcription is None else transcription
     solver = Ipopt() if solver is None else solver
     instance("transcription", transcription, OnGrid, "a transcription, such as ocp.MultipleShooting()")
     instance("solver", solver, (Ipopt, Fatrop), "an ocp.Ipopt or ocp.Fatrop")
+    limit = None if tolerance is None else positive_number("tolerance", tolerance)
     began = time.perf_counter()
     scales = Scales.of(problem)
     target = find_target(problem, scales)
-    _check_freedom(problem, target, transcription.count)
+    _check_freedom(problem, target, transcription)
     first = guess_of(guess, problem, target, transcription.count)
     reach = Reach(transcription.step(problem.model), transcription.count, problem.shortest < problem.longest)
     imposed = _controlled(target, reach, first)
-    outcome = _attempt(problem, transcription, solver, imposed, scales, first)
-    if imposed.count < target.count and not (outcome.solution.success and _met(target, outcome.guess, scales)):
+    outcome = _attempt(problem, transcription, solver, imposed, scales, first, guess.duals if isinstance(guess, Plan) else None)
+    if _rows(imposed) < _rows(target) and not (outcome.solution.success and _met(target, _planned(problem, transcription, outcome.guess))):
         # Rows that no string moved along the guess are missed: along a less regular motion they may be within reach.
         first = _loosened(problem, first)
         again = _controlled(target, reach, first, HARDLY_REACHED)
-        if again.count > imposed.count:
+        if _rows(again) > _rows(imposed):
             imposed = again
             outcome = _attempt(problem, transcription, solver, imposed, scales, first)
-    return _plan(problem, transcription, target, imposed, reach, outcome, scales, time.perf_counter() - began)
+    plan = _plan(problem, transcription, target, imposed, reach, outcome, RELIABLE * scales.length if limit is None else limit)
+
+    def once_more(intervals: Array, plan: Plan, tolerance: float) -> Plan:
+        return solve(problem, replace(transcription, intervals=tuple(intervals.tolist())), solver, plan, tolerance)
+
+    return replace(plan, seconds=time.perf_counter() - began, again=once_more)
 
 
-def _check_freedom(problem: Problem, target: Target, intervals: int) -> None:
-    """More goals than force densities have no solution."""
+def _check_freedom(problem: Problem, target: Target, transcription: OnGrid) -> None:
+    """More goals than force densities before them have no solution."""
     lower, upper = problem.force_density_limits
     free = int(np.sum(lower < upper))
-    if target.count > intervals * free:
-        needed = "allow some more force densities" if not free else f"give at least {-(-target.count // free)}"
-        raise ValueError(
-            f"MultipleShooting.intervals is {intervals}: {free} force densities in each cannot meet {target.count} rows of goals, {needed}"
-        )
+    name = f"{type(transcription).__name__}.intervals is {transcription.count}"
+    for share, part, label in [(1.0, target, ""), *((stop.share, stop.target, stop.label) for stop in target.stops)]:
+        intervals = within(transcription.fractions, share)[0] + 1
+        if part.count > intervals * free:
+            least = int(np.ceil(np.ceil(part.count / free) / share)) if free else 0
+            needed = f"give at least {least} intervals" if free else "allow some more force densities"
+            each = "each" if share == 1.0 else f"each of the {intervals} up to there"
+            raise ValueError(f"{name}: {label}{free} force densities in {each} cannot meet {part.count} rows of goals, {needed}")
 
 
 def _controlled(target: Target, reach: Reach, guess: Guess, least: float = REACHED) -> Target:
     """The target without the rows that the strings cannot move, to first order, along the motion that the guess's force densities cause."""
-    if not target.count:
-        return target
     states = reach.rollout(target.start, guess.force_density, guess.duration)
-    if not np.all(np.isfinite(states)):
+    if not _rows(target) or not np.all(np.isfinite(states)):
         return target
-    kept = controlled(reach.of_rows(target.rows, states, guess.force_density, guess.duration), least)
-    missing = target.count - len(kept)
-    if not missing:
-        return target
-    x = ca.SX.sym("x", len(target.start))
-    rows = ca.Function("goal", [x], [ca.mtimes(ca.DM(kept), target.rows(x))], ["x"], ["rows"])
-    return replace(target, rows=rows, repeated={**target.repeated, "out of control": missing})
+
+    def reduced(part: Target, share: float) -> Target:
+        end = max(1, round(share * (len(states) - 1)))
+        kept = controlled(reach.of_rows(part.rows, states, guess.force_density, guess.duration, end), least)
+        missing = part.count - len(kept)
+        if not missing:
+            return part
+        x = ca.SX.sym("x", len(target.start))
+        rows = ca.Function("goal", [x], [ca.mtimes(ca.DM(kept), part.rows(x))], ["x"], ["rows"])
+        combined = part.combined._replace(combinations=kept @ part.combined.combinations)
+        return replace(part, rows=rows, repeated={**part.repeated, "out of control": missing}, combined=combined)
+
+    stops = tuple(stop._replace(target=reduced(stop.target, stop.share)) for stop in target.stops)
+    return replace(reduced(target, 1.0), stops=stops)
+
+
+def _rows(target: Target) -> int:
+    """Rows that are imposed at the end and on the way."""
+    return target.count + sum(stop.target.count for stop in target.stops)
 
 
 def _loosened(problem: Problem, guess: Guess) -> Guess:
@@ -100,9 +132,11 @@ def _loosened(problem: Problem, guess: Guess) -> Guess:
     return replace(guess, force_density=np.clip(guess.force_density + LOOSENING * strength * change, lower, upper))
 
 
-def _attempt(problem: Problem, transcription: OnGrid, solver: Solver, target: Target, scales: Scales, guess: Guess) -> _Outcome:
+def _attempt(
+    problem: Problem, transcription: OnGrid, solver: Solver, target: Target, scales: Scales, guess: Guess, duals: Duals | None = None
+) -> _Outcome:
     program = transcription.program(problem, target, scales, guess)
-    solution = solver.solve(program)
+    solution = solver.solve(program if duals is None else started(program, target, duals))
     states, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
     lower, upper = problem.force_density_limits
     # Interior-point methods overstep limits by their tolerance.
@@ -110,55 +144,68 @@ def _attempt(problem: Problem, transcription: OnGrid, solver: Solver, target: Ta
     return _Outcome(program, solution, Guess(states.T, np.clip(controls.T, lower, upper), float(duration)))
 
 
-def _misfit(target: Target, state: Array) -> tuple[float, float]:
-    """The largest distance from a goal, m, and the largest difference of speed, m/s."""
-    metres, speeds = (np.abs(np.asarray(value.full())) for value in target.misfit(state))
-    return float(metres.max(initial=0.0)), float(speeds.max(initial=0.0))
+def _planned(problem: Problem, transcription: OnGrid, found: Guess) -> Callable[[float], Array]:
+    """The planned state (nx,) at a share of the duration, as waypoints see it."""
+
+    def state_at(share: float) -> Array:
+        k, part = within(transcription.fractions, share)
+        before, after = found.states[k : k + 2]
+        h = found.duration * transcription.fractions[k]
+        return after if part == 1.0 else np.asarray(cubic(ca.DM(before), ca.DM(after), h, part, problem.model.nq).full()).ravel()
+
+    return state_at
 
 
-def _met(target: Target, guess: Guess, scales: Scales) -> bool:
-    metres, speeds = _misfit(target, guess.states[-1])
-    return metres <= MET * scales.length + target.adjusted and speeds <= MET * scales.length / scales.time
+def _met(target: Target, state_at: Callable[[float], Array]) -> bool:
+    """Whether the rows of all goals vanish, also those that were not imposed; how well bars and momenta are kept is not asked."""
+    for share, part in [(1.0, target), *((stop.share, stop.target) for stop in target.stops)]:
+        residual = np.asarray(part.rows(state_at(share)).full()).ravel()
+        if len(residual) and np.abs(np.linalg.lstsq(part.combined.combinations, residual)[0]).max() > MET:
+            return False
+    return True
 
 
-def _plan(
-    problem: Problem,
-    transcription: OnGrid,
-    target: Target,
-    imposed: Target,
-    reach: Reach,
-    outcome: _Outcome,
-    scales: Scales,
-    seconds: float,
-) -> Plan:
+def _plan(problem: Problem, transcription: OnGrid, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, tolerance: float) -> Plan:
     program, solution, found = outcome
     model = problem.model
     grid = found.duration * np.append(0.0, np.cumsum(transcription.fractions))
     grid[-1] = found.duration
-    held = replace(found, force_density=held_values(found.force_density, transcription.count))
-    success = solution.success and _met(target, found, scales)
     cost = ca.Function("cost", [program.problem["x"]], [program.problem["f"]])(solution.w)
     plan = Plan(
-        success=success,
+        success=False,
         status=solution.status,
         message="",
         objective=float(cost) * program.objective,
         iterations=solution.iterations,
-        seconds=seconds,
+        seconds=0.0,
         time=grid,
         force_density=found.force_density,
-        trajectory=_trajectory(problem, grid, found, seconds, success),
+        trajectory=_trajectory(problem, grid, found, solution.success),
         replay_error=np.nan,
         replay_speed_error=np.nan,
         structure=model.scene.structure,
         model=model,
+        duals=duals_of(program, imposed, solution.w, *solution.multipliers) if solution.success and solution.multipliers else None,
+        problem=problem,
     )
     error, speed_error = _replay_errors(plan, target)
-    verdict = f"found after {solution.iterations} iterations" if success else explain_failure(target, imposed, reach, program, solution, held)
-    message = f"{verdict}; {imposed.describe()}; its replay ends {error:.2g} m and {speed_error:.2g} m/s from the goal"
-    if success and not (error <= COARSE * scales.length and speed_error <= COARSE * scales.length / scales.time):
-        message += ", as the intervals are too long for this motion: give more of them, or substeps"
-    return replace(plan, message=message, replay_error=error, replay_speed_error=speed_error)
+    plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
+    state_at, success = _planned(problem, transcription, found), False
+    of_goals = misses(target, state_at)
+    if not solution.success:
+        held = replace(found, force_density=held_values(found.force_density, transcription.count))
+        verdict = explain_failure(of_goals, imposed, reach, program, solution, held)
+    elif not _met(target, state_at):
+        verdict = f"no plan: {of_goals.worst()}, and no string moves it there to first order: give a goal that the motion passes"
+    elif not plan.worst_error <= tolerance:
+        verdict = (
+            f"too coarse: a plan was found after {solution.iterations} iterations, but its replay misses the goal by more than {tolerance:.2g} m "
+            f"(or {tolerance:.2g} m per duration): give more intervals, or substeps, or plan.refine({tolerance:.2g})"
+        )
+    else:
+        success, verdict = True, f"found after {solution.iterations} iterations"
+    ends = f"its replay ends {error:.2g} m and {speed_error:.2g} m/s from the goal" if np.isfinite(error) else "its replay diverges"
+    return replace(plan, success=success, message=f"{verdict}; {imposed.describe()}; {ends}")
 
 
 def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:
@@ -168,20 +215,19 @@ def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:
     replayed = plan.replay()
     if not replayed.success:
         return np.nan, np.nan
-    metres, speeds = (np.asarray(value.full()) for value in target.misfit(replayed.states[-1]))
-    for share, stop, _ in target.stops:
-        state = np.array([np.interp(share * plan.time[-1], replayed.time, column) for column in replayed.states.T])
-        metres, speeds = (np.append(before, value.full()) for before, value in zip((metres, speeds), stop.misfit(state), strict=True))
-    if not metres.size:
-        metres = np.linalg.norm(replayed.nodes[-1] - plan.trajectory.nodes[-1], axis=1)
-    if not speeds.size:
-        speeds = np.linalg.norm(replayed.velocities[-1] - plan.trajectory.velocities[-1], axis=1)
-    return float(np.abs(metres).max()), float(np.abs(speeds).max())
+    times = replayed.time / replayed.time[-1]
+    missed = misses(target, lambda share: np.array([np.interp(share, times, column) for column in replayed.states.T]))
+    metres, speeds = ([amount for amount, _ in rows] for rows in missed)
+    if not metres:
+        metres = np.linalg.norm(replayed.nodes[-1] - plan.trajectory.nodes[-1], axis=1).tolist()
+    if not speeds:
+        speeds = np.linalg.norm(replayed.velocities[-1] - plan.trajectory.velocities[-1], axis=1).tolist()
+    return float(max(metres)), float(max(speeds))
 
 
-def _trajectory(problem: Problem, grid: Array, found: Guess, seconds: float, success: bool) -> Trajectory:
+def _trajectory(problem: Problem, grid: Array, found: Guess, success: bool) -> Trajectory:
     model = problem.model
     controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(grid)]
     message = "planned motion at the ends of the intervals"
     with np.errstate(all="ignore"):
-        return record(model, grid, found.states, controls, step=float(grid[1]), message=message, success=success, seconds=seconds)
+        return record(model, grid, found.states, controls, step=float(grid[1]), message=message, success=success)

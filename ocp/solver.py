@@ -19,17 +19,20 @@ HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi doe
 
 NEAR = 1e-6  # violation, scaled, below which iterates are judged by their objective
 FATROP_BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more problems
-WARM = {"warm_start_init_point": "yes", "mu_init": 1e-6, "warm_start_bound_push": 1e-8, "warm_start_mult_bound_push": 1e-8}
+PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-8 for push in PUSHES}}
+BARRIERS = 1e-6, 1e-9  # to start with where the multipliers are not known, and where they are
 
 
 class Solution(NamedTuple):
-    """w and whether it is optimal; status is the solver's own word; iterations and wall time, s."""
+    """w and whether it is optimal; status is the solver's own word; iterations; wall time, s; the multipliers of rows and of w's limits."""
 
     w: Array
     success: bool
     status: str
     iterations: int
     seconds: float
+    multipliers: tuple[Array, Array] | None = None
 
 
 class Progress(NamedTuple):
@@ -57,8 +60,8 @@ class Ipopt:
     max_iterations; tolerance: of scaled optimality and constraints; verbose: prints a line for each iteration; options: further IPOPT
     options, such as {"linear_solver": "spral"}, which override those chosen here. MUMPS runs without its own scaling, which triples its
     speed on these problems. seconds: wall time after which it stops, None: no limit. watch: called with a `Progress` after each iteration; when
-    it returns False the solver stops. warm: the guess is nearly a solution, such as another plan: keep to it. However it is stopped, also
-    from the keyboard, what is returned is the best iterate. Raises TypeError, ValueError.
+    it returns False the solver stops. warm: the guess is nearly a solution, such as another plan: keep to it, and to its multipliers, if grid and
+    constraints are the same. However it is stopped, also from the keyboard, what is returned is the best iterate. Raises TypeError, ValueError.
     """
 
     max_iterations: int = 300
@@ -87,7 +90,7 @@ class Ipopt:
             "mumps_scaling": 0,
             "mumps_permuting_scaling": 0,
             **({} if self.seconds is None else {"max_wall_time": self.seconds}),
-            **(WARM if self.warm else {}),
+            **({**WARM, "mu_init": BARRIERS[program.multipliers is not None]} if self.warm else {}),
             **self.options,
         }
         began = time.perf_counter()
@@ -111,13 +114,16 @@ class Ipopt:
                 raise
             reason = str(error).strip().splitlines()[-1].split(": ", 1)[-1]
             raise ValueError(f"Ipopt.options is {dict(self.options)}, and IPOPT says: {reason}. Give options that IPOPT has") from None
-        result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper)
+        known = {} if program.multipliers is None else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
+        result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper, **known)
         stats = solver.stats()
         w = np.asarray(result["x"].full()).ravel()
         success = bool(stats["success"])
         if not success and best.w is not None and (best.stopped or "Exceeded" in str(stats["return_status"])):
             w = best.w
-        return Solution(w, success, best.status or str(stats["return_status"]), int(stats["iter_count"]), time.perf_counter() - began)
+        multipliers = result["lam_g"].full().ravel(), result["lam_x"].full().ravel()
+        status = best.status or str(stats["return_status"])
+        return Solution(w, success, status, int(stats["iter_count"]), time.perf_counter() - began, multipliers)
 
 
 @dataclass(frozen=True)
@@ -171,7 +177,8 @@ class Fatrop:
         success = bool(stats["success"]) and bool(np.all(np.isfinite(w)))
         failure = "Maximum_Iterations_Exceeded" if stats["iter_count"] >= self.max_iterations else "Fatrop_Failed"
         status = "Solve_Succeeded" if success else failure
-        return Solution(w[parts.original], success, status, int(stats["iter_count"]), time.perf_counter() - began)
+        multipliers = result["lam_g"].full().ravel()[parts.rows], result["lam_x"].full().ravel()[parts.original]
+        return Solution(w[parts.original], success, status, int(stats["iter_count"]), time.perf_counter() - began, multipliers)
 
 
 class Best(ca.Callback):

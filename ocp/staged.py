@@ -19,7 +19,7 @@ class Staged:
     """nlp and its derivatives in the stages' order, with what Fatrop needs to know.
 
     Every unknown belongs to the stage in which it appears first; where a later stage needs it too, it is handed on from stage to
-    stage as a further state. states, controls, paths: how many each stage has. original: where w of the program stands.
+    stage as a further state. states, controls, paths: how many each stage has. original, rows: where w and g of the program stand.
     """
 
     nlp: ca.Function
@@ -33,6 +33,7 @@ class Staged:
     controls: list[int]
     paths: list[int]
     original: Indices
+    rows: Indices
 
 
 def staged(program: Program) -> Staged:
@@ -86,7 +87,9 @@ def staged(program: Program) -> Staged:
     original = np.array([place[v, int(home[v])] for v in range(len(home))], dtype=np.intp)
     controls = [len(order[k]) - states[k] for k in range(last + 1)]
     bounds = values[2] / values[1], values[3] / values[1]
-    return Staged(nlp, values[0] / values[1], *bounds, lower, upper, equality, states, controls, paths, original)
+    source = np.array([v for v, _ in entries], dtype=np.intp)
+    row_places = np.argsort(permutation)[: len(program.lower)]
+    return Staged(nlp, program.first[source], *bounds, lower, upper, equality, states, controls, paths, original, row_places)
 
 
 class _Placed:

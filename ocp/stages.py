@@ -74,7 +74,7 @@ def _at_end(a: Layout, rows: StageRows, end: str) -> Block:
     function = ca.Function("bound", [ca.vertcat(x, c, T, part)], [rows.function(x, a.gamma(c, share), T * part)])
     index = np.hstack([a.states[at_end], a.interval_controls, a.repeated(a.duration), a.time[at_end]])
     names = tuple(f"{name}, {end} of interval {k}" for k in range(a.count) for name in rows.names)
-    return Block(function, index, names, rows.lower, rows.upper)
+    return Block(function, index, names, rows.lower, rows.upper, rows.scale)
 
 
 def _at_corners(a: Layout, rows: StageRows) -> Block:
@@ -84,7 +84,7 @@ def _at_corners(a: Layout, rows: StageRows) -> Block:
     own, duration = a.interval_controls, a.repeated(a.duration, a.count - 1)
     index = np.hstack([a.states[:-2], own[:-1], a.states[1:-1], own[1:], duration, a.share[:-1]])
     names = tuple(f"{name}, end of interval {k}" for k in range(a.count - 1) for name in rows.names)
-    return Block(ca.Function("corner", [ca.vertcat(x, c, y, d, T, part)], [value]), index, names, rows.lower, rows.upper)
+    return Block(ca.Function("corner", [ca.vertcat(x, c, y, d, T, part)], [value]), index, names, rows.lower, rows.upper, rows.scale)
 
 
 def _cost(a: Layout, cost: Cost) -> Block:

@@ -50,7 +50,7 @@ class Target:
     start: x₀ (nx,) on the constraints. state: the nearest state (nx,) that meets the goals, or None without goals. rows: Function
     x → independent rows, zero at the goal. misfit: Function x → (metres, metres per second), the distance from the goals in each of
     `names` (first those in metres). given: rows of the goals; repeated: rows left out, by what repeats them; shape: rows added
-    because string lengths are singular at the target. stops: what is to be met on the way.
+    because string lengths are singular at the target. combined: what `rows` consist of. stops: what is to be met on the way.
     """
 
     start: Array
@@ -62,6 +62,7 @@ class Target:
     repeated: dict[str, int]
     shape: int
     adjusted: float
+    combined: Combined
     stops: tuple[Stop, ...] = ()
 
     @property
@@ -72,11 +73,20 @@ class Target:
     def describe(self) -> str:
         """The count of rows, such as "36 → 21 rows: 6 bar, 9 momentum"."""
         if not self.given:
-            return "no goals"
+            return "; ".join(stop.label + stop.target.describe() for stop in self.stops) or "no goals"
         text = f"{self.given} → {self.count} rows"
         parts = [f"{count} {kind}" for kind, count in self.repeated.items()] + ([f"{self.shape} added for the shape"] if self.shape else [])
         text += ": " + ", ".join(parts) if parts else ""
-        return text + (f"; goals adjusted by {self.adjusted:.1e} m to fit the bars" if self.adjusted else "")
+        text += f"; goals adjusted by {self.adjusted:.1e} m to fit the bars" if self.adjusted else ""
+        return "; ".join([text, *(stop.label + stop.target.describe() for stop in self.stops)])
+
+
+class Combined(NamedTuple):
+    """Combinations (count, m) of m named rows, of which each is divided by its size (m,): m, m/s, or 1 of what was added for the shape."""
+
+    combinations: Array
+    names: tuple[str, ...]
+    sizes: Array
 
 
 class Stop(NamedTuple):
@@ -85,6 +95,11 @@ class Stop(NamedTuple):
     share: float
     target: Target
     positions: int  # entries of the state before its velocities
+
+    @property
+    def label(self) -> str:
+        """What the names of its goals begin with."""
+        return f"waypoint at {self.share:.3g} of the duration, "
 
 
 def find_target(problem: Problem, scales: Scales) -> Target:
@@ -105,8 +120,8 @@ def _end(problem: Problem, scales: Scales) -> Target:
     finder = _Finder(problem, start, scales)
     if not finder.names:
         x = ca.SX.sym("x", model.nx)
-        empty = ca.SX(0, 1)
-        return Target(start, None, ca.Function("goal", [x], [empty]), ca.Function("misfit", [x], [empty, empty]), (), 0, {}, 0, 0.0)
+        empty, none = ca.SX(0, 1), Combined(np.zeros((0, 0)), (), np.zeros(0))
+        return Target(start, None, ca.Function("goal", [x], [empty]), ca.Function("misfit", [x], [empty, empty]), (), 0, {}, 0, 0.0, none)
     y, adjusted = finder.solve()
     return finder.reduced(y, adjusted)
 
@@ -214,7 +229,10 @@ class _Finder:
         misfit = ca.Function("misfit", [self.x], [ca.vertcat(self.lengths, distances), self.speeds], ["x"], ["metres", "speeds"])
         count = self.lengths.shape[0]
         names = (*self.names[:count], *(f"distance of nodes {a} and {b}" for a, b in self._pairs(distances.shape[0])), *self.names[count:])
-        return Target(self.start, y[:-1], rows, misfit, names, len(self.names), reduction.repeated, int(shape.shape[0]), adjusted)
+        added = int(shape.shape[0])
+        row_names = (*self.names, *(f"shape, combination {k}" for k in range(added)))
+        combined = Combined(reduction.combinations, row_names, np.append(self.goal.row_scale, np.ones(added)))
+        return Target(self.start, y[:-1], rows, misfit, names, len(self.names), reduction.repeated, added, adjusted, combined)
 
     def _shape_rows(self, y: Array, directions: Array) -> tuple[Any, Any]:
         """Rows that feel `directions` and no rigid motion, combinations of squared distances of nodes; and all distances. Both minus the target's."""

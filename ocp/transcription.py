@@ -117,7 +117,7 @@ class MultipleShooting(OnGrid):
             end = self.step(model)(x, a.gamma(c, 0.0), duration * share)
         gap = unrolled(model, ca.Function("gap", [z], [(after - end) / ca.DM(a.scales.state)]))
         index = np.hstack([a.states[:-1], a.interval_controls, a.states[1:], a.repeated(a.duration), a.share])
-        a.rows.append(Block(gap, index, interval_names(a.count, state_names(model)), closes=a.states[1:]))
+        a.rows.append(Block(gap, index, interval_names(a.count, state_names(model)), scale=a.scales.state, closes=a.states[1:]))
         return a.finish()
 
 

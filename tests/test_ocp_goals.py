@@ -65,7 +65,10 @@ def test_waypoints_count_in_the_replay_error():
 
 
 def test_a_missed_waypoint_is_named():
-    plan = planned(ocp.Waypoint([ocp.Shape(prism(1.3).nodes), ocp.AtRest()], share=0.1), intervals=10, bounds=[ocp.ForceDensityLimits(5.0, 12.0)])
+    asked = ocp.Waypoint([ocp.Shape(prism(1.3).nodes), ocp.AtRest()], share=0.1)
+    with pytest.raises(ValueError, match=r"intervals is 10: waypoint at 0.1 .* 9 force densities in each of the 1 .* 18 rows .* at least 20"):
+        planned(asked, intervals=10)
+    plan = planned(asked, intervals=20, bounds=[ocp.ForceDensityLimits(5.0, 12.0)])
     assert not plan.success
     assert plan.message.startswith("no plan: ")
     assert plan.replay_error > 0.01 or np.isnan(plan.replay_error)

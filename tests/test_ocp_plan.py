@@ -295,11 +295,18 @@ def test_a_goal_that_external_forces_keep_away_is_said():
     assert found.replay_speed_error == pytest.approx(1.0, abs=0.05)  # 3 N on 3 kg for 1 s
 
 
-def test_coarse_plans_are_remarked_upon():
+def test_plans_whose_replay_misses_the_tolerance_are_no_success(plan):
     found = raised(8, bounds=[ocp.ForceDensityLimits(30.0, 400.0)])
-    assert found.success
-    assert found.replay_error > 1e-3
-    assert "intervals are too long" in found.message
+    assert found.status == "Solve_Succeeded"
+    assert not found.success
+    assert found.replay_error > 1e-2
+    assert found.message.startswith("too coarse: a plan was found after ")
+    assert "plan.refine(" in found.message
+    problem, allowed = ocp.Problem(driven(prism(1.0)), **asked()), plan.worst_error
+    for tolerance, met in ((1.01 * allowed, True), (0.99 * allowed, False)):
+        assert ocp.solve(problem, ocp.MultipleShooting(12), tolerance=tolerance).success is met
+    with pytest.raises(ValueError, match="tolerance"):
+        ocp.solve(problem, tolerance=0.0)
 
 
 # --- files ---

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,35 +33,57 @@ def coarse():
 
 def test_a_refined_plan_meets_its_tolerance(coarse):
     assert coarse.replay_error > 1e-5
-    fine = ocp.refine(problem(), 1e-6, ocp.MultipleShooting(8), plan=coarse)
+    fine = coarse.refine(1e-6)
     assert fine.success
     assert fine.replay_error <= 1e-6
     assert fine.replay_speed_error <= 1e-6
     assert np.diff(fine.time).max() > 1.5 * np.diff(fine.time).min()  # cut where it is needed
-    assert defects(fine).max() < 1e-2 * defects(coarse).max()
+    gaps = [defects(plan.model, plan.time, plan.trajectory.states, plan.force_density).max() for plan in (fine, coarse)]
+    assert gaps[0] < 1e-2 * gaps[1]
 
 
 def test_a_good_plan_is_left_alone(coarse):
-    again = ocp.refine(problem(), 1e-2, ocp.MultipleShooting(8), plan=coarse)
-    assert len(again.time) == 9
+    assert coarse.refine(1e-2) is coarse
 
 
-def test_a_tolerance_that_is_not_met_is_said():
-    plan = ocp.refine(problem(), 1e-12, ocp.MultipleShooting(6), attempts=2)
-    assert "the tolerance of 1e-12 m was not met in 2 attempts" in plan.message
+def test_a_plan_that_is_too_coarse_is_refined():
+    rough = ocp.solve(problem(), ocp.MultipleShooting(3))
+    assert not rough.success
+    assert rough.refine(1e-4).success
 
 
-@pytest.mark.parametrize("arguments", [(1.0,), (0.0,), (1e-3, 8)])
-def test_bad_arguments_of_refine(arguments):
-    with pytest.raises((TypeError, ValueError), match=r"problem|tolerance|transcription"):
-        ocp.refine(MODEL if arguments == (1.0,) else problem(), *arguments)
+def test_a_tolerance_that_is_not_met_is_said(coarse):
+    plan = coarse.refine(1e-12, attempts=1)
+    assert not plan.success
+    assert "the tolerance of 1e-12 m was not met in 1 attempts" in plan.message
+
+
+def test_what_was_not_found_is_not_refined():
+    plan = ocp.solve(problem(), ocp.MultipleShooting(8), ocp.Ipopt(max_iterations=2))
+    assert plan.refine(1e-4) is plan
+
+
+@pytest.mark.parametrize("arguments", [(0.0,), ("fine",), (1e-3, 0)])
+def test_bad_arguments_of_refine(coarse, arguments):
+    with pytest.raises((TypeError, ValueError), match=r"tolerance|attempts"):
+        coarse.refine(*arguments)
+
+
+def test_a_loaded_plan_reports_of_its_problem_and_is_refined_as_a_guess(coarse, tmp_path):
+    path = coarse.save(tmp_path / "plan.npz")
+    loaded = ocp.Plan.load(path)
+    with pytest.raises(ValueError, match=r"Plan.load\(path, problem=...\)"):
+        loaded.report()
+    with pytest.raises(ValueError, match="guess=plan"):
+        loaded.refine(1e-6)
+    assert str(ocp.Plan.load(path, problem()).report()) == str(coarse.report())
 
 
 def test_a_report_names_what_holds_the_plan():
     most = 13.0
     asked = problem(ocp.TensionLimits(upper=most))
     plan = ocp.solve(asked, ocp.MultipleShooting(16))
-    found = ocp.report(plan, asked)
+    found = plan.report()
     assert plan.success
     assert ("force density of string 0", "lower") in {(one.name, one.side) for one in found.active}
     assert not found.violated
@@ -70,7 +94,7 @@ def test_a_report_names_what_holds_the_plan():
 
 def test_a_report_names_what_the_replay_breaks(coarse):
     peak = coarse.replay().tension.max()
-    found = ocp.report(coarse, problem(ocp.TensionLimits(upper=0.9 * peak)))
+    found = replace(coarse, problem=problem(ocp.TensionLimits(upper=0.9 * peak))).report()
     worst = max(found.violated, key=lambda one: one.worst)
     assert worst.name.startswith("tension of string")
     assert worst.side == "upper"
