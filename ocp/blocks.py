@@ -63,7 +63,7 @@ class Unknowns:
         scale = exact(scale)
         self.names += names
         for column, value in zip(self._columns, (first, scale, lower, upper, stage), strict=True):
-            column.append(np.broadcast_to(np.asarray(value, dtype=float), (count,)))
+            column.append(np.zeros(count) + value)
         return np.arange(start, start + count)
 
     def constant(self, values: Any) -> Indices:
@@ -119,14 +119,13 @@ class Separable:
         scale = self._unknowns.column(1)
         row = 0
         for block in self._rows:
-            derivative = _derivative(block.function)
-            jacobian.add(block, derivative, self._z[id(block)], scale, first_row=row)
+            jacobian.add(block, self._z[id(block)], scale, first_row=row)
             size = block.rows * block.count
             multipliers = ca.reshape(lam_g[row : row + size], block.rows, block.count)
             hessian.add_second(block, self._z[id(block)], multipliers, scale)
             row += size
         for block in self._costs:
-            gradient.add(block, _derivative(block.function), self._z[id(block)], scale, factor=self._weight, transposed=True)
+            gradient.add(block, self._z[id(block)], scale, factor=self._weight, transposed=True)
             hessian.add_second(block, self._z[id(block)], ca.repmat(lam_f * self._weight, 1, block.count), scale)
         w, size = self.w, self.size
         slope = gradient.matrix(size, 1)
@@ -147,11 +146,11 @@ def _symbol(function: ca.Function) -> Any:
     return (ca.SX if function.is_a("SXFunction") else ca.MX).sym("z", function.size1_in(0))
 
 
-def _derivative(function: ca.Function) -> ca.Function:
-    """z → non-zeros of the Jacobian; its sparsity is that of the second output."""
+def _derivative(function: ca.Function) -> tuple[ca.Function, ca.Sparsity]:
+    """z → non-zeros of the Jacobian, and where they are."""
     z = _symbol(function)
     J = ca.jacobian(function(z), z)
-    return ca.Function("derivative", [z], [_nonzeros(J), ca.DM(J.sparsity(), 0)])
+    return ca.Function("derivative", [z], [_nonzeros(J)]), J.sparsity()
 
 
 def _nonzeros(matrix: Any) -> Any:
@@ -163,17 +162,17 @@ class _Entries:
 
     def __init__(self) -> None:
         self._values: list[Any] = []
+        self._factors: list[Array] = []
         self._rows: list[Indices] = []
         self._columns: list[Indices] = []
 
-    def add(
-        self, block: Block, derivative: ca.Function, z: Any, scale: Array, first_row: int = 0, factor: float = 1.0, transposed: bool = False
-    ) -> None:
+    def add(self, block: Block, z: Any, scale: Array, first_row: int = 0, factor: float = 1.0, transposed: bool = False) -> None:
         """The Jacobian of all instances of a block."""
-        local_row, local_column = (np.array(entries, dtype=np.intp) for entries in derivative.sparsity_out(1).get_triplet())
+        derivative, sparsity = _derivative(block.function)
+        local_row, local_column = (np.array(entries, dtype=np.intp) for entries in sparsity.get_triplet())
         if not len(local_row):
             return
-        values = derivative.map(block.count)(z)[0]
+        values = derivative.map(block.count)(z)
         column = block.index[:, local_column].ravel()
         row = (first_row + block.rows * np.arange(block.count)[:, None] + local_row).ravel()
         kept = np.flatnonzero(column >= 0)
@@ -205,7 +204,8 @@ class _Entries:
         chosen = position if kept is None else kept
         if not chosen.size:
             return
-        self._values.append(ca.vec(values)[position.tolist()] * ca.DM(factor))
+        self._values.append(ca.vec(values)[position.tolist()])
+        self._factors.append(factor)
         self._rows.append(places[0][chosen])
         self._columns.append(places[1][chosen])
 
@@ -213,7 +213,8 @@ class _Entries:
         """The matrix as an MX of its sparsity."""
         if not self._values:
             return ca.MX(rows, columns)
-        values, row, column = ca.vertcat(*self._values), np.concatenate(self._rows), np.concatenate(self._columns)
+        row, column, factors = (np.concatenate(parts) for parts in (self._rows, self._columns, self._factors))
+        values = ca.vertcat(*self._values) * ca.DM(factors)
         places, first, inverse = np.unique(column * rows + row, return_index=True, return_inverse=True)
         sparsity = ca.Sparsity.triplet(rows, columns, (places % rows).tolist(), (places // rows).tolist())
         if len(places) == values.shape[0]:

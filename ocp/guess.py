@@ -18,6 +18,7 @@ from tenscasadi.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.structure import Structure
 from tenscasadi.validate import Array
 
+ROUNDS = 20  # of an active-set method, which mostly needs five
 BLEND = 1e-3  # how much the reference force densities weigh against following the path, both in scaled units
 
 
@@ -120,20 +121,39 @@ def _inverse_dynamics(problem: Problem, states: Array, reference: Array, interva
     middle = (states[:-1] + states[1:]) / 2
     wanted = (states[1:, nq : 2 * nq] - states[:-1, nq : 2 * nq]) / interval
     lower, upper = problem.force_density_limits
-    result = np.empty_like(reference)
-    for k, (state, gamma) in enumerate(zip(middle, reference, strict=True)):
-        free, slope = (value.full() for value in linear(state, np.zeros(model.nu)))
-        size = max(float(np.linalg.norm(slope, 2)), 1e-300)
-        A = np.concatenate([slope / size, np.sqrt(BLEND) * np.eye(model.nu)])
-        b = np.concatenate([(wanted[k] - free.ravel()) / size, np.sqrt(BLEND) * gamma])
-        result[k] = _bounded_least_squares(A, b, lower, upper)
-    return result
+    count = len(middle)
+    free, slopes = (value.full().T for value in linear.map(count)(middle.T, np.zeros((model.nu, count))))
+    A = slopes.reshape(count, model.nu, nq).transpose(0, 2, 1)
+    size = np.maximum(np.linalg.norm(A, 2, axis=(1, 2)), 1e-300)[:, None]
+    A = np.concatenate([A / size[:, None], np.broadcast_to(np.sqrt(BLEND) * np.eye(model.nu), (count, model.nu, model.nu))], axis=1)
+    b = np.concatenate([(wanted - free) / size, np.sqrt(BLEND) * reference], axis=1)
+    return _bounded_least_squares(A, b, lower, upper)
 
 
 def _bounded_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
-    held = lower == upper  # lsq_linear wants room between its bounds
-    value = lower.copy()
-    if not held.all():
-        inner = scipy.optimize.lsq_linear(A[:, ~held], b - A[:, held] @ lower[held], (lower[~held], upper[~held]), method="bvls")
-        value[~held] = inner.x
-    return value
+    """x (n, m) with the least |A x − b| of each A (n, k, m), b (n, k), lower ≤ x ≤ upper.
+
+    All n at once by a primal-dual active-set method (Hintermüller, Ito, Kunisch, SIAM J. Optim. 2002, 13, 865), which may cycle: what it has not
+    settled is left to SciPy.
+    """
+    H, c = A.transpose(0, 2, 1) @ A, (A.transpose(0, 2, 1) @ b[:, :, None])[:, :, 0]
+    held = lower == upper
+    side = np.where(held, -1, np.zeros(c.shape))
+    x = np.zeros_like(c)
+    for _ in range(ROUNDS):
+        fixed = np.where(side < 0, lower, np.where(side > 0, upper, 0.0))
+        free = side == 0
+        masked = H * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(c.shape[1])
+        x = np.linalg.solve(masked, np.where(free, c - (H @ fixed[:, :, None])[:, :, 0], fixed)[:, :, None])[:, :, 0]
+        slope = (H @ x[:, :, None])[:, :, 0] - c
+        down, up = (x < lower) | ((side < 0) & (slope >= 0)) | held, (x > upper) | ((side > 0) & (slope <= 0))
+        before, side = side, np.where(down, -1, np.where(up & ~held, 1, 0))
+        open_ = np.any(before != side, axis=1)
+        if not open_.any():
+            return np.asarray(x)
+    loose = ~held  # lsq_linear wants room between its bounds
+    for k in np.flatnonzero(open_):
+        inner = scipy.optimize.lsq_linear(A[k][:, loose], b[k] - A[k][:, held] @ lower[held], (lower[loose], upper[loose]), method="bvls")
+        x[k] = lower
+        x[k, loose] = inner.x
+    return np.asarray(x)

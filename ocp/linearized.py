@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ocp.direct import Direct
 from ocp.instant import norms
 from ocp.invariants import invariants
 from tenscasadi.model import Model
@@ -18,50 +19,76 @@ _B = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
 class Motion:
-    """Runge-Kutta steps of order 4 over `count` intervals of `length` s, `substeps` in each; built once, evaluated along any controls."""
+    """Runge-Kutta steps of order 4 over `count` intervals, `substeps` in each; built once, evaluated along any controls."""
 
-    def __init__(self, model: Model, count: int, length: float, substeps: int = 1) -> None:
-        self.model, self.count, self._substeps, self._h = model, count, substeps, length / substeps
-        x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
+    def __init__(self, model: Model, count: int, substeps: int = 1) -> None:
+        self.model, self.count, self._substeps = model, count, substeps
+        x, u, h = (ca.MX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("h", 1)))
         stages: list[Any] = []
         points: list[Any] = []
         for row in _A:
-            points.append(x + sum((self._h * a * k for a, k in zip(row, stages, strict=True)), start=ca.MX(0)))
+            points.append(x + sum((h * a * k for a, k in zip(row, stages, strict=True) if a), start=ca.MX(0)))
             stages.append(model.ode(points[-1], u))
-        end = x + self._h * sum((b * k for b, k in zip(_B, stages, strict=True)), start=ca.MX(0))
-        one = ca.Function("step", [x, u], [end, ca.horzcat(*points)])
+        end = x + h * sum((b * k for b, k in zip(_B, stages, strict=True)), start=ca.MX(0))
+        one = ca.Function("step", [x, u, h], [end, ca.horzcat(*points)])
         self._run = one.mapaccum(count * substeps)
         kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
         sx, su = kind.sym("x", model.nx), kind.sym("u", model.nu)
         rate = model.ode(sx, su)
-        slopes = ca.Function("slopes", [sx, su], [ca.densify(ca.jacobian(rate, sx)), ca.densify(ca.jacobian(rate, su))], {"cse": True})
-        self._slopes = slopes.map(4 * count * substeps)
+        slopes = ca.jacobian(rate, ca.vertcat(sx, su))
+        self._row, self._column = (np.array(entries, dtype=np.intp) for entries in slopes.sparsity().get_triplet())
+        self._slopes = Direct(ca.Function("slopes", [sx, su], [ca.densify(rate), ca.vec(slopes.nz[:])]).map(4 * count * substeps))
 
-    def states(self, start: Array, controls: Array) -> tuple[Array, Array]:
-        """States (count + 1, nx) under controls (count, nu), and the points (count · substeps, 4, nx) where the derivative is taken."""
+    def states(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
+        """States (count + 1, nx) under controls (count, nu) in intervals of `length` s, and the points (count · substeps, 4, nx) where the
+        derivative is taken."""
         n = self._substeps
-        ends, points = (np.asarray(value.full()) for value in self._run(start, np.repeat(controls, n, axis=0).T))
+        ends, points = (np.asarray(value.full()) for value in self._run(start, np.repeat(controls, n, axis=0).T, length / n))
         return np.column_stack([start, ends[:, n - 1 :: n]]).T, points.T.reshape(-1, 4, self.model.nx)
 
-    def derivatives(self, points: Array, controls: Array) -> tuple[Array, Array]:
+    def derivatives(self, points: Array, controls: Array, length: float) -> tuple[Array, Array]:
         """∂x⁺/∂x (count, nx, nx) and ∂x⁺/∂u (count, nx, nu) of each interval, exact for the steps taken."""
-        nx, nu, n, h = self.model.nx, self.model.nu, self._substeps, self._h
-        held = np.repeat(controls, 4 * n, axis=0)
-        J, K = (np.asarray(value.full()) for value in self._slopes(points.reshape(-1, nx).T, held.T))
-        J = J.T.reshape(-1, 4, nx, nx).transpose(0, 1, 3, 2)
-        K = K.T.reshape(-1, 4, nu, nx).transpose(0, 1, 3, 2)
-        eye = np.broadcast_to(np.concatenate([np.eye(nx), np.zeros((nx, nu))], axis=1), (len(J), nx, nx + nu))
+        nx, nu, n, h = self.model.nx, self.model.nu, self._substeps, length / self._substeps
+        _, J = self._rates(points, controls)
+        eye = np.broadcast_to(np.eye(nx, nx + nu), (len(J), nx, nx + nu))
         stages: list[Array] = []
         for i, row in enumerate(_A):
             change = eye + h * sum((a * k for a, k in zip(row, stages, strict=True) if a), start=np.zeros_like(eye))
-            stage = J[:, i] @ change
-            stage[:, :, nx:] += K[:, i]
+            stage = J[:, i, :, :nx] @ change
+            stage[:, :, nx:] += J[:, i, :, nx:]
             stages.append(stage)
         step = eye + h * sum((b * k for b, k in zip(_B, stages, strict=True)), start=np.zeros_like(eye))
         A, B = step[0::n, :, :nx], step[0::n, :, nx:]
         for k in range(1, n):
             A, B = step[k::n, :, :nx] @ A, step[k::n, :, :nx] @ B + step[k::n, :, nx:]
         return A, B
+
+    def gradient(self, last: Array, points: Array, controls: Array, length: float, end: int) -> tuple[Array, Array]:
+        """Of rows with gradient `last` (m, nx) after `end` intervals: by the controls, (m, count, nu), and by the length of all intervals, (m,)."""
+        nx, n, h = self.model.nx, self._substeps, length / self._substeps
+        rates, J = self._rates(points, controls)
+        by_control = np.zeros((len(last), len(J), self.model.nu))
+        by_step = np.zeros(len(last))
+        for step in reversed(range(end * n)):
+            before = last
+            pulls = np.zeros((4, *last.shape))  # on the points
+            for i in reversed(range(4)):
+                later = sum((row[i] * pulls[j] for j, row in enumerate(_A) if i < len(row) and row[i]), start=_B[i] * last)
+                by_step += later @ rates[step, i]
+                pull = h * later @ J[step, i]
+                pulls[i] = pull[:, :nx]
+                by_control[:, step] += pull[:, nx:]
+                before = before + pulls[i]
+            last = before
+        return by_control.reshape(len(last), self.count, n, self.model.nu).sum(axis=2), by_step / n
+
+    def _rates(self, points: Array, controls: Array) -> tuple[Array, Array]:
+        """f (steps, 4, nx) and its derivative (steps, 4, nx, nx + nu) with respect to state and control."""
+        nx, width = self.model.nx, self.model.nx + self.model.nu
+        rates, entries = self._slopes(points, np.repeat(controls, 4 * self._substeps, axis=0))
+        J = np.zeros((len(rates), nx, width))
+        J[:, self._row, self._column] = entries
+        return rates.reshape(-1, 4, nx), J.reshape(-1, 4, nx, width)
 
 
 class Tangents:

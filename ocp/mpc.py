@@ -52,7 +52,7 @@ class Mpc:
         self._iterations = whole_number("iterations", iterations, 1)
         scales = Scales.of(problem)
         self._place = 0.01 * scales.length if place is None else positive_number("place", place)
-        self._motion = Motion(self.model, self.intervals, self.period, whole_number("substeps", substeps, 1))
+        self._motion = Motion(self.model, self.intervals, whole_number("substeps", substeps, 1))
         self._lower, self._upper = problem.force_density_limits
         self._output = departures(self.model, self._place, self._place * 10 / scales.time).map(self.intervals)
         self._plan = plan
@@ -86,11 +86,11 @@ class Mpc:
 
     def _improved(self, state: Array, gamma: Array, wanted: Array, held: Array, time: float) -> Array:
         """One quadratic program about the motion under `gamma` (intervals, α)."""
-        states, points = self._motion.states(state, gamma)
+        states, points = self._motion.states(state, gamma, self.period)
         if not np.all(np.isfinite(states)):
-            states, points = self._motion.states(state, held)
+            states, points = self._motion.states(state, held, self.period)
             gamma = held
-        A, B = self._motion.derivatives(points, gamma)
+        A, B = self._motion.derivatives(points, gamma, self.period)
         count, nu, nx = self.intervals, self.model.nu, self.model.nx
         reached, C = (np.asarray(value.full()) for value in self._output(states[1:].T))
         C = C.T.reshape(count, nx, -1).transpose(0, 2, 1)

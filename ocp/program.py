@@ -82,21 +82,23 @@ class Assembly:
         self.time = self.unknowns.constant(np.append(0.0, np.cumsum(fractions))[:, None])
         self.duration = self.unknowns.constant([problem.longest])
         self.rows: list[Block] = []
+        self._state_names = state_names(self.model)
+        members = [np.flatnonzero(column) for column in self.spread.T]
+        least, most = problem.force_density_limits
+        self._control_names = [f"force density of string{'s' * (len(own) > 1)} {', '.join(map(str, own))}" for own in members]
+        self._least, self._most = (np.array([choose(limit[own]) for own in members]) for choose, limit in ((np.max, least), (np.min, most)))
+        self._control_first = self.guess.force_density @ (self.spread / self.spread.sum(axis=0))
 
     # --- unknowns ---
 
     def add_control(self, k: int) -> None:
         """Force densities of interval k, or, where they are piecewise linear, at its start; k = K: at the end."""
-        least, most = self.problem.force_density_limits
-        members = [np.flatnonzero(column) for column in self.spread.T]
-        lower, upper = (np.array([choose(limit[own]) for own in members]) for choose, limit in ((np.max, least), (np.min, most)))
-        first = np.array([self.guess.force_density[k, own].mean() for own in members])
-        names = [f"force density of string{'s' * (len(own) > 1)} {', '.join(map(str, own))}, interval {k}" for own in members]
-        self.controls[k] = self.unknowns.add(names, first, self.strength, lower, upper, stage=k)
+        names = [f"{name}, interval {k}" for name in self._control_names]
+        self.controls[k] = self.unknowns.add(names, self._control_first[k], self.strength, self._least, self._most, k)
 
     def add_state(self, k: int, part: slice = slice(None)) -> None:
         """The state, or part of it, at the end of interval k − 1."""
-        names = [f"{name}, interval {k - 1}" for name in state_names(self.model)[part]]
+        names = [f"{name}, interval {k - 1}" for name in self._state_names[part]]
         self.states[k, part] = self.unknowns.add(names, self.guess.states[k, part], self.scales.state[part], stage=k)
 
     def add_duration(self) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
+from ocp.linearized import Motion
+from tenscasadi.model import Model
 from tenscasadi.validate import Array
 
 REACHED = 1e-5  # of the strongest direction: below it a row of the goal is not controlled to first order, or by errors of the scheme only
@@ -14,39 +14,25 @@ HARDLY_REACHED = 1e-9  # the same, for a second attempt
 
 
 class Reach:
-    """Sensitivities over `count` intervals of a step (x, u, h) → x_next; built once, evaluated along any controls."""
+    """Sensitivities of a motion to its controls over `count` intervals, in steps of Runge and Kutta."""
 
-    def __init__(self, step: ca.Function, count: int, free_duration: bool) -> None:
-        x, u, h = (ca.MX.sym(name, step.size1_in(k)) for k, name in enumerate(("x", "u", "h")))
-        end = step(x, u, h)
-        inputs = ca.vertcat(u, h) if free_duration else u
-        slopes = ca.Function("slopes", [x, u, h], [ca.densify(ca.jacobian(end, x)), ca.densify(ca.jacobian(end, inputs))])
-        self._count, self._nu = count, step.size1_in(1)
-        self._chain, self._slopes = step.mapaccum(count), slopes.map(count)
-        self._free_duration = free_duration
+    def __init__(self, model: Model, count: int, free_duration: bool, substeps: int = 1) -> None:
+        self._motion, self._free_duration = Motion(model, count, substeps), free_duration
 
     def rollout(self, start: Array, controls: Array, duration: float) -> Array:
         """States (count + 1, nx) of the motion under controls (count, nu)."""
-        states = self._chain(start, controls.T, np.full((1, self._count), duration / self._count))
-        return np.column_stack([start, np.asarray(states.full())]).T
+        return self._motion.states(start, controls, duration / len(controls))[0]
 
-    def of_rows(self, rows: ca.Function, states: Array, controls: Array, duration: float, at: int | None = None) -> Array:
-        """Gradient (m, count·nu [+ 1]) of rows(x) at states[at] (None: the last) with respect to all controls (and the duration)."""
-        end = self._count if at is None else at
-        before = states[:-1].T
-        A, B = (np.asarray(value.full()) for value in self._slopes(before, controls.T, np.full((1, self._count), duration / self._count)))
-        nx, width = len(states[0]), B.shape[1] // self._count
-        x: Any = ca.SX.sym("x", nx)
-        M = np.asarray(ca.Function("gradient", [x], [ca.densify(ca.jacobian(rows(x), x))])(states[end]).full())
-        later, last = np.zeros((len(M), self._nu)), np.zeros((len(M), 1))
-        columns = [later] * (self._count - end)
-        for k in reversed(range(end)):
-            effect = M @ B[:, k * width : (k + 1) * width]
-            columns.append(effect[:, : self._nu])
-            if self._free_duration:
-                last += effect[:, self._nu :] / self._count
-            M = M @ A[:, k * nx : (k + 1) * nx]
-        return np.concatenate([*columns[::-1], last][: self._count + self._free_duration], axis=1)
+    def of_rows(self, rows: ca.Function, start: Array, controls: Array, duration: float, at: int | None = None) -> Array:
+        """Gradient (m, count·nu [+ 1]) of rows(x) after `at` intervals (None: all) from `start` with respect to all controls (and the duration)."""
+        count, length = len(controls), duration / len(controls)
+        end = count if at is None else at
+        states, points = self._motion.states(start, controls, length)
+        x = ca.MX.sym("x", len(start))
+        last = np.asarray(ca.Function("last", [x], [ca.densify(ca.jacobian(rows(x), x))])(states[end]).full())
+        by_control, by_length = self._motion.gradient(last, points, controls, length, end)
+        parts = [by_control.reshape(len(last), controls.size), by_length[:, None] / count]
+        return np.concatenate(parts[: 1 + self._free_duration], axis=1)
 
 
 def controlled(sensitivity: Array, least: float = REACHED) -> Array:

@@ -14,6 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ocp.direct import Direct
 from tenscasadi.validate import Array
 
 RANK = 1e-3  # smallest singular value, relative to rows of norm one, that counts: below it a row has two solutions closer than a plan resolves
@@ -25,7 +26,7 @@ class RowFunction:
     def __init__(self, y: Any, value: Any, row_scale: Array, scale: Array) -> None:
         self.row_scale, self.scale = row_scale, scale
         scaled = value / ca.DM(row_scale)
-        self._function = ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))])
+        self._function = Direct(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
         weight = ca.SX.sym("w", value.shape[0])
         gradient = ca.gradient(ca.dot(weight, scaled), y)
         self._curvature = ca.Function("curvature", [y, weight], [ca.jacobian(gradient, y)])
@@ -33,7 +34,7 @@ class RowFunction:
     def __call__(self, y: Array) -> tuple[Array, Array]:
         """Scaled rows (m,) and their gradient (m, ny) in scaled unknowns."""
         value, gradient = self._function(y)
-        return value.full().ravel(), gradient.full() * self.scale
+        return value.ravel(), gradient.T * self.scale
 
     def curvature(self, y: Array, weight: Array) -> Array:
         """Second derivative (ny, ny) of weightᵀ rows in scaled unknowns."""

@@ -66,7 +66,7 @@ def solve(
     target = find_target(problem, scales)
     _check_freedom(problem, target, transcription)
     first = guess_of(guess, problem, target, transcription.count)
-    reach = Reach(transcription.step(problem.model), transcription.count, problem.shortest < problem.longest)
+    reach = Reach(problem.model, transcription.count, problem.shortest < problem.longest)
     imposed = _controlled(target, reach, first)
     outcome = _attempt(problem, transcription, solver, imposed, scales, first, guess.duals if isinstance(guess, Plan) else None)
     if _rows(imposed) < _rows(target) and not (outcome.solution.success and _met(target, _planned(problem, transcription, outcome.guess))):
@@ -106,7 +106,7 @@ def _controlled(target: Target, reach: Reach, guess: Guess, least: float = REACH
 
     def reduced(part: Target, share: float) -> Target:
         end = max(1, round(share * (len(states) - 1)))
-        kept = controlled(reach.of_rows(part.rows, states, guess.force_density, guess.duration, end), least)
+        kept = controlled(reach.of_rows(part.rows, target.start, guess.force_density, guess.duration, end), least)
         missing = part.count - len(kept)
         if not missing:
             return part

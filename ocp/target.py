@@ -225,7 +225,9 @@ class _Finder:
             H, groups = H[:, :-1], [(kind, A[:, :-1]) for kind, A in groups]
         reduction: Reduction = reduce_rows(H, groups)
         scaled = ca.vertcat(self.value / ca.DM(self.goal.row_scale), shape) - ca.DM(values)
-        rows = ca.Function("goal", [self.x], [ca.mtimes(ca.DM(reduction.combinations), scaled)], ["x"], ["rows"])
+        # the combinations are dense: kept apart from the rows, whose derivatives are sparse
+        single, x = ca.Function("single", [self.x], [scaled]), ca.MX.sym("x", self.problem.model.nx)
+        rows = ca.Function("goal", [x], [ca.mtimes(ca.DM(reduction.combinations), single(x))], ["x"], ["rows"])
         misfit = ca.Function("misfit", [self.x], [ca.vertcat(self.lengths, distances), self.speeds], ["x"], ["metres", "speeds"])
         count = self.lengths.shape[0]
         names = (*self.names[:count], *(f"distance of nodes {a} and {b}" for a, b in self._pairs(distances.shape[0])), *self.names[count:])

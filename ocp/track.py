@@ -72,9 +72,9 @@ def track(
     limits = [per_item(name, np.nan_to_num(np.asarray(value, dtype=float), posinf=1e30), model.nu, "string") for name, value in given.items()]
     time = np.linspace(0.0, T, count + 1)
     gamma = at(plan.force_density, plan.time, (time[:-1] + time[1:]) / 2)
-    motion = Motion(model, count, T / count, 2)
-    states, points = motion.states(plan.trajectory.states[0], gamma)
-    A, B = motion.derivatives(points, gamma)
+    motion = Motion(model, count, 2)
+    states, points = motion.states(plan.trajectory.states[0], gamma, T / count)
+    A, B = motion.derivatives(points, gamma, T / count)
     kept = departures(model, size, 10 * size / T)
     tangents = Tangents(model, states[0])
     Z = [tangents(x) for x in states]

@@ -35,9 +35,6 @@ class Transcription(Protocol):
     def control(self) -> Profile:
         """How force densities run over the intervals."""
 
-    def step(self, model: Model) -> ca.Function:
-        """The motion over one interval of length h, at least nearly: Function (x, u, h) → x_next."""
-
     def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
         """The nonlinear program, scaled about the guess."""
 
@@ -64,10 +61,6 @@ class OnGrid:
         """The share of the duration that each interval takes."""
         return fractions(self.intervals)
 
-    def step(self, model: Model) -> ca.Function:
-        """The motion over one interval of length h, nearly, by one step of RK4: Function (x, u, h) → x_next."""
-        return shooting_step(model, RungeKutta4(), 1)
-
     def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
         """The nonlinear program, scaled about the guess."""
         raise NotImplementedError
@@ -93,10 +86,6 @@ class MultipleShooting(OnGrid):
         whole_number("MultipleShooting.substeps", self.substeps, 1)
         check_scheme(self.scheme)
 
-    def step(self, model: Model) -> ca.Function:
-        """The motion over one interval of length h: Function (x, u, h) → x_next."""
-        return shooting_step(model, self.scheme, self.substeps)
-
     def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
         """The nonlinear program, scaled about the guess."""
         a = self.assembly(problem, target, scales, guess)
@@ -114,7 +103,7 @@ class MultipleShooting(OnGrid):
         if self.control.linear:
             end = ramped_step(model, self.scheme, self.substeps)(x, a.gamma(c, 0.0), a.gamma(c, 1.0), duration * share)
         else:
-            end = self.step(model)(x, a.gamma(c, 0.0), duration * share)
+            end = shooting_step(model, self.scheme, self.substeps)(x, a.gamma(c, 0.0), duration * share)
         gap = unrolled(model, ca.Function("gap", [z], [(after - end) / ca.DM(a.scales.state)]))
         index = np.hstack([a.states[:-1], a.interval_controls, a.states[1:], a.repeated(a.duration), a.share])
         a.rows.append(Block(gap, index, interval_names(a.count, state_names(model)), scale=a.scales.state, closes=a.states[1:]))

@@ -59,9 +59,11 @@ class _Chain:
         self.nq, self.nx, self.bars = a.model.nq, a.model.nx, a.model.mechanism.bars
         self.lam: Indices = np.zeros((a.count + 1, self.bars), dtype=np.intp)
         # what is no unknown, unless asked for: velocities within, and the clock
-        self.hidden = [(k, i) for k in range(1, a.count + 1) for i in range(self.nq if k < a.count else 2 * self.nq, self.nx)]
-        for k, i in self.hidden:
-            a.states[k, i] = a.unknowns.constant([np.nan])[0]
+        hidden = np.zeros(a.states.shape, dtype=bool)
+        hidden[1:, self.nq :] = True
+        hidden[-1, self.nq : 2 * self.nq] = False
+        a.states[hidden] = a.unknowns.constant(np.full(int(hidden.sum()), np.nan))
+        self.hidden = hidden
         self._bar_forces = self._guessed()
         mass = float(a.model.structure.mass_matrix().sum())
         self._row_scale = mass * a.scales.length / a.count
@@ -88,12 +90,18 @@ class _Chain:
         m = own.shape[1]
         names = state_names(self.model)[:nq]
 
-        # first: v₀ is given. T² and shares instead of h: polynomial also where the duration is free
+        # First and last: v is given, at the end backwards in time. T² and shares instead of h: polynomial also where the duration is free.
         z, (q0, v, q1, c, lam, duration, share, passed) = parts(nq, nq, nq, m, self.bars, 1, 1, 1)
         force = self._force(q0, v, a.gamma(c, EARLY), lam, duration * passed)
         row = self._momentum((q1 - q0) / share - duration * v) - duration**2 * share / 2 * force
-        index = np.concatenate([q[0], a.states[0, nq : 2 * nq], q[1], own[0], self.lam[0], T, a.share[0], a.time[0]])[None]
-        result = [self._block("start", z, row, index, tuple(f"dynamics of interval 0, {name}" for name in names))]
+        backwards = own[-1].reshape(-1, a.controls.shape[1])[::-1].ravel()
+        ends = [
+            [q[0], a.states[0, nq : 2 * nq], q[1], own[0], self.lam[0], T, a.share[0], a.time[0]],
+            [q[-1], a.states[-1, nq : 2 * nq], q[-2], backwards, self.lam[-1], T, a.unknowns.constant([-a.fractions[-1]]), a.time[-1]],
+        ]
+        index = np.array([np.concatenate(end) for end in ends])
+        rows = tuple(f"dynamics of interval {k}, {name}{at}" for k, at in ((0, ""), (a.count - 1, " at its end")) for name in names)
+        result = [self._block("ends", z, row, index, rows)]
 
         if a.count > 1:
             z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = parts(nq, nq, nq, m, m, self.bars, 1, 1, 1, 1)
@@ -106,12 +114,6 @@ class _Chain:
             )
             rows = tuple(f"dynamics of interval {k}, {name}" for k in range(1, a.count) for name in names)
             result.append(self._block("middle", z, row, index, rows))
-
-        z, (q0, q1, v, c, lam, duration, share, passed) = parts(nq, nq, nq, m, self.bars, 1, 1, 1)
-        force = self._force(q1, v, a.gamma(c, LATE), lam, duration * passed)
-        row = self._momentum(duration * v - (q1 - q0) / share) - duration**2 * share / 2 * force
-        index = np.concatenate([q[-2], q[-1], a.states[-1, nq : 2 * nq], own[-1], self.lam[-1], T, a.share[-1], a.time[-1]])[None]
-        result.append(self._block("end", z, row, index, tuple(f"dynamics of interval {a.count - 1}, {name} at its end" for name in names)))
 
         if self.bars:
             result += self._lengths()
@@ -168,9 +170,8 @@ class _Chain:
         """Unknowns and rows for velocities within and the clock, where a block depends on them."""
         a, nq = self.a, self.nq
         blocks = []
-        hidden = np.array([a.states[k, i] for k, i in self.hidden], dtype=np.intp)
-        asked = needed(hidden) if len(hidden) else np.zeros(0, dtype=bool)
-        columns = np.array([i for _, i in self.hidden], dtype=np.intp)
+        asked = needed(a.states[self.hidden])
+        columns = np.nonzero(self.hidden)[1]
         if np.any(asked[columns < 2 * nq]) and a.count > 1:
             v = np.zeros((a.count - 1, nq), dtype=np.intp)
             scale, names = a.scales.state[nq : 2 * nq], state_names(self.model)[nq : 2 * nq]

@@ -37,13 +37,13 @@ TENSCASADI = (
     {"__main__"},
 )
 OCP = (
-    {"blocks", "checks", "duals", "grid", "instant", "momentum", "reach", "reduction"},
-    {"bounds", "costs", "goals", "refine", "search"},
-    {"expressions", "invariants", "places", "problem"},
+    {"blocks", "checks", "direct", "duals", "grid", "instant", "momentum"},
+    {"bounds", "costs", "goals", "reduction", "refine"},
+    {"expressions", "invariants", "places", "problem", "search"},
     {"report", "rerun", "target"},
     {"misses", "plan"},
     {"guess", "linearized", "path", "winding"},
-    {"closed_loop", "guesses", "mpc", "track"},
+    {"closed_loop", "guesses", "mpc", "reach", "track"},
     {"stages"},
     {"program"},
     {"multipliers", "transcription"},

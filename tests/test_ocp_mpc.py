@@ -112,19 +112,19 @@ def test_an_anchored_arm_is_held():
 
 def test_derivatives_of_the_motion_are_exact():
     rng = np.random.default_rng(0)
-    motion = Motion(MODEL, 3, 0.05, 2)
+    motion = Motion(MODEL, 3, 2)
     x, u = MODEL.initial_state + 0.01 * rng.normal(size=36), rng.uniform(1, 10, (3, 9))
-    states, points = motion.states(x, u)
-    A, B = motion.derivatives(points, u)
+    states, points = motion.states(x, u, 0.05)
+    A, B = motion.derivatives(points, u, 0.05)
     eps = 1e-6
     for k in range(3):
-        own = Motion(MODEL, 1, 0.05, 2)
+        own = Motion(MODEL, 1, 2)
         for column in (0, 20, 35):
             step = np.eye(36)[column] * eps
-            slope = (own.states(states[k] + step, u[k : k + 1])[0][1] - own.states(states[k] - step, u[k : k + 1])[0][1]) / (2 * eps)
+            slope = (own.states(states[k] + step, u[k : k + 1], 0.05)[0][1] - own.states(states[k] - step, u[k : k + 1], 0.05)[0][1]) / (2 * eps)
             assert A[k][:, column] == pytest.approx(slope, abs=1e-7)
         step = np.eye(9)[4] * eps
-        slope = (own.states(states[k], u[k : k + 1] + step)[0][1] - own.states(states[k], u[k : k + 1] - step)[0][1]) / (2 * eps)
+        slope = (own.states(states[k], u[k : k + 1] + step, 0.05)[0][1] - own.states(states[k], u[k : k + 1] - step, 0.05)[0][1]) / (2 * eps)
         assert B[k][:, 4] == pytest.approx(slope, abs=1e-7)
 
 

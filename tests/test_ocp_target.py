@@ -100,14 +100,13 @@ def test_invariants_are_all_that_the_strings_cannot_change(name):
     x = ca.SX.sym("x", model.nx)
     gradients = [ca.jacobian(group.value, x) for group in invariants(model, start, x, ca.SX(1.0))]
     intervals = 16
-    step = ocp.MultipleShooting(intervals, substeps=16).step(model)
-    reach = Reach(step, intervals, free_duration=False)
+    reach = Reach(model, intervals, free_duration=False, substeps=16)
     controls = np.random.default_rng(3).uniform(0, 10, size=(intervals, model.nu))
     states = reach.rollout(start, controls, 1.0)
     A = ca.Function("A", [x], [ca.vertcat(*gradients)])(states[-1]).full()
     free = null_space(A / np.linalg.norm(A, axis=1, keepdims=True))
     assert free.shape[1] == model.nx - count
-    sensitivity = reach.of_rows(ca.Function("state", [x], [x]), states, controls, 1.0)
+    sensitivity = reach.of_rows(ca.Function("state", [x], [x]), start, controls, 1.0)
     assert len(controlled(sensitivity)) == model.nx - count
     assert np.abs(A @ sensitivity).max() < 1e-4 * np.abs(A).max() * np.abs(sensitivity).max()
 
@@ -115,7 +114,7 @@ def test_invariants_are_all_that_the_strings_cannot_change(name):
 def test_sensitivities_agree_with_differences():
     model = driven(PRISM)
     intervals = 5
-    reach = Reach(ocp.MultipleShooting(intervals).step(model), intervals, free_duration=True)
+    reach = Reach(model, intervals, free_duration=True)
     controls = np.random.default_rng(4).uniform(1, 5, size=(intervals, 9))
     x = ca.SX.sym("x", model.nx)
     rows = ca.Function("rows", [x], [x[:7] ** 2])
@@ -123,7 +122,7 @@ def test_sensitivities_agree_with_differences():
     def end(controls, duration):
         return rows(reach.rollout(model.initial_state, controls, duration)[-1]).full().ravel()
 
-    exact = reach.of_rows(rows, reach.rollout(model.initial_state, controls, 0.5), controls, 0.5)
+    exact = reach.of_rows(rows, model.initial_state, controls, 0.5)
     change = np.random.default_rng(5).normal(size=controls.shape)
     e = 1e-5
     along = (end(controls + e * change, 0.5 + e) - end(controls - e * change, 0.5 - e)) / (2 * e)
