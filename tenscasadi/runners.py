@@ -107,7 +107,7 @@ class AdaptiveRunner:
     steps = 1
 
     def __init__(self, task: Task, function: ca.Function, scheme: EmbeddedRungeKutta, step: float) -> None:
-        self._scheme, self._step = scheme, step
+        self._scheme, self._step, self._calls = scheme, step, 0
         self._nx, self._nz = task.model.nx, function.size1_in(0)
         self._energy = energy_function(task.model) if task.jumps else None
         self._z, self._out = np.zeros(self._nz), np.zeros((1, task.model.nx + (task.power or task.jumps)))
@@ -134,6 +134,7 @@ class AdaptiveRunner:
         self._memory[_REST] = self._step
         for _ in range(0, self._scheme.max_attempts, ATTEMPTS):
             self._trigger()
+        self._calls += 1
             self._z[:], self._memory[:] = self._after
             if self._buffer.ret() or not np.all(np.isfinite(self._memory)):
                 raise StepFailure("the state is not finite, whatever the step: give a start that can move")
@@ -160,7 +161,7 @@ class AdaptiveRunner:
     def report(self, taken: int, step: float) -> Report:
         """See `Runner.report`."""
         m = Memory(*self._memory)
-        mean = taken * step / max(m.accepted, 1)
+        mean = (self._calls * self._step - m.rest) / m.accepted if m.accepted else step
         text = f"{m.accepted:.0f} steps of {mean:.3g} s in the mean, {m.rejected:.0f} more rejected"
         text += f", {m.located:.0f} to locate {m.events:.0f} events" if m.events else ""
         return Report(text, mean, round(m.accepted + m.rejected + m.located))

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import signal as signals
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
-from tenscasadi.correction import BarLengthCorrection, Correction, Projection, projection
+from tenscasadi.correction import BarLengthCorrection, Correction, Projection
 from tenscasadi.correction_effect import correction_effect
+from tenscasadi.diagnosis import cause, doubts, first_fault
 from tenscasadi.loop import Report, StepFailure
 from tenscasadi.model import Model
 from tenscasadi.precision import Compiled, Single
@@ -18,14 +24,10 @@ from tenscasadi.record import observe, record
 from tenscasadi.runners import Runner, Task, make_runner, own_steps
 from tenscasadi.schemes import RungeKutta4, Scheme, check_scheme
 from tenscasadi.signals import ControlInput, Signal, signal
-from tenscasadi.stability import fastest_rate, stable_step
 from tenscasadi.trajectory import Trajectory
 from tenscasadi.validate import Array, finite_array, instance, positive_number, whole_number
 
 _ROWS = 1000  # rows kept when save_every is None
-_BROKEN_BARS = 0.1  # relative length error at which a run has diverged
-_BEYOND = 1e12  # entries of a state above this are not physical in any unit
-_LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
 _LOOK_SECONDS = 0.5  # wall time between checks of the bar lengths
 
 
@@ -85,19 +87,19 @@ def simulate(
     # Rows after a fault overflow: they are cut below.
     with np.errstate(all="ignore"):
         observed = observe(model, states, controls)
-        parts = observed["energy"]
-        energy = parts.sum(axis=1)
+        energy = observed["energy"].sum(axis=1)
         supplied = run.rows[:, model.nx] if power or jumps else np.where(model.power is None and not inputs.varies, 0.0, np.nan)
         error = energy - energy[0] - supplied
-    good, fault = _first_fault(states, observed["bar_length_error"])
+    good, fault = first_fault(states, observed["bar_length_error"])
     if fault:
-        message = f"diverged between t = {run.time[good - 1]:g} and {run.time[good]:g} s: {fault}; {_cause(model, scheme, run, good - 1)}"
+        why = cause(model, scheme, run.step, run.time[[0, good - 1]], states[[0, good - 1]], controls[[0, good - 1]])
+        message = f"diverged between t = {run.time[good - 1]:g} and {run.time[good]:g} s: {fault}; {why}"
     elif run.failure:
         message = f"stopped after t = {run.time[-1]:g} s: {run.failure}"
     elif run.interrupted:
         message = f"interrupted from the keyboard, the last state kept is at t = {run.time[-1]:g} s"
     else:
-        message = f"finished {run.report.text}" + _energy_note(parts, error, observed["tension"], observed["nodes"])
+        message = f"finished {run.report.text}" + doubts(model, scheme, start, observed, error)
     told: tuple[Array, Array] | None = None
     if correction is not None:
         unknown = np.full(good, np.nan)
@@ -147,15 +149,18 @@ def _count(t_end: float, step: float) -> int:
 def _run(model: Model, runner: Runner, inputs: Signal, start: Array, t_end: float, every: int, progress: bool) -> _Run:
     """Calls `runner` until the end of the run or its failure; keeps each `every`-th state and the last."""
     n, h = inputs.steps, t_end / inputs.steps
-    kept = np.append(np.arange(0, n, every), n)
     z = start.copy()
-    rows, controls = np.empty((len(kept), len(z))), np.empty((len(kept), model.nu))
+    try:
+        kept = np.append(np.arange(0, n, every), n)
+        rows, controls = np.empty((len(kept), len(z))), np.empty((len(kept), model.nu))
+    except MemoryError:
+        raise ValueError(f"save_every is {every}: {n / every:.2g} rows do not fit into memory, give a larger save_every or a larger step") from None
     u = inputs.window(0, 1)
     rows[0], controls[0], count, interrupted = z, u[0], 1, False
     failure = ""
     began = looked = time.perf_counter()
     try:
-        with tqdm(total=n, unit=" steps", unit_scale=True, disable=not progress) as bar:
+        with _keyboard() as pressed, tqdm(total=n, unit=" steps", unit_scale=True, disable=not progress) as bar:
             for first in range(0, n, runner.steps):
                 if inputs.varies or first == 0:
                     u = np.concatenate([u[-1:], inputs.window(first + 1, runner.steps)])
@@ -172,10 +177,11 @@ def _run(model: Model, runner: Runner, inputs: Signal, start: Array, t_end: floa
                 if time.perf_counter() - looked > _LOOK_SECONDS:
                     looked = time.perf_counter()
                     newest = rows[[0, count - 1], : model.nx]
-                    if _first_fault(newest, observe(model, newest, controls[[0, count - 1]])["bar_length_error"])[1]:
+                    if first_fault(newest, observe(model, newest, controls[[0, count - 1]])["bar_length_error"])[1]:
                         break
     except StepFailure as error:
-        failure = str(error)
+        interrupted = bool(pressed)
+        failure = "" if pressed else str(error)
     except KeyboardInterrupt:
         interrupted = True
     report = runner.report(int(kept[count - 1]), h)
@@ -185,49 +191,21 @@ def _run(model: Model, runner: Runner, inputs: Signal, start: Array, t_end: floa
     return _Run(times, rows[:count], controls[:count], report, time.perf_counter() - began, interrupted, failure)
 
 
-def _first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
-    """How many rows are good, and what is wrong with the next; "" when all are good."""
-    faults = {
-        "the state is not finite": ~np.all(np.isfinite(states), axis=1),
-        "the state is beyond any physical size": np.any(np.abs(states) > _BEYOND, axis=1),
-        f"a bar is off by more than {_BROKEN_BARS:.0%} of its length": bar_length_error[:, 0] > _BROKEN_BARS + bar_length_error[0, 0],
-    }
-    bad = np.any(list(faults.values()), axis=0)
-    bad[0] = False  # the start is the caller's
-    if not bad.any():
-        return len(states), ""
-    row = int(np.argmax(bad))
-    return row, next(name for name, where in faults.items() if where[row])
+@contextmanager
+def _keyboard() -> Iterator[list[int]]:
+    """The signals of Ctrl-C that arrive meanwhile: CasADi's integrators make a failure of the KeyboardInterrupt that these raise."""
+    pressed: list[int] = []
+    usual = signals.getsignal(signals.SIGINT)
 
+    def note(number: int, frame: FrameType | None) -> None:
+        pressed.append(number)
+        usual(number, frame)  # type: ignore[operator,misc]  # callable: see below
 
-def _cause(model: Model, scheme: Scheme, run: _Run, last: int) -> str:
-    """Why a run diverged, as far as the start and the linearised motion tell, and what to do."""
-    start = run.rows[0, : model.nx]
-    moved = float(np.abs(projection(model)(start).full().ravel() - start).max(initial=0.0))
-    if moved > 1e-6 * np.abs(start).max(initial=0.0):
-        return f"the start is off the lengths of its bars or its joints, or about to leave them, by {moved:.2g}: start from projection(model)(state)"
-    if own_steps(scheme):
-        return f"the error of each step was kept, so the motion itself breaks down or was not resolved: try a smaller {type(scheme).__name__}(rtol)"
-    limits = []
-    for row in (0, last):  # the start first: a state that is about to break has limits of its own
-        x, u = run.rows[row, : model.nx], run.controls[row]
-        limits.append(stable_step(model, x, u, scheme, safety=1.0))
-        if run.step > limits[-1]:
-            return (
-                f"the step {run.step:g} s is above the stability limit {limits[-1]:.3g} s of {type(scheme).__name__} at t = {run.time[row]:g} s "
-                f"(fastest rate ω_max = {fastest_rate(model, x, u):.4g} rad/s): try step={0.9 * limits[-1]:.2g}"
-            )
-    return (
-        f"the step {run.step:g} s is below the stability limit {min(limits):.3g} s of the linearised motion, so accuracy was lost elsewhere "
-        f"(fast rotation, impact, bars drifting from their length): try step={run.step / 5:.2g} or correction=Projection()"
-    )
-
-
-def _energy_note(parts: Array, error: Array, tension: Array, nodes: Array) -> str:
-    """Says so when the energy balance shows that the motion is not to be trusted, as when a correction hides what the step destroys."""
-    scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
-    rounding = 1e-9 * float(np.abs(parts).max() + tension.sum(axis=1).max() * np.ptp(nodes))
-    largest = float(np.abs(error).max())
-    if not largest > max(_LOST_ENERGY * scale, rounding):  # NaN: not known
-        return ""
-    return f"; energy is off by {largest:.2g} J where {scale:.2g} J move: try a smaller step"
+    if not callable(usual) or threading.current_thread() is not threading.main_thread():
+        yield pressed
+        return
+    signals.signal(signals.SIGINT, note)
+    try:
+        yield pressed
+    finally:
+        signals.signal(signals.SIGINT, usual)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -182,8 +183,9 @@ class SundialsRunner:
                     parts.append(self._run(self._single, parts[-1][-1], u[k : k + 1]))
                 rows = np.vstack(parts[1:])
         except RuntimeError as error:
-            words = str(error).strip().splitlines()[-1]
-            raise StepFailure(f"{type(self._scheme).__name__} gave up: {words}: try a larger rtol, a smaller step or a larger max_steps") from None
+            found = re.search(r'(\w+) returned "(\w+)"', str(error))
+            words = f"{found[1]} returned {found[2]}" if found else str(error).strip().splitlines()[-1]
+            raise StepFailure(f"{type(self._scheme).__name__} gave up, {words}: try a larger rtol, a smaller step or a larger max_steps") from None
         rows = np.hstack([rows, np.full((self.steps, 1), z[-1])]) if self._extra else rows.copy()
         if self._project is not None:
             rows[-1, :nx] = self._project(rows[-1, :nx]).full().ravel()

@@ -29,6 +29,7 @@ TENSCASADI = (
     {"adaptive", "collocation", "export", "loop", "rattle", "stability"},
     {"correction_effect", "sundials"},
     {"runners"},
+    {"diagnosis"},
     {"simulate", "table"},
     {"mode_motion", "plots", "reference"},
     {"animation", "demos", "tradeoff"},

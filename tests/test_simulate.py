@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import _thread
 import importlib.util
+import re
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,12 +22,13 @@ from tenscasadi.loop import chunk_steps
 from tenscasadi.model import Model
 from tenscasadi.record import observe
 from tenscasadi.scene import Scene
-from tenscasadi.schemes import RungeKutta4
+from tenscasadi.schemes import DormandPrince54, RungeKutta4
 from tenscasadi.simulate import simulate
 from tenscasadi.stability import fastest_rate, stable_step
 from tenscasadi.strings import ForceDensity, RestLength
 from tenscasadi.structure import Structure
 
+from tenscasadi.sundials import Cvodes, Idas, SundialsRunner
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
 G = 9.81
 
@@ -341,6 +344,49 @@ def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell script")
 def test_with_a_broken_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("scheme", [Cvodes(1e-7), Idas(1e-7)])
+def test_the_keyboard_interrupts_integrators_of_casadi(monkeypatch: pytest.MonkeyPatch, scheme: Any) -> None:
+    """They tell of a failure where Python raises KeyboardInterrupt."""
+    model = prism(ForceDensity())
+    usual = signal.getsignal(signal.SIGINT)
+    original = SundialsRunner._run
+
+    def pressed(self: Any, *arguments: Any) -> Any:
+        rows = original(self, *arguments)
+        if calls.append(rows) is None and len(calls) == 3:
+            try:
+                _thread.interrupt_main()
+                rows = original(self, *arguments)
+            except KeyboardInterrupt:
+                raise RuntimeError('CVode returned "CV_RHSFUNC_FAIL"') from None
+        return rows
+
+    calls: list[Any] = []
+    monkeypatch.setattr(SundialsRunner, "_run", pressed)
+    run = simulate(model, 10.0, 1e-3, scheme)
+    assert run.interrupted
+    assert not run.success
+    assert run.message.startswith("interrupted from the keyboard")
+    assert run.time[-1] == pytest.approx(0.1)
+    assert signal.getsignal(signal.SIGINT) is usual
+
+
+def test_a_run_that_ends_in_its_first_step_has_a_summary() -> None:
+    model = Model(Scene(shapes.pendulum(), gravity=Gravity((0, 0, -G))))
+    for scheme in (DormandPrince54(1e-13, max_attempts=64), Cvodes(1e-13, max_steps=5)):
+        run = simulate(model, 1000.0, 500.0, scheme, compiled=False)
+        assert not run.success
+        assert len(run.time) == 1
+        assert run.step > 0
+        assert "0 … 0 s, 0 steps" in run.summary()
+        assert "casadi" not in run.message  # no path in the source of CasADi
+
+
+def test_rows_beyond_memory_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"save_every is 1: 1e\+12 rows do not fit"):
+        simulate(prism(), 1e9, 1e-3, save_every=1, compiled=False)
+
+
     broken = tmp_path / "brokencc"
     broken.write_text("#!/bin/sh\nexit 1\n")
     broken.chmod(0o700)
