@@ -15,6 +15,7 @@ import pytest
 from scipy.special import ellipj, ellipk
 
 from tenscasadi import shapes
+from tenscasadi.collocation import Collocation
 from tenscasadi.compiled import CompileError, find_compiler
 from tenscasadi.correction import Projection, projection
 from tenscasadi.loads import Gravity
@@ -27,8 +28,8 @@ from tenscasadi.simulate import simulate
 from tenscasadi.stability import fastest_rate, stable_step
 from tenscasadi.strings import ForceDensity, RestLength
 from tenscasadi.structure import Structure
-
 from tenscasadi.sundials import Cvodes, Idas, SundialsRunner
+
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
 G = 9.81
 
@@ -284,6 +285,28 @@ def test_divergence_below_the_limit_names_other_causes() -> None:
     stretching = model.state(model.structure.nodes, [[0, 0, 0], [1.0, 0, -1.0]])
     run = simulate(model, 10.0, 0.001, state=stretching, compiled=False)
     assert "projection(model)(state)" in run.message
+    run = simulate(model, 10.0, 0.5, Collocation(2), state=spinning, compiled=False)
+    assert not run.success
+    assert "the step 0.5 s is stable, as any of Collocation, so accuracy was lost elsewhere" in run.message
+    assert "no solution" in run.message
+
+
+def test_what_is_not_to_be_trusted_is_spoken_of() -> None:
+    model = prism()
+    off = moving(model) + 1e-3
+    off[-1] += 0.1
+    for options in ({}, {"correction": Projection()}, {"scheme": DormandPrince54(1e-6)}):
+        run = simulate(model, 0.01, state=off, compiled=False, **options)
+        assert run.success
+        assert re.search(r"the start is off .* by 0\.\d+: start from tenscasadi\.correction\.projection\(model\)\(state\)$", run.message)
+        assert ";" not in simulate(model, 0.01, state=moving(model), compiled=False, **options).message
+    pendulum = Model(Scene(shapes.pendulum(), gravity=Gravity((0, -G, 0))))
+    run = simulate(pendulum, 2.0, 0.1, compiled=False)
+    assert run.success
+    assert 0.01 < run.bar_length_error.max() < 0.1
+    assert f"bars are off by up to {run.bar_length_error.max():.2g} of their length: try a smaller step or" in run.message
+    run = simulate(pendulum, 4.0, 0.02, Cvodes(1e-3))
+    assert "try a smaller Cvodes(rtol)" in run.message
 
 
 def test_energy_that_a_correction_hides_is_spoken_of() -> None:
@@ -321,29 +344,6 @@ def test_the_keyboard_interrupts(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(run.time) == len(run.states)
 
 
-def test_progress_is_shown_only_on_request(capfd: pytest.CaptureFixture[str]) -> None:
-    model = prism()
-    simulate(model, 0.1, 1e-2, compiled=False)
-    assert capfd.readouterr() == ("", "")
-    simulate(model, 0.1, 1e-2, compiled=False, progress=True)
-    assert "10.0/10.0" in capfd.readouterr().err
-
-
-def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CC", raising=False)
-    model = prism()
-    run = simulate(model, 0.1, 1e-2)
-    assert run.success
-    assert not run.compiled
-    assert "not compiled: no C compiler found: install" in run.message
-    with pytest.raises(CompileError, match="no C compiler found"):
-        simulate(model, 0.1, 1e-2, compiled=True)
-    assert "compiled" not in simulate(model, 0.1, 1e-2, compiled=False).message
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="a shell script")
-def test_with_a_broken_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 @pytest.mark.parametrize("scheme", [Cvodes(1e-7), Idas(1e-7)])
 def test_the_keyboard_interrupts_integrators_of_casadi(monkeypatch: pytest.MonkeyPatch, scheme: Any) -> None:
     """They tell of a failure where Python raises KeyboardInterrupt."""
@@ -387,6 +387,29 @@ def test_rows_beyond_memory_are_refused() -> None:
         simulate(prism(), 1e9, 1e-3, save_every=1, compiled=False)
 
 
+def test_progress_is_shown_only_on_request(capfd: pytest.CaptureFixture[str]) -> None:
+    model = prism()
+    simulate(model, 0.1, 1e-2, compiled=False)
+    assert capfd.readouterr() == ("", "")
+    simulate(model, 0.1, 1e-2, compiled=False, progress=True)
+    assert "10.0/10.0" in capfd.readouterr().err
+
+
+def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    model = prism()
+    run = simulate(model, 0.1, 1e-2)
+    assert run.success
+    assert not run.compiled
+    assert "not compiled: no C compiler found: install" in run.message
+    with pytest.raises(CompileError, match="no C compiler found"):
+        simulate(model, 0.1, 1e-2, compiled=True)
+    assert "compiled" not in simulate(model, 0.1, 1e-2, compiled=False).message
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell script")
+def test_with_a_broken_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     broken = tmp_path / "brokencc"
     broken.write_text("#!/bin/sh\nexit 1\n")
     broken.chmod(0o700)
