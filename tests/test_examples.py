@@ -43,6 +43,14 @@ def plan_prism(plan: Any) -> None:
     assert plan.replay_error < 1e-3
 
 
+def ball_rolls(result: Any) -> None:
+    plan, after = result
+    assert plan.success, plan.message
+    behind, *face = after.nodes[-1][[11, 3, 7, 1], 2]
+    assert max(face) < 0.0  # it stands on the face beyond the edge
+    assert behind > 0.2
+
+
 def benchmark_rhs(rows: Any) -> None:
     assert len(rows) == 4
     assert all(min(row.numpy, row.virtual_machine) > 0 for row in rows)
@@ -65,7 +73,13 @@ def paper_membrane(rows: Any) -> None:
         assert rows[size].axial < 1e-12
 
 
-CLAIMS = (simulate_ball, double_pendulum, plan_prism, benchmark_rhs, paper_prism, paper_dbar, paper_membrane)
+def stiff_strings(tables: Any) -> None:
+    for rows in tables:
+        assert max(row.error for row in rows) < 1e-6
+        assert max(row.steps for row in rows if "Collocation" in row.scheme) * 100 < min(row.steps for row in rows if "Runge" in row.scheme)
+
+
+CLAIMS = (simulate_ball, double_pendulum, plan_prism, ball_rolls, benchmark_rhs, paper_prism, paper_dbar, paper_membrane, stiff_strings)
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in EXAMPLES.glob("*.py")))
