@@ -10,7 +10,7 @@ import scipy.optimize
 from ocp.reduction import RANK, RowFunction, soft_directions
 from tenscasadi.validate import Array
 
-STRIDE = 0.1  # of the structure's size: the longest step
+STRIDE = 0.1  # of the structure's size: how far a step may move nodes relative to each other
 STEPS = 100
 NEARLY_SINGULAR = 3e-2  # as RANK, where Newton's steps become too long and a quadratic equation takes over
 QUICK = 0.9  # a step that leaves less than this share of the residual is taken without looking at others
@@ -23,10 +23,11 @@ class Search:
     """Moves y by the smallest steps in the sense of a metric (ny, ny) on scaled unknowns.
 
     In that of the mass matrix such steps neither turn nor shift a free structure. `allowed` maps a y to the nearest that is allowed.
+    `deforming` leaves of a scaled step what moves nodes relative to each other: in all else rows are nearly linear, and steps may be long.
     """
 
-    def __init__(self, scale: Array, metric: Array, allowed: Callable[[Array], Array]) -> None:
-        self._scale, self._allowed = scale, allowed
+    def __init__(self, scale: Array, metric: Array, allowed: Callable[[Array], Array], deforming: Callable[[Array], Array]) -> None:
+        self._scale, self._allowed, self._deforming = scale, allowed, deforming
         self._factor = np.linalg.cholesky(metric)
 
     def nearest(self, goal: RowFunction, kept: Sequence[RowFunction], y: Array) -> Array:
@@ -47,8 +48,12 @@ class Search:
                 break
             crawling = crawling + 1 if least > CRAWL * _size(functions, y) else 0
             y = best
-        for _ in range(10 if kept else 0):  # what cannot give comes last: the goal's residual shows what is missing
-            y = self._moved(y, self._step(kept, y, RANK))
+        before = np.inf
+        for _ in range(STEPS if kept else 0):  # what cannot give comes last: the goal's residual shows what is missing
+            size = _size(kept, y)
+            if size < DONE or size > CRAWL * before:
+                break
+            y, before = self._moved(y, self._step(kept, y, RANK)), size
         return y
 
     def _trials(self, functions: Sequence[RowFunction], y: Array) -> Iterator[Array]:
@@ -73,9 +78,19 @@ class Search:
     def _step(self, functions: Sequence[RowFunction], y: Array, rank_tolerance: float) -> Array:
         """−J⁺ r in scaled unknowns; directions that are more singular than `rank_tolerance` stay where they are."""
         r, J = stacked(functions, y)
+        step = self._newton(r, J, rank_tolerance)
+        wanted = y + step * self._scale
+        allowed = self._allowed(wanted)
+        held = allowed != wanted
+        if held.any():  # what is at its limit goes no further, and the others do without it
+            fixed = np.where(held, (allowed - y) / self._scale, 0.0)
+            step = fixed + self._newton(r + J @ fixed, np.where(held, 0.0, J), rank_tolerance)
+        return self._strided(step)
+
+    def _newton(self, r: Array, J: Array, rank_tolerance: float) -> Array:
         left, values, right = np.linalg.svd(np.linalg.solve(self._factor, J.T).T, full_matrices=False)  # J C⁻ᵀ
         used = values > rank_tolerance * values.max(initial=0.0)
-        return _strided(np.linalg.solve(self._factor.T, -right[used].T @ ((left[:, used].T @ r) / values[used])))
+        return np.asarray(np.linalg.solve(self._factor.T, -right[used].T @ ((left[:, used].T @ r) / values[used])))
 
     def _soft_step(self, functions: Sequence[RowFunction], y: Array) -> Array | None:
         """A step d to second order: c + b d + ½ dᵀ K d = 0 for the combinations of rows that have (nearly) no gradient."""
@@ -95,7 +110,12 @@ class Search:
         starts = [sign * reach * axis for axis in np.eye(directions.shape[1])[-STARTS:] for sign in (1.0, -1.0)]
         tried = [scipy.optimize.least_squares(rows, d, slopes) for d in starts]
         found = min(tried, key=lambda result: (round(float(result.cost), 15), float(np.linalg.norm(result.x))))
-        return _strided(directions @ found.x)
+        return self._strided(directions @ found.x)
+
+    def _strided(self, step: Array) -> Array:
+        deforming = self._deforming(step)
+        largest = np.abs(deforming).max(initial=0.0)
+        return step - (1 - STRIDE / largest) * deforming if largest > STRIDE else step
 
     def _moved(self, y: Array, step: Array) -> Array:
         return self._allowed(y + step * self._scale)
@@ -109,8 +129,3 @@ def stacked(functions: Sequence[RowFunction], y: Array) -> tuple[Array, Array]:
 
 def _size(functions: Sequence[RowFunction], y: Array) -> float:
     return float(np.linalg.norm(stacked(functions, y)[0]))
-
-
-def _strided(step: Array) -> Array:
-    largest = np.abs(step).max(initial=0.0)
-    return np.asarray(step * min(1.0, STRIDE / largest)) if largest else step

@@ -146,7 +146,7 @@ class _Finder:
         self.goal = RowFunction(self.y, self.value, row_scale, self.scale)
         self.groups = invariants(model, start, self.x, duration)
         self.kept = [self._rows(group) for group in self.groups]
-        self.search = Search(self.scale, _metric(model), self._allowed)
+        self.search = Search(self.scale, _metric(model), self._allowed, self._deforming)
 
     def _rows(self, group: Invariant) -> RowFunction:
         metre, speed = self.scales.length, self.scales.length / self.scales.time
@@ -175,6 +175,14 @@ class _Finder:
     def _allowed(self, y: Array) -> Array:
         """y with a duration that the problem allows."""
         return np.append(y[:-1], np.clip(y[-1], self.problem.shortest, self.problem.longest))
+
+    def _deforming(self, step: Array) -> Array:
+        """Of a change of y what moves nodes; where none is pinned, relative to their mean."""
+        nq = self.problem.model.nq
+        result = np.where(np.arange(len(step)) < nq, step, 0.0)
+        if not self.problem.model.structure.fixed.any():
+            result[:nq] -= np.tile(step[:nq].reshape(-1, 3).mean(axis=0), nq // 3)
+        return result
 
     def _straightened(self, y: Array) -> Array | None:
         """Nodes inside strings, which no goal places, back on the line between the string's ends; None where there are none."""
