@@ -24,7 +24,7 @@ from tenscasadi.strings import Clip, ForceDensity
 def switching(model: Model) -> ca.Function | None:
     """(x, u) -> g (k,), m: positive where the mode is 1; strings first, then nodes. None where the scene has no events."""
     scene, mech = model.scene, model.mechanism
-    strings, nodes = _counts(model)
+    strings, nodes = counts(model)
     if strings + nodes == 0:
         return None
     kind: Any = ca.MX if mech.large else ca.SX
@@ -45,13 +45,13 @@ def held_ode(model: Model, work: bool = False) -> ca.Function:
     has kinks of its own, where a damped string lets go while it is still stretched, and would spoil the order as an integrand.
     """
     mech = model.mechanism
-    strings, nodes = _counts(model)
+    strings, nodes = counts(model)
     kind: Any = ca.MX if mech.large else ca.SX  # no calls of staged functions: they would not know the mode
     z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nu + strings + nodes)
     N, V, time = model.unpack(z[: model.nx])
     u, taut, touching = w[: model.nu], w[model.nu : model.nu + strings].T, w[model.nu + strings :].T
     frozen = copy.copy(model)
-    frozen.scene = _frozen(model.scene, taut if strings else None, touching)
+    frozen.scene = held_scene(model.scene, taut if strings else None, touching)
     acceleration = frozen.motion(N, V, u, time)[0]
     parts = [model.pack(V, acceleration, 1)]
     if work:
@@ -71,17 +71,18 @@ def potential(model: Model) -> ca.Function:
     return ca.Function("potential", [x, u], [total], ["x", "u"], ["potential"])
 
 
-def _counts(model: Model) -> tuple[int, int]:
+def counts(model: Model) -> tuple[int, int]:
     """How many strings can go slack, and how many nodes can meet the ground."""
     scene = model.scene
     slack = isinstance(scene.slack, Clip) and not isinstance(scene.control, ForceDensity)
     return len(scene.modelled.strings) if slack else 0, len(model.mechanism.first) if scene.ground is not None else 0
 
 
-def _frozen(scene: Scene, taut: Any | None, touching: Any) -> Scene:
+def held_scene(scene: Scene, taut: Any | None, touching: Any) -> Scene:
+    """The scene whose strings pull where `taut` is 1 (1×α; None: as they do), and whose ground pushes where `touching` is 1 (1×n)."""
     changes: dict[str, Any] = {}
     if taut is not None:
-        changes["slack"] = _Held(taut)
+        changes["slack"] = Held(taut)
     if scene.ground is not None:
         own = {field.name: getattr(scene.ground, field.name) for field in fields(scene.ground)}
         changes["ground"] = _HeldGround(**own, touching=touching)
@@ -107,12 +108,13 @@ class _Switching(Clip):
 
 
 @dataclass(frozen=True, eq=False)
-class _Held(Clip):
+class Held(Clip):
     """The law of strings that pull where `taut` is 1 (1×α), whatever their length."""
 
     taut: Any
 
     def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any) -> Any:
+        """γ, which pushes where a string that is held taut is too short."""
         safe = squared + (1e-9 * unit) ** 2
         gamma = stiffness * (1 - rest / ca.sqrt(safe))
         return self.taut * (gamma if rate is None else gamma + rate / safe)

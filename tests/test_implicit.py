@@ -17,7 +17,7 @@ from tenscasadi.loads import Gravity
 from tenscasadi.model import Model
 from tenscasadi.redundancy import RedundantConstraints
 from tenscasadi.scene import Scene
-from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4, stability_limit
+from tenscasadi.schemes import DormandPrince853, stability_limit
 from tenscasadi.simulate import simulate
 from tenscasadi.stability import stable_step
 from tenscasadi.strings import RestLength
@@ -156,27 +156,3 @@ def test_mistakes_are_named() -> None:
         for wrong in ({"rtol": 0.0}, {"atol": -1.0}, {"max_steps": 0}):
             with pytest.raises(ValueError, match=rf"{scheme.__name__}\.{next(iter(wrong))}"):
                 scheme(**wrong)  # type: ignore[arg-type]
-
-
-# --- stiffness ---
-
-
-@pytest.mark.slow
-@needs_compiler
-def test_stiff_damped_strings_are_faster_implicitly() -> None:
-    """k = 1e7 N/m, five segments, fast vibrations damped: to 1e-6 m, CVODES takes less time than any explicit scheme."""
-    structure = shapes.prism(stiffness=1e7, prestress=30.0, damping=1e3, string_mass=0.1)
-    model = Model(Scene(structure, segments=5, gravity=Gravity()))
-    nodes = model.structure.nodes
-    start = model.state(nodes, np.cross([0.5, 0.3, 1.0], nodes - nodes.mean(axis=0)))
-    options: dict[str, Any] = {"state": start, "save_every": 10**9, "energy_balance": False}
-    exact = simulate(model, 0.1, scheme=DormandPrince853(1e-12), **options).nodes[-1]
-
-    def seconds(scheme: Any, step: float | None) -> float:
-        runs = [simulate(model, 0.1, step, scheme, **options) for _ in range(3)]
-        assert abs(runs[0].nodes[-1] - exact).max() < 1e-6
-        return min(run.seconds for run in runs)
-
-    explicit = [seconds(scheme, stable_step(model, start, scheme=scheme)) for scheme in (RungeKutta4(), DormandPrince853())]
-    explicit += [seconds(scheme, None) for scheme in (DormandPrince54(1e-6), DormandPrince853(1e-6))]
-    assert seconds(Cvodes(1e-8), 0.002) < min(explicit)
