@@ -132,9 +132,9 @@ class AdaptiveRunner:
         """z at the end of the grid step (1, nz). Raises StepFailure."""
         self._z[:] = z[: self._nz]
         self._memory[_REST] = self._step
+        self._calls += 1
         for _ in range(0, self._scheme.max_attempts, ATTEMPTS):
             self._trigger()
-        self._calls += 1
             self._z[:], self._memory[:] = self._after
             if self._buffer.ret() or not np.all(np.isfinite(self._memory)):
                 raise StepFailure("the state is not finite, whatever the step: give a start that can move")
