@@ -170,7 +170,7 @@ def _hidden(gaps: ca.Function, model: Model) -> ca.Function:
     *step, u, h, mode = path = _path(gaps, model)
     found = ca.MX(0)
     for t in (0.75, 0.5, 0.25):
-        found = ca.if_else(ca.sum1((gaps(_between(*step, h, t), u) > 0) != mode) > 0, t, found)
+        found = ca.if_else(ca.sum1((gaps(_between(step, h, t), u) > 0) != mode) > 0, t, found)
     return ca.Function("hidden", path, [found])
 
 
@@ -179,7 +179,7 @@ def _root(gaps: ca.Function, model: Model) -> ca.Function:
     *step, u, h, mode = path = _path(gaps, model)
     low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
     sign = 2 * mode - 1
-    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(_between(*step, h, t / h), u))])
+    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(_between(step, h, t / h), u))])
     a, b, at_a, at_b = (ca.MX.sym(name) for name in ("a", "b", "at_a", "at_b"))
     middle = (a + b) / 2
     at_middle = value(middle, *path)
@@ -207,7 +207,8 @@ def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:
     return [*ends, ca.MX.sym("u", model.nu), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]
 
 
-def _between(x: Any, slope: Any, after: Any, end: Any, h: Any, t: Any) -> Any:
-    """The cubic interpolation of a step at the fraction `t`: Hermite's, ibid. (II.6.7)."""
+def _between(step: list[ca.MX], h: Any, t: Any) -> Any:
+    """The cubic interpolation of a step at the fraction `t`: Hermite's, ibid. (II.6.7); step: the first four of `_path`."""
+    x, slope, after, end = step
     a, b, c, d = (1 + 2 * t) * (1 - t) ** 2, t * (1 - t) ** 2, t * t * (3 - 2 * t), t * t * (t - 1)
     return a * x + c * after + h * (b * slope + d * end)
