@@ -53,7 +53,7 @@ def simulate(
     control: None: `model.initial_control`; an array (nu,): constant; an array (K, nu): constant on each of K equal parts of [0, t_end]
     (steps are shortened to fit the parts); a function t -> (nu,) called with the time at the start of each step, where it is held.
     correction: `Projection(every)`, `BarLengthCorrection(weight, every)` or None; applied after every `every`-th step (each of its own
-    for schemes that control their error).
+    for schemes that control their error, where its effect is not measured: `correction_shift` of the result is NaN).
     save_every: steps from one kept row to the next, None: what keeps about 1000 rows or fewer; the first and last state are always kept.
     compiled: None: as machine code if a C compiler is found, True: that or `CompileError`, False: in CasADi's virtual machine, to the same result;
     `Single()`: as machine code that computes in single precision, or `CompileError`.

@@ -28,7 +28,7 @@ class Trajectory:
     energy_error (T,) J: what the total gained beyond the work of all forces and of changes of the control, so an error of the numerics
     (NaN where it was not computed); bar_length_error (T,): the largest |length − l| / l; joint_error (T,) m: the largest gap of a joint;
     correction_shift (T,) m and correction_energy (T,) J: how far the correction after the step that starts here moves a node, and what it adds to
-    the energy (0 without correction, NaN for schemes that take their own steps);
+    the energy (0 without correction, NaN for schemes that take their own steps: how long the step before a correction was is not kept);
     states (T, nx) and control (T, nu) of the model: a row's control acts from that row's time on (in the last row: until that time);
     bars (β, 2), strings (α, 2) and pinned (any,): node indices; success and message tell how the run ended, interrupted whether from the
     keyboard; step s, in the mean; attempts: steps computed, with those that error control rejected or took to locate events (0: not
@@ -88,6 +88,8 @@ class Trajectory:
         ]
         if np.any(self.correction_shift > 0):
             lines.append(f"correction    moves a node by {_largest(self.correction_shift)} m and adds {_largest(self.correction_energy)} J at most")
+        elif np.any(np.isnan(self.correction_shift)):
+            lines.append("correction    what it does is not measured for schemes that take their own steps")
         if self.tension.size:
             lines.append(f"tension       {self.tension.min():.4g} … {self.tension.max():.4g} N")
         return "\n".join(lines)

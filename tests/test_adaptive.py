@@ -231,6 +231,8 @@ def test_corrections_follow_each_step() -> None:
     for correction in (Projection(), BarLengthCorrection()):
         run = simulate(model, 1.0, scheme=DormandPrince54(1e-5), state=start, correction=correction, compiled=False)
         assert run.bar_length_error.max() < 1e-14
+        assert np.isnan(run.correction_shift).all()
+        assert "not measured" in run.summary()
     with pytest.raises(ValueError, match=r"correction\.every is 3"):
         simulate(model, 1.0, scheme=DormandPrince54(1e-5), correction=Projection(every=3))
 

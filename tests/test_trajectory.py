@@ -69,6 +69,9 @@ def test_summary_and_repr() -> None:
     for part in ("finished: γ → 0", "10 steps of 0.1 s by 12 attempts", "1,000 steps/s", "not compiled, interrupted", "2e-09 J", "3e-07"):
         assert part in text
     assert "not computed" in example().summary()
+    assert "correction" not in example().summary()
+    assert "correction    moves a node by 2e-08 m" in example(correction_shift=np.array([0, 2e-8, 0, 0])).summary()
+    assert "correction    what it does is not measured" in example(correction_shift=np.full(4, np.nan)).summary()
     assert repr(example()) == "Trajectory(4 rows, 3 nodes, t = 0 … 1 s, success=True)"
 
 
