@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -18,6 +16,7 @@ from ocp.problem import Problem
 from ocp.refine import finer
 from ocp.report import Report, report_of
 from ocp.rerun import run_profile
+from tenscasadi import archive
 from tenscasadi.loads import Gravity
 from tenscasadi.model import Model
 from tenscasadi.scene import Scene
@@ -29,20 +28,6 @@ from tenscasadi.trajectory import Trajectory
 from tenscasadi.validate import Array, at_least, instance, per_item, positive_number, whole_number
 
 _FORMAT = "tenscasadi plan 1"
-# Anything that reading a damaged or foreign archive may raise.
-_UNREADABLE = (
-    OSError,
-    ValueError,
-    TypeError,
-    EOFError,
-    KeyError,
-    RuntimeError,
-    MemoryError,
-    OverflowError,
-    SyntaxError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 REPLAY_STEPS = 10  # steps of a replay for one interval of the plan
 LOST = 1e6  # tolerances that a replay which diverges counts as its error
 
@@ -207,10 +192,7 @@ class Plan:
         content |= _scene_arrays(self.model)
         if self.duals is not None:
             content |= {f"duals.{field.name}": np.asarray(getattr(self.duals, field.name)) for field in fields(Duals)}
-        target = Path(path)
-        with open(target, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, format=np.asarray(_FORMAT), **content)
-        return target
+        return archive.save(path, _FORMAT, content)
 
     @staticmethod
     def load(path: str | os.PathLike[str], problem: Problem | None = None) -> Plan:
@@ -220,24 +202,7 @@ class Plan:
         """
         if problem is not None:
             instance("problem", problem, Problem, "an ocp.Problem or None")
-        name = os.fspath(path)
-        try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-                if not isinstance(archive, np.lib.npyio.NpzFile):
-                    raise ValueError("it is a single array")
-                content = {key: archive[key] for key in archive.files}
-        except FileNotFoundError:
-            raise
-        except _UNREADABLE as error:
-            raise ValueError(f"{name} cannot be read as a plan ({error}): give a file written by Plan.save") from None
-        if str(content.get("format", "")) != _FORMAT:
-            raise ValueError(f"{name} is not a plan: its field 'format' is not {_FORMAT!r}")
-        try:
-            plan = _from_arrays(content)
-        except KeyError as error:
-            raise ValueError(f"{name} is not a plan: it has no field {error}") from None
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{name} is not a plan: {error}") from None
+        plan = archive.load(path, _FORMAT, "plan", _from_arrays)
         return plan if problem is None else replace(plan, model=problem.model, problem=problem)
 
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import ast
 import os
-import zipfile
-import zlib
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from tenscasadi import collocation, correction, rattle, schemes, sundials
+from tenscasadi import archive, collocation, correction, rattle, schemes, sundials
 from tenscasadi.correction import Correction
 from tenscasadi.schemes import Scheme
 from tenscasadi.validate import positive_number
@@ -25,11 +23,6 @@ _KINDS: dict[str, Any] = {
     if is_dataclass(kind) and getattr(kind, "__module__", "") == module.__name__
 }
 Cost = Literal["seconds", "work"]
-# Anything that reading a damaged or foreign archive may raise.
-_UNREADABLE = (
-    *(OSError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, AttributeError, SyntaxError),
-    *(zipfile.BadZipFile, zlib.error),
-)
 
 
 @dataclass(frozen=True)
@@ -63,10 +56,7 @@ class Row:
 
     @property
     def work(self) -> float:
-        """Instructions of the whole run: a cost that no other load of the machine changes; NaN where they are not known.
-
-        Iterations of implicit schemes count once: compare explicit ones by it.
-        """
+        """Instructions of the whole run: a cost that no other load of the machine changes; NaN for implicit schemes, where it is not known."""
         return float(self.instructions) * self.steps if self.instructions else float("nan")
 
     @property
@@ -159,10 +149,7 @@ class Tradeoff:
             columns[name] = list(map(repr, columns[name]))
         own = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "rows"}
         content = {f"row_{name}": np.asarray(values) for name, values in columns.items()} | {name: np.asarray(value) for name, value in own.items()}
-        target = Path(path)
-        with open(target, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, format=np.asarray(_FORMAT), **content)
-        return target
+        return archive.save(path, _FORMAT, content)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Tradeoff:
@@ -170,20 +157,7 @@ class Tradeoff:
 
         Raises FileNotFoundError, and ValueError naming the file for one that cannot be read or is no study.
         """
-        try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-                content = {name: archive[name] for name in archive.files}
-            if str(content.pop("format", "")) != _FORMAT:
-                raise ValueError(f"its field 'format' is not {_FORMAT!r}")
-            columns = {field.name: content.pop(f"row_{field.name}").tolist() for field in fields(Row)}
-            for name in ("scheme", "correction"):
-                columns[name] = [_value(text) for text in columns[name]]
-            rows = tuple(Row(**dict(zip(columns, values, strict=True))) for values in zip(*columns.values(), strict=True))
-            return Tradeoff(rows=rows, **{name: value.item() for name, value in content.items()})
-        except FileNotFoundError:
-            raise
-        except _UNREADABLE as error:
-            raise ValueError(f"{os.fspath(path)} cannot be read as a trade-off ({error}): give a file written by Tradeoff.save") from None
+        return archive.load(path, _FORMAT, "trade-off", _from_arrays)
 
     def _good(self) -> list[Row]:
         return [row for row in self.rows if row.success]
@@ -201,6 +175,14 @@ def short(value: Any, without: str = "") -> str:
     own = [(field.name, getattr(value, field.name), field.default) for field in fields(value)] if is_dataclass(value) else []
     changed = ", ".join(f"{name}={option!r}" for name, option, default in own if option != default and name != without)
     return type(value).__name__ + (f"({changed})" if changed else "")
+
+
+def _from_arrays(content: dict[str, Any]) -> Tradeoff:
+    columns = {field.name: content.pop(f"row_{field.name}").tolist() for field in fields(Row)}
+    for name in ("scheme", "correction"):
+        columns[name] = [_value(text) for text in columns[name]]
+    rows = tuple(Row(**dict(zip(columns, values, strict=True))) for values in zip(*columns.values(), strict=True))
+    return Tradeoff(rows=rows, **{name: value.item() for name, value in content.items()})
 
 
 def _number(value: float, form: str) -> str:

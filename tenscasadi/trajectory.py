@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
-import zlib
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -12,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tenscasadi import archive
 from tenscasadi.validate import Array, Indices
 
 _FORMAT = "tenscasadi trajectory 1"
-# Anything that reading a damaged or foreign archive may raise.
-_UNREADABLE = (OSError, AttributeError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +94,7 @@ class Trajectory:
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes a compressed .npz file (NumPy arrays only) to exactly `path` and returns it. Raises OSError when it cannot be written."""
         content = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
-        target = Path(path)
-        with open(target, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, format=np.asarray(_FORMAT), **content)
-        return target
+        return archive.save(path, _FORMAT, content)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Trajectory:
@@ -108,21 +102,7 @@ class Trajectory:
 
         Raises FileNotFoundError, and ValueError naming the file and the field for one that cannot be read or is no trajectory.
         """
-        try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-                if not isinstance(archive, np.lib.npyio.NpzFile):
-                    raise ValueError("it is a single array")
-                content = {name: archive[name] for name in archive.files if name == "format" or name in Trajectory.__dataclass_fields__}
-        except FileNotFoundError:
-            raise
-        except _UNREADABLE as error:
-            raise ValueError(f"{os.fspath(path)} cannot be read as a trajectory ({error}): give a file written by Trajectory.save") from None
-        try:
-            if str(content.pop("format", "")) != _FORMAT:
-                raise ValueError(f"its field 'format' is not {_FORMAT!r}")
-            return Trajectory.from_arrays(content)
-        except ValueError as error:
-            raise ValueError(f"{os.fspath(path)} is not a trajectory: {error}") from None
+        return archive.load(path, _FORMAT, "trajectory", Trajectory.from_arrays, Trajectory.__dataclass_fields__)
 
     @staticmethod
     def from_arrays(content: dict[str, Any]) -> Trajectory:

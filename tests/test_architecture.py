@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # From the bottom up; a module imports from the levels below its own, never sideways.
 TENSCASADI = (
-    {"precision", "validate"},
+    {"archive", "precision", "validate"},
     {"algebra", "class_one", "compiled", "loads", "signals", "stage", "strings", "subdivision", "tableaux", "trajectory", "work_precision"},
     {"structure"},
     {"dynamics", "shapes", "statics", "supports"},

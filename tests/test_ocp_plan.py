@@ -354,7 +354,7 @@ def test_files_that_are_no_plans_are_refused(plan, tmp_path):
     damaged = [b"", b"no archive", plan.save(path).read_bytes()[:2000]]
     for content in damaged:
         path.write_bytes(content)
-        with pytest.raises(ValueError, match="cannot be read as a plan"):
+        with pytest.raises(ValueError, match="is not a plan: it cannot be read"):
             ocp.Plan.load(path)
     plan.trajectory.save(path)
     with pytest.raises(ValueError, match="is not a plan: its field 'format'"):

@@ -306,7 +306,7 @@ def damaged(table, folder, **changes):
     ],
 )
 def test_foreign_files_are_refused(table, tmp_path, changes):
-    with pytest.raises(ValueError, match=r"study\.npz cannot be read as a trade-off"):
+    with pytest.raises(ValueError, match=r"study\.npz is not a trade-off: "):
         tc.Tradeoff.load(damaged(table, tmp_path, **changes))
 
 

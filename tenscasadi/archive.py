@@ -1,0 +1,61 @@
+"""Arrays in .npz files: written whole or not at all, and read without running what is in them."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from collections.abc import Callable, Container, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+# Anything that reading a damaged or foreign archive may raise.
+_UNREADABLE = (
+    *(OSError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, AttributeError, SyntaxError, OverflowError),
+    *(zipfile.BadZipFile, zlib.error),
+)
+
+
+def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) -> Path:
+    """Writes arrays by name, and `form` as the field "format", to exactly `path`, compressed, and returns it.
+
+    A file that was there stays as it is until the new one is complete. Raises OSError when it cannot be written.
+    """
+    target = Path(path)
+    whole = Path(os.path.realpath(target))  # where a link leads to
+    part = whole.with_name(f".{whole.name}.{os.getpid()}")
+    try:
+        with open(part, "wb") as file:
+            np.savez_compressed(file, allow_pickle=False, format=np.asarray(form), **content)
+        os.replace(part, whole)
+    finally:
+        part.unlink(missing_ok=True)
+    return target
+
+
+def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[dict[str, Any]], T], names: Container[str] | None = None) -> T:
+    """What `build` makes of the arrays, by name, of a file that `save` wrote in this form; `names`: only these are opened.
+
+    No code in the file is ever run. Raises FileNotFoundError, and ValueError naming the file, the `kind` of thing that it is not, and why.
+    """
+    refusal = f"{os.fspath(path)} is not a {kind}"
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise ValueError("a single array")
+            content = {name: archive[name] for name in archive.files if names is None or name == "format" or name in names}
+    except FileNotFoundError:
+        raise
+    except _UNREADABLE as error:
+        raise ValueError(f"{refusal}: it cannot be read ({error})") from None
+    try:
+        if str(content.pop("format", "")) != form:
+            raise ValueError(f"its field 'format' is not {form!r}")
+        return build(content)
+    except KeyError as error:
+        raise ValueError(f"{refusal}: it has no field {error}") from None
+    except _UNREADABLE as error:
+        raise ValueError(f"{refusal}: {error}") from None

@@ -1,0 +1,61 @@
+"""Files of arrays: complete or as they were, and refused with a reason. What never opens pickles is tested with trajectories."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tenscasadi import archive
+
+
+def test_arrays_come_back(tmp_path: Path) -> None:
+    path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.arange(3.0), "word": np.asarray("γ")})
+    content = archive.load(path, "form 1", "thing", dict)
+    assert content["x"].tolist() == [0.0, 1.0, 2.0]
+    assert content["word"].item() == "γ"
+    assert set(archive.load(path, "form 1", "thing", dict, names={"x"})) == {"x"}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.ones(2)})
+
+    def full(file: object, **_: object) -> None:
+        file.write(b"half")  # type: ignore[attr-defined]
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(OSError, match="no space"):
+        archive.save(path, "form 1", {"x": np.zeros(2)})
+    assert archive.load(path, "form 1", "thing", dict)["x"].tolist() == [1.0, 1.0]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_a_link_stays_one(tmp_path: Path) -> None:
+    archive.save(tmp_path / "real.npz", "form 1", {"x": np.ones(2)})
+    (tmp_path / "link.npz").symlink_to(tmp_path / "real.npz")
+    archive.save(tmp_path / "link.npz", "form 1", {"x": np.zeros(2)})
+    assert (tmp_path / "link.npz").is_symlink()
+    assert archive.load(tmp_path / "real.npz", "form 1", "thing", dict)["x"].tolist() == [0.0, 0.0]
+
+
+def test_where_nothing_can_be_written_it_is_an_os_error(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="nowhere"):
+        archive.save(tmp_path / "nowhere" / "a.npz", "form 1", {})
+    with pytest.raises(OSError, match=str(tmp_path)):
+        archive.save(tmp_path, "form 1", {})
+
+
+def test_what_is_wrong_is_told(tmp_path: Path) -> None:
+    path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.ones(2)})
+    with pytest.raises(ValueError, match=r"a\.npz is not a thing: its field 'format' is not 'form 2'"):
+        archive.load(path, "form 2", "thing", dict)
+    with pytest.raises(ValueError, match=r"a\.npz is not a thing: it has no field 'y'"):
+        archive.load(path, "form 1", "thing", lambda content: content["y"])
+    path.write_bytes(path.read_bytes()[:50])
+    with pytest.raises(ValueError, match=r"a\.npz is not a thing: it cannot be read"):
+        archive.load(path, "form 1", "thing", dict)
+    with pytest.raises(FileNotFoundError):
+        archive.load(tmp_path / "none.npz", "form 1", "thing", dict)
