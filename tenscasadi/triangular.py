@@ -137,8 +137,9 @@ def _solver(model: Model) -> ca.Function:
         rigid = _RIGID * ca.mmax(ca.diag(W)) * ca.mtimes(G.T, G)
         return W + rigid, ca.mtimes(M + rigid, r)
 
-    symbols = [ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nu + strings + nodes), ca.MX.sym("g"), ca.MX.sym("r", nq)]
-    return ca.Function("solver", symbols, [ca.solve(*staged(mech.large, linear, *symbols), "ldl")], ["x", "w", "g", "r"], ["delta"])
+    symbols: list[Any] = [ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nu + strings + nodes), ca.MX.sym("g"), ca.MX.sym("r", nq)]
+    matrix, rhs = staged(mech.large, linear, *symbols)
+    return ca.Function("solver", symbols, [ca.solve(matrix, rhs, "ldl")], ["x", "w", "g", "r"], ["delta"])
 
 
 @dataclass(frozen=True, eq=False)
