@@ -10,8 +10,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from ocp.conflicts import check_start
 from ocp.duals import Duals
-from ocp.explain import explain_failure
+from ocp.explain import explain_failure, long_steps
 from ocp.grid import held_values
 from ocp.guess import Guess
 from ocp.guesses import GuessValue, guess_of
@@ -65,6 +66,7 @@ def solve(
     scales = Scales.of(problem)
     target = find_target(problem, scales)
     _check_freedom(problem, target, transcription)
+    check_start(problem)
     first = guess_of(guess, problem, target, transcription.count)
     reach = Reach(problem.model, transcription.count, problem.shortest < problem.longest)
     imposed = _controlled(target, reach, first)
@@ -190,22 +192,30 @@ def _plan(problem: Problem, transcription: OnGrid, target: Target, imposed: Targ
     )
     error, speed_error = _replay_errors(plan, target)
     plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
-    state_at, success = _planned(problem, transcription, found), False
-    of_goals = misses(target, state_at)
-    if not solution.success:
-        held = replace(found, force_density=held_values(found.force_density, transcription.count))
-        verdict = explain_failure(of_goals, imposed, reach, program, solution, held)
-    elif not _met(target, state_at):
-        verdict = f"no plan: {of_goals.worst()}, and no string moves it there to first order: give a goal that the motion passes"
-    elif not plan.worst_error <= tolerance:
-        verdict = (
-            f"too coarse: a plan was found after {solution.iterations} iterations, but its replay misses the goal by more than {tolerance:.2g} m "
-            f"(or {tolerance:.2g} m per duration): give more intervals, or substeps, or plan.refine({tolerance:.2g})"
-        )
-    else:
-        success, verdict = True, f"found after {solution.iterations} iterations"
+    success, verdict = _verdict(problem, plan, transcription, target, imposed, reach, outcome, tolerance)
     ends = f"its replay ends {error:.2g} m and {speed_error:.2g} m/s from the goal" if np.isfinite(error) else "its replay diverges"
     return replace(plan, success=success, message=f"{verdict}; {imposed.describe()}; {ends}")
+
+
+def _verdict(
+    problem: Problem, plan: Plan, transcription: OnGrid, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, tolerance: float
+) -> tuple[bool, str]:
+    """Whether the plan is a success, and what is to be said of it."""
+    program, solution, found = outcome
+    state_at = _planned(problem, transcription, found)
+    if solution.success and not _met(target, state_at):
+        missed = misses(target, state_at).worst()
+        return False, f"no plan: {missed}, and no string moves it there to first order: give a goal that the motion passes"
+    if solution.success and plan.worst_error <= tolerance:
+        return True, f"found after {solution.iterations} iterations"
+    held = replace(found, force_density=held_values(found.force_density, transcription.count))
+    step = float(np.diff(plan.time).max()) / (transcription.substeps if isinstance(transcription, MultipleShooting) else 1)
+    too_long = long_steps(problem.model, found.states, held.force_density, step, found.duration)
+    if not solution.success:
+        return False, explain_failure(misses(target, state_at), imposed, reach, program, solution, held, too_long)
+    cure = too_long or "give more intervals, or substeps"
+    beyond = f"its replay misses the goal by more than {tolerance:.2g} m (or {tolerance:.2g} m per duration)"
+    return False, f"too coarse: a plan was found after {solution.iterations} iterations, but {beyond}: {cure}, or plan.refine({tolerance:.2g})"
 
 
 def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:

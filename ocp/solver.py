@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import signal
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from types import FrameType
 from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
@@ -17,6 +21,7 @@ from tenscasadi.validate import Array, positive_number, whole_number
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 
+STOPPED = "User_Requested_Stop"
 NEAR = 1e-6  # violation, scaled, below which iterates are judged by their objective
 FATROP_BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more problems
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -25,7 +30,10 @@ BARRIERS = 1e-6, 1e-9  # to start with where the multipliers are not known, and 
 
 
 class Solution(NamedTuple):
-    """w and whether it is optimal; status is the solver's own word; iterations; wall time, s; the multipliers of rows and of w's limits."""
+    """w and whether it is optimal; status is the solver's own word; iterations; wall time, s; the multipliers of rows and of w's limits.
+
+    last: where the solver stood when it gave up, which is not always its best.
+    """
 
     w: Array
     success: bool
@@ -33,6 +41,7 @@ class Solution(NamedTuple):
     iterations: int
     seconds: float
     multipliers: tuple[Array, Array] | None = None
+    last: Array | None = None
 
 
 class Progress(NamedTuple):
@@ -115,15 +124,18 @@ class Ipopt:
             reason = str(error).strip().splitlines()[-1].split(": ", 1)[-1]
             raise ValueError(f"Ipopt.options is {dict(self.options)}, and IPOPT says: {reason}. Give options that IPOPT has") from None
         known = {} if program.multipliers is None else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
-        result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper, **known)
+        with best.interruptible():
+            result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper, **known)
+        if best.error is not None:
+            raise best.error
         stats = solver.stats()
-        w = np.asarray(result["x"].full()).ravel()
+        w = last = np.asarray(result["x"].full()).ravel()
         success = bool(stats["success"])
         if not success and best.w is not None and (best.stopped or "Exceeded" in str(stats["return_status"])):
             w = best.w
         multipliers = result["lam_g"].full().ravel(), result["lam_x"].full().ravel()
         status = best.status or str(stats["return_status"])
-        return Solution(w, success, status, int(stats["iter_count"]), time.perf_counter() - began, multipliers)
+        return Solution(w, success, status, int(stats["iter_count"]), time.perf_counter() - began, multipliers, last)
 
 
 @dataclass(frozen=True)
@@ -192,12 +204,31 @@ class Best(ca.Callback):
         self._count = 0
         self.w: Array | None = None
         self.status = ""
+        self.error: Exception | None = None
         self.construct("best", {})
 
     @property
     def stopped(self) -> bool:
         """Whether the solver was told to stop."""
         return bool(self.status)
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Ctrl-C meanwhile stops the solver after its iteration; a second time it raises, as usual."""
+        usual = signal.getsignal(signal.SIGINT)
+        if usual is None or threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def stop(number: int, frame: FrameType | None) -> None:
+            self.status = STOPPED
+            signal.signal(signal.SIGINT, usual)
+
+        signal.signal(signal.SIGINT, stop)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, usual)
 
     def get_n_in(self) -> int:
         """As `nlpsol` has outputs."""
@@ -227,9 +258,11 @@ class Best(ca.Callback):
             proceed = self._watch is None or self._watch(Progress(self._count, float(f[0]) * self._objective, violation)) is not False
         except KeyboardInterrupt:
             proceed = False
+        except Exception as error:  # noqa: BLE001  # raised again once the solver has stopped, which would make a failure of it
+            self.error, proceed = error, False
         self._count += 1
         if not proceed:
-            self.status = "User_Requested_Stop"
+            self.status = STOPPED
         return [1 if self.status else 0]
 
 

@@ -43,7 +43,7 @@ OCP = (
     {"expressions", "invariants", "places", "problem", "search"},
     {"report", "rerun", "target"},
     {"misses", "plan"},
-    {"guess", "linearized", "path", "winding"},
+    {"conflicts", "guess", "linearized", "path", "winding"},
     {"closed_loop", "guesses", "mpc", "reach", "track"},
     {"stages"},
     {"program"},

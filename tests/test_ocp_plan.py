@@ -279,7 +279,7 @@ def test_too_few_iterations_are_said():
     found = ocp.solve(problem, ocp.MultipleShooting(12), ocp.Ipopt(max_iterations=2))
     assert not found.success
     assert found.iterations == 2
-    assert "raise Ipopt(max_iterations=...)" in found.message
+    assert "raise max_iterations" in found.message
     assert "largest violation" in found.message
     assert found.force_density.shape == (12, 9)
 

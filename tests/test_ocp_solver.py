@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import sys
+
 import numpy as np
 import pytest
 
@@ -106,8 +109,33 @@ def test_an_interruption_keeps_the_best():
     assert np.all(np.isfinite(plan.trajectory.nodes))
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are different there")
+def test_ctrl_c_keeps_the_best_and_leaves_the_keyboard_as_it_was():
+    usual = signal.getsignal(signal.SIGINT)
+
+    def watch(now):
+        if now.iteration == 2:  # within the solver, not within this function
+            signal.raise_signal(signal.SIGINT)
+
+    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=watch))
+    assert plan.status == "User_Requested_Stop"
+    assert plan.iterations <= 3
+    assert "from the keyboard" in plan.message
+    assert signal.getsignal(signal.SIGINT) is usual
+
+
+def test_what_a_watcher_raises_is_raised(capfd):
+    def watch(now):
+        raise ZeroDivisionError("a mistake of the watcher")
+
+    with pytest.raises(ZeroDivisionError, match="a mistake of the watcher"):
+        ocp.solve(raising(), ocp.Variational(6), ocp.Ipopt(watch=watch))
+    assert not capfd.readouterr().err
+
+
 def test_a_time_limit_stops():
     plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(seconds=1e-6))
+    assert "raise Ipopt(seconds=...)" in plan.message
     assert not plan.success
     assert plan.status == "Maximum_WallTime_Exceeded"
 

@@ -1,0 +1,54 @@
+"""Limits that contradict each other where a plan starts, found by a linear program before anything is solved."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import scipy.optimize
+
+from ocp.bounds import PathBound
+from ocp.instant import symbolic
+from ocp.problem import Problem
+
+CLEAR = 1e-3  # of a limit: contradictions that are smaller are left to the solver
+
+
+def check_start(problem: Problem) -> None:
+    """Raises ValueError, naming the limit that is missed most, where no force densities meet all limits that are linear in them at the start."""
+    lower, upper = problem.force_density_limits
+    slopes, room, rows = [np.zeros((0, len(lower)))], [np.zeros(0)], []
+    for bound in problem.bounds:
+        if not isinstance(bound, PathBound):
+            continue
+        now = symbolic(problem.model)
+        limited = bound.limited(now)
+        if not limited.names:
+            continue
+        value = ca.densify(limited.value)
+        linear = ~np.array(ca.which_depends(value, now.control, 2, True), dtype=bool)
+        function = ca.Function("linear", [now.state, now.control, now.time], [value, ca.densify(ca.jacobian(value, now.control))])
+        at_none, slope = (np.asarray(part.full()) for part in function(np.asarray(problem.start), 0, 0))
+        for side, sign, limit in (("at most", 1.0, limited.upper), ("at least", -1.0, limited.lower)):
+            kept = np.flatnonzero(linear & np.isfinite(limit) & np.isfinite(at_none[:, 0]) & np.isfinite(slope).all(axis=1))
+            size = np.maximum(np.abs(limit[kept]), 1e-9)
+            slopes.append(sign * slope[kept] / size[:, None])
+            room.append(sign * (limit[kept] - at_none[kept, 0]) / size)
+            rows += [(limited.names[k], f"{side} {limit[k]:g} {limited.unit}".rstrip(), limit[k], sign * size[j]) for j, k in enumerate(kept)]
+    A, b = np.concatenate(slopes), np.concatenate(room)
+    if not len(b):
+        return
+    best = scipy.optimize.linprog(
+        np.append(np.zeros(len(lower)), 1.0),
+        A_ub=np.column_stack([A, -np.ones(len(b))]),
+        b_ub=b,
+        bounds=np.vstack([np.column_stack([lower, upper]), [0.0, np.inf]]),
+    )
+    if best.x is None or best.x[-1] < CLEAR:
+        return
+    excess = A @ best.x[:-1] - b
+    worst = int(np.argmax(excess))
+    name, wanted, limit, size = rows[worst]
+    raise ValueError(
+        f"Problem.bounds leave no force densities at the start: {name} has to be {wanted}, and with all others kept as well as this one "
+        f"it is {limit + size * excess[worst]:.4g}: widen one, or start elsewhere"
+    )
