@@ -27,11 +27,11 @@ from tenscasadi.validate import instance
 
 log = logging.getLogger(__name__)
 
-_LONG = 1_000_000  # characters of C, constants apart, above which optimisation is cut short: compile time would grow with their square
-_CONSTANTS = re.compile(r"=\s*\{[^}]*\}")
+_LONG = 1_000_000  # characters of C above which optimisation is cut short: compile time would grow with their square
+_NO_CODE = re.compile(r"=\s*\{[^}]*\}|/\*.*?\*/", re.DOTALL)  # constants, and comments that repeat them
 # No fused multiply-add and no fast maths: compiled or not, the same formulas are rounded the same way.
 # Hidden but for what CasADi marks as exported: else gcc may not inline a library's own helpers, and each square is a call.
-_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
+_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-funroll-loops", "-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
 _LIMIT = 500_000_000  # bytes of all libraries in the cache
 _RECENT = 60.0  # s since a library was used in which it is not removed: another process may be about to load it
 _ABANDONED = 86_400.0  # s after which what a compilation left behind is nobody's any more
@@ -77,7 +77,7 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None, 
     except RuntimeError as error:
         raise CompileError(f"CasADi cannot write C code for {function}: {error}") from None
     if flags is None:
-        flags = _default_flags(compiler) if len(_CONSTANTS.sub("", source)) < _LONG else ("-O1", *_default_flags(compiler)[1:])
+        flags = _default_flags(compiler) if len(_NO_CODE.sub("", source)) < _LONG else ("-O1", *_default_flags(compiler)[1:])
     identity = (_identity(compiler, flags), platform.machine(), *flags, ca.CasadiMeta.version(), source)
     key = hashlib.sha256("\0".join(identity).encode()).hexdigest()
     library = cache_folder() / f"{function.name()}-{key[:32]}{_SUFFIX}"

@@ -290,11 +290,13 @@ def test_large_constants_do_not_cost_optimisation(cache: Path, monkeypatch: pyte
         raise CompileError("not built")
 
     monkeypatch.setattr(compiled, "_build", stop)
-    x, a = ca.MX.sym("x", 60_000), ca.SX.sym("a")
+    x, a = ca.MX.sym("x", 200_000), ca.SX.sym("a")
     long = a
     for k in range(20_000):
         long = ca.sin(long) * (a + k)
-    for function in (ca.Function("constants", [x], [x * np.linspace(0.1, 0.7, 60_000)]), ca.Function("code", [a], [long])):
+    order = np.random.default_rng(0).permutation(200_000)  # printed as a constant and, once more, in a comment
+    constants = [x * np.linspace(0.1, 0.7, len(order)), x[order.tolist()]]
+    for function in (ca.Function("constants", [x], constants), ca.Function("code", [a], [long])):
         with pytest.raises(CompileError, match="not built"):
             compile_function(function)
     assert levels == ["-O3", "-O1"]
