@@ -48,6 +48,20 @@ def sparse(matrix: Any) -> ca.DM:
     return ca.DM(ca.Sparsity(rows, columns, csc.indptr.tolist(), csc.indices.tolist()), csc.data)
 
 
+def constant_row(values: Any) -> ca.DM:
+    """Constants (k,) as 1×k, or as 1×1 where all are the same: that is shorter code, and less memory to read."""
+    return ca.DM(values[0]) if len(values) and np.ptp(values) == 0 else ca.DM(values).T
+
+
+def spread(Z: Any, weights: Any, C: Any) -> Any:
+    """Z ŵ C (3×n) of columns Z (3×k), their weights (1×k) and a constant matrix C (k×n)."""
+    constant = sparse(C)
+    if not isinstance(Z, ca.MX):
+        return ca.mtimes(Z * ca.repmat(weights, 3, 1), constant)
+    rows, _ = constant.sparsity().get_triplet()  # as vector operations: one pass over C is less than three over Z
+    return ca.mtimes(Z, fill(constant.sparsity(), weights.T[rows] * ca.DM(constant.nonzeros())))
+
+
 def fill(sparsity: ca.Sparsity, values: Any) -> Any:
     """A matrix of this sparsity with these values (nnz), of their CasADi type."""
     values = ca.densify(values)

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.algebra import block_inverse, clean, fill, is_diagonal, solve_semidefinite, sparse, staged
+from tenscasadi.algebra import block_inverse, clean, constant_row, fill, is_diagonal, solve_semidefinite, sparse, spread, staged
 from tenscasadi.structure import Structure, connectivity
 from tenscasadi.validate import Array, Indices
 
@@ -156,7 +156,7 @@ def multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, An
 
 def push(mech: Mechanism, B: Any, lam: Any, Omega: Any) -> Any:
     """B λ̂ C_b + Ω Pᵀ (3×n): what bars and joints do to the nodes."""
-    force = ca.mtimes(B * ca.repmat(lam, 3, 1), sparse(mech.C_b))
+    force = spread(B, lam, mech.C_b)
     return force + ca.mtimes(Omega, sparse(mech.P.T)) if mech.joints else force
 
 
@@ -184,7 +184,7 @@ def without_stretching(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
 def _bar_scale(mech: Mechanism, B: Any) -> Any:
     """h = bᵀb G_ii (1×β) of bars that stand alone; l² G_ii with the paper's constant length."""
     squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
-    return squared * ca.DM(mech.G[0].diagonal()).T
+    return squared * constant_row(mech.G[0].diagonal())
 
 
 def _reduced_matrix(mech: Mechanism, B: Any) -> Any:

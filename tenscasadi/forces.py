@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.algebra import sparse
+from tenscasadi.algebra import constant_row, sparse, spread
 from tenscasadi.dynamics import Mechanism
 from tenscasadi.scene import Scene
 from tenscasadi.strings import ForceDensity, RestLength
@@ -18,17 +18,16 @@ from tenscasadi.validate import Array
 
 
 def strings(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool = True) -> tuple[Any, Any]:
-    """γ and length (1×α each) of the modelled strings under the control u."""
+    """γ (1×α) of the modelled strings under the control u, and their vectors S (3×α)."""
     s = scene.modelled
     S = ca.mtimes(N, sparse(mech.C_s.T))  # 3×α, Eq. 66
-    squared = ca.sum1(S * S)
     if isinstance(scene.control, ForceDensity):
-        return _per_child(scene, u, 1 / s.string_fraction), ca.sqrt(squared)  # equal tension along a straight parent
+        return _per_child(scene, u, 1 / s.string_fraction), S  # equal tension along a straight parent
     rate = None
     if damped and is_damped(scene):
-        rate = ca.sum1(S * ca.mtimes(V, sparse(mech.C_s.T))) * ca.DM(s.damping).T  # c sᵀṡ, Eq. 98
-    gamma = scene.slack.force_density(squared, _rest(scene, u), ca.DM(s.stiffness).T, rate, ca.DM(s.rest_length).T)
-    return gamma, ca.sqrt(squared)
+        rate = ca.sum1(S * ca.mtimes(V, sparse(mech.C_s.T))) * constant_row(s.damping)  # c sᵀṡ, Eq. 98
+    gamma = scene.slack.force_density(ca.sum1(S * S), _rest(scene, u), constant_row(s.stiffness), rate, constant_row(s.rest_length))
+    return gamma, S
 
 
 def is_damped(scene: Scene) -> bool:
@@ -36,9 +35,9 @@ def is_damped(scene: Scene) -> bool:
     return not isinstance(scene.control, ForceDensity) and bool(np.any(scene.modelled.damping > 0))
 
 
-def pull(mech: Mechanism, N: Any, gamma: Any) -> Any:
+def pull(mech: Mechanism, gamma: Any, S: Any) -> Any:
     """−S γ̂ C_s (3×n, Eq. 56)."""
-    return -ca.mtimes(ca.mtimes(N, sparse(mech.C_s.T)) * ca.repmat(gamma, 3, 1), sparse(mech.C_s))
+    return spread(S, gamma, -mech.C_s)
 
 
 def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> dict[str, Any]:
@@ -46,7 +45,7 @@ def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> d
     first = mech.first.tolist()
     result: dict[str, Any] = {}
     if len(scene.modelled.strings):
-        result["strings"] = pull(mech, N, strings(scene, mech, N, V, u)[0])
+        result["strings"] = pull(mech, *strings(scene, mech, N, V, u))
     if scene.gravity is not None:
         result["gravity"] = scene.gravity.forces(mech.M.sum(axis=1))
     if scene.ground is not None:
@@ -64,7 +63,7 @@ def potential(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any, Any]:
     elastic: Any = ca.DM(0)
     if len(s.strings) and not isinstance(scene.control, ForceDensity):
         S = ca.mtimes(N, sparse(mech.C_s.T))
-        elastic = ca.sum2(scene.slack.energy(ca.sum1(S * S), _rest(scene, u), ca.DM(s.stiffness).T, ca.DM(s.rest_length).T))
+        elastic = ca.sum2(scene.slack.energy(ca.sum1(S * S), _rest(scene, u), constant_row(s.stiffness), constant_row(s.rest_length)))
     if scene.ground is not None:
         elastic = elastic + scene.ground.energy(N[:, mech.first.tolist()])
     return elastic, ca.DM(0) if scene.gravity is None else scene.gravity.energy(N, mech.M.sum(axis=1))
@@ -79,7 +78,7 @@ def conservative(scene: Scene) -> bool:
 
 def _rest(scene: Scene, u: Any) -> Any:
     s = scene.modelled
-    return _per_child(scene, u, s.string_fraction) if isinstance(scene.control, RestLength) else ca.DM(s.rest_length).T
+    return _per_child(scene, u, s.string_fraction) if isinstance(scene.control, RestLength) else constant_row(s.rest_length)
 
 
 def _per_child(scene: Scene, u: Any, factor: Array) -> Any:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi import dynamics, forces
-from tenscasadi.algebra import solve_semidefinite, sparse, staged
+from tenscasadi.algebra import solve_semidefinite, sparse, spread, staged
 from tenscasadi.compiled import compile_function
 from tenscasadi.dynamics import Multipliers
 from tenscasadi.state_space import StateSpace
@@ -57,7 +57,9 @@ class Model(StateSpace):
         x, u = self._symbols(self._unrolled)
         N, V, time = self.unpack(x)
         A, _, _ = self.motion(N, V, u, time)
-        return ca.Function("ode", [x, u], ca.cse([self.pack(V, A, 1)]), ["x", "u"], ["xdot"])
+        rate = [self.pack(V, A, 1)]
+        # Of vector operations cse would share the zeros too that each product starts from, and copy them.
+        return ca.Function("ode", [x, u], ca.cse(rate) if self._unrolled else rate, ["x", "u"], ["xdot"])
 
     def compile(self) -> ca.Function:
         """`ode` as machine code: the same inputs, outputs and values, without derivatives. Raises CompileError without a C compiler."""
@@ -68,13 +70,13 @@ class Model(StateSpace):
         """(x, u) → nodes and velocities (3n, node by node), force_density and tension (α), energy (3), bar_length_error, joint_error."""
         x, u = self._symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
-        gamma, length = forces.strings(self.scene, self.mechanism, N, V, u)
+        gamma, S = forces.strings(self.scene, self.mechanism, N, V, u)
         first = self.mechanism.first.tolist()
         outputs = {
             "nodes": ca.vec(N[:, first]),
             "velocities": ca.vec(V[:, first]),
             "force_density": gamma.T,
-            "tension": (gamma * length).T,
+            "tension": (gamma * ca.sqrt(ca.sum1(S * S))).T,
             "energy": ca.vertcat(self._kinetic(V), *forces.potential(self.scene, self.mechanism, N, u)),
             "bar_length_error": self._bar_length_error(N),
             "joint_error": self._joint_error(N, time),
@@ -149,8 +151,8 @@ class Model(StateSpace):
         N, V, time = self.unpack(x)
         built = forces.terms(self.scene, self.mechanism, N, V, u, time)
         if forces.is_damped(self.scene):
-            elastic = forces.strings(self.scene, self.mechanism, N, V, u, damped=False)[0]
-            built = {"string elasticity": forces.pull(self.mechanism, N, elastic), "string damping": built.pop("strings"), **built}
+            elastic = forces.pull(self.mechanism, *forces.strings(self.scene, self.mechanism, N, V, u, damped=False))
+            built = {"string elasticity": elastic, "string damping": built.pop("strings"), **built}
         elif "strings" in built:
             name = "string force densities" if isinstance(self.scene.control, ForceDensity) else "string elasticity"
             built = {name: built.pop("strings"), **built}
@@ -220,7 +222,7 @@ class Model(StateSpace):
         if not full.joints:
             return ca.DM.zeros(3, 0)
         N, V, A = (Z[:, full.physical.tolist()] for Z in (N, V, A))
-        push = ca.mtimes(ca.mtimes(N, sparse(full.C_b.T)) * ca.repmat(lam, 3, 1), sparse(full.C_b))
+        push = spread(ca.mtimes(N, sparse(full.C_b.T)), lam, full.C_b)
         left = ca.mtimes(A, sparse(full.M)) - _sum(forces.terms(self.scene, full, N, V, u, time), full) - push  # Ω Pᵀ
         return ca.mtimes(left, ca.DM(np.linalg.pinv(full.P.toarray().T)))
 

@@ -35,11 +35,12 @@ class Clip:
         no length has finite derivatives.
         """
         safe = squared + (1e-9 * unit) ** 2
-        strain = 1 - rest / ca.sqrt(safe)
+        length = ca.sqrt(safe)
+        strain = (length - rest) / length
         if rate is None:
             return stiffness * strain * (strain > 0)  # a product: the shortest code, and finite in all derivatives
         gamma = stiffness * strain + rate / safe
-        return gamma * ca.logic_and(strain > 0, gamma > 0)
+        return gamma * ((strain > 0) * (gamma > 0))
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
         """Elastic energy ½ k (s − ρ)² of taut strings, J."""
