@@ -13,14 +13,14 @@ from ocp.grid import PiecewiseConstant, PiecewiseLinear
 from ocp.guesses import Arrays, Equilibrium, InverseDynamics
 from ocp.implicit import ImplicitMidpoint
 from ocp.instant import Instant
+from ocp.invariants import UnreachableGoal
 from ocp.mpc import Mpc
 from ocp.places import AboveGround, BarClearance, InsideBox, Obstacle
 from ocp.plan import Plan
-from ocp.problem import Problem
+from ocp.problem import FreeStart, Problem
 from ocp.report import Report
 from ocp.solve import solve
 from ocp.solver import Fatrop, Ipopt, Progress
-from ocp.target import UnreachableGoal
 from ocp.track import Tracker, track
 from ocp.transcription import MultipleShooting
 from ocp.variational import Variational
@@ -29,6 +29,7 @@ from ocp.winding import reachable, replay_wound
 __all__ = [
     # what is asked
     "Problem",
+    "FreeStart",
     "StringLengths",
     "NodePositions",
     "Shape",

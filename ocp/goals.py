@@ -193,7 +193,7 @@ class Periodic(Goal):
     """The end repeats the start, so that the plan may be run again and again: each node back in its place and at its velocity.
 
     shift: (x, y, z), m, by which all nodes have moved, as in a gait; None for an axis: as far as the first node has. start: nodes and
-    velocities (n, 3) to come back to; None: those of the problem.
+    velocities (n, 3) to come back to; None: those of the problem, also where they are sought (`FreeStart`).
     """
 
     shift: Sequence[float | None] = (0.0, 0.0, 0.0)
@@ -220,7 +220,7 @@ class Periodic(Goal):
         """Coordinates and velocities minus those of the start."""
         if self.start is None:
             raise ValueError("Periodic.start is None: give it to a Problem, which knows its start")
-        before, speeds = (np.asarray(value) for value in self.start)
+        before, speeds = (value if isinstance(value, (ca.SX, ca.MX)) else np.asarray(value) for value in self.start)
         places, rates, names = [], [], []
         for node, axis in np.argwhere(~structure.fixed).tolist():
             shift = self.shift[axis]

@@ -112,7 +112,8 @@ def resampled(
     on_grid = np.column_stack([np.interp(shares, state_shares, column) for column in states.T])
     if problem.model.mechanism.constrained:
         on_grid = np.asarray(projection(problem.model, 3).map(len(shares))(on_grid.T).full()).T
-    on_grid[0] = target.start
+    if not problem.free_start:
+        on_grid[0] = target.start
     lower, upper = problem.force_density_limits
     held = np.clip(at(gamma, gamma_shares, (shares[:-1] + shares[1:]) / 2), lower, upper)
     return Guess(on_grid, held, float(np.clip(duration, problem.shortest, problem.longest)))

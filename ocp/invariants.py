@@ -18,6 +18,10 @@ from tenscasadi.model import Model
 from tenscasadi.validate import Array
 
 
+class UnreachableGoal(ValueError):
+    """The goals contradict each other, the bars' lengths, or what the motion keeps whatever the strings do."""
+
+
 @dataclass(frozen=True, eq=False)
 class Invariant:
     """A group of rows that stay zero along every motion: CasADi expressions of the state and the time since the start."""

@@ -25,18 +25,40 @@ START_TOLERANCE = 1e-6  # of the structure's size: beyond it a start is out of b
 
 
 @dataclass(frozen=True, eq=False)
+class FreeStart:
+    """A start that the solver chooses, as for a gait, which repeats a motion that is not known before.
+
+    near: nodes (n, 3) at rest, m, or a state (nx,), where it is looked for; None: the model's initial state. goals: `NodePositions`,
+    `AtRest` …, what it has to meet, such as the place of a node where nothing else says where on the ground a motion begins. Bars have their
+    lengths at the start by constraints of their own; a clock starts as it does near.
+    """
+
+    near: ArrayLike | None = None
+    goals: Iterable[Goal] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "goals", _listed("FreeStart.goals", self.goals, Goal, "[AtRest()]"))
+        for k, goal in enumerate(self.goals):
+            if isinstance(goal, (Waypoint, Periodic)):
+                raise TypeError(
+                    f"FreeStart.goals[{k}] is a {type(goal).__name__}: give it to the problem, goals of the start are of that instant alone"
+                )
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """A plan to be found for `model`, whose control is `ForceDensity()`.
 
     duration: seconds, or (shortest, longest) to let the solver choose. start: nodes (n, 3) at rest, m, or a state (nx,); None: the
-    model's initial state; rounded numbers are put right. goals: `StringLengths`, `AtRest`, `Waypoint` …, all met, at the end unless they say when.
-    bounds: `ForceDensityLimits`, `TensionLimits`, `BarClearance` …, along the way. costs: `Effort`, `Tracking` …, summed.
+    model's initial state; rounded numbers are put right; or `FreeStart(...)`: found with the plan. goals: `StringLengths`, `AtRest`,
+    `Waypoint` …, all met, at the end unless they say when. bounds: `ForceDensityLimits`, `TensionLimits`, `BarClearance` …, along the way. costs:
+    `Effort`, `Tracking` …, summed.
     Raises TypeError, ValueError that name the field.
     """
 
     model: Model
     duration: float | tuple[float, float] = 1.0
-    start: ArrayLike | None = None
+    start: ArrayLike | FreeStart | None = None
     goals: Iterable[Goal] = ()
     bounds: Iterable[Bound] = ()
     costs: Iterable[Cost] = ()
@@ -51,16 +73,16 @@ class Problem:
             raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
         own = self.__dict__
         own["duration"] = _duration(self.duration)
-        own["start"] = self._start()
+        if isinstance(self.start, FreeStart):
+            if self.model.mechanism.joints or self.model.scene.supports is not None:
+                raise ValueError('Problem.start is free, where bars alone are kept: give Model(scene, coordinates="reduced") without moved supports')
+            own["start"] = replace(self.start, near=self._state("FreeStart.near", self.start.near))
+        else:
+            own["start"] = self._state("Problem.start", self.start)
         for field, kinds, example in _KINDS:
-            values = getattr(self, field)
-            if isinstance(values, kinds) or not isinstance(values, Iterable):
-                raise TypeError(f"Problem.{field} is {values!r}: give a list of them, such as {example}")
-            own[field] = tuple(values)
-            for k, value in enumerate(own[field]):
-                instance(f"Problem.{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}")
+            own[field] = _listed(f"Problem.{field}", getattr(self, field), kinds, example)
         structure = self.model.scene.structure
-        for item in (*own["goals"], *own["bounds"], *own["costs"]):
+        for item in (*own["goals"], *own["bounds"], *own["costs"], *self.start_goals):
             item.check(structure)
         own["goals"] = tuple(self._with_start(goal) for goal in own["goals"])
         self._check_limits()
@@ -77,9 +99,29 @@ class Problem:
         return self.duration[1] if isinstance(self.duration, tuple) else self.duration
 
     @property
+    def free_start(self) -> bool:
+        """Whether the start is to be found."""
+        return isinstance(self.start, FreeStart)
+
+    @property
+    def first_state(self) -> Array:
+        """The start (nx,), or the state near which it is looked for."""
+        return np.asarray(self.start.near if isinstance(self.start, FreeStart) else self.start)
+
+    @property
+    def start_goals(self) -> tuple[Goal, ...]:
+        """What a free start has to meet."""
+        return tuple(self.start.goals) if isinstance(self.start, FreeStart) else ()
+
+    @property
     def final_goals(self) -> tuple[Goal, ...]:
-        """The goals that are met at the end."""
-        return tuple(goal for goal in self.goals if not isinstance(goal, Waypoint))
+        """The goals that are met at the end, wherever the motion starts."""
+        return tuple(goal for goal in self.goals if not isinstance(goal, Waypoint) and goal not in self.repeating)
+
+    @property
+    def repeating(self) -> tuple[Periodic, ...]:
+        """The goals that ask the end to repeat a start that is not known."""
+        return tuple(goal for goal in self.goals if isinstance(goal, Periodic) and goal.start is None)
 
     @property
     def waypoints(self) -> list[tuple[float, Problem]]:
@@ -105,38 +147,41 @@ class Problem:
         lower, upper = self.limits(ForceDensityLimits)
         return np.maximum(lower, 0.0), upper
 
-    def _start(self) -> Array:
-        if self.start is None:
+    def _state(self, field: str, given: ArrayLike | None) -> Array:
+        """The state (nx,) that is given as nodes or as a state, on the constraints."""
+        if given is None:
             return self.model.initial_state
-        if dimensions(self.start) == 1:
-            state = finite_array("Problem.start", self.start, (self.model.nx,))
+        if dimensions(given) == 1:
+            state = finite_array(field, given, (self.model.nx,))
         else:
-            nodes = finite_array("Problem.start", self.start, (len(self.model.structure.nodes), 3))
+            nodes = finite_array(field, given, (len(self.model.structure.nodes), 3))
             try:
                 state = self.model.state(nodes)
             except ValueError as error:
-                raise ValueError(f"Problem.start: {error}") from None
+                raise ValueError(f"{field}: {error}") from None
         s = self.model.structure
         bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (self.model.nodes(state), self.model.velocities(state)))
         actual = np.linalg.norm(bars, axis=1)
         bad = np.flatnonzero(abs(actual / s.bar_lengths - 1) > BAR_TOLERANCE)
         if bad.size:
             i = int(bad[0])
-            raise ValueError(f"Problem.start makes bar {i} {actual[i]:g} m long, not {s.bar_lengths[i]:g} m: give nodes that keep the bars' lengths")
+            raise ValueError(f"{field} makes bar {i} {actual[i]:g} m long, not {s.bar_lengths[i]:g} m: give nodes that keep the bars' lengths")
         stretch = abs(np.sum(bars * rates, axis=1)) / s.bar_lengths
         bad = np.flatnonzero(stretch > BAR_TOLERANCE * np.linalg.norm(self.model.velocities(state), axis=1).max())
         if bad.size:
             i = int(bad[0])
-            raise ValueError(f"Problem.start stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths")
+            raise ValueError(f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths")
         return np.asarray(projection(self.model, 10)(state).full()).ravel()
 
     def _with_start(self, goal: Goal) -> Goal:
         """Periodic goals learn where the plan starts."""
         if isinstance(goal, Waypoint):
             goal.at(self.shortest, self.longest)
+            if self.free_start and any(isinstance(inner, Periodic) and inner.start is None for inner in goal.goals):
+                raise ValueError("Waypoint.goals has Periodic(), and the start is free: give Periodic(start=...), or Periodic() as a goal of the end")
             return replace(goal, goals=tuple(self._with_start(inner) for inner in goal.goals))
-        if isinstance(goal, Periodic) and goal.start is None:
-            start, count = np.asarray(self.start), len(self.model.scene.structure.nodes)
+        if isinstance(goal, Periodic) and goal.start is None and not self.free_start:
+            start, count = self.first_state, len(self.model.scene.structure.nodes)
             return replace(goal, start=(self.model.nodes(start)[:count], self.model.velocities(start)[:count]))
         return goal
 
@@ -150,13 +195,13 @@ class Problem:
 
     def _check_expressions(self) -> None:
         """Builds what is asked once, so that a fault shows here, and refuses a start that is out of bounds."""
-        start = np.asarray(self.start)
+        start = self.first_state
         for bound in self.bounds:
             if not isinstance(bound, PathBound):
                 continue
             now = symbolic(self.model)
             limited = bound.limited(now)
-            if bound.needs_control or not limited.names:
+            if bound.needs_control or not limited.names or self.free_start:
                 continue
             value = ca.Function("start", [now.state, now.control, now.time], [ca.densify(limited.value)])(start, 0, 0).full().ravel()
             excess = np.maximum(limited.lower - value, value - limited.upper)
@@ -173,6 +218,15 @@ class Problem:
                 cost.rate(now)
             elif isinstance(cost, FinalCost):
                 cost.final(now)
+
+
+def _listed(field: str, values: Any, kinds: type, example: str) -> tuple[Any, ...]:
+    if isinstance(values, kinds) or not isinstance(values, Iterable):
+        raise TypeError(f"{field} is {values!r}: give a list of them, such as {example}")
+    found = tuple(values)
+    for k, value in enumerate(found):
+        instance(f"{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}")
+    return found
 
 
 def _duration(value: Any) -> float | tuple[float, float]:

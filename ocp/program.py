@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.blocks import Block, Separable, Unknowns, exact
+from ocp.cycle import Cycle
 from ocp.grid import Profile, at, between, constant_matrix, node_values, spread
 from ocp.guess import Guess
 from ocp.path import stop_rows, typical_cost
@@ -88,8 +89,19 @@ class Assembly:
         self._control_names = [f"force density of string{'s' * (len(own) > 1)} {', '.join(map(str, own))}" for own in members]
         self._least, self._most = (np.array([choose(limit[own]) for own in members]) for choose, limit in ((np.max, least), (np.min, most)))
         self._control_first = self.guess.force_density @ (self.spread / self.spread.sum(axis=0))
+        if target.cycle is not None:
+            self._free_start(target.cycle)
 
     # --- unknowns ---
+
+    def _free_start(self, cycle: Cycle) -> None:
+        """The start, but for its clock, and the rows that hold there alone."""
+        size = 2 * self.model.nq
+        names = [f"{name}, start" for name in self._state_names[:size]]
+        self.states[0, :size] = self.unknowns.add(names, self.guess.states[0, :size], self.scales.state[:size])
+        rows = tuple(f"start, combination {k} of bars and goals" for k in range(cycle.start.size1_out(0)))
+        if rows:
+            self.rows.append(Block(cycle.start, self.states[:1], rows))
 
     def add_control(self, k: int) -> None:
         """Force densities of interval k, or, where they are piecewise linear, at its start; k = K: at the end."""
@@ -173,12 +185,18 @@ class Assembly:
         return [*bound_blocks(self), *self._goal()], cost_blocks(self)
 
     def _goal(self) -> list[Block]:
-        """The rows of waypoints, and those of the end."""
+        """The rows of waypoints, those of the end, and those of an end that repeats the start."""
         blocks = [stop_block(self, rows) for rows in stop_rows(self.target, self.fractions)]
-        if not self.target.count:
-            return blocks
-        names = tuple(f"goal, combination {k}" for k in range(self.target.count))
-        return [*blocks, Block(self.target.rows, self.states[-1:], names)]
+        if self.target.count:
+            names = tuple(f"goal, combination {k}" for k in range(self.target.count))
+            blocks.append(Block(self.target.rows, self.states[-1:], names))
+        cycle = self.target.cycle
+        if cycle is not None and cycle.names:
+            names = tuple(f"goal of repeating, combination {k}" for k in range(cycle.repeats.size1_out(0)))
+            z = ca.SX.sym("z", 2 * self.model.nx)
+            function = ca.Function("repeats", [z], [cycle.repeats(*ca.vertsplit(z, self.model.nx))])
+            blocks.append(Block(function, np.hstack([self.states[:1], self.states[-1:]]), names))
+        return blocks
 
 
 def _needed(blocks: Sequence[Block], references: Indices) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -47,6 +47,14 @@ class Reduction:
 
     combinations: Array
     repeated: dict[str, int]
+
+
+class Combined(NamedTuple):
+    """Combinations (count, m) of m named rows, of which each is divided by its size (m,): m, m/s, or 1 of what was added for the shape."""
+
+    combinations: Array
+    names: tuple[str, ...]
+    sizes: Array
 
 
 def reduce_rows(H: Array, groups: Sequence[tuple[str, Array]]) -> Reduction:

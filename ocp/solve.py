@@ -65,8 +65,9 @@ def solve(
     began = time.perf_counter()
     scales = Scales.of(problem)
     target = find_target(problem, scales)
-    _check_freedom(problem, target, transcription)
-    check_start(problem)
+    if not problem.free_start:
+        _check_freedom(problem, target, transcription)
+        check_start(problem)
     first = guess_of(guess, problem, target, transcription.count)
     reach = Reach(problem.model, transcription.count, problem.shortest < problem.longest)
     imposed = _controlled(target, reach, first)
@@ -102,8 +103,10 @@ def _check_freedom(problem: Problem, target: Target, transcription: OnGrid) -> N
 
 def _controlled(target: Target, reach: Reach, guess: Guess, least: float = REACHED) -> Target:
     """The target without the rows that the strings cannot move, to first order, along the motion that the guess's force densities cause."""
+    if not _rows(target) or target.cycle is not None:  # a free start moves them too
+        return target
     states = reach.rollout(target.start, guess.force_density, guess.duration)
-    if not _rows(target) or not np.all(np.isfinite(states)):
+    if not np.all(np.isfinite(states)):
         return target
 
     def reduced(part: Target, share: float) -> Target:
@@ -169,6 +172,8 @@ def _met(target: Target, state_at: Callable[[float], Array]) -> bool:
 
 def _plan(problem: Problem, transcription: OnGrid, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, tolerance: float) -> Plan:
     program, solution, found = outcome
+    duals = duals_of(program, imposed, solution.w, *solution.multipliers) if solution.success and solution.multipliers else None
+    target, imposed = (part.begun(found.states[0]) for part in (target, imposed))
     model = problem.model
     grid = found.duration * np.append(0.0, np.cumsum(transcription.fractions))
     grid[-1] = found.duration
@@ -187,7 +192,7 @@ def _plan(problem: Problem, transcription: OnGrid, target: Target, imposed: Targ
         replay_speed_error=np.nan,
         structure=model.scene.structure,
         model=model,
-        duals=duals_of(program, imposed, solution.w, *solution.multipliers) if solution.success and solution.multipliers else None,
+        duals=duals,
         problem=problem,
     )
     error, speed_error = _replay_errors(plan, target)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Protocol
 
 import casadi as ca
@@ -49,7 +50,10 @@ class Layout(Protocol):
 
 def bound_blocks(a: Layout) -> list[Block]:
     """Limits of instants, at the ends of every interval, and between the starts of neighbours."""
-    blocks = [_at_end(a, rows, end) for rows in stage_rows(a.problem, a.scales, a.strength) for end in rows.ends]
+    limits = stage_rows(a.problem, a.scales, a.strength)
+    blocks = [_at_end(a, rows, end) for rows in limits for end in rows.ends]
+    if a.problem.free_start:  # a given one has been checked
+        blocks += [_at_start(_at_end(a, rows, "start"), len(rows.names)) for rows in limits if "start" not in rows.ends]
     if a.count > 1:
         blocks += [_at_corners(a, rows) for rows in corner_rows(a.problem, a.scales, a.strength)]
     return blocks
@@ -75,6 +79,10 @@ def _at_end(a: Layout, rows: StageRows, end: str) -> Block:
     index = np.hstack([a.states[at_end], a.interval_controls, a.repeated(a.duration), a.time[at_end]])
     names = tuple(f"{name}, {end} of interval {k}" for k in range(a.count) for name in rows.names)
     return Block(function, index, names, rows.lower, rows.upper, rows.scale)
+
+
+def _at_start(block: Block, count: int) -> Block:
+    return replace(block, index=block.index[:1], names=block.names[:count])
 
 
 def _at_corners(a: Layout, rows: StageRows) -> Block:

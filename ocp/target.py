@@ -7,22 +7,20 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+import scipy.linalg
 import scipy.sparse
 
+from ocp.cycle import Cycle, find_cycle
 from ocp.goals import rows_of
-from ocp.invariants import Invariant, invariants
+from ocp.invariants import Invariant, UnreachableGoal, invariants
 from ocp.problem import Problem
-from ocp.reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
+from ocp.reduction import RANK, Combined, Reduction, RowFunction, reduce_rows, soft_directions
 from ocp.search import NEARLY_SINGULAR, Search
 from tenscasadi.model import Model
 from tenscasadi.validate import Array
 
 ROUNDED = 2e-4  # of the structure's size: goals given to four digits are met as nearly as the bars allow, beyond they are refused
 RIGID = ("bar", "joint", "clock")
-
-
-class UnreachableGoal(ValueError):
-    """The goals contradict each other, the bars' lengths, or what the motion keeps whatever the strings do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +48,8 @@ class Target:
     start: x₀ (nx,) on the constraints. state: the nearest state (nx,) that meets the goals, or None without goals. rows: Function
     x → independent rows, zero at the goal. misfit: Function x → (metres, metres per second), the distance from the goals in each of
     `names` (first those in metres). given: rows of the goals; repeated: rows left out, by what repeats them; shape: rows added
-    because string lengths are singular at the target. combined: what `rows` consist of. stops: what is to be met on the way.
+    because string lengths are singular at the target. combined: what `rows` consist of. stops: what is to be met on the way. cycle: rows
+    of a free start, near which `start` is then.
     """
 
     start: Array
@@ -64,11 +63,34 @@ class Target:
     adjusted: float
     combined: Combined
     stops: tuple[Stop, ...] = ()
+    cycle: Cycle | None = None
 
     @property
     def count(self) -> int:
         """Rows that are imposed."""
         return int(self.rows.size1_out(0))
+
+    def begun(self, start: Array) -> Target:
+        """The target of a motion from a free start that has been found, whose rows and misfit include those of repeating it."""
+        cycle = self.cycle
+        if cycle is None:
+            return self
+        x = ca.MX.sym("x", len(start))
+        (metres, speeds), (more_metres, more_speeds) = self.misfit(x), cycle.misfit(start, x)
+        count, more = metres.shape[0], more_metres.shape[0]
+        own, other = self.combined, cycle.combined
+        combinations = scipy.linalg.block_diag(own.combinations, other.combinations)
+        return replace(
+            self,
+            start=start,
+            rows=ca.Function("goal", [x], [ca.vertcat(self.rows(x), cycle.repeats(start, x))], ["x"], ["rows"]),
+            misfit=ca.Function("misfit", [x], [ca.vertcat(metres, more_metres), ca.vertcat(speeds, more_speeds)], ["x"], ["metres", "speeds"]),
+            names=(*self.names[:count], *cycle.names[:more], *self.names[count:], *cycle.names[more:]),
+            given=self.given + len(cycle.names),
+            repeated={kind: self.repeated.get(kind, 0) + cycle.repeated.get(kind, 0) for kind in (*self.repeated, *cycle.repeated)},
+            combined=Combined(combinations, own.names + other.names, np.append(own.sizes, other.sizes)),
+            cycle=None,
+        )
 
     def describe(self) -> str:
         """The count of rows, such as "36 → 21 rows: 6 bar, 9 momentum"."""
@@ -79,14 +101,6 @@ class Target:
         text += ": " + ", ".join(parts) if parts else ""
         text += f"; goals adjusted by {self.adjusted:.1e} m to fit the bars" if self.adjusted else ""
         return "; ".join([text, *(stop.label + stop.target.describe() for stop in self.stops)])
-
-
-class Combined(NamedTuple):
-    """Combinations (count, m) of m named rows, of which each is divided by its size (m,): m, m/s, or 1 of what was added for the shape."""
-
-    combinations: Array
-    names: tuple[str, ...]
-    sizes: Array
 
 
 class Stop(NamedTuple):
@@ -110,13 +124,13 @@ def find_target(problem: Problem, scales: Scales) -> Target:
             stops.append(Stop(share, _end(part, scales), problem.model.nq))
         except UnreachableGoal as error:
             raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
-    return replace(_end(problem, scales), stops=tuple(stops))
+    return replace(_end(problem, scales), stops=tuple(stops), cycle=find_cycle(problem, scales.length, scales.time, scales.state))
 
 
 def _end(problem: Problem, scales: Scales) -> Target:
     """The target at the end of a problem."""
     model = problem.model
-    start = np.asarray(problem.start)
+    start = problem.first_state
     finder = _Finder(problem, start, scales)
     if not finder.names:
         x = ca.SX.sym("x", model.nx)
@@ -144,7 +158,8 @@ class _Finder:
         metre, speed = scales.length, scales.length / scales.time
         row_scale = np.concatenate([np.full(self.lengths.shape[0], metre), np.full(self.speeds.shape[0], speed)])
         self.goal = RowFunction(self.y, self.value, row_scale, self.scale)
-        self.groups = invariants(model, start, self.x, duration)
+        # from a free start all momenta can be had
+        self.groups = [group for group in invariants(model, start, self.x, duration) if group.kind in RIGID or not problem.free_start]
         self.kept = [self._rows(group) for group in self.groups]
         self.search = Search(self.scale, _metric(model), self._allowed, self._deforming)
 
