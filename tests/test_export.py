@@ -9,18 +9,18 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from scenes import every_term
 
 from tenscasadi import shapes
 from tenscasadi.correction import Projection
 from tenscasadi.export import export_c
 from tenscasadi.linear import linearize
-from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.loads import Gravity, Ground
 from tenscasadi.model import Model
 from tenscasadi.scene import Scene
 from tenscasadi.simulate import simulate
-from tenscasadi.strings import ForceDensity, RestLength, Smooth
+from tenscasadi.strings import ForceDensity
 from tenscasadi.structure import Structure
-from tenscasadi.supports import SupportMotion
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
@@ -36,28 +36,8 @@ def run(folder: Path, *arguments: str) -> np.ndarray:
     return np.array([[float(value) for value in line.split(",")] for line in done.stdout.splitlines()])
 
 
-def everything() -> Model:
-    """Every term that there is: time, moved supports, pressure, friction, massive strings, rollers."""
-    rng = np.random.default_rng(3)
-    tower = Structure(rng.normal(size=(7, 3)), [(0, 1), (1, 2), (2, 3), (4, 5)], [(0, 4), (3, 5), (2, 6), (4, 6)], node_mass=[0] * 6 + [1],
-                      pinned={0: "xyz", 3: "z"}, damping=0.3, rest_length=0.8, string_mass=0.1)  # fmt: skip
-    start = tower.nodes[0]
-    scene = Scene(
-        tower,
-        control=RestLength(),
-        segments=2,
-        gravity=Gravity(),
-        ground=Ground(100.0, 1.0, friction=0.4, height=0.3),
-        pressure=Pressure([(0, 1, 2)], 5.0),
-        forces=NodalForce(rng.normal(size=(3, 7, 3)), times=[0.0, 1.0, 2.0]),
-        slack=Smooth(0.01),
-        supports=SupportMotion({0: lambda t: [start[0] + np.sin(t), start[1] + t**2, start[2] - t]}),
-    )
-    return Model(scene, "full")
-
-
 MODELS = {
-    "every term": everything,
+    "every term": lambda: Model(every_term(), "full"),
     "class 1 with ground": lambda: Model(Scene(shapes.prism(prestress=20.0, damping=0.5), gravity=Gravity(), ground=Ground(1e3, 1.0, friction=0.3))),
     "class k, full coordinates": lambda: Model(Scene(shapes.d_bar(prestress=20.0, pinned=(0,)), gravity=Gravity((1, 2, 3))), "full"),
     "class k, reduced": lambda: Model(Scene(shapes.double_pendulum(), gravity=Gravity())),

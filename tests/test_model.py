@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from references import CERTIFIED, MOTES, certified, motes
+from scenes import every_term
 
 from tenscasadi import dynamics
 from tenscasadi.compiled import CompileError
@@ -17,7 +18,6 @@ from tenscasadi.redundancy import RedundantConstraints
 from tenscasadi.scene import Scene
 from tenscasadi.strings import Clip, ForceDensity, RestLength, Slack, Smooth
 from tenscasadi.structure import Structure
-from tenscasadi.supports import SupportMotion
 
 BOTH = pytest.mark.parametrize("coordinates", ["reduced", "full"])
 PRISM = {
@@ -171,22 +171,8 @@ def test_nearly_aligned_bars_stay_close_to_the_saddle_point_solution(gap: float,
 @pytest.mark.parametrize("slack", [Clip(), Smooth(0.01)], ids=["clip", "smooth"])
 def test_ode_derivatives_agree_with_central_differences(slack: Slack, moved: bool, coordinates: dynamics.Coordinates) -> None:
     """Every term at once, away from where strings go slack or nodes touch down."""
-    rng = np.random.default_rng(3)
-    tower = Structure(rng.normal(size=(7, 3)), [(0, 1), (1, 2), (2, 3), (4, 5)], [(0, 4), (3, 5), (2, 6), (4, 6)], node_mass=[0] * 6 + [1],
-                      pinned={0: "xyz", 3: "z"}, damping=0.3, rest_length=0.2, string_mass=0.1)  # fmt: skip
-    start = tower.nodes[0]
-    scene = Scene(
-        tower,
-        control=RestLength(),
-        segments=2,
-        gravity=Gravity(),
-        ground=Ground(100.0, 1.0, friction=0.4, height=0.3),
-        pressure=Pressure([(0, 1, 2)], 5.0),
-        forces=NodalForce(rng.normal(size=(3, 7, 3)), times=[0.0, 1.0, 2.0]),
-        slack=slack,
-        supports=SupportMotion({0: lambda t: [start[0] + np.sin(t), start[1] + t**2, start[2] - t]}) if moved else None,
-    )
-    model = Model(scene, coordinates)
+    rng = np.random.default_rng(4)
+    model = Model(every_term(slack, moved), coordinates)
     fixed = model.structure.fixed
     x = model.state(model.structure.nodes, np.where(fixed, 0, rng.normal(size=fixed.shape)))
     x[-1] = 0.3  # s
@@ -286,19 +272,22 @@ def dynamics_instructions(scene: Scene) -> int:
 
 
 @BOTH
-def test_vector_form_of_large_structures_gives_the_same_numbers(coordinates: dynamics.Coordinates, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("case", ["every term", "class 1", "force densities"])
+def test_the_vector_form_gives_the_same_numbers(case: str, coordinates: dynamics.Coordinates, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
-    structure = Structure(rng.normal(size=(7, 3)), [(0, 1), (1, 2), (4, 5)], [(0, 4), (3, 5), (2, 6), (3, 6)], node_mass=[0, 0, 0, 1, 0, 0, 1],
-                          pinned=(0,), damping=0.3, rest_length=0.2)  # fmt: skip
-    scene = Scene(structure, gravity=Gravity(), ground=Ground(100.0, 1.0, friction=0.3))
-    x = Model(scene, coordinates).state(structure.nodes, np.where(structure.fixed, 0, rng.normal(size=(7, 3))))
+    prism = Structure(**{**PRISM, "damping": rng.uniform(0.1, 0.5, 9), "stiffness": 100.0})
+    control = ForceDensity() if case == "force densities" else None
+    scene = every_term() if case == "every term" else Scene(prism, control=control, gravity=Gravity(), ground=Ground(100.0, 1.0, friction=0.3))
     unrolled = Model(scene, coordinates)
-    values = unrolled.ode(x, []).full(), unrolled.observe(x, [])[4].full()
+    fixed = unrolled.structure.fixed
+    x = unrolled.state(unrolled.structure.nodes, np.where(fixed, 0, rng.normal(size=fixed.shape)))
+    u = 0.9 * unrolled.initial_control
+    ours = [unrolled.ode(x, u), *unrolled.observe(x, u)]
     monkeypatch.setattr(dynamics, "UNROLL_MEMBERS", 0)
     vector = Model(scene, coordinates)
     assert vector.ode.class_name() == "MXFunction"
-    assert np.allclose(vector.ode(x, []).full(), values[0], rtol=1e-12, atol=1e-12)
-    assert np.allclose(vector.observe(x, [])[4].full(), values[1], rtol=1e-12)
+    for value, expected in zip([vector.ode(x, u), *vector.observe(x, u)], ours, strict=True):
+        assert np.allclose(value.full(), expected.full(), rtol=1e-12, atol=1e-12 * np.abs(expected.full()).max(initial=1.0))
 
 
 @BOTH
