@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.adaptive import ATTEMPTS, Limits, Memory, attempts_function
+from tenscasadi.collocation import Collocation
 from tenscasadi.compiled import CompileError, compile_function, find_compiler
 from tenscasadi.correction import Correction
 from tenscasadi.loop import LoopRunner, Report, StepFailure, chunk_function, chunk_steps, energy_function
@@ -78,7 +79,8 @@ def make_runner(task: Task, step: float, steps: int, compiled: Compiled) -> Buil
     note = ""
     if compiled is not False:
         try:
-            function = compile_function(_function(task, chunk_steps(model, every)), single=single)
+            chunk = every if isinstance(scheme, Collocation) else chunk_steps(model, every)  # Newton's method takes longer than a call
+            function = compile_function(_function(task, chunk), single=single)
             return Built(_wrapped(task, function, step), True, "; in single precision" if single else "")
         except CompileError as error:
             if compiled:

@@ -173,6 +173,8 @@ def _run(model: Model, runner: Runner, inputs: Signal, start: Array, t_end: floa
                 count = end
                 bar.update(min(runner.steps, n - first))
                 if not np.all(np.isfinite(z)):
+                    if count < len(kept):  # what is not finite stays so up to the next row
+                        rows[count], controls[count], count = z, u[-1], count + 1
                     break
                 if time.perf_counter() - looked > _LOOK_SECONDS:
                     looked = time.perf_counter()

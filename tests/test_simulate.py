@@ -276,6 +276,16 @@ def test_a_step_above_the_stability_limit_ends_with_advice() -> None:
     assert simulate(model, 20.0, 0.9 * limit, state=moving(model, 1e-3), correction=Projection(), compiled=False).success
 
 
+def test_divergence_is_told_however_few_rows_are_kept() -> None:
+    """The loop ends in the chunk of steps in which the state overflows, whether or not a row was to be kept there."""
+    model = Model(Scene(shapes.prism(prestress=30.0, stiffness=1e6, damping=100.0)))
+    start = model.state(model.structure.nodes, np.cross([1.0, 2.0, 3.0], model.structure.nodes))
+    for every in (1, 700, 10**9):
+        run = simulate(model, 100.0, 0.01, state=start, save_every=every, compiled=False)
+        assert not run.success
+        assert run.message.startswith("diverged between t = 0 and" if every > 1 else "diverged between t = ")
+
+
 def test_divergence_below_the_limit_names_other_causes() -> None:
     model = Model(Scene(shapes.pendulum()))
     spinning = model.state(model.structure.nodes, [[0, 0, 0], [0, 300.0, 0]])
