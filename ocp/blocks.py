@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -103,7 +104,7 @@ class Separable:
     """f(w) = sum of cost blocks, g(w) = rows of row blocks, one below the other; and their derivatives, as CasADi Functions."""
 
     def __init__(self, unknowns: Unknowns, rows: Sequence[Block], costs: Sequence[Block], weight: float, w: Any) -> None:
-        self._unknowns, self._rows, self._costs, self._weight = unknowns, rows, costs, weight
+        self.unknowns, self.rows, self.costs, self._weight = unknowns, tuple(rows), tuple(costs), weight
         self.size, self.w = len(unknowns.names), w
         y = unknowns.physical(w)
         self._z = {id(block): _gathered(y, unknowns.place(block.index)) for block in (*rows, *costs)}
@@ -112,19 +113,20 @@ class Separable:
         totals = [ca.sum2(block.function.map(block.count)(self._z[id(block)])) for block in costs]
         self.f = sum(totals, start=ca.MX(0)) * weight if costs else ca.MX(0)
 
+    @cached_property
     def functions(self) -> dict[str, ca.Function]:
         """nlp_grad_f, nlp_jac_g and nlp_hess_l with the inputs and outputs that CasADi's solvers expect."""
         p, lam_f, lam_g = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.g.shape[0])
         gradient, jacobian, hessian = _Entries(), _Entries(), _Entries()
-        scale = self._unknowns.column(1)
+        scale = self.unknowns.column(1)
         row = 0
-        for block in self._rows:
+        for block in self.rows:
             jacobian.add(block, self._z[id(block)], scale, first_row=row)
             size = block.rows * block.count
             multipliers = ca.reshape(lam_g[row : row + size], block.rows, block.count)
             hessian.add_second(block, self._z[id(block)], multipliers, scale)
             row += size
-        for block in self._costs:
+        for block in self.costs:
             gradient.add(block, self._z[id(block)], scale, factor=self._weight, transposed=True)
             hessian.add_second(block, self._z[id(block)], ca.repmat(lam_f * self._weight, 1, block.count), scale)
         w, size = self.w, self.size

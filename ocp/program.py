@@ -28,8 +28,9 @@ class Program:
 
     problem: {"x": w, "f": f, "g": g} as `casadi.nlpsol` takes it. first: w to start from. names: one for each row of g, and w_names for each of w.
     objective, scale, w_scale: what f, g and w are multiplied by to be costs, and in physical units (rows of goals have none). unpack: Function
-    w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration. unknowns, rows,
-    costs: what w, g and f consist of. multipliers: those of g and of w's limits to start from, where they are known.
+    w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration. parts: what w,
+    g and f consist of; g begins with `moving` rows of the motion. states: references to x (intervals + 1, nx). multipliers: those of g and of w's
+    limits to start from, where they are known.
     """
 
     problem: dict[str, Any]
@@ -44,14 +45,21 @@ class Program:
     w_scale: Array
     objective: float
     unpack: ca.Function
-    unknowns: Unknowns
-    rows: tuple[Block, ...]
-    costs: tuple[Block, ...]
+    parts: Separable
+    moving: int
+    states: Indices
     multipliers: tuple[Array, Array] | None = None
 
     def derivatives(self) -> dict[str, ca.Function]:
         """Gradient, Jacobian and Hessian as CasADi's solvers name and call them."""
-        return Separable(self.unknowns, self.rows, self.costs, 1 / self.objective, self.problem["x"]).functions()
+        return self.parts.functions
+
+    def with_states(self, w: Array, states: Array) -> Array:
+        """w with states (intervals + 1, nx) in place of its own."""
+        result = w.copy()
+        known = self.states >= 0
+        result[self.states[known]] = states[known] / self.w_scale[self.states[known]]
+        return result
 
 
 States = Callable[[Callable[[Indices], Any]], Any]
@@ -176,9 +184,9 @@ class Assembly:
             scale,
             self.objective,
             ca.Function("unpack", [w], [motion, controls, seen(self.duration)]),
-            unknowns,
-            tuple(rows),
-            tuple(costs),
+            separable,
+            sum(block.rows * block.count for block in self.rows),
+            self.states,
         )
 
     def _asked(self) -> tuple[list[Block], list[Block]]:

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.conflicts import check_start
+from ocp.correct import corrected
 from ocp.duals import Duals
 from ocp.explain import explain_failure, long_steps
 from ocp.grid import held_values
@@ -39,6 +40,7 @@ class _Outcome(NamedTuple):
     program: Program
     solution: Solution
     guess: Guess  # what the solution says, to start again from
+    gap: float = 0.0  # m, from fine steps, where an accuracy is asked for
 
 
 def solve(
@@ -79,12 +81,13 @@ def solve(
         if _rows(again) > _rows(imposed):
             imposed = again
             outcome = _attempt(problem, transcription, solver, imposed, scales, first)
+    seconds = time.perf_counter() - began
     plan = _plan(problem, transcription, target, imposed, reach, outcome, RELIABLE * scales.length if limit is None else limit)
 
     def once_more(intervals: Array, plan: Plan, tolerance: float) -> Plan:
         return solve(problem, replace(transcription, intervals=tuple(intervals.tolist())), solver, plan, tolerance)
 
-    return replace(plan, seconds=time.perf_counter() - began, again=once_more)
+    return replace(plan, seconds=seconds, again=once_more)
 
 
 def _check_freedom(problem: Problem, target: Target, transcription: OnGrid) -> None:
@@ -142,11 +145,14 @@ def _attempt(
 ) -> _Outcome:
     program = transcription.program(problem, target, scales, guess)
     solution = solver.solve(program if duals is None else started(program, target, duals))
-    states, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
+    states, gap = None, 0.0
+    if transcription.accuracy is not None and solution.success:
+        solution, states, gap = corrected(program, solution, solver, problem.model, transcription.fractions, transcription.accuracy)
+    planned, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
     lower, upper = problem.force_density_limits
     # Interior-point methods overstep limits by their tolerance.
     duration = np.clip(duration.squeeze(), problem.shortest, problem.longest)
-    return _Outcome(program, solution, Guess(states.T, np.clip(controls.T, lower, upper), float(duration)))
+    return _Outcome(program, solution, Guess(planned.T if states is None else states, np.clip(controls.T, lower, upper), float(duration)), gap)
 
 
 def _planned(problem: Problem, transcription: OnGrid, found: Guess) -> Callable[[float], Array]:
@@ -171,7 +177,7 @@ def _met(target: Target, state_at: Callable[[float], Array]) -> bool:
 
 
 def _plan(problem: Problem, transcription: OnGrid, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, tolerance: float) -> Plan:
-    program, solution, found = outcome
+    program, solution, found, _ = outcome
     duals = duals_of(program, imposed, solution.w, *solution.multipliers) if solution.success and solution.multipliers else None
     target, imposed = (part.begun(found.states[0]) for part in (target, imposed))
     model = problem.model
@@ -206,8 +212,10 @@ def _verdict(
     problem: Problem, plan: Plan, transcription: OnGrid, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, tolerance: float
 ) -> tuple[bool, str]:
     """Whether the plan is a success, and what is to be said of it."""
-    program, solution, found = outcome
+    program, solution, found, gap = outcome
     state_at = _planned(problem, transcription, found)
+    if solution.success and transcription.accuracy is not None and gap > transcription.accuracy:
+        return False, f"too coarse: corrections end {gap:.2g} m from fine steps, not {transcription.accuracy:.2g} m: give more intervals"
     if solution.success and not _met(target, state_at):
         missed = misses(target, state_at).worst()
         return False, f"no plan: {missed}, and no string moves it there to first order: give a goal that the motion passes"

@@ -38,12 +38,12 @@ class Staged:
 
 def staged(program: Program) -> Staged:
     """The program in stages."""
-    home = program.unknowns.column(4).astype(int)
+    home = program.parts.unknowns.column(4).astype(int)
     if "duration" in program.w_names:
         home[program.w_names.index("duration")] = 0
     last = int(home.max(initial=0))
-    rows = [_Placed(block, home) for block in program.rows]
-    costs = [_Placed(block, home) for block in program.costs]
+    rows = [_Placed(block, home) for block in program.parts.rows]
+    costs = [_Placed(block, home) for block in program.parts.costs]
     closed = {int(v) for placed in rows if placed.closing for v in placed.block.closes.ravel()}  # type: ignore[union-attr]
 
     until = home.copy()  # the last stage that sees an unknown
@@ -63,7 +63,7 @@ def staged(program: Program) -> Staged:
     place = {entry: k for k, entry in enumerate(entry for stage in order for entry in stage)}
     entries = list(place)
 
-    unknowns = _reordered(program.unknowns, entries, home)
+    unknowns = _reordered(program.parts.unknowns, entries, home)
     moved_rows = [placed.moved(place, home) for placed in rows]
     copies = [(place[v, s], place[v, s - 1]) for v, s in entries if s > home[v]]
     if copies:
@@ -168,7 +168,7 @@ def _row_order(
 
 def _cache(separable: Separable, w: Any, p: Any, g: Any, permutation: Indices) -> dict[str, ca.Function]:
     """Exact derivatives under the names by which CasADi's Fatrop looks for them."""
-    exact = separable.functions()
+    exact = separable.functions
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(permutation))
     inverse = np.argsort(permutation).tolist()
     slope = exact["nlp_grad_f"](w, p)[1]

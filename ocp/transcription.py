@@ -17,7 +17,7 @@ from ocp.target import Scales, Target
 from tenscasadi.correction import projection
 from tenscasadi.model import Model
 from tenscasadi.schemes import RungeKutta4, Scheme, check_scheme
-from tenscasadi.validate import Array, instance, whole_number
+from tenscasadi.validate import Array, instance, positive_number, whole_number
 
 
 class Transcription(Protocol):
@@ -41,15 +41,22 @@ class Transcription(Protocol):
 
 @dataclass(frozen=True)
 class OnGrid:
-    """What all transcriptions have: intervals, a number of equal ones or their relative lengths, and the profile of γ on them."""
+    """What all transcriptions have: intervals, a number of equal ones or their relative lengths, and the profile of γ on them.
+
+    accuracy: m, how near (speeds: per duration) the motion shall be to that of fine steps; what the intervals leave is put right by solving again
+    from the solution (`ocp.correct`), which takes a few iterations each time. None: as the intervals make it.
+    """
 
     intervals: Intervals = 40
     control: Profile = field(default=PiecewiseConstant(), kw_only=True)
+    accuracy: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         name = type(self).__name__
         object.__setattr__(self, "intervals", check_intervals(f"{name}.intervals", self.intervals))
         instance(f"{name}.control", self.control, (PiecewiseConstant, PiecewiseLinear), "ocp.PiecewiseConstant() or ocp.PiecewiseLinear()")
+        if self.accuracy is not None:
+            positive_number(f"{name}.accuracy", self.accuracy)
 
     @property
     def count(self) -> int:

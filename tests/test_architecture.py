@@ -52,7 +52,7 @@ OCP = (
     {"implicit", "staged"},
     {"collocation", "variational"},
     {"solver"},
-    {"explain"},
+    {"correct", "explain"},
     {"solve"},
 )
 PICTURES = {"stage", "work_precision", "plots", "animation", "demos", "cli", "__main__"}

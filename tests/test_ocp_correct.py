@@ -1,0 +1,80 @@
+"""Coarse programs put right by fine steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ocp
+import tenscasadi as tc
+
+
+def prism(height: float) -> tc.Structure:
+    return tc.shapes.prism(bars=3, radius=np.sqrt(1.4**2 - height**2) / (2 * np.sin(np.radians(75))), height=height)
+
+
+def rising(duration: float | tuple[float, float] = 1.0, *more: object) -> ocp.Problem:
+    goals = [ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest()]
+    model = tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity()))
+    return ocp.Problem(model, duration, goals=goals, bounds=[ocp.ForceDensityLimits(5.0, 100.0), *more], costs=[ocp.Effort()])
+
+
+METHODS = {
+    "leapfrog": ocp.Variational(20, accuracy=1e-9),
+    "leapfrog, linear": ocp.Variational(20, accuracy=1e-9, control=ocp.PiecewiseLinear()),
+    "unequal intervals": ocp.Variational((1,) * 10 + (2,) * 5, accuracy=1e-9),
+    "midpoint": ocp.ImplicitMidpoint(20, accuracy=1e-9),
+    "shooting": ocp.MultipleShooting(20, accuracy=1e-9),
+    "collocation": ocp.Collocation(15, degree=2, accuracy=1e-9),
+}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_replay_is_as_exact_as_was_asked(name):
+    plan = ocp.solve(rising(), METHODS[name])
+    assert plan.success, plan.message
+    replay = plan.replay(step=plan.time[-1] / 2000)
+    rounded = 1e-5 if plan.linear else 0.0  # a replay holds linear force densities in each of its steps
+    assert np.abs(replay.states[-1] - plan.trajectory.states[-1]).max() < 2e-9 + rounded
+    assert plan.replay_error < 3e-9 + rounded
+    assert plan.trajectory.bar_length_error.max() < 1e-7
+
+
+def test_states_in_between_are_those_of_fine_steps():
+    plan = ocp.solve(rising(), ocp.Variational(20, accuracy=1e-9))
+    replay = plan.replay()
+    assert np.abs(replay.states[:: (len(replay.time) - 1) // 20] - plan.trajectory.states).max() < 1e-7
+
+
+def test_the_duration_may_be_free_and_limits_hold():
+    asked = rising((0.6, 1.6), ocp.TensionLimits(upper=12.0))
+    plan = ocp.solve(asked, ocp.Variational(30, accuracy=1e-8))
+    assert plan.success, plan.message
+    assert plan.replay_error < 1e-7
+    assert max(plan.tension().max(), plan.tension(end=True).max()) < 12.0 * (1 + 1e-6)
+
+
+def test_corrections_cost_the_order_of_the_scheme_and_no_more():
+    coarse, exact = (ocp.solve(rising(), ocp.Variational(20, accuracy=accuracy)).objective for accuracy in (None, 1e-9))
+    fine = ocp.solve(rising(), ocp.MultipleShooting(20, substeps=8)).objective  # the same force densities, the motion itself
+    assert exact == pytest.approx(fine, rel=1e-5)
+    assert abs(coarse - fine) > abs(exact - fine)
+
+
+def test_more_than_corrections_can_do_is_said():
+    plan = ocp.solve(rising(), ocp.Variational(20, accuracy=1e-16))
+    assert not plan.success
+    assert "too coarse: corrections end" in plan.message
+    assert "give more intervals" in plan.message
+
+
+def test_other_solvers_are_corrected_by_ipopt():
+    plan = ocp.solve(rising(), ocp.ImplicitMidpoint(20, accuracy=1e-8), ocp.Fatrop())
+    assert plan.success, plan.message
+    assert plan.replay_error < 1e-7
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, "exact"])
+def test_an_accuracy_is_a_positive_length(bad):
+    with pytest.raises((TypeError, ValueError), match=r"Variational\.accuracy"):
+        ocp.Variational(10, accuracy=bad)
