@@ -24,7 +24,11 @@ class Sundials:
     """Implicit multistep methods of variable order (1 to 5) and step, backward differentiation formulas, for stiff scenes.
 
     rtol: error of a step relative to each entry of the state; atol: what is added to it, m and m/s; None: rtol times the structure's
-    extent. max_steps: between two times of the grid that `simulate` lays, before the run is given up. Not compiled.
+    extent. max_steps: between two times of the grid that `simulate` lays, before the run is given up.
+
+    Not compiled: most of the time goes by in SUNDIALS itself, and machine code of the equations and their Jacobian saves a quarter of it at
+    best. Events are not located: the control of the error finds them, and a restart at each, at order 1, ends up no more accurate.
+    (CasADi 3.8.2's own events stop these integrators at the first and let them run past the next without a word.)
     """
 
     rtol: float = 1e-8
