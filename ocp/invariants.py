@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 
 from ocp.momentum import AXES, bodies, momentum_rows
-from tenscasadi.algebra import sparse
 from tenscasadi.model import Model
 from tenscasadi.validate import Array
 
@@ -37,7 +36,7 @@ def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Invariant]
     N, V, clock = model.unpack(x)
     N0, V0 = (np.asarray(Z).T for Z in _numbers(model, start))
     scene = model.scene
-    groups = [*_constraints(model, N, V, clock)]
+    groups = [*_constraints(model, x)]
     if scene.has_clock:
         groups.append(Invariant("clock", clock - float(start[-1]) - time, ("the clock runs",), ("s",)))
     if scene.ground is None and scene.pressure is None and scene.forces is None and scene.supports is None:
@@ -57,21 +56,16 @@ def _numbers(model: Model, start: Array) -> tuple[Array, Array]:
     return values[0].full().T, values[1].full().T
 
 
-def _constraints(model: Model, N: Any, V: Any, clock: Any) -> list[Invariant]:
-    mech = model.mechanism
+def _constraints(model: Model, x: Any) -> list[Invariant]:
+    mech, rows = model.mechanism, model.constraints(x)
     groups = []
     if mech.bars:
-        B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
-        length = ca.DM(mech.lengths).T
-        value = ca.vertcat(((ca.sum1(B * B) / length - length) / 2).T, (ca.sum1(B * Bd) / length).T)
         names = tuple(f"bar {k} keeps its length" for k in range(mech.bars))
-        groups.append(Invariant("bar", value, 2 * names, ("m",) * mech.bars + ("m/s",) * mech.bars))
+        groups.append(Invariant("bar", ca.vertcat(rows.bars, rows.bar_rates), 2 * names, ("m",) * mech.bars + ("m/s",) * mech.bars))
     if mech.joints:
-        D, Dd, _ = model.targets(clock)
         held = np.flatnonzero(mech.active.T.ravel()).tolist()
-        value = ca.vertcat(*(ca.vec(ca.mtimes(Z, sparse(mech.P)) - wanted)[held] for Z, wanted in ((N, D), (V, Dd))))
         names = tuple(f"joint {k // 3} holds along {AXES[k % 3]}" for k in held)
-        groups.append(Invariant("joint", value, 2 * names, ("m",) * len(held) + ("m/s",) * len(held)))
+        groups.append(Invariant("joint", ca.vertcat(rows.joints, rows.joint_rates), 2 * names, ("m",) * len(held) + ("m/s",) * len(held)))
     return groups
 
 

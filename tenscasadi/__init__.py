@@ -25,6 +25,7 @@ from tenscasadi.scene import Scene
 from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.simulate import simulate
 from tenscasadi.stability import stable_step
+from tenscasadi.state_space import Constraints
 from tenscasadi.statics import EquilibriumError, equilibrium_force_density, self_stress
 from tenscasadi.strings import Clip, ForceDensity, RestLength, Smooth
 from tenscasadi.structure import Structure
@@ -57,6 +58,7 @@ __all__ = [
     "Model",
     "Energy",
     "Multipliers",
+    "Constraints",
     "RedundantConstraints",
     "export_c",
     "linearize",

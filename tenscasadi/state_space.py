@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import warnings
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi import dynamics
+from tenscasadi.algebra import sparse
 from tenscasadi.dynamics import BarLength, Coordinates
 from tenscasadi.redundancy import RedundantConstraints, find_redundancy
 from tenscasadi.scene import Scene
 from tenscasadi.strings import ForceDensity, RestLength
 from tenscasadi.validate import Array, finite_array, instance
+
+
+class Constraints(NamedTuple):
+    """What bars and joints ask of a state: columns that are zero where it is kept. Joints, pins included: full coordinates only."""
+
+    bars: Any  # (bᵀb − l²)/(2 l) of each bar, m: how much it is too long, to first order
+    bar_rates: Any  # bᵀḃ/l, m/s
+    joints: Any  # N P − D along each axis that is held, m
+    joint_rates: Any  # V P − Ḋ, m/s
 
 
 class StateSpace:
@@ -95,6 +105,21 @@ class StateSpace:
     def velocities(self, x: Any) -> Any:
         """Velocities of physical nodes: (…, nx) → (…, n, 3), m/s. A CasADi state gives the 3×n expression."""
         return self._physical(x, self.nq, np.zeros_like(self.mechanism.N.T))
+
+    def constraints(self, x: Any) -> Constraints:
+        """The constraints at a state (nx,) and their rates of change: arrays, or CasADi columns for a CasADi state. Raises ValueError.
+
+        `ca.vertcat(*model.constraints(x))` are the rows that a free start has to satisfy in a tool for optimal control. Every motion
+        keeps them: imposed at later times too they are redundant, and their gradients linearly dependent with those of the dynamics.
+        """
+        value, _ = self.arguments(x, None)
+        N, V, time = self.unpack(value)
+        mech, lengths = self.mechanism, ca.DM(self.mechanism.lengths)
+        B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
+        held = np.flatnonzero(mech.active.ravel(order="F")).tolist()
+        gaps = [ca.vec(ca.densify(ca.mtimes(Z, sparse(mech.P)) - D))[held] for Z, D in zip((N, V), self.targets(time)[:2], strict=True)]
+        rows = (ca.sum1(B * B).T / lengths - lengths) / 2, ca.sum1(B * Bd).T / lengths, *gaps
+        return Constraints(*(row.full().ravel() if isinstance(row, ca.DM) else row for row in rows))
 
     def arguments(self, x: Any, u: Any) -> tuple[Any, Any]:
         """x and u as CasADi values of the right sizes; u None: the initial control. Raises TypeError, ValueError."""

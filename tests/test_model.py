@@ -386,3 +386,30 @@ def test_bad_input_is_refused_by_name() -> None:
         model.energy(np.ones(7))
     with pytest.raises(ValueError, match=r"x has shape"):
         model.nodes(np.ones(7))
+
+
+@BOTH
+@pytest.mark.parametrize("moved", [False, True], ids=["standing", "moved"])
+def test_constraints_vanish_where_kept_and_their_rates_are_rates(moved: bool, coordinates: dynamics.Coordinates) -> None:
+    model = Model(every_term(moved=moved), coordinates)
+    assert max(np.abs(rows).max(initial=0.0) for rows in model.constraints(model.initial_state)) < 1e-13
+    assert len(model.constraints(model.initial_state).joints) == np.count_nonzero(model.mechanism.active)
+    x = model.initial_state + 1e-4 * np.random.default_rng(7).normal(size=model.nx)
+    now = model.constraints(x)
+    B = model.mechanism.C_b @ np.asarray(model.unpack(ca.DM(x))[0]).T
+    assert np.allclose(now.bars, np.linalg.norm(B, axis=1) - model.mechanism.lengths, rtol=0, atol=1e-7)
+    if coordinates == "full":
+        assert np.abs(now.joints).max() == pytest.approx(model.joint_error(x))
+    sx = ca.MX.sym("x", model.nx)
+    rows = model.constraints(sx)
+    change = [ca.jtimes(value, sx, model.ode(sx, model.initial_control)) for value in (rows.bars, rows.joints)]
+    rates = ca.Function("rates", [sx], change)(x)
+    for rate, expected in zip(rates, (now.bar_rates, now.joint_rates), strict=True):
+        assert np.allclose(rate.full().ravel(), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_constraints_of_what_has_none_are_empty() -> None:
+    model = Model(Scene(Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0)))
+    assert [len(rows) for rows in model.constraints(model.initial_state)] == [0, 0, 0, 0]
+    with pytest.raises(ValueError, match="x"):
+        model.constraints(np.zeros(3))
