@@ -7,6 +7,7 @@ from ocp.closed_loop import ClosedLoop, run
 from ocp.collocation import Collocation
 from ocp.costs import Duration, Effort, Prestress, Smoothness, Tracking, Work
 from ocp.duals import Duals
+from ocp.export import export_mpc, export_program
 from ocp.expressions import AtEnd, Constraint, Integral
 from ocp.goals import AtRest, NodePositions, Periodic, Shape, StringLengths, Waypoint
 from ocp.grid import PiecewiseConstant, PiecewiseLinear
@@ -84,4 +85,7 @@ __all__ = [
     "track",
     "run",
     "ClosedLoop",
+    # as C
+    "export_program",
+    "export_mpc",
 ]

@@ -91,6 +91,32 @@ class Motion:
         return rates.reshape(-1, 4, nx), J.reshape(-1, 4, nx, width)
 
 
+def linearized_step(model: Model, length: float, substeps: int) -> ca.Function:
+    """(x, γ) → the state after an interval in steps of RK4, and its dense derivatives by x and γ: stage by stage, which makes short code."""
+    kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
+    z, c = kind.sym("z", model.nx), kind.sym("c", model.nu)
+    rate = model.ode(z, c)
+    slopes = ca.Function("slopes", [z, c], [rate, ca.densify(ca.jacobian(rate, ca.vertcat(z, c)))], {"cse": True})
+    x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
+    h, nx = length / substeps, model.nx
+    after: Any = x
+    change: Any = ca.DM(np.eye(nx, nx + model.nu))  # of the state, by x and γ
+    own = ca.DM(np.eye(model.nu, nx + model.nu, nx))  # of γ
+    for _ in range(substeps):
+        end, by_all = after, change
+        rates: list[Any] = []
+        turns: list[Any] = []
+        for weights, weight in zip(_A, _B, strict=True):
+            point = after + h * sum((a * k for a, k in zip(weights, rates, strict=True) if a), start=ca.MX(0))
+            moved = change + h * sum((a * k for a, k in zip(weights, turns, strict=True) if a), start=ca.DM(0))
+            k, J = slopes(point, u)
+            rates.append(k)
+            turns.append(ca.mtimes(J, ca.vertcat(moved, own)))
+            end, by_all = end + h * weight * k, by_all + h * weight * turns[-1]
+        after, change = end, by_all
+    return ca.Function("advance", [x, u], [after, change[:, :nx], change[:, nx:]])
+
+
 class Tangents:
     """Orthonormal bases of the small changes of a state that bars and joints allow, of places and velocities together."""
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
 from ocp.grid import at
 from ocp.guess import settled
-from ocp.linearized import Motion, departures
+from ocp.linearized import Motion, departures, linearized_step
 from ocp.path import StageRows, stage_rows
 from ocp.plan import Plan
 from ocp.problem import Problem
@@ -52,9 +55,11 @@ class Mpc:
         self._iterations = whole_number("iterations", iterations, 1)
         scales = Scales.of(problem)
         self._place = 0.01 * scales.length if place is None else positive_number("place", place)
-        self._motion = Motion(self.model, self.intervals, whole_number("substeps", substeps, 1))
+        self._substeps = whole_number("substeps", substeps, 1)
+        self._motion = Motion(self.model, self.intervals, self._substeps)
         self._lower, self._upper = problem.force_density_limits
-        self._output = departures(self.model, self._place, self._place * 10 / scales.time).map(self.intervals)
+        self._departures = departures(self.model, self._place, self._place * 10 / scales.time)
+        self._output = self._departures.map(self.intervals)
         self._plan = plan
         state, gamma = _goal(problem, scales) if plan is None else (plan.trajectory.states[-1], plan.force_density[-1])
         self._end = (
@@ -83,6 +88,84 @@ class Mpc:
     def reset(self) -> None:
         """Forgets the last decision, for another run."""
         self._last = None
+
+    def function(self) -> ca.Function:
+        """The decision as one CasADi Function, which generates C: (time, state (nx), before (α, intervals)) → after (α, intervals).
+
+        before: the last `after`; `first` to begin with. What is applied until the next decision is the first column of `after`. It decides
+        as `control` does, by CasADi's own solver of quadratic programs (qrqp) in place of DAQP.
+        """
+        count, nu = self.intervals, self.model.nu
+        time, state, before = ca.MX.sym("time"), ca.MX.sym("state", self.model.nx), ca.MX.sym("before", nu, count)
+        wanted, held = self._symbolic_reference(time)
+        lower, upper = (ca.repmat(ca.DM(limit), 1, count) for limit in (self._lower, self._upper))
+        gamma: Any = ca.fmin(ca.fmax(ca.horzcat(before[:, 1:], held[:, -1]), lower), upper)
+        advance = linearized_step(self.model, self.period, self._substeps)
+        rows = sum(bound.rows for bound in self._bounds)
+        size = count * nu + bool(rows)
+        quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
+        solver = ca.conic("qp", "qrqp", {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(rows, size)}, quiet)
+        for _ in range(self._iterations):
+            end = state
+            for k in range(count):
+                end = advance(end, gamma[:, k])[0]
+            gamma = ca.if_else(sane(end), gamma, held)
+            gamma = ca.fmin(ca.fmax(gamma + self._symbolic_change(solver, advance, state, gamma, wanted, held, time), lower), upper)
+        return ca.Function("decide", [time, state, before], [gamma], ["time", "state", "before"], ["after"])
+
+    @property
+    def first(self) -> Array:
+        """What `function` takes for the last decision, (α, intervals), when there is none yet."""
+        held = self._reference(0.0)[1]
+        return np.concatenate([held[:1], held[:-1]]).T
+
+    def _symbolic_change(self, solver: ca.Function, advance: ca.Function, x: Any, gamma: Any, wanted: Any, held: Any, time: Any) -> Any:
+        """What `_improved` adds to γ (α, intervals)."""
+        count, nu = self.intervals, self.model.nu
+        blocks: list[Any] = []  # ∂x/∂γ of each interval before
+        H: Any = ca.MX(ca.DM.eye(count * nu) / self._effort**2)
+        g: Any = ca.vec(gamma - held) / self._effort**2
+        slopes: list[Any] = []
+        room: list[Any] = []
+        for k in range(count):
+            x, A, B = advance(x, gamma[:, k])
+            blocks = [*(ca.mtimes(A, block) for block in blocks), B]
+            S = ca.horzcat(*blocks, ca.MX(B.shape[0], nu * (count - k - 1)))
+            reached, C = self._departures(x)
+            effect = ca.mtimes(C, S)
+            H += ca.mtimes(effect.T, effect)
+            g += ca.mtimes(effect.T, reached - wanted[:, k])
+            for bound in self._bounds:
+                value, by_state, by_control = bound.one(x, gamma[:, k], time + (k + 1) * self.period)
+                own = ca.horzcat(ca.MX(by_control.shape[0], nu * k), by_control, ca.MX(by_control.shape[0], nu * (count - k - 1)))
+                slopes.append(ca.mtimes(by_state, S) + own)
+                room.append(bound.limit - value)
+        low, high = (ca.vec(ca.repmat(ca.DM(limit), 1, count) - gamma) for limit in (self._lower, self._upper))
+        if slopes:
+            A = ca.vertcat(*slopes)
+            found = solver(
+                h=ca.diagcat(H, OVERSTEP),
+                g=ca.vertcat(g, OVERSTEP),
+                a=ca.horzcat(A, -ca.DM.ones(A.shape[0], 1)),
+                lba=-np.inf,
+                uba=ca.vertcat(*room),
+                lbx=ca.vertcat(low, 0.0),
+                ubx=ca.vertcat(high, np.inf),
+            )
+        else:
+            found = solver(h=H, g=g, lbx=low, ubx=high)
+        change = found["x"][: count * nu]
+        return ca.reshape(ca.if_else(sane(change), change, ca.DM.zeros(count * nu)), nu, count)
+
+    def _symbolic_reference(self, time: Any) -> tuple[Any, Any]:
+        """`_reference` of a symbolic time."""
+        plan, count = self._plan, self.intervals
+        if plan is None:
+            return ca.DM(self._end[0]), ca.DM(self._end[1].T)
+        ends = [ca.fmin(time + self.period * k, float(plan.time[-1])) for k in range(count + 1)]
+        wanted = [self._departures(along(plan.trajectory.states, plan.time, end))[0] for end in ends[1:]]
+        held = [along(plan.force_density, plan.time, (before + after) / 2) for before, after in pairwise(ends)]
+        return ca.horzcat(*wanted), ca.horzcat(*held)
 
     def _improved(self, state: Array, gamma: Array, wanted: Array, held: Array, time: float) -> Array:
         """One quadratic program about the motion under `gamma` (intervals, α)."""
@@ -139,20 +222,21 @@ class _Path:
         sides = [(sign, k, sign * limit[k]) for sign, limit in ((1.0, bound.upper), (-1.0, bound.lower)) for k in range(len(limit))]
         kept = [side for side in sides if np.isfinite(side[2])]
         chosen = ca.vertcat(*(sign * value[k] for sign, k, _ in kept))
-        self._limit, self.rows = np.array([limit for _, _, limit in kept]), len(kept) * count
+        self.limit, self.rows = np.array([limit for _, _, limit in kept]), len(kept) * count
         slopes = [ca.densify(ca.jacobian(chosen, z)) for z in (x, u)]
-        self._function = ca.Function("rows", [x, u, t], [chosen, *slopes]).map(count)
+        self.one = ca.Function("rows", [x, u, t], [chosen, *slopes])
+        self._function = self.one.map(count)
 
     def __call__(self, states: Array, gamma: Array, effects: list[Array], times: Array) -> tuple[Array, Array]:
         """a (rows, count · nu + 1) and b (rows,)."""
         count, nu = gamma.shape
         value, by_state, by_control = (np.asarray(part.full()).T for part in self._function(states[1:].T, gamma.T, times[None]))
-        m = len(self._limit)
+        m = len(self.limit)
         X, U = (part.reshape(count, -1, m).transpose(0, 2, 1) for part in (by_state, by_control))
         a = np.concatenate([X[k] @ effects[k] for k in range(count)])
         for k in range(count):
             a[k * m : (k + 1) * m, k * nu : (k + 1) * nu] += U[k]
-        return np.column_stack([a, -np.ones(len(a))]), (self._limit - value).ravel()
+        return np.column_stack([a, -np.ones(len(a))]), (self.limit - value).ravel()
 
 
 def _goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
@@ -160,3 +244,18 @@ def _goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
     target = find_target(problem, scales)
     state = target.start if target.state is None else target.state
     return state, np.asarray(settled(problem, np.array([state, state]))[0])
+
+
+def sane(values: Any) -> Any:
+    """1 where all values are finite, 0 else: comparisons with what is not a number are false."""
+    return ca.mmin(ca.fabs(values) < 1e30)
+
+
+def along(values: Array, nodes: Array, time: Any) -> Any:
+    """As `ocp.grid.at`, of a symbolic time; rows of states are linear in time as rows of a linear profile are."""
+    k = ca.low(ca.DM(nodes), time)
+    left = ca.MX(ca.DM(values.T))[:, k]
+    if len(values) < len(nodes):
+        return left
+    start = ca.MX(ca.DM(nodes))
+    return left + (time - start[k]) / (start[k + 1] - start[k]) * (ca.MX(ca.DM(values.T))[:, k + 1] - left)

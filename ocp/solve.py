@@ -65,14 +65,7 @@ def solve(
     instance("solver", solver, (Ipopt, Fatrop), "an ocp.Ipopt or ocp.Fatrop")
     limit = None if tolerance is None else positive_number("tolerance", tolerance)
     began = time.perf_counter()
-    scales = Scales.of(problem)
-    target = find_target(problem, scales)
-    if not problem.free_start:
-        _check_freedom(problem, target, transcription)
-        check_start(problem)
-    first = guess_of(guess, problem, target, transcription.count)
-    reach = Reach(problem.model, transcription.count, problem.shortest < problem.longest)
-    imposed = _controlled(target, reach, first)
+    scales, target, imposed, first, reach = _prepared(problem, transcription, guess)
     outcome = _attempt(problem, transcription, solver, imposed, scales, first, guess.duals if isinstance(guess, Plan) else None)
     if _rows(imposed) < _rows(target) and not (outcome.solution.success and _met(target, _planned(problem, transcription, outcome.guess))):
         # Rows that no string moved along the guess are missed: along a less regular motion they may be within reach.
@@ -88,6 +81,26 @@ def solve(
         return solve(problem, replace(transcription, intervals=tuple(intervals.tolist())), solver, plan, tolerance)
 
     return replace(plan, seconds=seconds, again=once_more)
+
+
+def program_of(problem: Problem, transcription: OnGrid, guess: GuessValue | None = None) -> Program:
+    """The program that `solve` gives to its solver. Raises as `solve`."""
+    instance("problem", problem, Problem, "an ocp.Problem")
+    instance("transcription", transcription, OnGrid, "a transcription, such as ocp.MultipleShooting()")
+    scales, _, imposed, first, _ = _prepared(problem, transcription, guess)
+    return transcription.program(problem, imposed, scales, first)
+
+
+def _prepared(problem: Problem, transcription: OnGrid, guess: GuessValue | None) -> tuple[Scales, Target, Target, Guess, Reach]:
+    """What is asked, and of that what is to be imposed, with the guess and what tells which rows the strings move along it."""
+    scales = Scales.of(problem)
+    target = find_target(problem, scales)
+    if not problem.free_start:
+        _check_freedom(problem, target, transcription)
+        check_start(problem)
+    first = guess_of(guess, problem, target, transcription.count)
+    reach = Reach(problem.model, transcription.count, problem.shortest < problem.longest)
+    return scales, target, _controlled(target, reach, first), first, reach
 
 
 def _check_freedom(problem: Problem, target: Target, transcription: OnGrid) -> None:

@@ -59,7 +59,7 @@ def spread(Z: Any, weights: Any, C: Any) -> Any:
     if not isinstance(Z, ca.MX):
         return ca.mtimes(Z * ca.repmat(weights, 3, 1), constant)
     rows, _ = constant.sparsity().get_triplet()  # as vector operations: one pass over C is less than three over Z
-    return ca.mtimes(Z, fill(constant.sparsity(), weights.T[rows] * ca.DM(constant.nonzeros())))
+    return ca.mtimes(Z, fill(constant.sparsity(), ca.vec(weights.T[rows]) * ca.DM(constant.nonzeros())))
 
 
 def fill(sparsity: ca.Sparsity, values: Any) -> Any:

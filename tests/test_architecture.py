@@ -54,6 +54,7 @@ OCP = (
     {"solver"},
     {"correct", "explain"},
     {"solve"},
+    {"export"},
 )
 PICTURES = {"stage", "work_precision", "plots", "animation", "demos", "cli", "__main__"}
 

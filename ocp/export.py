@@ -1,0 +1,97 @@
+"""Programs and controllers as C that needs nothing but the C library."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.guesses import GuessValue
+from ocp.mpc import Mpc
+from ocp.problem import Problem
+from ocp.solve import program_of
+from ocp.transcription import OnGrid
+from tenscasadi.validate import instance
+
+
+def export_program(problem: Problem, transcription: OnGrid, folder: str | Path, guess: GuessValue | None = None) -> list[Path]:
+    """Writes `program.c`, `program.h`, `unknowns.csv` and `rows.csv` into `folder` (made if need be); returns their paths.
+
+    The program: minimise f(w) subject to lower ≤ g(w) ≤ upper and limits of w, all scaled. Functions: `nlp_f`, `nlp_g`, `nlp_grad_f`, `nlp_jac_g`
+    and `nlp_hess_l` (the upper triangle of the Hessian of lam_f f + lam_gᵀ g), with exact sparse derivatives. The tables say what each
+    entry of w and g is, its limits, and by what to multiply it for physical units; unknowns.csv also where to start. Raises as `solve`, and OSError.
+    """
+    program = program_of(problem, transcription, guess)
+    w = program.problem["x"]
+    p = ca.MX.sym("p", 0)
+    values = [ca.Function(f"nlp_{name}", [w, p], [program.problem[name]], ["x", "p"], [name]) for name in "fg"]
+    sizes = f"{len(program.w_names)} unknowns (unknowns.csv), {len(program.names)} rows (rows.csv), costs = {program.objective!r} f"
+    target = Path(folder)
+    written = _generate(target, "program", [*values, *program.derivatives().values()], [f"minimise f(w) subject to limits of g(w) and w: {sizes}."])
+    unknowns = zip(program.w_names, program.w_scale, program.w_lower, program.w_upper, program.first, strict=True)
+    rows = zip(program.names, program.scale, program.lower, program.upper, strict=True)
+    return [
+        *written,
+        _table(target / "unknowns.csv", ("name", "scale", "lower", "upper", "first"), unknowns),
+        _table(target / "rows.csv", ("name", "scale", "lower", "upper"), rows),
+    ]
+
+
+def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
+    """Writes `mpc.c` and `mpc.h` into `folder` (made if need be); returns their paths.
+
+    Function: `decide` (time, state, before) → after, see `Mpc.function`, with its solver. before, after: α × intervals numbers, interval by
+    interval; the first α of `after` are to be applied. mpc.h holds the sizes, the period, and `mpc_first` to begin with. Raises TypeError, OSError.
+    """
+    instance("mpc", mpc, Mpc, "an ocp.Mpc")
+    first = ", ".join(repr(float(value)) for value in mpc.first.T.ravel())
+    lines = [
+        "decide (time s, state, before N/m) -> after N/m; apply the first MPC_STRINGS of after for MPC_PERIOD s, then hand it on as before.",
+        "State: free coordinates of the nodes, node by node, then their velocities. MPC_FIRST is the first before.",
+    ]
+    constants = [
+        f"#define MPC_STATES {mpc.model.nx}",
+        f"#define MPC_STRINGS {mpc.model.nu}",
+        f"#define MPC_INTERVALS {mpc.intervals}",
+        f"#define MPC_PERIOD {mpc.period!r}",
+        f"#define MPC_FIRST {{{first}}}",
+    ]
+    return _generate(Path(folder), "mpc", [mpc.function()], lines, constants)
+
+
+def _generate(folder: Path, name: str, functions: Sequence[ca.Function], comment: Sequence[str], constants: Sequence[str] = ()) -> list[Path]:
+    """`name`.c and `name`.h, whose head says what they are."""
+    folder.mkdir(parents=True, exist_ok=True)
+    generator = ca.CodeGenerator(f"{name}.c", {"with_header": True})
+    for function in functions:
+        generator.add(function)
+    generator.generate(str(folder) + "/")
+    header = folder / f"{name}.h"
+    head = ["/*", *(f" * {line}" for line in [*comment, CALL]), *(f" * {_signature(function)}" for function in functions), " */", *constants, ""]
+    header.write_text("\n".join(head) + header.read_text(encoding="utf-8"), encoding="utf-8")
+    return [folder / f"{name}.c", header]
+
+
+CALL = "Each function: int name(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem); name_work tells sizes:"
+
+
+def _signature(function: ca.Function) -> str:
+    """Inputs and outputs of a function with their sizes; matrices that are sparse hold their non-zeros, column by column."""
+
+    def listed(count: int, name: Any, sparsity: Any) -> str:
+        return ", ".join(f"{name(k)}[{sparsity(k).nnz()}]" for k in range(count))
+
+    before = listed(function.n_in(), function.name_in, function.sparsity_in)
+    return f"{function.name()}: {before} -> {listed(function.n_out(), function.name_out, function.sparsity_out)}"
+
+
+def _table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(head)
+        writer.writerows([name, *(repr(float(value)) for value in np.asarray(numbers))] for name, *numbers in rows)
+    return path
