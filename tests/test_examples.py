@@ -51,6 +51,15 @@ def ball_rolls(result: Any) -> None:
     assert behind > 0.2
 
 
+def prism_gait(result: Any) -> None:
+    plan, pulled, wound = result
+    assert plan.success, plan.message
+    assert pulled[0, 2] < 0.01  # one period of the plan itself
+    forward, _, departure = wound[-1]
+    assert forward > 1.2
+    assert departure < 0.2
+
+
 def benchmark_rhs(rows: Any) -> None:
     assert len(rows) == 4
     assert all(min(row.numpy, row.virtual_machine) > 0 for row in rows)
@@ -79,7 +88,7 @@ def stiff_strings(tables: Any) -> None:
         assert max(row.steps for row in rows if "Collocation" in row.scheme) * 100 < min(row.steps for row in rows if "Runge" in row.scheme)
 
 
-CLAIMS = (simulate_ball, double_pendulum, plan_prism, ball_rolls, benchmark_rhs, paper_prism, paper_dbar, paper_membrane, stiff_strings)
+CLAIMS = (simulate_ball, double_pendulum, plan_prism, ball_rolls, prism_gait, benchmark_rhs, paper_prism, paper_dbar, paper_membrane, stiff_strings)
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in EXAMPLES.glob("*.py")))
