@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,8 +44,18 @@ def main(folder: Path = Path()) -> dict[str, ocp.Plan]:
         print(plan.report())
         print(f"hand          at {replay.nodes[-1, 1].round(5)} m, wanted {REACH}")
         print(f"ball          bars come as near as {nearest(replay):.4f} m to its centre, its radius is {RADIUS} m")
-    plots.time_lapse(plans["round the ball"].replay(), instants=6, title="arm: reaches round a ball", path=folder / "arm_reaches.png")
+    figure = plots.time_lapse(plans["round the ball"].replay(), instants=6, title="arm: reaches round a ball")
+    figure.axes[0].view_init(elev=20, azim=-8)  # type: ignore[attr-defined]  # along the way: it goes round the side
+    draw_ball(figure.axes[0])
+    figure.savefig(folder / "arm_reaches.png", dpi=150)
     return plans
+
+
+def draw_ball(axes: Any) -> None:
+    """The ball, as a net that lets the arm shine through."""
+    around, down = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
+    x, y, z = np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)
+    axes.plot_wireframe(*(centre + RADIUS * side for centre, side in zip(BALL, (x, y, z), strict=True)), color="tab:red", linewidth=0.4, zorder=1)
 
 
 def nearest(motion: tc.Trajectory) -> float:

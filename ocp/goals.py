@@ -208,9 +208,13 @@ class Periodic(Goal):
             raise ValueError(f"Periodic.shift is {entries}: give three numbers, None for an axis that is free")
         places = tuple(None if entry is None else float(finite_array("Periodic.shift", entry, ())) for entry in entries)
         object.__setattr__(self, "shift", places)
+        if self.start is not None and (not isinstance(self.start, (tuple, list)) or len(self.start) != 2):
+            raise TypeError("Periodic.start is no pair: give (nodes, velocities), or None for the start of the problem")
 
     def check(self, structure: Structure) -> None:
-        """Raise where a pinned node would have to move."""
+        """Raise where a pinned node would have to move, or `start` does not fit."""
+        for name, given in zip(("nodes", "velocities"), self.start or (), strict=False):
+            finite_array(f"Periodic.start: {name}", given, structure.nodes.shape)
         for axis, value in enumerate(self.shift):
             if value and structure.fixed[:, axis].any():
                 node = int(np.argmax(structure.fixed[:, axis]))

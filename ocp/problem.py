@@ -73,6 +73,8 @@ class Problem:
             raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
         own = self.__dict__
         own["duration"] = _duration(self.duration)
+        if isinstance(self.start, type):
+            raise TypeError(f"Problem.start is the class {self.start.__name__}: give {self.start.__name__}()")
         if isinstance(self.start, FreeStart):
             if self.model.mechanism.joints or self.model.scene.supports is not None:
                 raise ValueError('Problem.start is free, where bars alone are kept: give Model(scene, coordinates="reduced") without moved supports')

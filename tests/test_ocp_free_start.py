@@ -93,6 +93,7 @@ SPLIT = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()
 BAD = {
     "falls": (lambda: ocp.solve(problem(FALLING, goals=[ocp.Periodic()])), ocp.UnreachableGoal, "Periodic cannot be met, as the centre of mass"),
     "joints": (lambda: problem(SPLIT, goals=[]), ValueError, "Problem.start is free"),
+    "no value": (lambda: problem(start=ocp.FreeStart), TypeError, "the class FreeStart"),
     "near nothing": (lambda: problem(start=ocp.FreeStart(np.zeros((5, 3)))), ValueError, "FreeStart.near"),
     "near other bars": (lambda: problem(start=ocp.FreeStart(2 * prism(1.0).nodes)), ValueError, "FreeStart.near"),
     "waypoint as start": (lambda: ocp.FreeStart(goals=[HIGH]), TypeError, r"FreeStart.goals\[0\] is a Waypoint"),

@@ -115,6 +115,12 @@ BAD = {
     ),
     "periodic of two": (lambda: ocp.Periodic((1.0, 2.0)), ValueError, "Periodic.shift"),
     "periodic of a number": (lambda: ocp.Periodic(1.0), TypeError, "Periodic.shift"),
+    "periodic from no pair": (lambda: ocp.Periodic(start=np.zeros((6, 3))), TypeError, "Periodic.start is no pair"),
+    "periodic from other nodes": (
+        lambda: planned(ocp.Periodic(start=(np.zeros((5, 3)), np.zeros((6, 3))))),
+        ValueError,
+        "Periodic.start: nodes",
+    ),
     "periodic moves a pin": (
         lambda: planned(ocp.Periodic((1.0, 0.0, 0.0)), model=driven(prism(1.0, pinned=[2]))),
         ValueError,
