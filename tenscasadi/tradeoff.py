@@ -12,15 +12,17 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from tenscasadi.collocation import Collocation
 from tenscasadi.compiled import CompileError
 from tenscasadi.correction import BarLengthCorrection, Correction, Projection
 from tenscasadi.model import Model, instructions
 from tenscasadi.precision import Compiled, Single
 from tenscasadi.reference import Reference, certify, distance, end_nodes
 from tenscasadi.runners import own_steps
-from tenscasadi.schemes import EmbeddedRungeKutta, Scheme, check_scheme
+from tenscasadi.schemes import Scheme, check_scheme
 from tenscasadi.signals import ControlInput
 from tenscasadi.simulate import simulate
+from tenscasadi.sundials import Sundials
 from tenscasadi.table import Row, Tradeoff
 from tenscasadi.trajectory import Trajectory
 from tenscasadi.validate import Array, finite_array, instance, positive_number, whole_number
@@ -106,8 +108,8 @@ class Case:
         return run
 
     def instructions(self) -> int:
-        """Instructions of one step, with its share of the correction; 0: not known, the scheme does not step by a CasADi Function."""
-        if own_steps(self.scheme) and not isinstance(self.scheme, EmbeddedRungeKutta):
+        """Instructions of one step, with its share of the correction; 0: not known, for implicit schemes iterate as often as it takes."""
+        if is_implicit(self.scheme):
             return 0
         project = None if self.correction is None else self.correction.step(self.model)
         extra = 0 if self.correction is None or project is None else instructions(project) / self.correction.every
@@ -130,6 +132,11 @@ class Case:
     def _held(self) -> ControlInput:
         """A constant control, if it is one: others are not for the short time of a timed run."""
         return None if callable(self.control) or (self.control is not None and np.ndim(self.control) != 1) else self.control
+
+
+def is_implicit(scheme: Scheme) -> bool:
+    """Whether each step of a scheme solves equations that hold forces, with no limit of stability."""
+    return isinstance(scheme, (Collocation, Sundials))
 
 
 def start_of(model: Model, state: State) -> Array | None:
@@ -156,7 +163,7 @@ def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference,
             empty = replace(empty, compiled=run.compiled, setup=setup)
         row = replace(empty, instructions=work, steps=run.attempts, success=run.success, message=run.message)
         if run.success:
-            if chooses:
+            if is_implicit(case.scheme) or chooses:  # a step costs what it takes to solve its equations
                 seconds = median(case.run(step, energy_balance=False).seconds for _ in range(repeats))
             else:
                 each = case.seconds_per_step(lengths[-1], repeats) if np.isnan(each) else each

@@ -89,12 +89,21 @@ def test_a_run_that_diverges_is_told():
     assert "diverged" in table.summary()
 
 
-def test_a_scheme_that_cannot_serve_is_told():
-    held = tc.Structure([(0, 0, 0), (1, 0, 0), (0, 0, -1)], [(0, 1)], [(0, 2)], node_mass=[0, 0, 1.0], pinned=[0, 1])
-    model = tc.Model(tc.Scene(held, gravity=tc.Gravity()))
-    table = tc.tradeoff(model, 0.1, [tc.Idas(), tc.RungeKutta4()], [0.01], compiled=(False,), repeats=1)
-    assert sorted(row.success for row in table.rows) == [False, True]
-    assert any("redundant" in row.message for row in table.rows)
+def test_a_way_that_cannot_serve_is_told():
+    model = tc.Model(tc.Scene(tc.shapes.double_pendulum(), gravity=tc.Gravity()))
+    corrections = (tc.BarLengthCorrection(), None)
+    table = tc.tradeoff(model, 0.1, [tc.RungeKutta4()], [0.01], corrections=corrections, compiled=(False,), repeats=1)
+    assert [row.success for row in table.rows] == [False, True]
+    assert "BarLengthCorrection moves bars one by one" in table.rows[0].message
+
+
+def test_implicit_schemes_are_timed_over_the_whole_run():
+    """Newton's method takes the longer the larger the step: steps that hardly move are no measure."""
+    table = tc.tradeoff(spinning(), 0.5, [tc.Collocation(2)], [0.1, 0.01], state=start, compiled=(False,), repeats=1)
+    coarse, fine = table.rows
+    assert np.isnan(coarse.work)
+    assert coarse.instructions == 0
+    assert coarse.seconds * coarse.step != pytest.approx(fine.seconds * fine.step, rel=1e-9)
 
 
 # --- front and choice ---
