@@ -16,8 +16,9 @@ import numpy as np
 
 import ocp
 import tenscasadi as tc
+from ocp.finder import find_target
 from ocp.guess import make_guess
-from ocp.target import Scales, find_target
+from ocp.target import Scales
 from ocp.transcription import OnGrid
 
 BAR = 1.4  # m

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ocp.best import Progress
 from ocp.bounds import BarForceLimits, Buckling, ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
 from ocp.closed_loop import ClosedLoop, run
 from ocp.collocation import Collocation
@@ -9,19 +10,21 @@ from ocp.costs import Duration, Effort, Prestress, Smoothness, Tracking, Work
 from ocp.duals import Duals
 from ocp.export import export_mpc, export_program
 from ocp.expressions import AtEnd, Constraint, Integral
-from ocp.goals import AtRest, NodePositions, Periodic, Shape, StringLengths, Waypoint
+from ocp.fatrop import Fatrop
+from ocp.goals import AtRest, NodePositions, Shape, StringLengths
 from ocp.grid import PiecewiseConstant, PiecewiseLinear
 from ocp.guesses import Arrays, Equilibrium, InverseDynamics
 from ocp.implicit import ImplicitMidpoint
 from ocp.instant import Instant
 from ocp.invariants import UnreachableGoal
+from ocp.ipopt import Ipopt
+from ocp.motions import Periodic, Waypoint
 from ocp.mpc import Mpc
 from ocp.places import AboveGround, BarClearance, InsideBox, Obstacle
 from ocp.plan import Plan
 from ocp.problem import FreeStart, Problem
 from ocp.report import Report
 from ocp.solve import solve
-from ocp.solver import Fatrop, Ipopt, Progress
 from ocp.track import Tracker, track
 from ocp.transcription import MultipleShooting
 from ocp.variational import Variational

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from ocp.ipopt import Ipopt
 from ocp.program import Program
-from ocp.solver import Ipopt, Solution, Solver
+from ocp.solver import Solution, Solver
 from ocp.transcription import ramped_step, shooting_step
 from tenscasadi.model import Model
 from tenscasadi.schemes import DormandPrince853

@@ -7,11 +7,12 @@ from collections import Counter
 import casadi as ca
 import numpy as np
 
+from ocp.best import STOPPED
 from ocp.guess import Guess
 from ocp.misses import Misses
 from ocp.program import Program
 from ocp.reach import Reach, controlled
-from ocp.solver import STOPPED, Solution
+from ocp.solver import Solution
 from ocp.target import Target
 from tenscasadi.model import Model
 from tenscasadi.stability import fastest_rate

@@ -8,13 +8,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ocp.finder import find_target
 from ocp.grid import at
 from ocp.guess import settled
 from ocp.linearized import Motion, departures, linearized_step
 from ocp.path import StageRows, stage_rows
 from ocp.plan import Plan
 from ocp.problem import Problem
-from ocp.target import Scales, find_target
+from ocp.target import Scales
 from tenscasadi.model import Model
 from tenscasadi.validate import Array, instance, positive_number, whole_number
 

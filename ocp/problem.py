@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from ocp.bounds import Bound, ForceDensityLimits, Limits, PathBound, TensionLimits
 from ocp.checks import dimensions
 from ocp.costs import Cost, FinalCost, RunningCost
-from ocp.goals import Goal, Periodic, Waypoint
+from ocp.goals import Goal
 from ocp.instant import symbolic
+from ocp.motions import Periodic, Waypoint
 from tenscasadi.correction import projection
 from tenscasadi.model import Model
 from tenscasadi.strings import ForceDensity

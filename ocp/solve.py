@@ -14,9 +14,12 @@ from ocp.conflicts import check_start
 from ocp.correct import corrected
 from ocp.duals import Duals
 from ocp.explain import explain_failure, long_steps
+from ocp.fatrop import Fatrop
+from ocp.finder import find_target
 from ocp.grid import held_values
 from ocp.guess import Guess
 from ocp.guesses import GuessValue, guess_of
+from ocp.ipopt import Ipopt
 from ocp.misses import misses
 from ocp.multipliers import duals_of, started
 from ocp.path import cubic, within
@@ -24,8 +27,8 @@ from ocp.plan import Plan
 from ocp.problem import Problem
 from ocp.program import Program
 from ocp.reach import HARDLY_REACHED, REACHED, Reach, controlled
-from ocp.solver import Fatrop, Ipopt, Solution, Solver
-from ocp.target import Scales, Target, find_target
+from ocp.solver import Solution, Solver
+from ocp.target import Scales, Target
 from ocp.transcription import MultipleShooting, OnGrid
 from tenscasadi.record import record
 from tenscasadi.trajectory import Trajectory

@@ -11,8 +11,9 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.finder import find_target
 from ocp.guess import make_guess
-from ocp.target import Scales, find_target
+from ocp.target import Scales
 
 BAR, LEAST, MOST, COUNT = 1.4, 5.0, 100.0, 8
 QUIET = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False}

@@ -10,9 +10,10 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.finder import find_target
 from ocp.guess import make_guess
 from ocp.staged import staged
-from ocp.target import Scales, find_target
+from ocp.target import Scales
 
 BAR = 1.4
 

@@ -8,11 +8,12 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.finder import find_target
 from ocp.invariants import invariants
 from ocp.momentum import bodies, free_motions
 from ocp.reach import Reach, controlled
 from ocp.reduction import RowFunction, null_space, soft_directions
-from ocp.target import Scales, find_target
+from ocp.target import Scales
 
 PRISM = tc.shapes.prism()
 BALL = tc.shapes.six_bar_ball()

@@ -8,8 +8,9 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.finder import find_target
 from ocp.guess import make_guess
-from ocp.target import Scales, find_target
+from ocp.target import Scales
 
 PRISM = tc.shapes.prism()
 MODEL = tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), gravity=tc.Gravity()))

@@ -8,8 +8,9 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.finder import find_target
 from ocp.guess import make_guess
-from ocp.target import Scales, find_target
+from ocp.target import Scales
 
 BAR = 1.4
 GROUPS = ((0, 1, 2), (3, 4, 5), (6, 7, 8))

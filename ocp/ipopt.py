@@ -1,0 +1,118 @@
+"""IPOPT as a value."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.best import Best, Watcher
+from ocp.program import Program
+from ocp.solver import Solution, check_options
+from tenscasadi.validate import positive_number
+
+HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
+PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-8 for push in PUSHES}}
+BARRIER = 1e-3  # to start with: with IPOPT's own, 0.1, iterates leave the guess, and plans take a fifth more iterations
+BARRIERS = 1e-6, 1e-9  # the same of warm starts, where the multipliers are not known, and where they are
+
+
+@dataclass(frozen=True)
+class Ipopt:
+    """IPOPT with exact derivatives.
+
+    max_iterations; tolerance: of scaled optimality and constraints; verbose: prints a line for each iteration; options: further IPOPT
+    options, such as {"linear_solver": "spral"}, which override those chosen here. MUMPS runs without its own scaling, which triples its
+    speed on these problems. seconds: wall time after which it stops, None: no limit. watch: called with a `Progress` after each iteration; when
+    it returns False the solver stops. warm: the guess is nearly a solution, such as another plan: keep to it, and to its multipliers, if grid and
+    constraints are the same. However it is stopped, also from the keyboard, what is returned is the best iterate. Raises TypeError, ValueError.
+    """
+
+    max_iterations: int = 300
+    tolerance: float = 1e-8
+    verbose: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
+    seconds: float | None = None
+    watch: Watcher | None = None
+    warm: bool = False
+
+    def __post_init__(self) -> None:
+        check_options("Ipopt", self.max_iterations, self.tolerance, self.verbose, self.options, "{'mu_strategy': 'adaptive'}")
+        if self.seconds is not None:
+            positive_number("Ipopt.seconds", self.seconds)
+        if self.watch is not None and not callable(self.watch):
+            raise TypeError(f"Ipopt.watch is {self.watch!r}: give a function of an ocp.Progress, or None")
+        if not isinstance(self.warm, bool):
+            raise TypeError(f"Ipopt.warm is {self.warm!r}: give True or False")
+        _check_library(self.options)
+
+    def solve(self, program: Program) -> Solution:
+        """The solution, or the best iterate with IPOPT's word for what went wrong. Raises ValueError for an option IPOPT refuses."""
+        ipopt = {
+            "max_iter": self.max_iterations,
+            "tol": self.tolerance,
+            "print_level": 5 if self.verbose else 0,
+            "sb": "yes",
+            "mumps_scaling": 0,
+            "mumps_permuting_scaling": 0,
+            "mu_init": BARRIER,
+            **({} if self.seconds is None else {"max_wall_time": self.seconds}),
+            **({**WARM, "mu_init": BARRIERS[program.multipliers is not None]} if self.warm else {}),
+            **self.options,
+        }
+        began = time.perf_counter()
+        exact = program.derivatives()
+        best = Best(program.problem["x"].shape[0], len(program.lower), program.lower, program.upper, program.objective, self.watch)
+        # error_on_fail: an iterate that does not converge is a result, which says so.
+        options: dict[str, Any] = {
+            "grad_f": exact["nlp_grad_f"],
+            "jac_g": exact["nlp_jac_g"],
+            "hess_lag": exact["nlp_hess_l"],
+            "ipopt": ipopt,
+            "print_time": False,
+            "error_on_fail": False,
+            "show_eval_warnings": self.verbose,
+            "iteration_callback": best,
+        }
+        try:
+            solver = ca.nlpsol("solver", "ipopt", program.problem, options)
+        except RuntimeError as error:
+            if "IpoptInterface::finalize" not in str(error):
+                raise
+            reason = str(error).strip().splitlines()[-1].split(": ", 1)[-1]
+            raise ValueError(f"Ipopt.options is {dict(self.options)}, and IPOPT says: {reason}. Give options that IPOPT has") from None
+        known = {} if program.multipliers is None else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
+        with best.interruptible():
+            result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper, **known)
+        if best.error is not None:
+            raise best.error
+        stats = solver.stats()
+        w = last = np.asarray(result["x"].full()).ravel()
+        success = bool(stats["success"])
+        if not success and best.w is not None and (best.stopped or "Exceeded" in str(stats["return_status"])):
+            w = best.w
+        multipliers = result["lam_g"].full().ravel(), result["lam_x"].full().ravel()
+        status = best.status or str(stats["return_status"])
+        return Solution(w, success, status, int(stats["iter_count"]), time.perf_counter() - began, multipliers, last)
+
+
+def _check_library(options: Mapping[str, Any]) -> None:
+    """A linear solver whose library is missing would end the process, not raise."""
+    name = options.get("linear_solver", "mumps")
+    kind = "hsl" if str(name) in HSL else "pardiso" if name == "pardiso" else None
+    if kind is None:
+        return
+    path = options.get(f"{kind}lib", f"lib{kind}.so")
+    try:
+        ctypes.CDLL(str(path))
+    except OSError:
+        raise ValueError(
+            f"Ipopt.options asks for linear_solver={name!r}, whose library {path} cannot be loaded: install it, name it as {kind}lib, "
+            "or give 'mumps' or 'spral'"
+        ) from None
