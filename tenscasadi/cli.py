@@ -18,6 +18,7 @@ from tenscasadi.compiled import CompileError, find_compiler
 from tenscasadi.correction import Projection
 from tenscasadi.demos import DEMOS, demo
 from tenscasadi.model import Model
+from tenscasadi.precision import Single
 from tenscasadi.rattle import Rattle
 from tenscasadi.scene import Scene
 from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4, Scheme
@@ -28,6 +29,7 @@ from tenscasadi.strings import ForceDensity
 from tenscasadi.structure import Structure
 from tenscasadi.tradeoff import tradeoff
 from tenscasadi.trajectory import Trajectory
+from tenscasadi.validate import positive_number
 
 _FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 
@@ -35,7 +37,8 @@ _FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command in `argv` (None: the process's arguments) and returns its exit code.
 
-    0: done; 1: a run diverged or no plan was found (what there is was written); 2: bad input, told in one line on standard error.
+    0: done; 1: a run diverged, no plan was found or no run is as accurate as wanted (what there is was written); 2: bad input, told in one
+    line on standard error.
     """
     arguments = _parser().parse_args(argv)
     try:
@@ -109,6 +112,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     trade.add_argument("--rtol", type=float, nargs="+", default=[1e-4, 1e-7, 1e-10], metavar="R", help="tolerances (default: 1e-4 1e-7 1e-10)")
     trade.add_argument("--tolerance", type=float, metavar="X", help="wanted accuracy, m: names the fastest run within it")
+    trade.add_argument("--single", action="store_true", help="measure everything in single precision, too")
     trade.add_argument("--uncompiled", action="store_true", help="use CasADi's virtual machine even where there is a C compiler")
 
     command("info", _info, "describe a shape: members, masses, equilibrium, equations, stable step", f"shapes:\n{known}")
@@ -164,6 +168,8 @@ def _write_trajectory(arguments: argparse.Namespace, trajectory: Trajectory) -> 
 
 def _tradeoff(arguments: argparse.Namespace) -> int:
     chosen = demo(arguments.shape)
+    if arguments.tolerance is not None:
+        positive_number("tolerance", arguments.tolerance)
     model = Model(chosen.scene())
     schemes: tuple[Scheme, ...] = (
         RungeKutta4(),
@@ -179,21 +185,28 @@ def _tradeoff(arguments: argparse.Namespace) -> int:
         arguments.steps,
         state=chosen.start,
         corrections=(None, Projection()),
-        compiled=(False if arguments.uncompiled else None,),
+        compiled=(False if arguments.uncompiled else None, *([Single()] if arguments.single else [])),
         progress=sys.stderr.isatty(),
     )
     print(f"{arguments.shape}: {model.structure!r}, {table.t_end:g} s")
     print(table.summary())
+    if not table.rows:  # interrupted before the first
+        return _INTERRUPTED
+    served = True
     if arguments.tolerance is not None:
-        row = table.cheapest(arguments.tolerance)
-        print(f"fastest within {arguments.tolerance:g} m: {row.name}" + ("" if np.isnan(row.step) else f", step {row.step:g} s"))
+        try:
+            row = table.cheapest(arguments.tolerance)
+            print(f"fastest within {arguments.tolerance:g} m: {row.name}" + ("" if np.isnan(row.step) else f", step {row.step:g} s"))
+        except ValueError as error:  # what was measured is kept all the same
+            print(error)
+            served = False
     began = time.perf_counter()
     folder = _folder(arguments.output)
     files = [folder / f"{arguments.shape}-tradeoff{suffix}" for suffix in (".npz", ".png")]
     table.save(files[0])
     table.plot(files[1], title=arguments.shape)
     _tell(files, time.perf_counter() - began)
-    return 0 if table.complete else _INTERRUPTED
+    return _INTERRUPTED if not table.complete else 0 if served else _FAILED
 
 
 def _info(arguments: argparse.Namespace) -> int:

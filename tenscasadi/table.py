@@ -94,11 +94,11 @@ class Tradeoff:
     def pareto(self, cost: Cost = "seconds") -> tuple[Row, ...]:
         """The rows that no other beats in both cost and position error, from the cheapest to the most accurate.
 
-        cost: "seconds", as measured, or "work", instructions times steps.
+        cost: "seconds", as measured, or "work", instructions times steps. Errors below that of the reference are not told apart.
         """
         front: list[Row] = []
         for *_, row in self._by(cost):
-            if not front or row.position < front[-1].position:
+            if not front or row.position < front[-1].position > self.reference_error:
                 front.append(row)
         return tuple(front)
 
@@ -108,9 +108,11 @@ class Tradeoff:
         for *_, row in self._by(cost):
             if row.position + self.reference_error <= tolerance:
                 return row
-        if tolerance <= self.reference_error:
+        if tolerance <= self.reference_error < np.inf:
             raise ValueError(f"tolerance is {tolerance:g} m: the reference itself may be off by {self.reference_error:.2g} m, give more than that")
-        least = min((row.position for row in self._good()), default=float("nan"))
+        if not self._good():
+            raise ValueError(f"tolerance is {tolerance:g} m: {f'all {len(self.rows)} runs failed' if self.rows else 'there is no run'}")
+        least = min(row.position for row in self._good())
         raise ValueError(f"tolerance is {tolerance:g} m: the most accurate of {len(self.rows)} runs is off by {least:.2g} m, add smaller steps")
 
     def summary(self) -> str:
@@ -124,7 +126,8 @@ class Tradeoff:
             mark = "*" if id(row) in front else " "
             start = f"{mark} {row.name:<{width}} {_number(row.step, '9.3g')}"
             if row.success:
-                errors = f"{row.position:10.2g} {row.bar:8.1g} {row.joint:8.1g} {_number(row.energy, '9.2g')}"
+                position = f"{row.position:.2g}" if row.position > self.reference_error else f"< {self.reference_error:.2g}"
+                errors = f"{position:>10} {row.bar:8.1g} {row.joint:8.1g} {_number(row.energy, '9.2g')}"
                 lines.append(f"{start} {row.seconds:9.2g} {errors} {row.instructions:7} {row.setup:8.2f}")
             else:
                 lines.append(f"{start}   {row.message.split(';')[0]}")

@@ -51,7 +51,7 @@ def work_precision(
     ax.invert_xaxis()  # more accurate to the right
     ax.set_xlabel("largest position error at the end (m), more accurate to the right")
     ax.set_ylabel(cost)
-    ax.xaxis.set_major_locator(LogLocator(numticks=12))
+    ax.xaxis.set_major_locator(LogLocator(numticks=9))
     ax.grid(visible=True, color="0.9")
     ax.spines[["top", "right"]].set_visible(False)
     if title:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
@@ -137,6 +138,51 @@ def test_tradeoff(tmp_path, capsys):
     assert not any(row.compiled for row in table.rows)
 
 
+def test_a_tradeoff_that_serves_nobody_is_told_and_kept(tmp_path, capsys):
+    options = ["--t-end", 0.1, "--steps", 0.02, "--rtol", 1e-4, "--tolerance", 1e-15, "--uncompiled"]
+    assert run("tradeoff", "prism", *options, "--output", tmp_path) == 1
+    out = capsys.readouterr().out
+    assert "tolerance is 1e-15 m: the " in out
+    assert len(tc.Tradeoff.load(written(out)[0]).rows) == 10
+
+
+@pytest.mark.parametrize("rows", [0, 3])
+def test_ctrl_c_in_a_tradeoff_keeps_what_there_is(rows, tmp_path, capsys, monkeypatch):
+    module = importlib.import_module("tenscasadi.tradeoff")
+    original, cases = module._rows, []
+
+    def some(case, name, lengths, reference, repeats):
+        for row in original(case, name, lengths, reference, repeats):
+            if len(cases) == rows:
+                raise KeyboardInterrupt
+            cases.append(row)
+            yield row
+
+    monkeypatch.setattr(module, "_rows", some)
+    options = ["--t-end", 0.1, "--steps", 0.02, 0.01, "--tolerance", 1e-3, "--uncompiled"]
+    assert run("tradeoff", "prism", *options, "--output", tmp_path) == 130
+    out = capsys.readouterr().out
+    assert f"interrupted from the keyboard after {rows} of 22 runs" in out
+    if rows:
+        table = tc.Tradeoff.load(written(out)[0])
+        assert (len(table.rows), table.complete) == (3, False)
+    else:
+        assert not list(tmp_path.iterdir())
+
+
+def test_single_precision_is_measured_too_when_asked(tmp_path, monkeypatch):
+    ways = []
+
+    def asked(*_, compiled, **__):
+        ways.append(compiled)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tenscasadi.cli.tradeoff", asked)
+    for options in (["--single"], ["--single", "--uncompiled"], []):
+        assert run("tradeoff", "pendulum", *options, "--output", tmp_path) == 130
+    assert ways == [(None, tc.Single()), (False, tc.Single()), (None,)]
+
+
 def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
     options = ["--intervals", 5, "--duration", 0.02, "--upper", 20]
     assert run("plan", "prism", *options, "--output", tmp_path) == 1
@@ -156,6 +202,7 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
         (["tradeoff", "prism", "--steps", "0"], "steps[0]"),
         (["tradeoff", "prism", "--steps"], "--steps"),
         (["tradeoff", "prism", "--rtol", "2"], "rtol"),
+        (["tradeoff", "prism", "--tolerance", "-1"], "tolerance"),
         (["plan", "cube"], "prism"),
         (["simulate", "prism", "--t-end", "soon"], "--t-end"),
         (["simulate", "prism", "--t-end", "nan"], "t_end"),

@@ -136,6 +136,22 @@ def test_cheapest_counts_the_references_own_error(table):
         doubtful.cheapest(1e-7)
 
 
+def test_errors_below_that_of_the_reference_are_not_told_apart(table):
+    doubtful = replace(table, reference_error=sorted(row.position for row in table.rows)[5])
+    front = doubtful.pareto("work")
+    assert sum(row.position <= doubtful.reference_error for row in front) == 1
+    assert front[-1].work == min(row.work for row in table.rows if row.position <= doubtful.reference_error)
+    assert f"< {doubtful.reference_error:.2g}" in doubtful.summary()
+
+
+def test_a_study_without_good_runs_is_told(table):
+    failed = replace(table, rows=tuple(replace(row, success=False) for row in table.rows))
+    with pytest.raises(ValueError, match="all 16 runs failed"):
+        failed.cheapest(1e-3)
+    with pytest.raises(ValueError, match="there is no run"):
+        replace(table, rows=(), reference_error=np.inf).cheapest(1e-3)
+
+
 @pytest.mark.parametrize("tolerance", [0, -1.0, np.nan, "small"])
 def test_a_tolerance_is_a_positive_number(table, tolerance):
     with pytest.raises((TypeError, ValueError), match="tolerance"):
