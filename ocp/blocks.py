@@ -23,7 +23,7 @@ class Block:
 
     function: z (nz) → rows (m); index (count, nz); lower, upper, scale (count, m) or broadcast to it; names: count·m, instance by instance.
     scale: what one stands for, in the unit of what is limited. closes: None, or for each row of an instance the unknown x⁺ of which it is
-    x⁺ − F(…), in the same scale.
+    x⁺ − F(…), in the same scale. combination: None, or a dense matrix (m, rows of function) with which the function's rows are multiplied.
     """
 
     function: ca.Function
@@ -33,6 +33,7 @@ class Block:
     upper: Any = 0.0
     scale: Any = 1.0
     closes: Indices | None = None
+    combination: Array | None = None
 
     @property
     def count(self) -> int:
@@ -42,7 +43,12 @@ class Block:
     @property
     def rows(self) -> int:
         """Rows of one instance."""
-        return int(self.function.size1_out(0))
+        return int(self.function.size1_out(0)) if self.combination is None else len(self.combination)
+
+    def value(self, z: Any) -> Any:
+        """Rows (m, count) at z (nz, count)."""
+        own = self.function.map(self.count)(z)
+        return own if self.combination is None else ca.mtimes(ca.DM(self.combination), own)
 
     def limits(self) -> tuple[Array, Array, Array]:
         """Lower and upper limits and scales of all rows, instance by instance."""
@@ -108,9 +114,9 @@ class Separable:
         self.size, self.w = len(unknowns.names), w
         y = unknowns.physical(w)
         self._z = {id(block): _gathered(y, unknowns.place(block.index)) for block in (*rows, *costs)}
-        values = [ca.vec(block.function.map(block.count)(self._z[id(block)])) for block in rows]
+        values = [ca.vec(block.value(self._z[id(block)])) for block in rows]
         self.g = ca.vertcat(ca.MX(0, 1), *values)
-        totals = [ca.sum2(block.function.map(block.count)(self._z[id(block)])) for block in costs]
+        totals = [ca.sum2(block.value(self._z[id(block)])) for block in costs]
         self.f = sum(totals, start=ca.MX(0)) * weight if costs else ca.MX(0)
 
     @cached_property
@@ -148,10 +154,13 @@ def _symbol(function: ca.Function) -> Any:
     return (ca.SX if function.is_a("SXFunction") else ca.MX).sym("z", function.size1_in(0))
 
 
-def _derivative(function: ca.Function) -> tuple[ca.Function, ca.Sparsity]:
+def _derivative(block: Block) -> tuple[ca.Function, ca.Sparsity]:
     """z → non-zeros of the Jacobian, and where they are."""
-    z = _symbol(function)
-    J = ca.jacobian(function(z), z)
+    z: Any = _symbol(block.function)
+    J = ca.jacobian(block.function(z), z)
+    if block.combination is not None:
+        own, z = ca.Function("own", [z], [J]), ca.MX.sym("z", z.shape[0])
+        J = ca.mtimes(ca.DM(block.combination), own(z))
     return ca.Function("derivative", [z], [_nonzeros(J)]), J.sparsity()
 
 
@@ -170,7 +179,7 @@ class _Entries:
 
     def add(self, block: Block, z: Any, scale: Array, first_row: int = 0, factor: float = 1.0, transposed: bool = False) -> None:
         """The Jacobian of all instances of a block."""
-        derivative, sparsity = _derivative(block.function)
+        derivative, sparsity = _derivative(block)
         local_row, local_column = (np.array(entries, dtype=np.intp) for entries in sparsity.get_triplet())
         if not len(local_row):
             return
@@ -184,7 +193,9 @@ class _Entries:
     def add_second(self, block: Block, z: Any, multipliers: Any, scale: Array) -> None:
         """The upper triangle of the Hessian of Σ multipliers · rows of all instances."""
         s = _symbol(block.function)
-        weight = type(s).sym("weight", block.rows)
+        weight = type(s).sym("weight", block.function.size1_out(0))
+        if block.combination is not None:
+            multipliers = ca.mtimes(ca.DM(block.combination.T), multipliers)
         H = ca.hessian(ca.dot(weight, block.function(s)), s)[0]
         local_row, local_column = (np.array(entries, dtype=np.intp) for entries in H.sparsity().get_triplet())
         if not len(local_row):

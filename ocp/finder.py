@@ -42,7 +42,8 @@ def _end(problem: Problem, scales: Scales) -> Target:
     if not finder.names:
         x = ca.SX.sym("x", model.nx)
         empty, none = ca.SX(0, 1), Combined(np.zeros((0, 0)), (), np.zeros(0))
-        return Target(start, None, ca.Function("goal", [x], [empty]), ca.Function("misfit", [x], [empty, empty]), (), 0, {}, 0, 0.0, none)
+        single, misfit = ca.Function("single", [x], [empty]), ca.Function("misfit", [x], [empty, empty])
+        return Target(start, None, single, np.zeros((0, 0)), misfit, (), 0, {}, 0, 0.0, none)
     y, adjusted = finder.solve()
     return finder.reduced(y, adjusted)
 
@@ -145,43 +146,39 @@ class _Finder:
         """The target at y with the rows that can be imposed there."""
         values, H = self.goal(y)
         directions, _, _ = soft_directions([self.goal, *self.kept], y, NEARLY_SINGULAR)
-        shape, distances = self._shape_rows(y, directions)
-        if shape.shape[0]:
-            function = RowFunction(self.y, shape, np.ones(shape.shape[0]), self.scale)
-            more, gradient = function(y)
-            values, H = np.append(values, more), np.concatenate([H, gradient])
+        weights, squared, (more, gradient) = self._shape_rows(y, directions)
+        added = len(weights)
+        H = np.concatenate([H, weights @ gradient])
         groups = [(group.kind, kept(y)[1]) for group, kept in zip(self.groups, self.kept, strict=True)]
         if not self.free_duration:
             H, groups = H[:, :-1], [(kind, A[:, :-1]) for kind, A in groups]
         reduction: Reduction = reduce_rows(H, groups)
-        scaled = ca.vertcat(self.value / ca.DM(self.goal.row_scale), shape) - ca.DM(values)
-        # the combinations are dense: kept apart from the rows, whose derivatives are sparse
-        single, x = ca.Function("single", [self.x], [scaled]), ca.MX.sym("x", self.problem.model.nx)
-        rows = ca.Function("goal", [x], [ca.mtimes(ca.DM(reduction.combinations), single(x))], ["x"], ["rows"])
+        rows = ca.vertcat(self.value / ca.DM(self.goal.row_scale), squared) - ca.DM(np.append(values, more))
+        single, every = ca.Function("single", [self.x], [rows]), reduction.combinations
+        imposed = np.concatenate([every[:, : len(values)], every[:, len(values) :] @ weights], axis=1)
+        distances = (ca.sqrt(squared) - ca.DM(np.sqrt(more))) * self.scales.length
         misfit = ca.Function("misfit", [self.x], [ca.vertcat(self.lengths, distances), self.speeds], ["x"], ["metres", "speeds"])
         count = self.lengths.shape[0]
         names = (*self.names[:count], *(f"distance of nodes {a} and {b}" for a, b in self._pairs(distances.shape[0])), *self.names[count:])
-        added = int(shape.shape[0])
         row_names = (*self.names, *(f"shape, combination {k}" for k in range(added)))
         combined = Combined(reduction.combinations, row_names, np.append(self.goal.row_scale, np.ones(added)))
-        return Target(self.start, y[:-1], rows, misfit, names, len(self.names), reduction.repeated, added, adjusted, combined)
+        return Target(self.start, y[:-1], single, imposed, misfit, names, len(self.names), reduction.repeated, added, adjusted, combined)
 
-    def _shape_rows(self, y: Array, directions: Array) -> tuple[Any, Any]:
-        """Rows that feel `directions` and no rigid motion, combinations of squared distances of nodes; and all distances. Both minus the target's."""
+    def _shape_rows(self, y: Array, directions: Array) -> tuple[Array, Any, tuple[Array, Array]]:
+        """Combinations (k, m) of all m squared distances of nodes, which feel `directions` and no rigid motion; the distances, as rows of x; and
+        their values and gradient at y."""
         model, L = self.problem.model, self.scales.length
         if not directions.shape[1]:
-            return ca.SX(0, 1), ca.SX(0, 1)
+            return np.zeros((0, 0)), ca.SX(0, 1), (np.zeros(0), np.zeros((0, len(y))))
         count = len(model.scene.structure.nodes)
         a, b = (index.tolist() for index in np.triu_indices(count, 1))
         N = model.nodes(self.x)
         d = N[:, a] - N[:, b]
         squared = ca.sum1(d * d).T / L**2
-        function = RowFunction(self.y, squared, np.ones(len(a)), self.scale)
-        value, gradient = function(y)
+        value, gradient = RowFunction(self.y, squared, np.ones(len(a)), self.scale)(y)
         weights = (gradient @ directions).T
         norms = np.linalg.norm(weights, axis=1, keepdims=True)
-        weights = (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK]
-        return ca.mtimes(ca.DM(weights), squared - ca.DM(value)), (ca.sqrt(squared) - ca.DM(np.sqrt(value))) * L
+        return (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK], squared, (value, gradient)
 
     def _pairs(self, count: int) -> list[tuple[int, int]]:
         if not count:

@@ -96,9 +96,9 @@ def bar_names(count: int, what: str) -> tuple[str, ...]:
     return tuple(f"bar {k} {what}" for k in range(count))
 
 
-def parts(*sizes: int) -> tuple[Any, tuple[Any, ...]]:
+def parts(*sizes: int, kind: Any = ca.MX) -> tuple[Any, tuple[Any, ...]]:
     """A symbol and its pieces of these sizes."""
-    z = ca.MX.sym("z", sum(sizes))
+    z = kind.sym("z", sum(sizes))
     return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
 
 

@@ -61,7 +61,9 @@ class Ipopt:
             "sb": "yes",
             "mumps_scaling": 0,
             "mumps_permuting_scaling": 0,
+            "nlp_scaling_method": "none",  # programs are scaled
             "mu_init": BARRIER,
+            "constr_mult_init_max": 0,  # multipliers of a guess by least squares cost a factorisation, and save no iteration
             **({} if self.seconds is None else {"max_wall_time": self.seconds}),
             **({**WARM, "mu_init": BARRIERS[program.multipliers is not None]} if self.warm else {}),
             **self.options,

@@ -197,7 +197,7 @@ class Assembly:
         blocks = [stop_block(self, rows) for rows in stop_rows(self.target, self.fractions)]
         if self.target.count:
             names = tuple(f"goal, combination {k}" for k in range(self.target.count))
-            blocks.append(Block(self.target.rows, self.states[-1:], names))
+            blocks.append(Block(self.target.single, self.states[-1:], names, combination=self.target.weights))
         cycle = self.target.cycle
         if cycle is not None and cycle.names:
             names = tuple(f"goal of repeating, combination {k}" for k in range(cycle.repeats.size1_out(0)))

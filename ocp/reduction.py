@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -27,14 +28,17 @@ class RowFunction:
         self.row_scale, self.scale = row_scale, scale
         scaled = value / ca.DM(row_scale)
         self._function = Direct(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
-        weight = ca.SX.sym("w", value.shape[0])
-        gradient = ca.gradient(ca.dot(weight, scaled), y)
-        self._curvature = ca.Function("curvature", [y, weight], [ca.jacobian(gradient, y)])
+        self._y, self._scaled = y, scaled
 
     def __call__(self, y: Array) -> tuple[Array, Array]:
         """Scaled rows (m,) and their gradient (m, ny) in scaled unknowns."""
         value, gradient = self._function(y)
         return value.ravel(), gradient.T * self.scale
+
+    @cached_property
+    def _curvature(self) -> ca.Function:
+        weight = ca.SX.sym("w", self._scaled.shape[0])
+        return ca.Function("curvature", [self._y, weight], [ca.hessian(ca.dot(weight, self._scaled), self._y)[0]])
 
     def curvature(self, y: Array, weight: Array) -> Array:
         """Second derivative (ny, ny) of weightᵀ rows in scaled unknowns."""

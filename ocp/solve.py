@@ -130,14 +130,12 @@ def _controlled(target: Target, reach: Reach, guess: Guess, least: float = REACH
 
     def reduced(part: Target, share: float) -> Target:
         end = max(1, round(share * (len(states) - 1)))
-        kept = controlled(reach.of_rows(part.rows, target.start, guess.force_density, guess.duration, end), least)
+        kept = controlled(part.weights @ reach.of_rows(part.single, target.start, guess.force_density, guess.duration, end), least)
         missing = part.count - len(kept)
         if not missing:
             return part
-        x = ca.SX.sym("x", len(target.start))
-        rows = ca.Function("goal", [x], [ca.mtimes(ca.DM(kept), part.rows(x))], ["x"], ["rows"])
         combined = part.combined._replace(combinations=kept @ part.combined.combinations)
-        return replace(part, rows=rows, repeated={**part.repeated, "out of control": missing}, combined=combined)
+        return replace(part, weights=kept @ part.weights, repeated={**part.repeated, "out of control": missing}, combined=combined)
 
     stops = tuple(stop._replace(target=reduced(stop.target, stop.share)) for stop in target.stops)
     return replace(reduced(target, 1.0), stops=stops)

@@ -37,8 +37,9 @@ class Scales:
 class Target:
     """Where the goals lead, and the rows that impose them.
 
-    start: x₀ (nx,) on the constraints. state: the nearest state (nx,) that meets the goals, or None without goals. rows: Function
-    x → independent rows, zero at the goal. misfit: Function x → (metres, metres per second), the distance from the goals in each of
+    start: x₀ (nx,) on the constraints. state: the nearest state (nx,) that meets the goals, or None without goals. weights (count, m): independent
+    combinations of the m rows of single, a Function x → rows, all zero at the goal; they are dense, and apart from the rows, whose derivatives are
+    sparse. misfit: Function x → (metres, metres per second), the distance from the goals in each of
     `names` (first those in metres). given: rows of the goals; repeated: rows left out, by what repeats them; shape: rows added
     because string lengths are singular at the target. combined: what `rows` consist of. stops: what is to be met on the way. cycle: rows
     of a free start, near which `start` is then.
@@ -46,7 +47,8 @@ class Target:
 
     start: Array
     state: Array | None
-    rows: ca.Function
+    single: ca.Function
+    weights: Array
     misfit: ca.Function
     names: tuple[str, ...]
     given: int
@@ -60,7 +62,13 @@ class Target:
     @property
     def count(self) -> int:
         """Rows that are imposed."""
-        return int(self.rows.size1_out(0))
+        return len(self.weights)
+
+    @property
+    def rows(self) -> ca.Function:
+        """Function x → the rows that are imposed, zero at the goal."""
+        x = ca.MX.sym("x", self.single.size1_in(0))
+        return ca.Function("goal", [x], [ca.mtimes(ca.DM(self.weights), self.single(x))], ["x"], ["rows"])
 
     def begun(self, start: Array) -> Target:
         """The target of a motion from a free start that has been found, whose rows and misfit include those of repeating it."""
@@ -75,7 +83,8 @@ class Target:
         return replace(
             self,
             start=start,
-            rows=ca.Function("goal", [x], [ca.vertcat(self.rows(x), cycle.repeats(start, x))], ["x"], ["rows"]),
+            single=ca.Function("single", [x], [ca.vertcat(self.single(x), cycle.repeats(start, x))]),
+            weights=scipy.linalg.block_diag(self.weights, np.eye(cycle.repeats.size1_out(0))),
             misfit=ca.Function("misfit", [x], [ca.vertcat(metres, more_metres), ca.vertcat(speeds, more_speeds)], ["x"], ["metres", "speeds"]),
             names=(*self.names[:count], *cycle.names[:more], *self.names[count:], *cycle.names[more:]),
             given=self.given + len(cycle.names),

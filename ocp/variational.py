@@ -15,7 +15,7 @@ from ocp.implicit import bar_names, bar_rows, check_reduced, parts
 from ocp.problem import Problem
 from ocp.program import Assembly, Program, interval_names, state_names
 from ocp.target import Scales, Target
-from ocp.transcription import OnGrid, unrolled
+from ocp.transcription import OnGrid
 from tenscasadi import dynamics, forces
 from tenscasadi.algebra import sparse
 from tenscasadi.correction import projection
@@ -89,9 +89,10 @@ class _Chain:
         q, own, T = a.states[:, :nq], a.interval_controls, a.duration
         m = own.shape[1]
         names = state_names(self.model)[:nq]
+        kind = ca.SX if self.model.ode.is_a("SXFunction") else ca.MX
 
         # First and last: v is given, at the end backwards in time. T² and shares instead of h: polynomial also where the duration is free.
-        z, (q0, v, q1, c, lam, duration, share, passed) = parts(nq, nq, nq, m, self.bars, 1, 1, 1)
+        z, (q0, v, q1, c, lam, duration, share, passed) = parts(nq, nq, nq, m, self.bars, 1, 1, 1, kind=kind)
         force = self._force(q0, v, a.gamma(c, EARLY), lam, duration * passed)
         row = self._momentum((q1 - q0) / share - duration * v) - duration**2 * share / 2 * force
         backwards = own[-1].reshape(-1, a.controls.shape[1])[::-1].ravel()
@@ -104,7 +105,7 @@ class _Chain:
         result = [self._block("ends", z, row, index, rows)]
 
         if a.count > 1:
-            z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = parts(nq, nq, nq, m, m, self.bars, 1, 1, 1, 1)
+            z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = parts(nq, nq, nq, m, m, self.bars, 1, 1, 1, 1, kind=kind)
             both = before + after
             gamma = (before * a.gamma(c, LATE) + after * a.gamma(d, EARLY)) / both
             force = self._force(q1, (q2 - q0) / (duration * both), gamma, lam, duration * passed)
@@ -133,7 +134,7 @@ class _Chain:
         ]
 
     def _block(self, name: str, z: Any, row: Any, index: Indices, names: tuple[str, ...]) -> Block:
-        return Block(unrolled(self.model, ca.Function(name, [z], [row / self._row_scale])), index, names)
+        return Block(ca.Function(name, [z], [row / self._row_scale]), index, names)
 
     def _state(self, q: Any, v: Any, time: Any) -> Any:
         clock = [time + float(self.a.target.start[-1])] if self.model.scene.has_clock else []
