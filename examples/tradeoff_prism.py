@@ -1,4 +1,5 @@
-"""What accuracy costs: schemes and steps on a prism that vibrates and goes slack, and how much the modelling of its strings matters beside them.
+"""What accuracy costs: schemes and steps on a prism that vibrates and goes slack, how it is run, and how much the modelling of its strings
+matters beside them.
 
 Run it with a folder for the pictures: python examples/tradeoff_prism.py pictures
 """
@@ -17,7 +18,7 @@ TOLERANCES = (1e-3, 1e-6, 1e-9)  # m
 
 
 def main(folder: Path = Path(), quick: bool = False) -> tuple[tc.Tradeoff, tc.Tradeoff, tc.Recommendation]:
-    """Prints both tables and a recommendation, saves the pictures and returns all three. `quick`: a short run, few steps and
+    """Prints the tables and a recommendation, saves the pictures and returns the first, the last and the advice. `quick`: a short run, few steps and
     schemes, nothing compiled."""
     prism = tc.shapes.prism(prestress=5.0, stiffness=500.0, string_mass=0.1)
     steps = np.geomspace(2e-2, 2e-3 if quick else 2e-4, 3 if quick else 7).tolist()
@@ -35,6 +36,11 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[tc.Tradeoff, tc.Tr
         row = numerics.cheapest(tolerance)
         print(f"fastest within {tolerance:g} m: {row.name}" + ("" if np.isnan(row.step) else f", step {row.step:.2g} s"))
     numerics.plot(folder / "tradeoff_prism_schemes.png", title="a prism that goes slack: schemes")
+
+    ways = (False,) if quick else (True, tc.Single(), False)
+    running = tc.tradeoff(model, t_end, schemes[:1], steps, state=turning, corrections=(tc.Projection(),), compiled=ways, repeats=common["repeats"])
+    print(f"\nways to run:\n{running.summary()}")
+    running.plot(folder / "tradeoff_prism_ways.png", title="a prism that goes slack: ways to run")
 
     finest = 3 if quick else 6
     models = {f"{finest} segments, lumped": strings(prism, finest, lumped=True)}
