@@ -79,12 +79,14 @@ class Trajectory:
             f"{self.message}",
             f"time          {self.time[0]:g} … {self.time[-1]:g} s, {steps} steps of {self.step:g} s{tried}, {len(self.time)} rows kept",
             f"wall time     {self.seconds:.3g} s{rate}, {way}",
-            f"energy        {self.energy[0]:.6g} → {self.energy[-1]:.6g} J, largest error {_largest(self.energy_error)} J",
+            f"energy        {self.energy[0]:.6g} → {self.energy[-1]:.6g} J, largest error {_largest(self.energy_error, 'J')}",
             f"bar lengths   largest relative error {_largest(self.bar_length_error)}",
-            f"joints        largest gap {_largest(self.joint_error)} m",
+            f"joints        largest gap {_largest(self.joint_error, 'm')}",
         ]
         if np.any(self.correction_shift > 0):
-            lines.append(f"correction    moves a node by {_largest(self.correction_shift)} m and adds {_largest(self.correction_energy)} J at most")
+            lines.append(
+                f"correction    moves a node by {_largest(self.correction_shift, 'm')} and adds {_largest(self.correction_energy, 'J')} at most"
+            )
         elif np.any(np.isnan(self.correction_shift)):
             lines.append("correction    what it does is not measured for schemes that take their own steps")
         if self.tension.size:
@@ -165,6 +167,6 @@ def _check(content: dict[str, Any]) -> None:
             raise ValueError(f"field {name!r} holds indices outside 0 … {sizes['n'] - 1}")
 
 
-def _largest(errors: Array) -> str:
+def _largest(errors: Array, unit: str = "") -> str:
     known = np.abs(errors[np.isfinite(errors)])
-    return f"{known.max():.2g}" if known.size else "not computed"
+    return f"{known.max():.2g} {unit}".strip() if known.size else "not computed"
