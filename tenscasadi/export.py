@@ -3,32 +3,39 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.correction import Projection
 from tenscasadi.model import Model
-from tenscasadi.schemes import RungeKutta4, Scheme
+from tenscasadi.precision import Single
+from tenscasadi.runners import check_single, own_steps
+from tenscasadi.schemes import RungeKutta4, Scheme, check_scheme
 from tenscasadi.validate import Array, instance
 
 
-def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), precision: Literal["double", "single"] = "double") -> list[Path]:
+def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), precision: Single | None = None) -> list[Path]:
     """Writes `tensegrity.c`, `tensegrity.h`, `start.h` and `main.c` into `folder` (made if need be); returns their paths.
 
     Functions, in CasADi's calling convention (`int name(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)`):
     `ode` (x, u) → xdot; `ode_jacobian` (x, u) → its dense derivatives by x and u, column by column; `step` (x, u, h) → x, one step of
-    `scheme` followed by the projection onto bars and joints; `observe` (x, u) → see `Model.observe`. `main.c` integrates from the
-    model's initial state: `cc -O2 tensegrity.c main.c -lm -o run && ./run t_end step rows`. precision="single" computes in float.
+    `scheme`, which takes fixed steps, followed by the projection onto bars and joints; `observe` (x, u) → see `Model.observe`.
+    `main.c` integrates from the model's initial state: `cc -O2 tensegrity.c main.c -lm -o run && ./run t_end step rows`.
+    precision: None, in double; `Single()`, in float.
     Raises TypeError, ValueError, OSError.
     """
     instance("model", model, Model, "a tenscasadi.Model")
-    if precision not in ("double", "single"):
-        raise ValueError(f'precision is {precision!r}: give "double" or "single"')
+    instance("precision", precision, (Single, type(None)), "Single() for float, or None for double")
+    check_scheme(scheme)
+    if own_steps(scheme):
+        raise ValueError(f"scheme is {scheme}, which chooses its steps: give one of fixed steps for C, such as RungeKutta4()")
+    if precision is not None:
+        check_single(scheme)
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    real = "double" if precision == "double" else "float"
+    real = "double" if precision is None else "float"
     generator = ca.CodeGenerator("tensegrity.c", {"with_header": True, "casadi_real": real})
     for function in (model.ode, _jacobian(model), _step(model, scheme), model.observe):
         generator.add(function)
@@ -100,6 +107,7 @@ int main(int argc, char **argv) {
     return 2;
   }
   steps = (long)(t_end / h + 0.999999);
+  steps = steps < 1 ? 1 : steps;
   h = t_end / (double)steps;
 
   casadi_int arg = 0, res = 0, iw = 0, w = 0, a, r, i, v;
@@ -128,7 +136,9 @@ int main(int argc, char **argv) {
     out[0] = next;
     if (step(in, out, iwork, work, 0)) { fprintf(stderr, "the step at t = %g failed\\n", (double)k * h); return 1; }
     memcpy(x, next, NX * sizeof *x);
-    if (x[0] != x[0]) { fprintf(stderr, "the state is not finite at t = %g: give a smaller step\\n", (double)(k + 1) * h); return 1; }
+    for (i = 0; i < NX; ++i) {
+      if (!(x[i] - x[i] == 0)) { fprintf(stderr, "the state is not finite at t = %g: give a smaller step\\n", (double)(k + 1) * h); return 1; }
+    }
   }
   return 0;
 }

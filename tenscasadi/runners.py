@@ -18,7 +18,7 @@ from tenscasadi.schemes import EmbeddedRungeKutta, Scheme
 from tenscasadi.sundials import GRID, Sundials, SundialsRunner
 from tenscasadi.validate import Array
 
-_SINGLE_RTOL = 1e-6  # some five times the rounding of float, as 1e-15 is of double
+_SINGLE = 1e-6  # some ten times the rounding of float, as 1e-15 is of double
 _STUCK = 1e-13  # of the grid's spacing: a step as short as this makes no headway
 
 
@@ -60,6 +60,14 @@ def own_steps(scheme: Scheme) -> bool:
     return isinstance(scheme, Sundials) or (isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive)
 
 
+def check_single(scheme: Scheme) -> None:
+    """ValueError where a scheme asks for more than single precision holds."""
+    name = "rtol" if isinstance(scheme, EmbeddedRungeKutta) else "tolerance"
+    asked = getattr(scheme, name, None)
+    if asked is not None and asked < _SINGLE:
+        raise ValueError(f"{type(scheme).__name__}.{name} is {asked:g}: give {_SINGLE:g} or more in single precision, less is rounding")
+
+
 def make_runner(task: Task, step: float, steps: int, compiled: Compiled) -> Built:
     """The runner of a task on a grid of `steps` steps of `step` s; `compiled` as for `simulate`. Raises CompileError, ValueError."""
     model, scheme, correction = task.model, task.scheme, task.correction
@@ -74,8 +82,8 @@ def make_runner(task: Task, step: float, steps: int, compiled: Compiled) -> Buil
     if own_steps(scheme) and every != 1:
         raise ValueError(f"correction.every is {every}: {type(scheme).__name__} with rtol corrects after each of its own steps, give every=1")
     single = isinstance(compiled, Single)
-    if single and isinstance(scheme, EmbeddedRungeKutta) and scheme.rtol is not None and scheme.rtol < _SINGLE_RTOL:
-        raise ValueError(f"{type(scheme).__name__}.rtol is {scheme.rtol:g}: give {_SINGLE_RTOL:g} or more in single precision, less is rounding")
+    if single:
+        check_single(scheme)
     note = ""
     if compiled is not False:
         try:

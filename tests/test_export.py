@@ -12,15 +12,20 @@ import pytest
 from scenes import every_term
 
 from tenscasadi import shapes
+from tenscasadi.collocation import Collocation
 from tenscasadi.correction import Projection
 from tenscasadi.export import export_c
 from tenscasadi.linear import linearize
 from tenscasadi.loads import Gravity, Ground
 from tenscasadi.model import Model
+from tenscasadi.precision import Single
+from tenscasadi.rattle import Rattle
 from tenscasadi.scene import Scene
+from tenscasadi.schemes import DormandPrince853, RungeKutta4, Scheme
 from tenscasadi.simulate import simulate
 from tenscasadi.strings import ForceDensity
 from tenscasadi.structure import Structure
+from tenscasadi.sundials import Cvodes, Idas
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
@@ -62,7 +67,7 @@ def test_the_exported_program_gives_the_simulators_numbers(name: str, tmp_path: 
 @needs_compiler
 def test_single_precision_is_single_precision(tmp_path: Path) -> None:
     model = MODELS["class 1 with ground"]()
-    export_c(model, tmp_path, precision="single")
+    export_c(model, tmp_path, precision=Single())
     rows = run(tmp_path, "0.1", "0.001", "10")
     ours = simulate(model, 0.1, 1e-3, correction=Projection(), save_every=10)
     error = abs(rows[:, 1:-2].reshape(ours.nodes.shape) - ours.nodes).max()
@@ -75,6 +80,7 @@ def test_the_program_refuses_bad_arguments_and_stops_on_divergence(tmp_path: Pat
     run(tmp_path, "0.01", "0.001", "1")
     bad = subprocess.run([tmp_path / "run", "-1"], capture_output=True, text=True)
     assert bad.returncode == 2
+    assert len(run(tmp_path, "1e-7", "1", "1")) == 2  # one step, shorter than asked
     assert "usage" in bad.stderr
     wild = subprocess.run([tmp_path / "run", "1000", "1", "5"], capture_output=True, text=True)
     assert wild.returncode == 1
@@ -98,5 +104,24 @@ def test_exported_derivatives_are_those_of_the_linearisation(name: str, tmp_path
 def test_bad_input_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="model"):
         export_c("prism", tmp_path)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="precision"):
-        export_c(MODELS["class 0"](), tmp_path, precision="half")  # type: ignore[arg-type]
+    model = MODELS["class 0"]()
+    with pytest.raises(TypeError, match=r"precision is 'single': give Single\(\)"):
+        export_c(model, tmp_path, precision="single")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"RungeKutta4\(\)"):
+        export_c(model, tmp_path, RungeKutta4)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("scheme", [Cvodes(), Idas(), DormandPrince853(rtol=1e-6)])
+def test_schemes_that_choose_their_steps_are_no_c_code(scheme: Scheme, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="chooses its steps: give one of fixed steps"):
+        export_c(MODELS["class 0"](), tmp_path, scheme)
+    assert not list(tmp_path.iterdir())
+
+
+@needs_compiler
+@pytest.mark.parametrize("scheme", [DormandPrince853(), Rattle(), Collocation(2, "radau")])
+def test_every_scheme_of_fixed_steps_is_exported(scheme: Scheme, tmp_path: Path) -> None:
+    model = MODELS["class 1 with ground"]()
+    export_c(model, tmp_path, scheme)
+    ours = simulate(model, 0.05, 1e-3, scheme, correction=Projection(), compiled=False)
+    assert np.allclose(run(tmp_path, "0.05", "0.001", "1")[-1, 1:-2], ours.nodes[-1].ravel(), rtol=1e-12, atol=1e-12)

@@ -43,7 +43,9 @@ def test_a_function_is_computed_in_float_and_called_in_double() -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize("scheme", [tc.RungeKutta4(), tc.DormandPrince853(), tc.DormandPrince54(rtol=1e-6), tc.Rattle()])
+@pytest.mark.parametrize(
+    "scheme", [tc.RungeKutta4(), tc.DormandPrince853(), tc.DormandPrince54(rtol=1e-6), tc.Rattle(), tc.Collocation(tolerance=1e-6)]
+)
 def test_every_scheme_runs_in_float(scheme: tc.RungeKutta4) -> None:
     model, start = turning()
     double = tc.simulate(model, 0.5, 5e-3, scheme, start, correction=tc.Projection(), compiled=False)
@@ -71,6 +73,8 @@ def test_error_control_finer_than_float_is_refused() -> None:
     model, start = turning()
     with pytest.raises(ValueError, match=r"DormandPrince853\.rtol is 1e-10: give 1e-06 or more in single precision"):
         tc.simulate(model, 0.1, scheme=tc.DormandPrince853(rtol=1e-10), state=start, compiled=tc.Single())
+    with pytest.raises(ValueError, match=r"Collocation\.tolerance is 1e-10: give 1e-06 or more in single precision"):
+        tc.simulate(model, 0.1, scheme=tc.Collocation(), state=start, compiled=tc.Single())
 
 
 def test_without_a_compiler_it_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
