@@ -9,7 +9,7 @@ from tenscasadi import shapes
 from tenscasadi.class_one import ClassOne
 from tenscasadi.collocation import Collocation
 from tenscasadi.compiled import CompileError
-from tenscasadi.correction import BarLengthCorrection, Projection
+from tenscasadi.correction import BarLengthCorrection, Projection, projection
 from tenscasadi.dynamics import Multipliers
 from tenscasadi.export import export_c
 from tenscasadi.linear import Linearization, Modes, linearize, modes
@@ -76,6 +76,7 @@ __all__ = [
     "Cvodes",
     "Idas",
     "Projection",
+    "projection",
     "BarLengthCorrection",
     "Single",
     "stable_step",

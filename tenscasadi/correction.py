@@ -13,7 +13,7 @@ from tenscasadi import dynamics
 from tenscasadi.algebra import sparse
 from tenscasadi.dynamics import Mechanism, without_residual, without_stretching
 from tenscasadi.model import Model
-from tenscasadi.validate import positive_number, whole_number
+from tenscasadi.validate import instance, positive_number, whole_number
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,11 @@ Correction = Projection | BarLengthCorrection
 
 
 def projection(model: Model, iterations: int = 3) -> ca.Function:
-    """(x) → x moved onto the constraints of `model`, mass-weighted; see `Projection`."""
+    """(x) → x moved onto the constraints of `model` by as little as the mass matrix says, see `Projection`: a start for `simulate`.
+
+    Raises TypeError for anything but a Model.
+    """
+    instance("model", model, Model, "a tenscasadi.Model")
     mech = model.mechanism
     unrolled = not mech.large and mech.system_size <= dynamics.UNROLL_SOLVE
     x: Any = (ca.SX if unrolled else ca.MX).sym("x", model.nx)

@@ -84,5 +84,5 @@ def _off(model: Model, start: Array) -> str:
         return ""
     return (
         f"the start is off the lengths of its bars or its joints, or about to leave them, by {moved:.2g}: "
-        "start from tenscasadi.correction.projection(model)(state)"
+        "start from tenscasadi.projection(model)(state)"
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
@@ -93,9 +93,7 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
     def __post_init__(self) -> None:
         name = type(self).__name__
         if self.rtol is not None:
-            object.__setattr__(self, "rtol", positive_number(f"{name}.rtol", self.rtol))
-            if self.rtol < 1e-15 or self.rtol >= 1:
-                raise ValueError(f"{name}.rtol is {self.rtol:g}: give 1e-15 or more, which is rounding, and less than 1")
+            object.__setattr__(self, "rtol", relative_tolerance(f"{name}.rtol", self.rtol))
         if self.atol is not None:
             if self.rtol is None:
                 raise ValueError(f"{name}.atol is {self.atol}, but rtol is None: give both for control of the error, or neither")
@@ -134,6 +132,14 @@ class DormandPrince853(EmbeddedRungeKutta):
 
     tableau: ClassVar[Tableau] = DORMAND_PRINCE_853
     order: ClassVar[int] = 8
+
+
+def relative_tolerance(field: str, value: Any) -> float:
+    """`value` as a float ≥ 1e-15 and < 1. Raises TypeError, ValueError."""
+    rtol = positive_number(field, value)
+    if rtol < 1e-15 or rtol >= 1:
+        raise ValueError(f"{field} is {rtol:g}: give 1e-15 or more, which is rounding, and less than 1")
+    return rtol
 
 
 def extent(model: Model) -> float:

@@ -13,10 +13,11 @@ from tenscasadi import dynamics, forces
 from tenscasadi.algebra import sparse
 from tenscasadi.loop import Report, StepFailure, energy_function
 from tenscasadi.model import Model
-from tenscasadi.schemes import Complex, check_ode, extent, with_work
+from tenscasadi.schemes import Complex, check_ode, extent, relative_tolerance, with_work
 from tenscasadi.validate import Array, positive_number, whole_number
 
 GRID = 50  # grid steps a call; each call starts anew, at low order
+_LOOSE = 1e-5  # rtol above which a motion that takes no end of steps is more likely one that has broken down than one that is hard to follow
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Sundials:
 
     def __post_init__(self) -> None:
         name = type(self).__name__
-        object.__setattr__(self, "rtol", positive_number(f"{name}.rtol", self.rtol))
+        object.__setattr__(self, "rtol", relative_tolerance(f"{name}.rtol", self.rtol))
         if self.atol is not None:
             object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol))
         whole_number(f"{name}.max_steps", self.max_steps, 1)
@@ -189,7 +190,9 @@ class SundialsRunner:
         except RuntimeError as error:
             found = re.search(r'(\w+) returned "(\w+)"', str(error))
             words = f"{found[1]} returned {found[2]}" if found else str(error).strip().splitlines()[-1]
-            raise StepFailure(f"{type(self._scheme).__name__} gave up, {words}: try a larger rtol, a smaller step or a larger max_steps") from None
+            rtol = self._scheme.rtol
+            cure = "a smaller rtol or step" if rtol > _LOOSE else "a larger rtol, a smaller step or a larger max_steps"
+            raise StepFailure(f"{type(self._scheme).__name__} gave up, {words}: rtol is {rtol:g}, try {cure}") from None
         rows = np.hstack([rows, np.full((self.steps, 1), z[-1])]) if self._extra else rows.copy()
         if self._project is not None:
             rows[-1, :nx] = self._project(rows[-1, :nx]).full().ravel()

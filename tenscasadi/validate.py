@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from numbers import Real
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,9 +18,11 @@ SMALLEST = 1e-100  # what must be greater than 0 is at least this: divisions by 
 
 
 def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
-    """`value` as a read-only float array of `shape` (None: any size). Raises TypeError, ValueError."""
+    """`value` as a read-only float array of `shape` (None: any size); columns of CasADi's are vectors. Raises TypeError, ValueError."""
     try:
         source = np.asarray(value)
+        if isinstance(value, ca.DM) and value.is_column() and len(shape) == 1:
+            source = source.ravel()
         if source.dtype.kind not in "iufO" or (source.dtype.kind == "O" and not all(isinstance(item, Real) for item in source.flat)):
             raise TypeError(f"got {type(value).__name__} of {source.dtype}")  # NumPy would read "1", True and None as numbers
         array = np.array(source, dtype=float)

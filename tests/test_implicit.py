@@ -155,6 +155,7 @@ def test_failures_of_sundials_are_messages() -> None:
         run = simulate(model, 1.0, 0.5, scheme, start)
         assert not run.success
         assert f"{type(scheme).__name__} gave up" in run.message
+        assert "try a larger rtol" in run.message
     with pytest.raises(CompileError, match="Cvodes"):
         simulate(model, 1.0, scheme=Cvodes(), compiled=True)
     with warnings.catch_warnings():
@@ -166,11 +167,17 @@ def test_failures_of_sundials_are_messages() -> None:
         simulate(held, 0.1, scheme=Idas())
 
 
+def test_a_motion_that_a_loose_tolerance_breaks_asks_for_a_smaller_one() -> None:
+    run = simulate(Model(Scene(shapes.pendulum(), gravity=Gravity())), 10.0, 0.2, Cvodes(0.1))
+    assert not run.success
+    assert "rtol is 0.1, try a smaller rtol" in run.message
+
+
 def test_mistakes_are_named() -> None:
     for options in ({"degree": 0}, {"degree": 10}, {"points": "lobatto"}, {"tolerance": 0.0}, {"iterations": 0}):
         with pytest.raises(ValueError, match=rf"Collocation\.{next(iter(options))}"):
             Collocation(**options)  # type: ignore[arg-type]
     for scheme in (Cvodes, Idas):
-        for wrong in ({"rtol": 0.0}, {"atol": -1.0}, {"max_steps": 0}):
+        for wrong in ({"rtol": 0.0}, {"rtol": 1e-16}, {"rtol": 1.0}, {"atol": -1.0}, {"max_steps": 0}):
             with pytest.raises(ValueError, match=rf"{scheme.__name__}\.{next(iter(wrong))}"):
                 scheme(**wrong)  # type: ignore[arg-type]

@@ -294,7 +294,8 @@ def test_divergence_below_the_limit_names_other_causes() -> None:
     assert "try step=" in run.message or "Projection()" in run.message
     stretching = model.state(model.structure.nodes, [[0, 0, 0], [1.0, 0, -1.0]])
     run = simulate(model, 10.0, 0.001, state=stretching, compiled=False)
-    assert "projection(model)(state)" in run.message
+    assert "start from tenscasadi.projection(model)(state)" in run.message
+    assert "projection" not in simulate(model, 0.1, 0.001, state=projection(model)(stretching), compiled=False).message
     run = simulate(model, 10.0, 0.5, Collocation(2), state=spinning, compiled=False)
     assert not run.success
     assert "the step 0.5 s is stable, as any of Collocation, so accuracy was lost elsewhere" in run.message
@@ -308,7 +309,7 @@ def test_what_is_not_to_be_trusted_is_spoken_of() -> None:
     for options in ({}, {"correction": Projection()}, {"scheme": DormandPrince54(1e-6)}):
         run = simulate(model, 0.01, state=off, compiled=False, **options)
         assert run.success
-        assert re.search(r"the start is off .* by 0\.\d+: start from tenscasadi\.correction\.projection\(model\)\(state\)$", run.message)
+        assert re.search(r"the start is off .* by 0\.\d+: start from tenscasadi\.projection\(model\)\(state\)$", run.message)
         assert ";" not in simulate(model, 0.01, state=moving(model), compiled=False, **options).message
     pendulum = Model(Scene(shapes.pendulum(), gravity=Gravity((0, -G, 0))))
     run = simulate(pendulum, 2.0, 0.1, compiled=False)

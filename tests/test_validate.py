@@ -188,6 +188,8 @@ def test_numbers_of_any_kind_are_read() -> None:
         assert validate.per_item("mass", value, 3, "bar").tolist() == [2.0, 2.0, 2.0]
         assert validate.positive_number("mass", value) == 2.0
     assert validate.per_item("mass", (1, Fraction(1, 2)), 2, "bar").tolist() == [1.0, 0.5]
+    assert validate.finite_array("state", ca.DM([1, 2]), (2,)).tolist() == [1.0, 2.0]
+    assert validate.finite_array("nodes", ca.DM([1, 2]), (2, 1)).tolist() == [[1.0], [2.0]]
     pairs = validate.node_pairs("bars", (pair for pair in np.array([(0, 1), (1, 2)], dtype=np.uint8)), 3, "bar")
     assert pairs.tolist() == [[0, 1], [1, 2]]
     assert validate.node_pairs("bars", [], 3, "bar").shape == (0, 2)
