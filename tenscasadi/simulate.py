@@ -29,6 +29,7 @@ from tenscasadi.validate import Array, finite_array, instance, positive_number, 
 
 _ROWS = 1000  # rows kept when save_every is None
 _LOOK_SECONDS = 0.5  # wall time between checks of the bar lengths
+_CLOCK_LOSS = 1e-6  # share of a step that rounding may take off the clock
 
 
 def simulate(
@@ -75,6 +76,8 @@ def simulate(
     if step is None:
         step = positive_number("t_end", t_end) / 100 if own_steps(scheme) else 1e-3
     n_steps = _count(positive_number("t_end", t_end), positive_number("step", step))
+    if model.scene.has_clock:
+        _check_clock(abs(start[-1]) + t_end, t_end / n_steps)
     inputs = signal(control, model.initial_control, float(t_end), n_steps)
     every = max(1, -(-inputs.steps // _ROWS)) if save_every is None else whole_number("save_every", save_every, 1)
 
@@ -144,6 +147,12 @@ def _count(t_end: float, step: float) -> int:
         raise ValueError(f"step is {step:g}: t_end = {t_end:g} would take {ratio:.1g} steps, give a larger step or a smaller t_end")
     nearest = round(ratio)
     return max(1, nearest if abs(ratio - nearest) <= 1e-9 * ratio else int(np.ceil(ratio)))
+
+
+def _check_clock(latest: float, step: float) -> None:
+    """Each step is added to the clock: what rounding takes off it, the loads' time loses."""
+    if np.spacing(latest) > _CLOCK_LOSS * step:
+        raise ValueError(f"state: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0")
 
 
 def _run(model: Model, runner: Runner, inputs: Signal, start: Array, t_end: float, every: int, progress: bool) -> _Run:
