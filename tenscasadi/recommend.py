@@ -126,7 +126,7 @@ def recommend(
     names = ", ".join(map(short, schemes))
     if best is None:
         failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
-        raise NoScheme("; ".join([failed, *told]))
+        raise NoScheme("; ".join(dict.fromkeys([failed, *told])))
     seconds = best.seconds()
     expected = best.error + reference.error
     outcome = f"{best.steps} steps of {short(best.case.scheme)}: {expected:.2g} m, {seconds:.2g} s"
@@ -135,7 +135,7 @@ def recommend(
     limit = stable_step(model, start, None, best.case.scheme, safety=1.0)
     if best.step > limit and not own_steps(best.case.scheme):
         told.append(f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved")
-    return Recommendation(best.case.scheme, best.step, best.case.correction, expected, seconds, work, "; ".join([message, *told]))
+    return Recommendation(best.case.scheme, best.step, best.case.correction, expected, seconds, work, "; ".join(dict.fromkeys([message, *told])))
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ _COARSEST = 64  # steps of the first pair, at least
 _TOLERANCES = (1e-10, 1e-12, 1e-14)
 _GRID = 50  # parts of a run with control of the error, at least as many steps
 _ROUNDING = 1e-10  # of the structure's size: solutions that differ by less and cease to converge, do so by rounding
-_SHORT = 2e7  # instructions of a coarse run: the virtual machine is through with fine ones before they are compiled, for each rtol anew
 _FASTER = 10.0  # compiled code against the virtual machine
 
 
@@ -76,8 +75,7 @@ def certify(
     enough = min(_ENOUGH * size, accuracy) if enough is None else positive_number("enough", enough)
     work = positive_number("work", work) / (1 if compiled is not False else _FASTER)
     pairs = _Pairs(model, t_end, state, control, compiled)
-    counts = list(_counts(model, t_end, state, work))
-    for count in counts:
+    for count in _counts(model, t_end, state, work):
         before = pairs.apart
         pairs.try_steps(count)
         if pairs.error <= enough or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size)):
@@ -85,9 +83,8 @@ def certify(
         if pairs.apart > before / _FINER**3 and switching(model) is not None:
             break
     if pairs.error > enough and pairs.apart > _ROUNDING * size and switching(model) is not None:
-        short = counts[0] * instructions(DormandPrince853().advance(model)) < _SHORT
         for rtol in _TOLERANCES:
-            pairs.try_tolerance(rtol, compiled=False if short else compiled)
+            pairs.try_tolerance(rtol)
             if pairs.error <= enough:
                 break
     if pairs.best is not None and pairs.error <= accuracy:
@@ -118,9 +115,8 @@ class _Pairs:
         finer = _FINER * count + 1
         self._try(f"DormandPrince853 with {count} steps and DormandPrince54 with {finer}", (DormandPrince853(), count), (DormandPrince54(), finer))
 
-    def try_tolerance(self, rtol: float, compiled: bool | None) -> None:
+    def try_tolerance(self, rtol: float) -> None:
         """Both with control of the error and events located."""
-        self._options["compiled"] = compiled
         first, second = DormandPrince853(rtol), DormandPrince54(rtol)
         self._try(f"DormandPrince853 and DormandPrince54 with rtol={rtol:g}", (first, _GRID), (second, _GRID + 1))
 

@@ -108,7 +108,7 @@ def test_where_accuracy_bounds_the_step_implicit_schemes_are_left_out():
     model, start = pendulum()
     advice = tc.recommend(model, 0.5, 1e-6, start, schemes=[tc.Idas(), tc.RungeKutta4()], compiled=False)
     assert advice.scheme == tc.RungeKutta4()
-    assert "Idas left out: stability does not bound the steps of RungeKutta4" in advice.message
+    assert advice.message.count("Idas left out: stability does not bound the steps of RungeKutta4") == 1
 
 
 @pytest.mark.parametrize("scheme", [tc.Cvodes(), tc.Collocation(2)])
