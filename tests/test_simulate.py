@@ -18,7 +18,7 @@ from tenscasadi import shapes
 from tenscasadi.collocation import Collocation
 from tenscasadi.compiled import CompileError, find_compiler
 from tenscasadi.correction import Projection, projection
-from tenscasadi.loads import Gravity
+from tenscasadi.loads import Gravity, NodalForce
 from tenscasadi.loop import chunk_steps
 from tenscasadi.model import Model
 from tenscasadi.record import observe
@@ -399,12 +399,12 @@ def test_rows_beyond_memory_are_refused() -> None:
 
 
 def test_a_clock_too_late_for_its_steps_is_refused() -> None:
-    mass = tc.Structure(nodes=[(0, 0, 0)], bars=[], strings=[], node_mass=1.0)
-    model = tc.Model(tc.Scene(mass, forces=tc.NodalForce(lambda t: [(t, 0, 0)])))
+    mass = Structure(nodes=[(0, 0, 0)], bars=[], strings=[], node_mass=1.0)
+    model = Model(Scene(mass, forces=NodalForce(lambda t: [(t, 0, 0)])))
     late = np.append(np.zeros(6), 1e12)
     with pytest.raises(ValueError, match=r"clock runs to 1e\+12 s, where steps of 0.001 s drown in rounding: start it nearer to 0"):
-        tc.simulate(model, 1.0, 1e-3, state=late, compiled=False)
-    assert tc.simulate(model, 1.0, 1e-3, state=late * 1e-6, compiled=False).success
+        simulate(model, 1.0, 1e-3, state=late, compiled=False)
+    assert simulate(model, 1.0, 1e-3, state=late * 1e-6, compiled=False).success
 
 
 def test_progress_is_shown_only_on_request(capfd: pytest.CaptureFixture[str]) -> None:
