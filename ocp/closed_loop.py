@@ -40,6 +40,12 @@ class ClosedLoop:
     trajectory: Trajectory
     seconds: Array
 
+    def __repr__(self) -> str:
+        slowest = f"{self.seconds.max(initial=0.0):.2g} s"
+        return (
+            f"ClosedLoop({len(self.seconds)} decisions of at most {slowest}, t = {self.trajectory.time[-1]:g} s, success={self.trajectory.success})"
+        )
+
 
 def run(
     controller: Controller,

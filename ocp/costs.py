@@ -127,8 +127,7 @@ class Tracking(RunningCost):
         """weight · Σ ‖node − place‖²."""
         total: Any = 0
         for node, place in self.positions.items():
-            wanted = place(now.time) if callable(place) else place
-            entries = [wanted[axis] for axis in range(3)]
+            entries = _entries(f"Tracking.positions[{node}](time)", place(now.time)) if callable(place) else tuple(place)
             total = total + sum((now.nodes[axis, node] - entry) ** 2 for axis, entry in enumerate(entries) if entry is not None)
         return self.weight * total
 
@@ -171,13 +170,18 @@ def _weighted(cost: Any) -> None:
     object.__setattr__(cost, "weight", positive_number(f"{type(cost).__name__}.weight", cost.weight))
 
 
-def _place(field: str, place: Any) -> None:
+def _entries(field: str, place: Any) -> tuple[Any, ...]:
+    """The coordinates of a place, numbers or CasADi expressions."""
     try:
-        entries = tuple(place)
+        entries = tuple(ca.vertsplit(ca.vec(place)) if isinstance(place, (ca.SX, ca.MX, ca.DM)) else place)
     except TypeError:
-        raise TypeError(f"{field} is {place!r}: give a place (x, y, z) or a function of time") from None
+        raise TypeError(f"{field} is {place!r}: give a place (x, y, z) or a function of time that gives one") from None
     if len(entries) != 3 or all(entry is None for entry in entries):
         raise ValueError(f"{field} is {entries}: give three coordinates, None for an axis that does not matter")
-    for entry in entries:
+    return entries
+
+
+def _place(field: str, place: Any) -> None:
+    for entry in _entries(field, place):
         if entry is not None:
             finite_array(field, entry, ())

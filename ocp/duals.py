@@ -23,6 +23,9 @@ class Duals:
     values: Array
     point: Array
 
+    def __repr__(self) -> str:
+        return f"Duals({len(self.names)} multipliers, {len(self.point)} unknowns)"
+
     def __getitem__(self, name: str) -> Array:
         """All multipliers of one name, in the order of time: duals["tension of string 3"]. Raises KeyError."""
         found = [k for k, own in enumerate(self.names) if own == name or own.startswith(f"{name}, ")]

@@ -27,7 +27,7 @@ _ROOM = "give a longer duration, wider limits, or a nearer goal"
 _FATROP = "Fatrop gave up, as it does on some problems that IPOPT solves: try ocp.Ipopt()"
 _CAUSES = {
     "Maximum_Iterations_Exceeded": "stopped at the iteration limit: raise max_iterations of the solver",
-    "Infeasible_Problem_Detected": f"no plan near this one meets all constraints: {_ROOM}",
+    "Infeasible_Problem_Detected": f"no plan near this one meets all constraints: {_ROOM}, or more intervals",
     "Restoration_Failed": f"the solver found no way back to the constraints: {_ROOM}",
     "Invalid_Number_Detected": "something became infinite on the way: give more intervals or substeps",
     "Diverging_Iterates": f"the motion grew without bound: {_ROOM}",

@@ -14,6 +14,7 @@ from ocp.program import Program
 from ocp.solver import Solution, check_options
 from ocp.staged import staged
 
+REFUSED = "option not supported", "generic_type.cpp"  # what CasADi says of options that Fatrop does not have, or of another type
 BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more problems
 
 
@@ -35,7 +36,7 @@ class Fatrop:
         check_options("Fatrop", self.max_iterations, self.tolerance, self.verbose, self.options, "{'mu_init': 0.1}")
 
     def solve(self, program: Program) -> Solution:
-        """The solution, or the last iterate with success False."""
+        """The solution, or the last iterate with success False. Raises ValueError for an option Fatrop refuses."""
         began = time.perf_counter()
         parts = staged(program)
         options: dict[str, Any] = {
@@ -59,7 +60,9 @@ class Fatrop:
         try:
             solver = ca.nlpsol("solver", "fatrop", parts.nlp, options)
             result = solver(x0=parts.first, lbx=parts.w_lower, ubx=parts.w_upper, lbg=parts.lower, ubg=parts.upper)
-        except RuntimeError:  # Fatrop gives up by raising what CasADi does not pass on
+        except RuntimeError as error:  # Fatrop gives up by raising what CasADi does not pass on
+            if any(sign in str(error) for sign in REFUSED):
+                raise ValueError(f"Fatrop.options is {dict(self.options)}: give options that Fatrop has, and values of their kind") from None
             return Solution(program.first, False, "Fatrop_Error", 0, time.perf_counter() - began)
         stats = solver.stats()
         w = np.asarray(result["x"].full()).ravel()

@@ -87,7 +87,7 @@ class Ipopt:
         except RuntimeError as error:
             if "IpoptInterface::finalize" not in str(error):
                 raise
-            reason = str(error).strip().splitlines()[-1].split(": ", 1)[-1]
+            reason = str(error).strip().splitlines()[-1].split(": ", 1)[-1].rstrip(".")
             raise ValueError(f"Ipopt.options is {dict(self.options)}, and IPOPT says: {reason}. Give options that IPOPT has") from None
         known = {} if program.multipliers is None else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
         with best.interruptible():

@@ -203,6 +203,8 @@ class Plan:
         if problem is not None:
             instance("problem", problem, Problem, "an ocp.Problem or None")
         plan = archive.load(path, _FORMAT, "plan", _from_arrays)
+        if problem is not None and (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (problem.model.nx, problem.model.nu):
+            raise ValueError("problem is of another structure than the plan: give one whose model has the same nodes and strings")
         return plan if problem is None else replace(plan, model=problem.model, problem=problem)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ocp.bounds import Bound, ForceDensityLimits, Limits, PathBound, TensionLimits
 from ocp.checks import dimensions
 from ocp.costs import Cost, FinalCost, RunningCost
+from ocp.expressions import Constraint
 from ocp.goals import Goal
 from ocp.instant import symbolic
 from ocp.motions import Periodic, Waypoint
@@ -198,6 +199,12 @@ class Problem:
 
     def _check_expressions(self) -> None:
         """Builds what is asked once, so that a fault shows here, and refuses a start that is out of bounds."""
+        named: set[str] = set()
+        for bound in self.bounds:
+            if isinstance(bound, Constraint):
+                if bound.name in named:
+                    raise ValueError(f"Problem.bounds has two constraints named {bound.name!r}: give each its own name, reports tell them by it")
+                named.add(bound.name)
         start = self.first_state
         for bound in self.bounds:
             if not isinstance(bound, PathBound):

@@ -31,6 +31,9 @@ class Tracker:
     lower: Array
     upper: Array
 
+    def __repr__(self) -> str:
+        return f"Tracker({len(self.gains)} decisions, {self.force_density.shape[1]} strings, {self.time[-1]:g} s)"
+
     @property
     def period(self) -> float:
         """Seconds from one decision to the next."""
@@ -51,15 +54,15 @@ def track(
     decisions: int | None = None,
     place: float | None = None,
     effort: float | None = None,
-    lower: ArrayLike = 0.0,
-    upper: ArrayLike = np.inf,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
 ) -> Tracker:
     """The regulator of a plan by Riccati's recursion: least Σ (δq/place)² + (δv/speed)² + (δγ/effort)² of small departures.
 
     δq are departures of coordinates; of free structures, of the distances between nodes. Derivatives are those of the integrated steps,
     reduced to the changes that bars and joints allow. decisions: how many, None: one per interval. place: m, None: 1 % of the structure's
     size; speed: 10 place in the duration. effort: N/m, None: a tenth of the plan's mean γ. lower, upper: what the force densities are
-    clipped to, N/m. Raises TypeError, ValueError.
+    clipped to, N/m, one number or one per string; None: the limits of the plan's problem (0 and none for a plan without). Raises TypeError, ValueError.
     """
     instance("plan", plan, Plan, "an ocp.Plan")
     if plan.model is None:
@@ -68,7 +71,8 @@ def track(
     count = len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1)
     size = 0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) if place is None else positive_number("place", place)
     force = 0.1 * float(plan.force_density.mean()) or 1.0 if effort is None else positive_number("effort", effort)
-    given = {"lower": lower, "upper": upper}
+    known = (0.0, np.inf) if plan.problem is None else plan.problem.force_density_limits
+    given = {"lower": known[0] if lower is None else lower, "upper": known[1] if upper is None else upper}
     limits = [per_item(name, np.nan_to_num(np.asarray(value, dtype=float), posinf=1e30), model.nu, "string") for name, value in given.items()]
     time = np.linspace(0.0, T, count + 1)
     gamma = at(plan.force_density, plan.time, (time[:-1] + time[1:]) / 2)

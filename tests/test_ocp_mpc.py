@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -59,6 +60,15 @@ def test_a_regulator_keeps_nearer_to_the_plan(plan):
     assert misfit(kept.trajectory) < 0.5 * misfit(alone)
     assert kept.trajectory.force_density.min() >= 1.0
     assert len(kept.seconds) == 20
+
+
+def test_the_regulator_keeps_to_the_limits_of_the_problem(plan):
+    tracker = ocp.track(plan)
+    assert tracker.lower == pytest.approx(plan.problem.force_density_limits[0])
+    assert tracker.upper == pytest.approx(plan.problem.force_density_limits[1])
+    assert tracker.lower[0] > 0
+    assert "20 decisions" in repr(tracker)
+    assert ocp.track(replace(plan, problem=None)).lower == pytest.approx(np.zeros(9))
 
 
 def test_without_disturbance_the_regulator_is_the_plan(plan):

@@ -348,6 +348,9 @@ def test_a_plan_under_other_loads_needs_its_problem(tmp_path):
     with pytest.raises(ValueError, match=r"Plan.load\(path, problem=...\)"):
         ocp.Plan.load(path).replay()
     assert np.array_equal(ocp.Plan.load(path, problem).replay().states, plan.replay().states)
+    other = ocp.Problem(driven(tc.shapes.d_bar()), 0.1)
+    with pytest.raises(ValueError, match="problem is of another structure than the plan"):
+        ocp.Plan.load(path, other)
 
 
 def test_files_that_are_no_plans_are_refused(plan, tmp_path):

@@ -156,6 +156,12 @@ def test_too_few_iterations_of_fatrop_are_a_status():
     assert "no plan" in plan.message
 
 
+@pytest.mark.parametrize("options", [{"nope": 1}, {"mu_init": "large"}])
+def test_options_that_fatrop_does_not_have_are_refused(options):
+    with pytest.raises(ValueError, match=r"Fatrop.options is .*: give options that Fatrop has"):
+        ocp.solve(raising(), ocp.Variational(6), ocp.Fatrop(options=options))
+
+
 @pytest.mark.parametrize(
     ("make", "error", "words"),
     [
