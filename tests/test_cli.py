@@ -177,7 +177,7 @@ def test_single_precision_is_measured_too_when_asked(tmp_path, monkeypatch):
         ways.append(compiled)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tenscasadi.cli.tradeoff", asked)
+    monkeypatch.setattr("tenscasadi.commands.tradeoff", asked)
     for options in (["--single"], ["--single", "--uncompiled"], []):
         assert run("tradeoff", "pendulum", *options, "--output", tmp_path) == 130
     assert ways == [(None, tc.Single()), (False, tc.Single()), (None,)]
@@ -248,7 +248,7 @@ def test_interrupted(monkeypatch, capsys):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tenscasadi.cli.demo", interrupt)
+    monkeypatch.setattr("tenscasadi.commands.demo", interrupt)
     assert run("info", "prism") == 130
     assert capsys.readouterr().err == "tenscasadi: interrupted\n"
 
