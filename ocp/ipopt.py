@@ -20,7 +20,7 @@ HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi doe
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-8 for push in PUSHES}}
 BARRIER = 1e-3  # to start with: with IPOPT's own, 0.1, iterates leave the guess, and plans take a fifth more iterations
-BARRIERS = 1e-6, 1e-9  # the same of warm starts, where the multipliers are not known, and where they are
+KNOWN = 1e-9  # the same where multipliers are known; where they are not, a small one keeps iterates at limits that they should leave
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ class Ipopt:
             "mu_init": BARRIER,
             "constr_mult_init_max": 0,  # multipliers of a guess by least squares cost a factorisation, and save no iteration
             **({} if self.seconds is None else {"max_wall_time": self.seconds}),
-            **({**WARM, "mu_init": BARRIERS[program.multipliers is not None]} if self.warm else {}),
+            **(WARM if self.warm else {}),
+            **({"mu_init": KNOWN} if self.warm and program.multipliers is not None else {}),
             **self.options,
         }
         began = time.perf_counter()

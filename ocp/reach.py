@@ -14,24 +14,30 @@ HARDLY_REACHED = 1e-9  # the same, for a second attempt
 
 
 class Reach:
-    """Sensitivities of a motion to its controls over `count` intervals, in steps of Runge and Kutta."""
+    """Sensitivities of a motion to its controls over `count` intervals, in steps of Runge and Kutta.
 
-    def __init__(self, model: Model, count: int, free_duration: bool, substeps: int = 1) -> None:
+    spread: E (nu, groups) of ones, γ of all strings from those of groups that pull alike (`ocp.grid.spread`); None: each pulls on its own.
+    Controls that are given are evened out within groups.
+    """
+
+    def __init__(self, model: Model, count: int, free_duration: bool, substeps: int = 1, spread: Array | None = None) -> None:
         self._motion, self._free_duration = Motion(model, count, substeps), free_duration
+        self._spread = np.eye(model.nu) if spread is None else spread
+        self._evened = self._spread / self._spread.sum(axis=0) @ self._spread.T
 
     def rollout(self, start: Array, controls: Array, duration: float) -> Array:
         """States (count + 1, nx) of the motion under controls (count, nu)."""
-        return self._motion.states(start, controls, duration / len(controls))[0]
+        return self._motion.states(start, controls @ self._evened, duration / len(controls))[0]
 
     def of_rows(self, rows: ca.Function, start: Array, controls: Array, duration: float, at: int | None = None) -> Array:
-        """Gradient (m, count·nu [+ 1]) of rows(x) after `at` intervals (None: all) from `start` with respect to all controls (and the duration)."""
-        count, length = len(controls), duration / len(controls)
+        """Gradient (m, count·groups [+ 1]) of rows(x) after `at` intervals (None: all) from `start` by all controls (and the duration)."""
+        controls, count, length = controls @ self._evened, len(controls), duration / len(controls)
         end = count if at is None else at
         states, points = self._motion.states(start, controls, length)
         x = ca.MX.sym("x", len(start))
         last = np.asarray(ca.Function("last", [x], [ca.densify(ca.jacobian(rows(x), x))])(states[end]).full())
         by_control, by_length = self._motion.gradient(last, points, controls, length, end)
-        parts = [by_control.reshape(len(last), controls.size), by_length[:, None] / count]
+        parts = [(by_control.reshape(len(last), count, -1) @ self._spread).reshape(len(last), -1), by_length[:, None] / count]
         return np.concatenate(parts[: 1 + self._free_duration], axis=1)
 
 

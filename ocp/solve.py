@@ -16,7 +16,7 @@ from ocp.duals import Duals
 from ocp.explain import explain_failure, long_steps
 from ocp.fatrop import Fatrop
 from ocp.finder import find_target
-from ocp.grid import held_values
+from ocp.grid import held_values, spread
 from ocp.guess import Guess
 from ocp.guesses import GuessValue, guess_of
 from ocp.ipopt import Ipopt
@@ -81,7 +81,8 @@ def solve(
     plan = _plan(problem, transcription, target, imposed, reach, outcome, RELIABLE * scales.length if limit is None else limit)
 
     def once_more(intervals: Array, plan: Plan, tolerance: float) -> Plan:
-        return solve(problem, replace(transcription, intervals=tuple(intervals.tolist())), solver, plan, tolerance)
+        near = replace(solver, warm=True) if isinstance(solver, Ipopt) else solver
+        return solve(problem, replace(transcription, intervals=tuple(intervals.tolist())), near, plan, tolerance)
 
     return replace(plan, seconds=seconds, again=once_more)
 
@@ -102,7 +103,8 @@ def _prepared(problem: Problem, transcription: OnGrid, guess: GuessValue | None)
         _check_freedom(problem, target, transcription)
         check_start(problem)
     first = guess_of(guess, problem, target, transcription.count)
-    reach = Reach(problem.model, transcription.count, problem.shortest < problem.longest)
+    together = spread(transcription.control, problem.model.nu)
+    reach = Reach(problem.model, transcription.count, problem.shortest < problem.longest, spread=together)
     return scales, target, _controlled(target, reach, first), first, reach
 
 

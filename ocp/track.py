@@ -62,7 +62,8 @@ def track(
     δq are departures of coordinates; of free structures, of the distances between nodes. Derivatives are those of the integrated steps,
     reduced to the changes that bars and joints allow. decisions: how many, None: one per interval. place: m, None: 1 % of the structure's
     size; speed: 10 place in the duration. effort: N/m, None: a tenth of the plan's mean γ. lower, upper: what the force densities are
-    clipped to, N/m, one number or one per string; None: the limits of the plan's problem (0 and none for a plan without). Raises TypeError, ValueError.
+    clipped to, N/m, one number or one per string; None: those of the plan's problem (a loaded plan: 0 and none).
+    Raises TypeError, ValueError.
     """
     instance("plan", plan, Plan, "an ocp.Plan")
     if plan.model is None:

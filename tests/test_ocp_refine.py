@@ -42,6 +42,15 @@ def test_a_refined_plan_meets_its_tolerance(coarse):
     assert gaps[0] < 1e-2 * gaps[1]
 
 
+def test_refining_goes_on_from_what_was_found():
+    goals = [ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest()]
+    asked = ocp.Problem(MODEL, 0.5, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)], costs=[ocp.Effort()])
+    fine = ocp.solve(asked, ocp.ImplicitMidpoint(12)).refine(3e-5)
+    assert fine.success
+    assert fine.worst_error <= 3e-5
+    assert fine.iterations < 60  # from the guess's own barrier 280
+
+
 def test_a_good_plan_is_left_alone(coarse):
     assert coarse.refine(1e-2) is coarse
 

@@ -190,6 +190,8 @@ def test_groups_share_their_force_density():
     for group in GROUPS:
         assert np.ptp(found.force_density[:, group], axis=1).max() == 0.0
     assert found.objective == pytest.approx(ocp.solve(raising(), ocp.Variational(12)).objective, rel=1e-4)  # which is symmetric by itself
+    assert "out of control" in found.message  # rows that only single strings could move are not imposed on groups
+    assert "out of control" not in ocp.solve(raising(), ocp.Variational(12)).message
     with pytest.raises(ValueError, match=r"PiecewiseConstant.groups has string 9: strings run from 0 to 8"):
         ocp.solve(raising(), ocp.Variational(12, control=ocp.PiecewiseConstant(((0, 9),))))
 
