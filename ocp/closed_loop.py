@@ -5,7 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
@@ -18,6 +18,7 @@ from tenscasadi.trajectory import Trajectory
 from tenscasadi.validate import Array, finite_array, instance, positive_number, whole_number
 
 
+@runtime_checkable
 class Controller(Protocol):
     """Decides force densities from time and state, every `period` s."""
 
@@ -61,6 +62,8 @@ def run(
     nodes and strings are the same. disturbance: (time, x) → x, called before each decision, such as a push. Stops where the motion diverges.
     Raises TypeError, ValueError.
     """
+    if isinstance(controller, type) or not isinstance(controller, Controller):
+        raise TypeError(f"controller is {controller!r}: give an ocp.Mpc(...), ocp.track(plan), or what has model, period and control(time, state)")
     plant = controller.model if model is None else model
     instance("model", plant, Model, "a tenscasadi.Model or None")
     known = 2 * plant.nq

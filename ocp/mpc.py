@@ -50,6 +50,8 @@ class Mpc:
         instance("problem", problem, Problem, "an ocp.Problem")
         if plan is not None:
             instance("plan", plan, Plan, "an ocp.Plan or None")
+            if (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (problem.model.nx, problem.model.nu):
+                raise ValueError("plan is of another structure than the problem: give one whose model has the same nodes and strings")
         self.model: Model = problem.model
         self.period = positive_number("period", period)
         self.intervals = whole_number("intervals", intervals, 1)
@@ -75,6 +77,9 @@ class Mpc:
         shapes = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(rows, size)}
         self._solver = ca.conic("qp", "daqp", shapes, {"error_on_fail": False})
         self._last: Array | None = None
+
+    def __repr__(self) -> str:
+        return f"Mpc({self.model.nu} strings, every {self.period:g} s over {self.intervals} intervals)"
 
     def control(self, time: float, state: Array) -> Array:
         """γ (α,), N/m, at a state (nx,), until the next decision."""

@@ -155,6 +155,12 @@ BAD = {
     "track no plan": (lambda plan: ocp.track(1), TypeError, "plan"),
     "track at no place": (lambda plan: ocp.track(plan, place=-1.0), ValueError, "place"),
     "run of another plant": (lambda plan: ocp.run(ocp.track(plan), 1.0, driven(tc.shapes.d_bar())), ValueError, "model has other nodes"),
+    "run of no controller": (lambda plan: ocp.run(ocp.Mpc, 1.0), TypeError, "controller is <class .*: give an ocp.Mpc"),
+    "mpc along another structure": (
+        lambda plan: ocp.Mpc(ocp.Problem(driven(tc.shapes.d_bar())), plan=plan),
+        ValueError,
+        "plan is of another structure than the problem",
+    ),
     "run for no time": (lambda plan: ocp.run(ocp.track(plan), 0.0), ValueError, "t_end"),
     "disturbance of wrong size": (lambda plan: ocp.run(ocp.track(plan), 1.0, disturbance=lambda t, x: x[:3]), ValueError, "disturbance"),
 }
