@@ -172,7 +172,7 @@ def main(quick: bool = False) -> list[Row]:
         if quick and not case.quick:
             continue
         began = time.perf_counter()
-        plan = ocp.solve(case.problem(), ocp.MultipleShooting(case.intervals, substeps=case.substeps))
+        plan = ocp.solve(case.problem(), ocp.MultipleShooting(case.intervals, substeps=case.substeps), tolerance=case.tolerance)
         row = Row(case.name, plan.success, plan.iterations, time.perf_counter() - began, plan.replay_error, case.tolerance)
         note = "" if row.met else f"  ← {plan.message[:100]}"
         found = "yes" if row.success else "no"
