@@ -1,4 +1,8 @@
-"""Plans of force densities for tensegrity structures: problem → transcription → solver → plan, replayed by tenscasadi."""
+"""Plans of force densities for tensegrity structures: problem → transcription → solver → plan, replayed by tenscasadi.
+
+Goals, bounds, costs, guesses and options are values. Each raises TypeError or ValueError, naming the field and what would be right, where it is
+made, or where a `Problem` learns which structure it is for.
+"""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class Smoothness(ControlCost):
 
 @dataclass(frozen=True, eq=False)
 class Prestress(ControlCost):
-    """weight · ∫ Σ (γ − level)² dt: keeps force densities near a level, N/m, one number or one per string."""
+    """weight · ∫ Σ (γ − level)² dt, N²·s/m² for weight 1: keeps force densities near a level, N/m, one number or one per string."""
 
     level: ArrayLike
     weight: float = 1.0

@@ -39,8 +39,7 @@ class InsideBox(PathBound):
         if np.any(lower >= upper):
             axis = int(np.argmax(lower >= upper))
             raise ValueError(f"{name}.lower is {lower[axis]:g} and .upper {upper[axis]:g} along {'xyz'[axis]}: give lower < upper")
-        if self.nodes is not None:
-            object.__setattr__(self, "nodes", tuple(self.nodes))
+        object.__setattr__(self, "nodes", _listed(f"{name}.nodes", self.nodes, "[0, 1]"))
 
     def corners(self) -> tuple[Array, Array]:
         """Both corners (3,), −inf and inf where the box is open."""
@@ -90,8 +89,12 @@ class BarClearance(PathBound):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distance", positive_number("BarClearance.distance", self.distance))
-        if self.pairs is not None:
-            object.__setattr__(self, "pairs", tuple(tuple(pair) for pair in self.pairs))
+        pairs = _listed("BarClearance.pairs", self.pairs, "[(0, 1)]")
+        if pairs is not None:
+            for k, pair in enumerate(pairs):
+                if len(_listed(f"BarClearance.pairs[{k}]", pair, "(0, 1)") or ()) != 2:
+                    raise ValueError(f"BarClearance.pairs[{k}] is {pair}: give two bars, such as (0, 1)")
+            object.__setattr__(self, "pairs", tuple(tuple(pair) for pair in pairs))
 
     def check(self, structure: Structure) -> None:
         """Raise where a bar does not exist, two bars of a pair share a node, or there is no pair."""
@@ -136,8 +139,7 @@ class Obstacle(PathBound):
         object.__setattr__(self, "centre", finite_array("Obstacle.centre", self.centre, (3,)))
         object.__setattr__(self, "radius", positive_number("Obstacle.radius", self.radius))
         for field in ("bars", "nodes"):
-            if getattr(self, field) is not None:
-                object.__setattr__(self, field, tuple(getattr(self, field)))
+            object.__setattr__(self, field, _listed(f"Obstacle.{field}", getattr(self, field), "[0, 1]"))
 
     def check(self, structure: Structure) -> None:
         """Raise where a bar or node does not exist."""
@@ -181,6 +183,15 @@ def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
 def _within_segment(share: Any) -> Any:
     """`share` clipped to [0, 1], rounded off."""
     return (ca.sqrt(share**2 + ROUNDING**2) - ca.sqrt((share - 1) ** 2 + ROUNDING**2) + 1) / 2
+
+
+def _listed(field: str, value: Any, example: str) -> tuple[Any, ...] | None:
+    """What is named one by one; None stays None."""
+    if value is None:
+        return None
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise TypeError(f"{field} is {value!r}: give a list, such as {example}")
+    return tuple(value)
 
 
 def _corner(field: str, value: Any) -> tuple[float | None, ...]:

@@ -259,6 +259,10 @@ BAD = {
     "pin below ground": (lambda: raised(ocp.AboveGround(0.5), model=driven(prism(1.0, pinned=[0]))), ValueError, "leaves out node 0"),
     "clearance negative": (lambda: ocp.BarClearance(-0.1), ValueError, "BarClearance.distance"),
     "clearance of no bar": (lambda: raised(ocp.BarClearance(0.1, [(0, 3)])), ValueError, "BarClearance.pairs names bar 3"),
+    "clearance of one bar": (lambda: ocp.BarClearance(0.1, (0, 1)), TypeError, r"BarClearance.pairs\[0\] is 0: give a list"),
+    "clearance of three bars": (lambda: ocp.BarClearance(0.1, [(0, 1, 2)]), ValueError, r"BarClearance.pairs\[0\] is \(0, 1, 2\): give two bars"),
+    "box of one node": (lambda: ocp.AboveGround(-1.0, nodes=3), TypeError, "InsideBox.nodes is 3: give a list"),
+    "obstacle of one bar": (lambda: ocp.Obstacle((9, 0, 0), 1.0, bars=3), TypeError, "Obstacle.bars is 3: give a list"),
     "clearance at a joint": (
         lambda: ocp.Problem(driven(tc.shapes.d_bar()), bounds=[ocp.BarClearance(0.1, [(0, 1)])]),
         ValueError,
