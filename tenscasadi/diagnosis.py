@@ -6,6 +6,7 @@ import numpy as np
 
 from tenscasadi.correction import projection
 from tenscasadi.model import Model
+from tenscasadi.precision import Compiled, Single
 from tenscasadi.runners import own_steps
 from tenscasadi.schemes import ExplicitRungeKutta, Scheme
 from tenscasadi.stability import fastest_rate, stable_step
@@ -15,6 +16,7 @@ _BROKEN_BARS = 0.1  # relative length error at which a run has diverged
 _BEYOND = 1e12  # entries of a state above this are not physical in any unit
 _DRIFTED_BARS = 0.01  # relative length error at which the message speaks of it
 _LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
+_ROUNDING = {False: 1e-9, True: 1e-5}  # of the energies, what a run may lose by rounding, in double and in single precision
 _OFF = 1e-6  # of the largest entry of a start: what the constraints may move it by without a word
 
 
@@ -60,9 +62,9 @@ def cause(model: Model, scheme: Scheme, step: float, time: Array, states: Array,
     )
 
 
-def doubts(model: Model, scheme: Scheme, start: Array, observed: dict[str, Array], energy_error: Array) -> str:
+def doubts(model: Model, scheme: Scheme, start: Array, observed: dict[str, Array], energy_error: Array, compiled: Compiled = None) -> str:
     """What is not to be trusted in a run that finished, each after a semicolon: its start (nx,), its bars, its energy (as when a correction hides
-    what the step destroys). observed: see `record.observe`; energy_error (T,)."""
+    what the step destroys). observed: see `record.observe`; energy_error (T,); compiled: see `simulate`."""
     if off := _off(model, start):
         return f"; {off}"
     cure = f"try a smaller {type(scheme).__name__}(rtol)" if own_steps(scheme) else "try a smaller step"
@@ -70,7 +72,7 @@ def doubts(model: Model, scheme: Scheme, start: Array, observed: dict[str, Array
     bars = f"; bars are off by up to {drift:.2g} of their length: {cure} or correction=Projection()" if drift > _DRIFTED_BARS else ""
     parts, nodes = observed["energy"], observed["nodes"]
     scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
-    rounding = 1e-9 * float(np.abs(parts).max() + observed["tension"].sum(axis=1).max() * np.ptp(nodes))
+    rounding = _ROUNDING[isinstance(compiled, Single)] * float(np.abs(parts).max() + observed["tension"].sum(axis=1).max() * np.ptp(nodes))
     largest = float(np.abs(energy_error).max())
     if not largest > max(_LOST_ENERGY * scale, rounding):  # NaN: not known
         return bars

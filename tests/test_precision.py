@@ -69,6 +69,14 @@ def test_controls_and_long_loops() -> None:
 
 
 @needs_compiler
+def test_rounding_at_rest_is_no_lost_energy() -> None:
+    model = tc.Model(tc.Scene(tc.shapes.prism(prestress=20.0)))
+    run = tc.simulate(model, 0.1, state=tc.projection(model)(model.initial_state), compiled=tc.Single())
+    assert abs(run.energy_error).max() > 1e-6
+    assert run.message == "finished 100 steps of 0.001 s; in single precision"
+
+
+@needs_compiler
 def test_error_control_finer_than_float_is_refused() -> None:
     model, start = turning()
     with pytest.raises(ValueError, match=r"DormandPrince853\.rtol is 1e-10: give 1e-06 or more in single precision"):
