@@ -37,7 +37,9 @@ class Reach:
         x = ca.MX.sym("x", len(start))
         last = np.asarray(ca.Function("last", [x], [ca.densify(ca.jacobian(rows(x), x))])(states[end]).full())
         by_control, by_length = self._motion.gradient(last, points, controls, length, end)
-        parts = [(by_control.reshape(len(last), count, -1) @ self._spread).reshape(len(last), -1), by_length[:, None] / count]
+        strings, groups = self._spread.shape
+        by_group = by_control.reshape(len(last), count, strings) @ self._spread
+        parts = [by_group.reshape(len(last), count * groups), by_length[:, None] / count]
         return np.concatenate(parts[: 1 + self._free_duration], axis=1)
 
 
