@@ -18,7 +18,20 @@ ROOT = Path(__file__).resolve().parents[1]
 # From the bottom up; a module imports from the levels below its own, never sideways.
 TENSCASADI = (
     {"archive", "precision", "validate"},
-    {"algebra", "class_one", "compiled", "convergence", "loads", "signals", "stage", "strings", "subdivision", "tableaux", "trajectory", "work_precision"},
+    {
+        "algebra",
+        "class_one",
+        "compiled",
+        "convergence",
+        "loads",
+        "signals",
+        "stage",
+        "strings",
+        "subdivision",
+        "tableaux",
+        "trajectory",
+        "work_precision",
+    },
     {"structure"},
     {"dynamics", "shapes", "statics", "supports"},
     {"scene"},
