@@ -62,21 +62,33 @@ def cause(model: Model, scheme: Scheme, step: float, time: Array, states: Array,
     )
 
 
-def doubts(model: Model, scheme: Scheme, start: Array, observed: dict[str, Array], energy_error: Array, compiled: Compiled = None) -> str:
-    """What is not to be trusted in a run that finished, each after a semicolon: its start (nx,), its bars, its energy (as when a correction hides
-    what the step destroys). observed: see `record.observe`; energy_error (T,); compiled: see `simulate`."""
-    if off := _off(model, start):
+def doubts(
+    model: Model, scheme: Scheme, step: float, start: tuple[Array, Array], observed: dict[str, Array], energy_error: Array, compiled: Compiled
+) -> str:
+    """What is not to be trusted in a run that finished, each after a semicolon, and the cure: its start, its bars, its energy (as when a
+    correction hides what the step destroys).
+
+    step, s; start: state (nx,) and control (nu,); observed: see `record.observe`; energy_error (T,); compiled: see `simulate`.
+    """
+    if off := _off(model, start[0]):
         return f"; {off}"
-    cure = f"try a smaller {type(scheme).__name__}(rtol)" if own_steps(scheme) else "try a smaller step"
     drift = float(observed["bar_length_error"].max())
-    bars = f"; bars are off by up to {drift:.2g} of their length: {cure} or correction=Projection()" if drift > _DRIFTED_BARS else ""
+    found = [f"bars are off by up to {drift:.2g} of their length (correction=Projection() holds them)"] if drift > _DRIFTED_BARS else []
     parts, nodes = observed["energy"], observed["nodes"]
     scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
     rounding = _ROUNDING[isinstance(compiled, Single)] * float(np.abs(parts).max() + observed["tension"].sum(axis=1).max() * np.ptp(nodes))
     largest = float(np.abs(energy_error).max())
-    if not largest > max(_LOST_ENERGY * scale, rounding):  # NaN: not known
-        return bars
-    return f"{bars}; energy is off by {largest:.2g} J where {scale:.2g} J move: {cure}"
+    if largest > max(_LOST_ENERGY * scale, rounding):  # not for NaN: not known
+        found.append(f"energy is off by {largest:.2g} J where {scale:.2g} J move")
+    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, step, *start)}" if found else "")
+
+
+def _finer(model: Model, scheme: Scheme, step: float, x: Array, u: Array) -> str:
+    """The cure for a run that is not accurate."""
+    if own_steps(scheme):
+        return f"try a smaller {type(scheme).__name__}(rtol)"
+    limit = stable_step(model, x, u, scheme, safety=1.0)
+    return f"the step is above the stability limit, try step={0.9 * limit:.2g}" if step > limit else "try a smaller step"
 
 
 def _off(model: Model, start: Array) -> str:

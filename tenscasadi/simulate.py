@@ -102,7 +102,7 @@ def simulate(
     elif run.interrupted:
         message = f"interrupted from the keyboard, the last state kept is at t = {run.time[-1]:g} s"
     else:
-        message = f"finished {run.report.text}" + doubts(model, scheme, start, observed, error, compiled)
+        message = f"finished {run.report.text}" + doubts(model, scheme, run.step, (start, controls[0]), observed, error, compiled)
     told: tuple[Array, Array] | None = None
     if correction is not None:
         unknown = np.full(good, np.nan)

@@ -302,6 +302,17 @@ def test_divergence_below_the_limit_names_other_causes() -> None:
     assert "no solution" in run.message
 
 
+def test_a_step_above_the_stability_limit_is_told_before_the_run_breaks_down() -> None:
+    model = Model(Scene(shapes.prism(stiffness=1e6, prestress=50.0)))
+    limit = stable_step(model, safety=1.0)
+    shaken = projection(model)(model.state(model.structure.nodes, 1e-3 * np.sin(np.arange(18)).reshape(6, 3)))
+    run = simulate(model, 0.2, 1.1 * limit, state=shaken, compiled=False)
+    assert run.success
+    suggested = re.search(r"J move: the step is above the stability limit, try step=(\S+)$", run.message)
+    assert suggested
+    assert 0.8 * limit < float(suggested[1]) < limit
+
+
 def test_what_is_not_to_be_trusted_is_spoken_of() -> None:
     model = prism()
     off = moving(model) + 1e-3
@@ -315,7 +326,7 @@ def test_what_is_not_to_be_trusted_is_spoken_of() -> None:
     run = simulate(pendulum, 2.0, 0.1, compiled=False)
     assert run.success
     assert 0.01 < run.bar_length_error.max() < 0.1
-    assert f"bars are off by up to {run.bar_length_error.max():.2g} of their length: try a smaller step or" in run.message
+    assert f"bars are off by up to {run.bar_length_error.max():.2g} of their length (correction=Projection() holds them): try a" in run.message
     run = simulate(pendulum, 4.0, 0.02, Cvodes(1e-3))
     assert "try a smaller Cvodes(rtol)" in run.message
 
