@@ -1,8 +1,8 @@
 """A ball of six bars rolls one face over: force densities that tip it over an edge and bring it to rest, in its own shape, on the face beyond.
 
 Gravity and a soft ground with friction (a mat: the ball stands 2 cm deep in it; slip is damped, rather than rubbed, below 0.3 m/s). The first
-guess is a simulation: winding two strings to half and to a third of their lengths, and back, makes an elastic ball fall over somehow. The
-solver stops at the first plan that is nearly optimal (tolerance 1e-3): what it costs matters little here.
+guess is a simulation: winding two strings to half and to a third of their lengths, and back, makes an elastic ball fall over somehow. Of
+all plans the solver gives the first that it comes to: nothing is asked of its cost.
 
 Run it with a folder for the pictures: python examples/ball_rolls.py pictures
 """
@@ -45,11 +45,10 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[ocp.Plan, tc.Traje
         start=start,
         goals=[ocp.NodePositions(dict.fromkeys((*EDGE, AHEAD), (None, None, depth))), ocp.StringLengths(lengths), ocp.AtRest()],
         bounds=[ocp.ForceDensityLimits(LEAST, MOST)],
-        costs=[ocp.Prestress(still.force_density[-1]), ocp.Smoothness(1e-2)],
     )
     grid = ocp.Variational(120 if quick else 240, control=ocp.PiecewiseLinear())
     guess = ocp.Arrays(tipped.states, tipped.force_density)
-    plan = ocp.solve(problem, grid, ocp.Ipopt(tolerance=1e-3), guess, tolerance=0.3 if quick else 0.03)
+    plan = ocp.solve(problem, grid, ocp.Ipopt(tolerance=1e-3), guess, tolerance=0.3 if quick else 0.05)
     print(plan.summary())
 
     replay = plan.replay()

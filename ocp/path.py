@@ -53,9 +53,14 @@ def corner_rows(problem: Problem, scales: Scales, strength: float) -> list[Stage
 
 
 def typical_cost(problem: Problem, strength: float, states: Array, force_density: Array, duration: float) -> float:
-    """The costs of states (K + 1, nx) and force densities (K, α) that alternate about `strength`: what makes the objective of order one."""
+    """The costs of states (K + 1, nx) and force densities (K, α) that swing once about `strength`: what makes the objective of order one.
+
+    Were they to alternate from interval to interval, costs of their rates would grow with the square of the intervals, and the objective
+    become small beside the solver's tolerance.
+    """
     count = len(force_density)
-    pattern = strength * (1 + 0.5 * (-1.0) ** np.indices(force_density.T.shape).sum(axis=0))
+    string, interval = np.indices(force_density.T.shape)
+    pattern = strength * (1 + 0.5 * (-1.0) ** string * np.sin(2 * np.pi * (interval + 0.5) / count))
     total, x = 0.0, states.T
     for cost in problem.costs:
         now = symbolic(problem.model)
