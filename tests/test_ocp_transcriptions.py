@@ -166,6 +166,12 @@ def test_linear_force_densities(make):
     assert found.replay(step=1e-3).nodes[-1] == pytest.approx(found.replay().nodes[-1], abs=1e-4)
 
 
+def test_costs_of_rates_are_no_smaller_beside_the_tolerance_on_finer_grids():
+    found, tight = (ocp.solve(raising(costs=[ocp.Smoothness()]), ocp.Variational(60), ocp.Ipopt(tolerance=each)) for each in (1e-8, 1e-12))
+    assert found.success
+    assert found.objective == pytest.approx(tight.objective, rel=1e-4)
+
+
 @pytest.mark.parametrize("make", [ocp.MultipleShooting, ocp.Variational], ids=lambda kind: kind.__name__)
 def test_unequal_intervals(make, tmp_path):
     shares = np.linspace(1.0, 3.0, 12)
