@@ -60,7 +60,7 @@ def typical_cost(problem: Problem, strength: float, states: Array, force_density
     """
     count = len(force_density)
     string, interval = np.indices(force_density.T.shape)
-    pattern = strength * (1 + 0.5 * (-1.0) ** string * np.sin(2 * np.pi * (interval + 0.5) / count))
+    pattern = strength * (1 + np.sqrt(0.5) * (-1.0) ** string * np.sin(2 * np.pi * (interval + 0.5) / count))
     total, x = 0.0, states.T
     for cost in problem.costs:
         now = symbolic(problem.model)

@@ -7,6 +7,7 @@ import importlib.util
 import re
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -349,7 +350,16 @@ def test_a_bad_row_inside_a_chunk_cuts_there() -> None:
     assert len(run.time) == len(run.nodes) == len(run.energy_error) == len(run.control)
 
 
-def test_the_keyboard_interrupts(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def keyboard() -> Iterator[None]:
+    """Ctrl-C arrives, as it does not in a process that a shell has put into the background."""
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, usual)
+
+
+@pytest.mark.usefixtures("keyboard")
+def test_the_keyboard_interrupts() -> None:
     model = prism(ForceDensity())
     u = model.initial_control
 
@@ -366,6 +376,7 @@ def test_the_keyboard_interrupts(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(run.time) == len(run.states)
 
 
+@pytest.mark.usefixtures("keyboard")
 @pytest.mark.parametrize("scheme", [Cvodes(1e-7), Idas(1e-7)])
 def test_the_keyboard_interrupts_integrators_of_casadi(monkeypatch: pytest.MonkeyPatch, scheme: Any) -> None:
     """They tell of a failure where Python raises KeyboardInterrupt."""
