@@ -115,7 +115,7 @@ def film(plan: ocp.Plan, walk: tc.Trajectory, path: Path) -> None:
         side.add_collection(LineCollection(places[plan.structure.bars], colors=[colour], linewidths=3.0, capstyle="round"))
     side.autoscale_view()
     side.set_aspect("equal")
-    side.set(xlabel="x (m)", ylabel="z (m)", ylim=(-0.1, 0.75), title="prism: one period of its gait, seen from the side")
+    side.set(xlabel="x (m)", ylabel="z (m)", xlim=(0.3, 1.9), ylim=(-0.1, 1.2), title="prism: one period of its gait, seen from the side")
     figure.colorbar(scale, ax=side, label="time (s)")
     mean = walk.nodes.mean(axis=1)
     way.plot(walk.time, mean[:, 0] - mean[0, 0], label="forward")
