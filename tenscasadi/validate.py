@@ -27,9 +27,10 @@ def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array
             raise TypeError(f"got {type(value).__name__} of {source.dtype}")  # NumPy would read "1", True and None as numbers
         array = np.array(source, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise TypeError(f"{field} is not an array of real numbers ({error}): give numbers of shape {_text(shape)}") from None
+        kind = "an array of real numbers" if shape else "a real number"
+        raise TypeError(f"{field} is not {kind} ({error}): give {_wanted(shape)}") from None
     if array.ndim != len(shape) or any(want is not None and want != got for want, got in zip(shape, array.shape, strict=True)):
-        raise ValueError(f"{field} has shape {array.shape}: give an array of shape {_text(shape)}")
+        raise ValueError(f"{field} has shape {array.shape}: give {_wanted(shape)}")
     bad = np.argwhere(~(np.abs(array) <= LARGEST))
     if len(bad):
         place = tuple(int(i) for i in bad[0])
@@ -112,5 +113,7 @@ def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: st
         raise TypeError(f"{field} is {value!r}: give {example}")
 
 
-def _text(shape: tuple[int | None, ...]) -> str:
-    return "(" + ", ".join("any" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
+def _wanted(shape: tuple[int | None, ...]) -> str:
+    if not shape:
+        return "one number"
+    return "an array of shape (" + ", ".join("any" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"

@@ -181,6 +181,12 @@ def test_messages_name_the_value_and_the_cure() -> None:
         build(bars=[(0, 1)], pinned=[3])
     with pytest.raises(ValueError, match=r"^nodes has shape \(3, 4\): give an array of shape \(any, 3\)$"):
         build(nodes=N)
+    with pytest.raises(TypeError, match=r"^nodes is not an array of real numbers \(got str of <U3\): give an array of shape \(any, 3\)$"):
+        build(nodes="abc")
+    with pytest.raises(TypeError, match=r"^length is not a real number \(got str of <U4\): give one number$"):
+        shapes.pendulum("long")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^length has shape \(2,\): give one number$"):
+        shapes.pendulum([1.0, 2.0])  # type: ignore[arg-type]
 
 
 def test_numbers_of_any_kind_are_read() -> None:
