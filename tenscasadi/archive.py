@@ -44,13 +44,15 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[di
     refusal = f"{os.fspath(path)} is not a {kind}"
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise ValueError("a single array")
             content = {name: archive[name] for name in archive.files if names is None or name == "format" or name in names}
+            if not all(isinstance(value, np.ndarray) for value in content.values()):
+                raise ValueError("a file that holds no array")
     except FileNotFoundError:
         raise
-    except _UNREADABLE as error:
+    except (OSError, MemoryError) as error:
         raise ValueError(f"{refusal}: it cannot be read ({error})") from None
+    except _UNREADABLE:  # NumPy's words would advise to allow pickles
+        raise ValueError(f"{refusal}: it cannot be read, as tenscasadi did not save it or it is damaged") from None
     try:
         if str(content.pop("format", "")) != form:
             raise ValueError(f"its field 'format' is not {form!r}")
