@@ -30,18 +30,22 @@ Watcher = Callable[[Progress], Any]
 
 
 class Best(ca.Callback):
-    """Follows IPOPT: tells the watcher, remembers the best iterate."""
+    """Follows IPOPT: tells the watcher, remembers the best iterate of a run."""
 
-    def __init__(self, size: int, rows: int, lower: Array, upper: Array, objective: float, watch: Watcher | None) -> None:
+    def __init__(self, size: int, rows: int, objective: float, watch: Watcher | None) -> None:
         super().__init__()
         self._sizes = {"x": size, "f": 1, "g": rows, "lam_x": size, "lam_g": rows, "lam_p": 0}
-        self._lower, self._upper, self._objective, self._watch = lower, upper, objective, watch
+        self._objective, self._watch = objective, watch
+        self._begin(np.zeros(rows), np.zeros(rows))
+        self.construct("best", {})
+
+    def _begin(self, lower: Array, upper: Array) -> None:
+        self._lower, self._upper = lower, upper
         self._merit = np.inf
         self._count = 0
         self.w: Array | None = None
         self.status = ""
         self.error: Exception | None = None
-        self.construct("best", {})
 
     @property
     def stopped(self) -> bool:
@@ -49,8 +53,9 @@ class Best(ca.Callback):
         return bool(self.status)
 
     @contextmanager
-    def interruptible(self) -> Iterator[None]:
-        """Ctrl-C meanwhile stops the solver after its iteration; a second time it raises, as usual."""
+    def following(self, lower: Array, upper: Array) -> Iterator[None]:
+        """A run with these limits of rows; Ctrl-C meanwhile stops the solver after its iteration; a second time it raises, as usual."""
+        self._begin(lower, upper)
         usual = signal.getsignal(signal.SIGINT)
         if usual is None or threading.current_thread() is not threading.main_thread():
             yield
@@ -82,9 +87,13 @@ class Best(ca.Callback):
         """As `nlpsol` sizes its outputs."""
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
 
-    def eval(self, arg: Sequence[ca.DM]) -> list[Any]:
-        """0 to go on, 1 to stop."""
-        w, f, g = (arg[ca.nlpsol_out().index(name)].full().ravel() for name in ("x", "f", "g"))
+    def has_eval_buffer(self) -> bool:
+        """Memory instead of matrices, whose conversion takes as long as a whole evaluation of the program."""
+        return True
+
+    def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
+        """0 into `res` to go on, 1 to stop."""
+        w, f, g = (np.frombuffer(arg[ca.nlpsol_out().index(name)] or b"") for name in ("x", "f", "g"))
         violation = float(np.maximum(np.maximum(self._lower - g, g - self._upper), 0.0).max(initial=0.0))
         # the least violation counts, until it is small; then the objective
         merit = violation if violation > NEAR else NEAR * float(np.arctan(f[0]) / np.pi)
@@ -99,4 +108,5 @@ class Best(ca.Callback):
         self._count += 1
         if not proceed:
             self.status = STOPPED
-        return [1 if self.status else 0]
+        np.frombuffer(res[0])[:] = float(bool(self.status))
+        return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -38,7 +39,8 @@ def corrected(program: Program, solution: Solution, solver: Solver, model: Model
     Only limits change, so nothing is built again. Optimal is the plan for the costs of the coarse rows, which are wrong by its order.
     """
     rows = ca.Function("rows", [program.problem["x"]], [program.problem["g"]])
-    again = replace(solver, warm=True) if isinstance(solver, Ipopt) else Ipopt(tolerance=solver.tolerance, warm=True)
+    near = replace(solver, warm=True) if isinstance(solver, Ipopt) else Ipopt(tolerance=solver.tolerance, warm=True)
+    again: Callable[[Program], Solution] | None = None
     known, count = program.states >= 0, len(fractions)
     linear = program.unpack.size2_out(1) > count
     chain = (ramped_step if linear else shooting_step)(model, DormandPrince853(), FINE).mapaccum(count)
@@ -58,7 +60,9 @@ def corrected(program: Program, solution: Solution, solver: Solver, model: Model
             break
         shift = np.asarray(rows(program.with_states(solution.w, fine)).full()).ravel()[: program.moving]
         lower, upper = (np.concatenate([shift, limit[program.moving :]]) for limit in (program.lower, program.upper))
-        solution = again.solve(replace(program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers))
+        moved = replace(program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers)
+        again = again or near.prepared(moved)
+        solution = again(moved)
         iterations += solution.iterations
         if not solution.success:
             break

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -11,7 +12,7 @@ import scipy.sparse
 
 from ocp.cycle import find_cycle
 from ocp.goals import rows_of
-from ocp.invariants import Invariant, UnreachableGoal, invariants
+from ocp.invariants import UnreachableGoal, invariants
 from ocp.problem import Problem
 from ocp.reduction import RANK, Combined, Reduction, RowFunction, reduce_rows, soft_directions
 from ocp.search import NEARLY_SINGULAR, Search
@@ -65,30 +66,30 @@ class _Finder:
         self.value = ca.vertcat(self.lengths, self.speeds)
         metre, speed = scales.length, scales.length / scales.time
         row_scale = np.concatenate([np.full(self.lengths.shape[0], metre), np.full(self.speeds.shape[0], speed)])
-        self.goal = RowFunction(self.y, self.value, row_scale, self.scale)
         # from a free start all momenta can be had
         self.groups = [group for group in invariants(model, start, self.x, duration) if group.kind in RIGID or not problem.free_start]
-        self.kept = [self._rows(group) for group in self.groups]
+        sizes = {"m": metre, "m/s": speed, "m²/s": metre * speed, "s": scales.time}
+        every = np.append(row_scale, [sizes[unit] for group in self.groups for unit in group.units])
+        self.rows = RowFunction(self.y, ca.vertcat(self.value, *(group.value for group in self.groups)), every, self.scale)
+        ends = np.cumsum([len(row_scale), *(len(group.units) for group in self.groups)]).tolist()
+        self.goal = self.rows.only(slice(ends[0]))
+        self.kept = [self.rows.only(slice(a, b)) for a, b in pairwise(ends)]
         self.search = Search(self.scale, _metric(model), self._allowed, self._deforming)
-
-    def _rows(self, group: Invariant) -> RowFunction:
-        metre, speed = self.scales.length, self.scales.length / self.scales.time
-        sizes = {"m": metre, "m/s": speed, "m²/s": metre * speed, "s": self.scales.time}
-        return RowFunction(self.y, group.value, np.array([sizes[unit] for unit in group.units]), self.scale)
 
     def solve(self) -> tuple[Array, float]:
         """y at the target, and by how much goals had to be adjusted (m), 0 when they are met."""
         y = np.append(self.start, (self.problem.shortest + self.problem.longest) / 2)
         rigid = [k for k, group in enumerate(self.groups) if group.kind in RIGID]
-        miss = 0.0
+        goals, miss = len(self.goal.row_scale), 0.0
         for active in [rigid] if len(rigid) == len(self.groups) else [rigid, list(range(len(self.groups)))]:
-            y = self.search.nearest(self.goal, [self.kept[k] for k in active], y)
+            count = goals + sum(len(self.groups[k].units) for k in active)  # rigid groups come first
+            y = self.search.nearest(self.rows.only(slice(count)), goals, y)
             miss = self._miss(y)
             if miss > ROUNDED:
                 self._refuse(y, active)
         straight = self._straightened(y)
         if straight is not None:
-            y = self.search.nearest(self.goal, self.kept, straight)
+            y = self.search.nearest(self.rows, goals, straight)
             miss = self._miss(y)
         return y, miss * self.scales.length if miss > 1e-7 else 0.0
 
@@ -145,7 +146,7 @@ class _Finder:
     def reduced(self, y: Array, adjusted: float) -> Target:
         """The target at y with the rows that can be imposed there."""
         values, H = self.goal(y)
-        directions, _, _ = soft_directions([self.goal, *self.kept], y, NEARLY_SINGULAR)
+        directions, _, _ = soft_directions(self.rows, y, NEARLY_SINGULAR)
         weights, squared, (more, gradient) = self._shape_rows(y, directions)
         added = len(weights)
         H = np.concatenate([H, weights @ gradient])

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -55,6 +55,14 @@ class Ipopt:
 
     def solve(self, program: Program) -> Solution:
         """The solution, or the best iterate with IPOPT's word for what went wrong. Raises ValueError for an option IPOPT refuses."""
+        return self.prepared(program)(program)
+
+    def prepared(self, program: Program) -> Callable[[Program], Solution]:
+        """Solves this program, and others that differ from it in limits, start and multipliers alone. Raises ValueError as `solve`."""
+        best = Best(program.problem["x"].shape[0], len(program.lower), program.objective, self.watch)
+        return partial(_run, self._built(program, best), best)
+
+    def _built(self, program: Program, best: Best) -> ca.Function:
         ipopt = {
             "max_iter": self.max_iterations,
             "tol": self.tolerance,
@@ -70,14 +78,13 @@ class Ipopt:
             **({"mu_init": KNOWN} if self.warm and program.multipliers is not None else {}),
             **self.options,
         }
-        began = time.perf_counter()
         exact = program.derivatives()
-        best = Best(program.problem["x"].shape[0], len(program.lower), program.lower, program.upper, program.objective, self.watch)
         # error_on_fail: an iterate that does not converge is a result, which says so.
         options: dict[str, Any] = {
             "grad_f": exact["nlp_grad_f"],
             "jac_g": exact["nlp_jac_g"],
             "hess_lag": exact["nlp_hess_l"],
+            "no_nlp_grad": True,  # it serves parameters, of which there are none
             "ipopt": ipopt,
             "print_time": False,
             "error_on_fail": False,
@@ -85,25 +92,28 @@ class Ipopt:
             "iteration_callback": best,
         }
         try:
-            solver = ca.nlpsol("solver", "ipopt", program.problem, options)
+            return ca.nlpsol("solver", "ipopt", program.problem, options)
         except RuntimeError as error:
             if "IpoptInterface::finalize" not in str(error):
                 raise
             reason = str(error).strip().splitlines()[-1].split(": ", 1)[-1].rstrip(".")
             raise ValueError(f"Ipopt.options is {dict(self.options)}, and IPOPT says: {reason}. Give options that IPOPT has") from None
-        known = {} if program.multipliers is None else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
-        with best.interruptible():
-            result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper, **known)
-        if best.error is not None:
-            raise best.error
-        stats = solver.stats()
-        w = last = np.asarray(result["x"].full()).ravel()
-        success = bool(stats["success"])
-        if not success and best.w is not None and (best.stopped or "Exceeded" in str(stats["return_status"])):
-            w = best.w
-        multipliers = result["lam_g"].full().ravel(), result["lam_x"].full().ravel()
-        status = best.status or str(stats["return_status"])
-        return Solution(w, success, status, int(stats["iter_count"]), time.perf_counter() - began, multipliers, last)
+
+
+def _run(solver: ca.Function, best: Best, program: Program) -> Solution:
+    known = {} if program.multipliers is None else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
+    with best.following(program.lower, program.upper):
+        result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper, **known)
+    if best.error is not None:
+        raise best.error
+    stats = solver.stats()
+    w = last = np.asarray(result["x"].full()).ravel()
+    success = bool(stats["success"])
+    if not success and best.w is not None and (best.stopped or "Exceeded" in str(stats["return_status"])):
+        w = best.w
+    multipliers = result["lam_g"].full().ravel(), result["lam_x"].full().ravel()
+    status = best.status or str(stats["return_status"])
+    return Solution(w, success, status, int(stats["iter_count"]), multipliers, last)
 
 
 def _check_library(options: Mapping[str, Any]) -> None:

@@ -7,7 +7,8 @@ gradients of the optimal control problem linearly dependent, and solvers fail.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -16,33 +17,56 @@ import casadi as ca
 import numpy as np
 
 from ocp.direct import Direct
-from tenscasadi.validate import Array
+from tenscasadi.validate import Array, Indices
 
 RANK = 1e-3  # smallest singular value, relative to rows of norm one, that counts: below it a row has two solutions closer than a plan resolves
 
 
 class RowFunction:
-    """Named CasADi rows of y, with numbers for value, gradient and curvature in scaled rows and scaled unknowns."""
+    """CasADi rows of y, with numbers for value, gradient and curvature in scaled rows and scaled unknowns."""
 
     def __init__(self, y: Any, value: Any, row_scale: Array, scale: Array) -> None:
         self.row_scale, self.scale = row_scale, scale
-        scaled = value / ca.DM(row_scale)
-        self._function = Direct(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
-        self._y, self._scaled = y, scaled
+        self._rows: slice = slice(None)
+        self._code = _Code(y, value / ca.DM(row_scale))
+
+    def only(self, rows: slice) -> RowFunction:
+        """Some of the rows, from the same code. Only those of all rows."""
+        part = copy.copy(self)
+        part.row_scale, part._rows = self.row_scale[rows], rows
+        return part
 
     def __call__(self, y: Array) -> tuple[Array, Array]:
         """Scaled rows (m,) and their gradient (m, ny) in scaled unknowns."""
-        value, gradient = self._function(y)
-        return value.ravel(), gradient.T * self.scale
+        value, gradient = self._code.first(y)
+        return value.ravel()[self._rows], gradient.T[self._rows] * self.scale
+
+    def curvatures(self, y: Array, weights: Array) -> Iterator[Array]:
+        """Second derivatives (ny, ny) of wᵀ rows in scaled unknowns, for each column w of `weights` (m, k)."""
+        every = np.zeros((self._code.count, weights.shape[1]))
+        every[self._rows] = weights
+        function, row, column = self._code.second
+        factor = self.scale[row] * self.scale[column]
+        for entries in np.asarray(function.map(max(1, weights.shape[1]))(y, every).full()).T if weights.size else ():
+            result = np.zeros((len(y), len(y)))
+            result[row, column] = entries * factor
+            yield result
+
+
+class _Code:
+    """Scaled rows of y as CasADi Functions."""
+
+    def __init__(self, y: Any, scaled: Any) -> None:
+        self._y, self._scaled, self.count = y, scaled, int(scaled.shape[0])
+        self.first = Direct(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
 
     @cached_property
-    def _curvature(self) -> ca.Function:
-        weight = ca.SX.sym("w", self._scaled.shape[0])
-        return ca.Function("curvature", [self._y, weight], [ca.hessian(ca.dot(weight, self._scaled), self._y)[0]])
-
-    def curvature(self, y: Array, weight: Array) -> Array:
-        """Second derivative (ny, ny) of weightᵀ rows in scaled unknowns."""
-        return np.asarray(self._curvature(y, weight).full()) * np.outer(self.scale, self.scale)
+    def second(self) -> tuple[ca.Function, Indices, Indices]:
+        """(y, w) → non-zeros of the Hessian of wᵀ rows, and where they stand."""
+        weight = ca.SX.sym("w", self.count)
+        hessian = ca.hessian(ca.dot(weight, self._scaled), self._y)[0]
+        row, column = (np.array(entries, dtype=np.intp) for entries in hessian.sparsity().get_triplet())
+        return ca.Function("curvature", [self._y, weight], [ca.densify(ca.vec(hessian.nz[:]))]), row, column
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +102,13 @@ def reduce_rows(H: Array, groups: Sequence[tuple[str, Array]]) -> Reduction:
     return Reduction(combinations, {kind: count for kind, count in repeated.items() if count})
 
 
-def soft_directions(functions: Sequence[RowFunction], y: Array, rank_tolerance: float = RANK) -> tuple[Array, Array, Array]:
+def soft_directions(rows: RowFunction, y: Array, rank_tolerance: float = RANK) -> tuple[Array, Array, Array]:
     """Where first order says nothing but second order does: at a prestressed equilibrium lengths fix the shape, their gradients do not.
 
     Returns scaled unit directions D (ny, k) that the rows' gradients leave free but whose curvature some combination w of the rows
     (W (m, j), zero gradient) feels, and the curvatures (j, k, k) of these combinations on D.
     """
-    values, gradients = zip(*(function(y) for function in functions), strict=True)
-    J = np.concatenate(gradients)
+    _, J = rows(y)
     norms = np.linalg.norm(J, axis=1)
     used = norms > 1e-12
     left, singular, right = _svd(J[used] / norms[used, None])
@@ -93,11 +116,7 @@ def soft_directions(functions: Sequence[RowFunction], y: Array, rank_tolerance: 
     W = np.zeros((len(J), left.shape[1] - rank))
     W[used] = left[:, rank:] / norms[used, None]
     F = right[rank:].T
-    sizes = np.cumsum([0, *(len(value) for value in values)])
-    forms = []
-    for w in W.T:
-        total = sum(function.curvature(y, w[a:b]) for function, a, b in zip(functions, sizes[:-1], sizes[1:], strict=True))
-        forms.append(F.T @ total @ F)
+    forms = [F.T @ curvature @ F for curvature in rows.curvatures(y, W)]
     if not forms or not F.shape[1]:
         return np.zeros((J.shape[1], 0)), W, np.zeros((W.shape[1], 0, 0))
     strength, vectors = np.linalg.eigh(sum(form @ form for form in forms))

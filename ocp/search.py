@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy.optimize
@@ -30,54 +30,53 @@ class Search:
         self._scale, self._allowed, self._deforming = scale, allowed, deforming
         self._factor = np.linalg.cholesky(metric)
 
-    def nearest(self, goal: RowFunction, kept: Sequence[RowFunction], y: Array) -> Array:
-        """y where the rows of `goal` are as small as the rows `kept`, which are zero there, let them be."""
-        functions = [goal, *kept]
+    def nearest(self, rows: RowFunction, goals: int, y: Array) -> Array:
+        """y where the first rows, those of `goals`, are as small as the others, which are zero there, let them be."""
         crawling = 0
         for _ in range(STEPS):
-            best, least = None, _size(functions, y)
+            best, least = None, _size(rows, y)
             if least < DONE or crawling == PATIENCE:
                 break
             enough = QUICK * least
-            for trial in self._trials(functions, y):
-                if _size(functions, trial) < least:
-                    best, least = trial, _size(functions, trial)
+            for trial in self._trials(rows, y):
+                if _size(rows, trial) < least:
+                    best, least = trial, _size(rows, trial)
                 if least < enough:
                     break
             if best is None:
                 break
-            crawling = crawling + 1 if least > CRAWL * _size(functions, y) else 0
+            crawling = crawling + 1 if least > CRAWL * _size(rows, y) else 0
             y = best
-        before = np.inf
-        for _ in range(STEPS if kept else 0):  # what cannot give comes last: the goal's residual shows what is missing
+        kept, before = rows.only(slice(goals, len(rows.row_scale))), np.inf
+        for _ in range(STEPS):  # what cannot give comes last: the goal's residual shows what is missing
             size = _size(kept, y)
             if size < DONE or size > CRAWL * before:
                 break
             y, before = self._moved(y, self._step(kept, y, RANK)), size
         return y
 
-    def _trials(self, functions: Sequence[RowFunction], y: Array) -> Iterator[Array]:
+    def _trials(self, rows: RowFunction, y: Array) -> Iterator[Array]:
         """Shortened steps that come nearer: along regular directions, along all, and along those that only second order feels."""
         for rank_tolerance in (NEARLY_SINGULAR, RANK):
-            yield from self._shortened(functions, y, self._step(functions, y, rank_tolerance), follow=False)
-        soft = self._soft_step(functions, y)
+            yield from self._shortened(rows, y, self._step(rows, y, rank_tolerance), follow=False)
+        soft = self._soft_step(rows, y)
         if soft is not None:
-            yield from self._shortened(functions, y, soft, follow=True)
+            yield from self._shortened(rows, y, soft, follow=True)
 
-    def _shortened(self, functions: Sequence[RowFunction], y: Array, step: Array, follow: bool) -> Iterator[Array]:
+    def _shortened(self, rows: RowFunction, y: Array, step: Array, follow: bool) -> Iterator[Array]:
         """y moved by the largest of step, step/2, … that makes the rows smaller; `follow`: after regular directions have followed."""
-        size = _size(functions, y)
+        size = _size(rows, y)
         for halvings in range(8):
             trial = self._moved(y, step * 0.5**halvings)
             if follow:
-                trial = self._moved(trial, self._step(functions, trial, NEARLY_SINGULAR))
-            if _size(functions, trial) < size:
+                trial = self._moved(trial, self._step(rows, trial, NEARLY_SINGULAR))
+            if _size(rows, trial) < size:
                 yield trial
                 return
 
-    def _step(self, functions: Sequence[RowFunction], y: Array, rank_tolerance: float) -> Array:
+    def _step(self, rows: RowFunction, y: Array, rank_tolerance: float) -> Array:
         """−J⁺ r in scaled unknowns; directions that are more singular than `rank_tolerance` stay where they are."""
-        r, J = stacked(functions, y)
+        r, J = rows(y)
         step = self._newton(r, J, rank_tolerance)
         wanted = y + step * self._scale
         allowed = self._allowed(wanted)
@@ -92,15 +91,15 @@ class Search:
         used = values > rank_tolerance * values.max(initial=0.0)
         return np.asarray(np.linalg.solve(self._factor.T, -right[used].T @ ((left[:, used].T @ r) / values[used])))
 
-    def _soft_step(self, functions: Sequence[RowFunction], y: Array) -> Array | None:
+    def _soft_step(self, rows: RowFunction, y: Array) -> Array | None:
         """A step d to second order: c + b d + ½ dᵀ K d = 0 for the combinations of rows that have (nearly) no gradient."""
-        directions, W, K = soft_directions(functions, y, NEARLY_SINGULAR)
+        directions, W, K = soft_directions(rows, y, NEARLY_SINGULAR)
         if not directions.shape[1]:
             return None
-        r, J = stacked(functions, y)
+        r, J = rows(y)
         c, b = W.T @ r, W.T @ J @ directions
 
-        def rows(d: Array) -> Array:
+        def curved(d: Array) -> Array:
             return np.asarray(c + b @ d + np.einsum("jkl,k,l->j", K, d, d) / 2)
 
         def slopes(d: Array) -> Array:
@@ -108,7 +107,7 @@ class Search:
 
         reach = np.sqrt(2 * np.abs(c).max() / max(np.abs(K).max(), 1e-12))
         starts = [sign * reach * axis for axis in np.eye(directions.shape[1])[-STARTS:] for sign in (1.0, -1.0)]
-        tried = [scipy.optimize.least_squares(rows, d, slopes) for d in starts]
+        tried = [scipy.optimize.least_squares(curved, d, slopes) for d in starts]
         found = min(tried, key=lambda result: (round(float(result.cost), 15), float(np.linalg.norm(result.x))))
         return self._strided(directions @ found.x)
 
@@ -121,11 +120,5 @@ class Search:
         return self._allowed(y + step * self._scale)
 
 
-def stacked(functions: Sequence[RowFunction], y: Array) -> tuple[Array, Array]:
-    """Rows and gradients of several functions, one below the other."""
-    values, gradients = zip(*(function(y) for function in functions), strict=True)
-    return np.concatenate(values), np.concatenate(gradients)
-
-
-def _size(functions: Sequence[RowFunction], y: Array) -> float:
-    return float(np.linalg.norm(stacked(functions, y)[0]))
+def _size(rows: RowFunction, y: Array) -> float:
+    return float(np.linalg.norm(rows(y)[0]))

@@ -10,7 +10,7 @@ from tenscasadi.validate import Array, positive_number, whole_number
 
 
 class Solution(NamedTuple):
-    """w and whether it is optimal; status is the solver's own word; iterations; wall time, s; the multipliers of rows and of w's limits.
+    """w and whether it is optimal; status is the solver's own word; iterations; the multipliers of rows and of w's limits.
 
     last: where the solver stood when it gave up, which is not always its best.
     """
@@ -19,7 +19,6 @@ class Solution(NamedTuple):
     success: bool
     status: str
     iterations: int
-    seconds: float
     multipliers: tuple[Array, Array] | None = None
     last: Array | None = None
 
