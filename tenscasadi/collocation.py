@@ -11,7 +11,7 @@ import numpy as np
 from tenscasadi.model import Model
 from tenscasadi.schemes import Complex, check_ode, with_work
 from tenscasadi.triangular import stage_states, stages
-from tenscasadi.validate import Array, positive_number, whole_number
+from tenscasadi.validate import Array, instance, positive_number, whole_number
 
 _SWEPT = 4  # degree up to which sweeps converge fast
 _SLACK, _ROUNDING = 100.0, 1e-9  # what the last sweep may have moved: times the tolerance, or relative to the state
@@ -80,6 +80,7 @@ class Collocation:
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
         """One step of a model: see `Scheme.advance`. The same step as that of `step(model.ode)`, found in a fraction of the time."""
+        instance("model", model, Model, "a tenscasadi.Model")
         if self.degree > _SWEPT or model.nq == 0:
             return self.step(model.ode if power is None else with_work(model.ode, power))
         A, b = self.coefficients

@@ -14,7 +14,7 @@ from tenscasadi.dynamics import Mechanism
 from tenscasadi.model import Model
 from tenscasadi.schemes import Complex
 from tenscasadi.tableaux import CLASSICAL, MIDPOINT, Tableau
-from tenscasadi.validate import whole_number
+from tenscasadi.validate import instance, whole_number
 
 _OUTER = 1 / (4 - 4 ** (1 / 3))  # Suzuki's five steps of order 4: Hairer, Lubich, Wanner, Geometric Numerical Integration, (II.4.5)
 _FRACTIONS: dict[int, tuple[float, ...]] = {2: (1.0,), 4: (_OUTER, _OUTER, 1 - 4 * _OUTER, _OUTER, _OUTER)}
@@ -55,6 +55,7 @@ class Rattle:
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
         """One step of a model: see `Scheme.advance`."""
+        instance("model", model, Model, "a tenscasadi.Model")
         leap = _leap(model, power, _KICKS[self.order], self.iterations)
         start = z = ca.MX.sym("z", leap.size1_in(0))
         u, h = ca.MX.sym("u", model.nu), ca.MX.sym("h")

@@ -27,7 +27,7 @@ class Scheme(Protocol):
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
         """One step of a model with u held: Function "step" (z, u, h) -> z_next, z = x.
 
-        With `power` (x, u) -> W, z holds one entry more: the work that it has done, J.
+        With `power` (x, u) -> W, z holds one entry more: the work that it has done, J. TypeError for anything but a Model.
         """
 
     def step(self, ode: ca.Function) -> ca.Function:
@@ -49,6 +49,7 @@ class ExplicitRungeKutta:
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
         """One step of a model: see `Scheme.advance`."""
+        instance("model", model, Model, "a tenscasadi.Model")
         return self.step(model.ode if power is None else with_work(model.ode, power))
 
     def amplification(self, z: Complex) -> Complex:
@@ -143,7 +144,8 @@ def relative_tolerance(field: str, value: Any) -> float:
 
 
 def extent(model: Model) -> float:
-    """The largest distance along an axis between two nodes of the structure, m; 1 where there is one node."""
+    """The largest distance along an axis between two nodes of the structure, m; 1 where there is one node. TypeError for anything but a Model."""
+    instance("model", model, Model, "a tenscasadi.Model")
     return float(np.ptp(model.structure.nodes, axis=0).max()) or 1.0
 
 

@@ -14,7 +14,7 @@ from tenscasadi.algebra import sparse
 from tenscasadi.loop import Report, StepFailure, energy_function
 from tenscasadi.model import Model
 from tenscasadi.schemes import Complex, check_ode, extent, relative_tolerance, with_work
-from tenscasadi.validate import Array, positive_number, whole_number
+from tenscasadi.validate import Array, instance, positive_number, whole_number
 
 GRID = 50  # grid steps a call; each call starts anew, at low order
 _LOOSE = 1e-5  # rtol above which a motion that takes no end of steps is more likely one that has broken down than one that is hard to follow
@@ -53,6 +53,7 @@ class Sundials:
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
         """One step of a model: see `Scheme.advance`."""
+        instance("model", model, Model, "a tenscasadi.Model")
         return self._step(self.equations(model, power), self.absolute(model), self.algebraic_start(model))
 
     def _step(self, equations: dict[str, Any], atol: float, start: ca.Function | None) -> ca.Function:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+import tenscasadi as tc
 from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4, Scheme, check_scheme, stability_limit
 from tenscasadi.tableaux import DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
 
@@ -114,6 +115,15 @@ def test_what_is_no_ode_is_refused() -> None:
     for wrong in (ca.Function("f", [x], [x]), ca.Function("f", [x, u], [x[0]]), ca.Function("f", [x, u], [x, u])):
         with pytest.raises(ValueError, match="ode is"):
             RungeKutta4().step(wrong)
+
+
+@pytest.mark.parametrize("scheme", [RungeKutta4(), DormandPrince853(1e-6), tc.Rattle(), tc.Collocation(), tc.Cvodes(), tc.Idas()], ids=repr)
+def test_what_is_no_model_is_refused(scheme: Scheme) -> None:
+    for wrong in (tc.Scene(tc.shapes.prism()), tc.Model, swing(), None):
+        with pytest.raises(TypeError, match=r"^model is .*: give a tenscasadi\.Model$"):
+            scheme.advance(wrong)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"^model is None: give a tenscasadi\.Model$"):
+        DormandPrince853(1e-6).tolerances(None)  # type: ignore[arg-type]
 
 
 def test_tableaux_are_checked() -> None:
