@@ -25,6 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = _parser().parse_args(argv)
     try:
+        _check_output(arguments.output)
         return int(arguments.run(arguments))
     except BrokenPipeError:  # whoever read the output has left, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains once more when it ends
@@ -35,6 +36,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("tenscasadi: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _check_output(folder: Path) -> None:
+    """OSError unless there is such a folder, or it can be made: told now instead of after a long run."""
+    there = next(path for path in (folder, *folder.parents) if path.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise OSError(f"output is {folder}: {there} {'cannot be written to' if there.is_dir() else 'is a file'}, give another folder")
 
 
 class _Parser(argparse.ArgumentParser):

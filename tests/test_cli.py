@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -238,10 +239,23 @@ def test_bad_input_is_told_in_one_line(arguments, named, tmp_path, monkeypatch, 
     assert not list(tmp_path.iterdir())
 
 
-def test_output_that_is_a_file_is_refused(tmp_path, capsys):
+@pytest.mark.parametrize("command", ["simulate", "tradeoff", "info", "plan"])
+def test_output_that_no_folder_can_be_is_refused_at_once(command, tmp_path, capsys, monkeypatch):
+    monkeypatch.delattr("tenscasadi.commands.Model")  # nothing is built
     (tmp_path / "file").write_text("")
-    assert run("simulate", "pendulum", "--t-end", 0.01, "--uncompiled", "--output", tmp_path / "file") == 2
-    assert "file" in capsys.readouterr().err
+    for output in ("file", "file/new/folder"):
+        assert run(command, "prism", "--output", tmp_path / output) == 2
+        assert capsys.readouterr().err == f"tenscasadi: output is {tmp_path / output}: {tmp_path / 'file'} is a file, give another folder\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_output_that_cannot_be_written_to_is_refused_at_once(tmp_path, capsys, monkeypatch):
+    tmp_path.chmod(0o500)
+    if os.access(tmp_path, os.W_OK):
+        pytest.skip("the superuser may write everywhere")
+    monkeypatch.delattr("tenscasadi.commands.Model")
+    assert run("simulate", "prism", "--output", tmp_path / "new") == 2
+    assert f"{tmp_path} cannot be written to" in capsys.readouterr().err
 
 
 def test_interrupted(monkeypatch, capsys):
