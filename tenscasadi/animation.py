@@ -10,10 +10,10 @@ from matplotlib.animation import PillowWriter
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from tenscasadi.plots import members
+from tenscasadi.plots import drawable, members
 from tenscasadi.stage import Layer, Stage, tension_colours, tension_scale
 from tenscasadi.trajectory import Trajectory
-from tenscasadi.validate import instance, positive_number, whole_number
+from tenscasadi.validate import positive_number, whole_number
 
 _MOST_FRAMES = 2000
 
@@ -33,7 +33,7 @@ def animate(
     A GIF tells times in hundredths of a second: 10, 20, 25 and 50 frames per second play at exactly this speed.
     Raises TypeError, ValueError; OSError when the file cannot be written.
     """
-    instance("trajectory", trajectory, Trajectory, "a tenscasadi.Trajectory")
+    drawable("trajectory", trajectory)
     target = Path(path)
     if target.suffix.lower() != ".gif":
         raise ValueError(f"path is {os.fspath(path)!r}: give a file name that ends in .gif")

@@ -53,7 +53,7 @@ def structure(
     what: a structure, whose tensions are those of its rest lengths unless `tension` (α,), N, is given; or a trajectory at the
     kept time next to `time`, s (None: its end). labels: numbers the nodes. Raises TypeError, ValueError.
     """
-    instance("what", what, (Structure, Trajectory), "a tenscasadi.Structure or Trajectory")
+    drawable("what", what, (Structure, Trajectory), "a tenscasadi.Structure or Trajectory")
     if isinstance(what, Trajectory):
         row = len(what.time) - 1 if time is None else _row(what, time)
         nodes, pull = what.nodes[row], what.tension[row]
@@ -83,7 +83,7 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
 
     Raises TypeError, ValueError.
     """
-    instance("trajectory", trajectory, Trajectory, "a tenscasadi.Trajectory")
+    drawable("trajectory", trajectory)
     count = whole_number("instants", instants, 2)
     rows = np.unique([_row(trajectory, t) for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)])
     figure = Figure(figsize=(7.0, 5.4))
@@ -103,7 +103,7 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
 
 def node_histories(trajectory: Trajectory, nodes: Sequence[int] | None = None, *, title: str = "", path: FilePath | None = None) -> Figure:
     """x, y and z of `nodes` over time (None: of all that move, at most 12: those that move furthest). Raises TypeError, ValueError."""
-    instance("trajectory", trajectory, Trajectory, "a tenscasadi.Trajectory")
+    drawable("trajectory", trajectory)
     chosen = _furthest(trajectory) if nodes is None else [node_index("nodes", node, trajectory.nodes.shape[1]) for node in nodes]
     figure, axes = _panels(3, title)
     for axis, (ax, name) in enumerate(zip(axes, "xyz", strict=True)):
@@ -128,6 +128,8 @@ def force_densities(
 
     lower, upper: bounds, N/m, one number or (α,), drawn as dashed lines unless far off. Raises TypeError, ValueError.
     """
+    if not (hasattr(history, "time") and hasattr(history, "force_density")):
+        drawable("history", history, Trajectory, "a tenscasadi.Trajectory or an ocp.Plan")
     time = finite_array("history.time", history.time, (None,))
     gamma = finite_array("history.force_density", history.force_density, (None, None))
     rows, alpha = gamma.shape
@@ -155,7 +157,7 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
 
     An error that was not computed (NaN) has no curve. Raises TypeError.
     """
-    instance("trajectory", trajectory, Trajectory, "a tenscasadi.Trajectory")
+    drawable("trajectory", trajectory)
     curves: list[tuple[str, Any]] = [("energy (J)", np.abs(trajectory.energy_error))]
     if len(trajectory.bars):
         curves += [("bar length, relative", trajectory.bar_length_error), ("joint gap (m)", trajectory.joint_error)]
@@ -179,6 +181,14 @@ def members(what: Structure | Trajectory) -> Members:
     """The members of a structure or trajectory, as a `Stage` draws them."""
     pinned: Indices = what.pinned if isinstance(what, Trajectory) else np.array(sorted(what.pinned), dtype=np.intp)
     return Members(what.bars, what.strings, pinned)
+
+
+def drawable(field: str, value: Any, kinds: type | tuple[type, ...] = Trajectory, example: str = "a tenscasadi.Trajectory") -> None:
+    """TypeError unless `value` is one of `kinds`; of what has a part that is, such as a plan, it names the part."""
+    parts = [name for name in ("trajectory", "structure") if isinstance(getattr(value, name, None), kinds)]
+    if "trajectory" in parts and hasattr(value, "replay"):
+        parts.insert(0, "replay()")
+    instance(field, value, kinds, f"its {' or '.join(parts)}" if parts else example)
 
 
 def _row(trajectory: Trajectory, time: float) -> int:

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.colors import to_rgba
 from PIL import Image
 
+import ocp
 import tenscasadi as tc
 from tenscasadi import plots
 from tenscasadi.animation import animate
@@ -212,4 +213,28 @@ def test_no_global_state(motion):
 def test_mistakes_are_named(mistake, error, named, motion, tmp_path):
     with pytest.raises(error, match=named):
         mistake(motion, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_of_what_holds_a_motion_the_message_says_where(motion, prism, tmp_path):
+    duration = float(motion.time[-1])
+    model = tc.Model(tc.Scene(prism, control=tc.ForceDensity()))
+    plan = ocp.solve(ocp.Problem(model, duration, costs=[ocp.Effort()], bounds=[ocp.ForceDensityLimits(0.0, 100.0)]), ocp.MultipleShooting(2))
+    loop = ocp.ClosedLoop(motion, np.ones(1))
+    for draw in (plots.time_lapse, plots.node_histories, plots.errors, lambda what: animate(what, tmp_path / "motion.gif")):
+        with pytest.raises(TypeError, match=r"^trajectory is Plan\(.*\): give its replay\(\) or trajectory$"):
+            draw(plan)
+        with pytest.raises(TypeError, match=r"^trajectory is ClosedLoop\(.*\): give its trajectory$"):
+            draw(loop)
+        with pytest.raises(TypeError, match=r"^trajectory is .*: give a tenscasadi\.Trajectory$"):
+            draw(prism)
+    with pytest.raises(TypeError, match=r"^what is Plan\(.*\): give its replay\(\) or trajectory or structure$"):
+        plots.structure(plan)
+    with pytest.raises(TypeError, match=r"^what is .*: give its structure$"):
+        plots.structure(model)
+    with pytest.raises(TypeError, match=r"^history is ClosedLoop\(.*\): give its trajectory$"):
+        plots.force_densities(loop)
+    with pytest.raises(TypeError, match=r"^history is .*: give a tenscasadi\.Trajectory or an ocp\.Plan$"):
+        plots.force_densities(prism)
+    assert plots.force_densities(plan).axes
     assert not list(tmp_path.iterdir())
