@@ -27,6 +27,7 @@ def arm() -> tc.Structure:
 
 def main(folder: Path = Path()) -> dict[str, ocp.Plan]:
     """Prints both plans, with and without the ball, saves the pictures, and returns the plans."""
+    folder.mkdir(parents=True, exist_ok=True)
     structure = arm()
     model = tc.Model(tc.Scene(structure, control=tc.ForceDensity(), gravity=tc.Gravity()))
     plans = {}

@@ -31,6 +31,7 @@ STIFFNESS = 1000.0  # N/m, of the ground
 
 def main(folder: Path = Path(), quick: bool = False) -> tuple[ocp.Plan, tc.Trajectory]:
     """Prints the plan and where its replay comes to stand, saves the pictures, and returns the plan and two seconds after its replay."""
+    folder.mkdir(parents=True, exist_ok=True)
     ball = standing(tc.shapes.six_bar_ball(stiffness=1000.0, damping=5.0, prestress=100.0))
     scene = tc.Scene(ball, gravity=tc.Gravity(), ground=tc.Ground(stiffness=STIFFNESS, damping=20.0, friction=0.8, slip_speed=0.3))
     elastic, wound, planned = (tc.Model(replace(scene, control=control)) for control in (None, tc.RestLength(), tc.ForceDensity()))

@@ -69,6 +69,7 @@ class Result(NamedTuple):
 
 def main(folder: Path = Path(), quick: bool = False) -> list[Result]:
     """Measures, prints the tables, saves a picture of each shape and returns the results. `quick`: the prism, few steps, once."""
+    folder.mkdir(parents=True, exist_ok=True)
     try:
         mujoco: Any = import_module("mujoco")
         mujoco.set_mju_user_warning(lambda _: None)  # of steps that are too long, into a file

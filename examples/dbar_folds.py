@@ -19,6 +19,7 @@ OPEN, FOLDED = np.pi / 4, 0.25  # rad, of the bars off the x axis
 
 def main(folder: Path = Path()) -> ocp.Plan:
     """Prints the plan and what its replay reaches, saves the pictures, and returns the plan."""
+    folder.mkdir(parents=True, exist_ok=True)
     structure = tc.shapes.d_bar(angle=OPEN, pinned=[0], bar_mass=1.0)
     folded = tc.shapes.d_bar(angle=FOLDED).string_lengths
     problem = ocp.Problem(

@@ -21,6 +21,7 @@ T_END = 3.0
 
 def main(folder: Path = Path()) -> dict[str, float]:
     """Prints the comparison, saves the picture, and returns the largest errors by name, m or N."""
+    folder.mkdir(parents=True, exist_ok=True)
     rods = tc.shapes.double_pendulum(angles=ANGLES)
     scene = tc.Scene(rods, gravity=tc.Gravity((0.0, 0.0, -GRAVITY)))
     models = {coordinates: tc.Model(scene, coordinates=coordinates) for coordinates in ("reduced", "full")}

@@ -91,6 +91,7 @@ def measured(name: str, transcription: OnGrid, solver: ocp.Ipopt, repeats: int) 
 
 def main(folder: Path = Path(), quick: bool = False) -> list[Row]:
     """Prints the table, draws it, and returns its rows; the last is plain multiple shooting."""
+    folder.mkdir(parents=True, exist_ok=True)
     grids, repeats = ((5, LEAST), 1) if quick else ((10, 20, 40, SAME), 5)
     measured("warm-up", ocp.Variational(5), ocp.Ipopt(), 1)
     rows = [measured(name, method, ocp.Ipopt(), repeats) for n in grids for name, method in methods(n).items()]

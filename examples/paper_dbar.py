@@ -65,6 +65,7 @@ def one_angle(times: np.ndarray) -> np.ndarray:
 
 def main(folder: Path = Path()) -> dict[str, Row]:
     """Prints the table, saves the pictures, and returns the table's rows by correction."""
+    folder.mkdir(parents=True, exist_ok=True)
     # "full": the paper's nodes of each bar and Ω that joins them, so that joints could open.
     model = tc.Model(tc.Scene(d_bar()), coordinates="full")
     rows, runs = {}, {}

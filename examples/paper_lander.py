@@ -49,6 +49,7 @@ def rebounds(height: np.ndarray) -> np.ndarray:
 
 def main(folder: Path = Path(), quick: bool = False) -> list[float]:
     """Prints the table, saves the pictures and returns the rebound heights face down, m. `quick`: the first two only."""
+    folder.mkdir(parents=True, exist_ok=True)
     trajectory, height = drop(ball(), 2.9 if quick else T_END)
     tops = rebounds(height)[: len(EXPECTED)]
     heights = [float(height[k]) for k in tops]

@@ -89,6 +89,7 @@ def first_peak(values: np.ndarray) -> int:
 
 def main(folder: Path = Path(), quick: bool = False) -> dict[tuple[int, int], Row]:
     """Prints the table, saves the pictures and returns the table's rows by (p, q). `quick`: the coarsest and the middle membrane only."""
+    folder.mkdir(parents=True, exist_ok=True)
     rows, runs = {}, {}
     print(f"pressure {ATMOSPHERE:g} Pa → {RISE:g} times that; R = {RADIUS:g} m, L = {LENGTH:g} m; middle ring\n")
     print(f"{'(p, q)':>9} {'first peak m':>13} {'expected m':>11} {'at ms':>6} {'axial m':>9} {'strings':>8} {'mass kg':>8}")

@@ -26,6 +26,7 @@ def prism(height: float) -> tc.Structure:
 
 def main(folder: Path = Path()) -> ocp.Plan:
     """Prints the plan and what its replay reaches, saves the pictures, and returns the plan."""
+    folder.mkdir(parents=True, exist_ok=True)
     flat, tall = prism(LOW), prism(HIGH)
     least, most = 5.0, 60.0
     problem = ocp.Problem(

@@ -32,6 +32,7 @@ LEAST, MOST = 5.0, 400.0  # N/m, force densities
 
 def main(folder: Path = Path()) -> tuple[ocp.Plan, np.ndarray]:
     """Prints the plan and how periodic it is, saves the pictures, and returns the plan and the `strides` of its repetition."""
+    folder.mkdir(parents=True, exist_ok=True)
     radius = np.sqrt(1.0 - 0.55**2) / (2 * np.sin(np.radians(75)))  # bars of 1 m
     prism = tc.shapes.prism(3, radius, 0.55, bar_mass=1.0, stiffness=1000.0, damping=5.0, prestress=100.0)
     scene = tc.Scene(prism, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1000.0, damping=20.0, friction=0.8, slip_speed=0.3))

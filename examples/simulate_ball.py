@@ -31,6 +31,7 @@ class Row(NamedTuple):
 
 def main(folder: Path = Path()) -> list[Row]:
     """Prints the table, saves the pictures and returns the table's rows."""
+    folder.mkdir(parents=True, exist_ok=True)
     ball = tc.shapes.six_bar_ball(prestress=50.0, stiffness=1000.0)
     model = tc.Model(tc.Scene(ball, gravity=tc.Gravity(GRAVITY)))
     print(f"{ball!r}: {model.nx} states; instructions of the right-hand side:\n{model.describe()}\n")

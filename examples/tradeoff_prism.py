@@ -20,6 +20,7 @@ TOLERANCES = (1e-3, 1e-6, 1e-9)  # m
 def main(folder: Path = Path(), quick: bool = False) -> tuple[tc.Tradeoff, tc.Tradeoff, tc.Recommendation]:
     """Prints the tables and a recommendation, saves the pictures and returns the first, the last and the advice. `quick`: a short run, few steps and
     schemes, nothing compiled."""
+    folder.mkdir(parents=True, exist_ok=True)
     prism = tc.shapes.prism(prestress=5.0, stiffness=500.0, string_mass=0.1)
     steps = np.geomspace(2e-2, 2e-3 if quick else 2e-4, 3 if quick else 7).tolist()
 

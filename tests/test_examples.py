@@ -96,16 +96,29 @@ def test_example(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, name, ModuleType(name))  # leaves with the test
     main = load(name).main
-    possible = {"folder": tmp_path, "quick": True}
+    pictures = tmp_path / "new" / "folder"
+    possible = {"folder": pictures, "quick": True}
     arguments = {key: value for key, value in possible.items() if key in inspect.signature(main).parameters}
     result = main(**arguments)
     assert len(capsys.readouterr().out) > 100
-    pictures = list(tmp_path.iterdir())
-    assert all(path.suffix == ".png" and path.stem.startswith(name) and path.stat().st_size > 5000 for path in pictures)
-    assert pictures or "folder" not in arguments
+    written = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert all(path.suffix == ".png" and path.stem.startswith(name) and path.stat().st_size > 5000 for path in written)
+    assert {path.parent for path in written} == ({pictures} if "folder" in arguments else set())
     for claim in CLAIMS:
         if claim.__name__ == name:
             claim(result)
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in EXAMPLES.glob("*.py") if "folder: Path" in path.read_text(encoding="utf-8")))
+def test_a_folder_that_cannot_be_made_is_told_before_all_else(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    main = load(name).main
+    (tmp_path / "taken").write_text("")
+    for builds in ("Model", "Scene", "simulate"):
+        monkeypatch.delattr(f"tenscasadi.{builds}")
+    with pytest.raises(FileExistsError, match="taken"):
+        main(folder=tmp_path / "taken")
+    assert capsys.readouterr().out == ""
 
 
 def test_claims_are_of_examples():
