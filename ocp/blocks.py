@@ -67,7 +67,6 @@ class Unknowns:
     def add(self, names: Sequence[str], first: Any, scale: Any, lower: Any = -np.inf, upper: Any = np.inf, stage: int = 0) -> Indices:
         """New unknowns in physical units, which the solver sees divided by `scale` (`exact`); stage: their place along the plan."""
         start, count = len(self.names), len(names)
-        scale = exact(scale)
         self.names += names
         for column, value in zip(self._columns, (first, scale, lower, upper, stage), strict=True):
             column.append(np.zeros(count) + value)
@@ -87,7 +86,8 @@ class Unknowns:
 
     def column(self, which: int) -> Array:
         """first, scale, lower, upper or stage of all unknowns."""
-        return np.concatenate([np.zeros(0), *self._columns[which]])
+        values = np.concatenate([np.zeros(0), *self._columns[which]])
+        return exact(values) if which == 1 else values
 
     def physical(self, w: Any) -> Any:
         """Unknowns in physical units, then the constants, from the scaled w."""
@@ -173,6 +173,8 @@ class _Entries:
 
     def __init__(self) -> None:
         self._values: list[Any] = []
+        self._count = 0
+        self._positions: list[Indices] = []  # in all values
         self._factors: list[Array] = []
         self._rows: list[Indices] = []
         self._columns: list[Indices] = []
@@ -217,7 +219,9 @@ class _Entries:
         chosen = position if kept is None else kept
         if not chosen.size:
             return
-        self._values.append(ca.vec(values)[position.tolist()])
+        self._values.append(ca.vec(values))
+        self._positions.append(self._count + position)
+        self._count += values.shape[0] * values.shape[1]
         self._factors.append(factor)
         self._rows.append(places[0][chosen])
         self._columns.append(places[1][chosen])
@@ -226,12 +230,13 @@ class _Entries:
         """The matrix as an MX of its sparsity."""
         if not self._values:
             return ca.MX(rows, columns)
-        row, column, factors = (np.concatenate(parts) for parts in (self._rows, self._columns, self._factors))
-        values = ca.vertcat(*self._values) * ca.DM(factors)
+        row, column, factors, position = (np.concatenate(parts) for parts in (self._rows, self._columns, self._factors, self._positions))
+        values = ca.vertcat(*self._values)
         places, first, inverse = np.unique(column * rows + row, return_index=True, return_inverse=True)
-        sparsity = ca.Sparsity.triplet(rows, columns, (places % rows).tolist(), (places // rows).tolist())
-        if len(places) == values.shape[0]:
-            return ca.MX(sparsity, values[first.tolist()])
-        order = np.argsort(inverse, kind="stable")
-        adding = ca.DM.triplet(inverse[order].tolist(), order.tolist(), ca.DM.ones(len(order)), len(places), len(order))
+        starts = np.searchsorted(places, rows * np.arange(columns + 1))  # of the columns
+        sparsity = ca.Sparsity(rows, columns, starts.tolist(), (places % rows).tolist())
+        # lists, as CasADi takes a third longer for arrays
+        if len(places) == len(position):
+            return ca.MX(sparsity, values[position[first].tolist()] * ca.DM(factors[first].tolist()))
+        adding = ca.DM.triplet(inverse.tolist(), position.tolist(), ca.DM(factors.tolist()), len(places), self._count)
         return ca.MX(sparsity, ca.mtimes(adding, values))

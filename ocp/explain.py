@@ -71,7 +71,7 @@ def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Prog
     if imposed.count:
         states = reach.rollout(imposed.start, found.force_density, found.duration)
         if np.all(np.isfinite(states)):
-            rank = len(controlled(imposed.weights @ reach.of_rows(imposed.single, imposed.start, found.force_density, found.duration)))
+            rank = len(controlled(reach.of_rows(imposed.single, imposed.weights, imposed.start, found.force_density, found.duration)))
             parts.append(f"the strings move {rank} of {imposed.count} rows of the goals")
     return "; ".join(parts)
 

@@ -61,7 +61,7 @@ class Closing:
 
     def add(self, k: int) -> None:
         """The multipliers of interval k: kg, and kg/s."""
-        mass, time = float(self._a.model.structure.mass_matrix().sum()), self._a.scales.time
+        mass, time = self._a.scales.mass, self._a.scales.time
         names = [f"{name}, interval {k}" for name in self.names]
         self.index[k] = self._a.unknowns.add(names, 0.0, np.repeat([mass, mass / time], self.bars), stage=k)
 

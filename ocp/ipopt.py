@@ -19,7 +19,7 @@ from tenscasadi.validate import positive_number
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-8 for push in PUSHES}}
-BARRIER = 1e-3  # to start with: with IPOPT's own, 0.1, iterates leave the guess, and plans take a fifth more iterations
+BARRIER = 1e-4  # to start with: with IPOPT's own, 0.1, iterates leave the guess; examples/ocp_suite.py takes the fewest iterations with this
 KNOWN = 1e-9  # the same where multipliers are known; where they are not, a small one keeps iterates at limits that they should leave
 
 
@@ -72,6 +72,7 @@ class Ipopt:
             "mumps_permuting_scaling": 0,
             "nlp_scaling_method": "none",  # programs are scaled
             "mu_init": BARRIER,
+            "min_refinement_steps": 0,  # solutions of linear systems are refined where their residuals ask for it
             "constr_mult_init_max": 0,  # multipliers of a guess by least squares cost a factorisation, and save no iteration
             **({} if self.seconds is None else {"max_wall_time": self.seconds}),
             **(WARM if self.warm else {}),

@@ -66,28 +66,27 @@ class Motion:
     def gradient(self, last: Array, points: Array, controls: Array, length: float, end: int) -> tuple[Array, Array]:
         """Of rows with gradient `last` (m, nx) after `end` intervals: by the controls, (m, count, nu), and by the length of all intervals, (m,)."""
         nx, n, h = self.model.nx, self._substeps, length / self._substeps
-        rates, J = self._rates(points, controls)
-        by_control = np.zeros((len(last), len(J), self.model.nu))
-        by_step = np.zeros(len(last))
+        rates, J = (part[: end * n] for part in self._rates(points, controls))
+        turns = h * J[..., :nx]
+        pulls = np.zeros((end * n, 4, len(last), nx))  # of the rows on each stage's derivative, divided by h
         for step in reversed(range(end * n)):
-            before = last
-            pulls = np.zeros((4, *last.shape))  # on the points
+            before, pulled = last, np.zeros_like(last)
             for i in reversed(range(4)):
-                later = sum((row[i] * pulls[j] for j, row in enumerate(_A) if i < len(row) and row[i]), start=_B[i] * last)
-                by_step += later @ rates[step, i]
-                pull = h * later @ J[step, i]
-                pulls[i] = pull[:, :nx]
-                by_control[:, step] += pull[:, nx:]
-                before = before + pulls[i]
+                pulls[step, i] = _B[i] * last + (_A[i + 1][i] * pulled if i < 3 else 0.0)  # of earlier stages each sees the last one only
+                pulled = pulls[step, i] @ turns[step, i]
+                before = before + pulled
             last = before
-        return by_control.reshape(len(last), self.count, n, self.model.nu).sum(axis=2), by_step / n
+        by_step = np.einsum("siml,sil->m", pulls, rates)
+        by_control = np.zeros((len(last), self.count, self.model.nu))
+        by_control[:, :end] = h * (pulls @ J[..., nx:]).sum(axis=1).reshape(end, n, len(last), -1).sum(axis=1).transpose(1, 0, 2)
+        return by_control, by_step / n
 
     def _rates(self, points: Array, controls: Array) -> tuple[Array, Array]:
         """f (steps, 4, nx) and its derivative (steps, 4, nx, nx + nu) with respect to state and control."""
         nx, width = self.model.nx, self.model.nx + self.model.nu
         rates, entries = self._slopes(points, np.repeat(controls, 4 * self._substeps, axis=0))
-        J = np.zeros((len(rates), nx, width))
-        J[:, self._row, self._column] = entries
+        J = np.zeros((len(rates), nx * width))
+        J[:, self._row * width + self._column] = entries
         return rates.reshape(-1, 4, nx), J.reshape(-1, 4, nx, width)
 
 

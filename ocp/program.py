@@ -78,7 +78,7 @@ class Assembly:
         self.problem, self.target, self.fractions = problem, target, fractions
         self.scales = replace(scales, state=exact(scales.state))
         self.model, self.count = problem.model, len(fractions)
-        self.strength = _strength(problem, scales, guess)
+        self.strength = _strength(scales, guess)
         self.profile = profile
         self.spread = spread(profile, self.model.nu)
         self.objective = typical_cost(problem, self.strength, guess.states, guess.force_density, guess.duration)
@@ -242,7 +242,6 @@ def interval_names(count: int, rows: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"dynamics of interval {k}, {name}" for k in range(count) for name in rows)
 
 
-def _strength(problem: Problem, scales: Scales, guess: Guess) -> float:
+def _strength(scales: Scales, guess: Guess) -> float:
     """A typical force density, N/m: of the guess, or what moves the structure's mass by its size within the duration."""
-    mass = float(problem.model.structure.mass_matrix().sum())
-    return max(float(np.sqrt(np.mean(guess.force_density**2))), mass / scales.time**2)
+    return max(float(np.sqrt(np.mean(guess.force_density**2))), scales.mass / scales.time**2)

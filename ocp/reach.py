@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
@@ -29,15 +31,18 @@ class Reach:
         """States (count + 1, nx) of the motion under controls (count, nu)."""
         return self._motion.states(start, controls @ self._evened, duration / len(controls))[0]
 
-    def of_rows(self, rows: ca.Function, start: Array, controls: Array, duration: float, at: int | None = None) -> Array:
-        """Gradient (m, count·groups [+ 1]) of rows(x) after `at` intervals (None: all) from `start` by all controls (and the duration)."""
+    def of_rows(self, rows: ca.Function, weights: Array, start: Array, controls: Array, duration: float, at: int | None = None) -> Array:
+        """Gradient (m, count·groups [+ 1]) of weights (m, ·) @ rows(x) after `at` intervals (None: all) from `start` by all controls (and the
+        duration); NaN where the motion diverges."""
         controls, count, length = controls @ self._evened, len(controls), duration / len(controls)
         end = count if at is None else at
-        states, points = self._motion.states(start, controls, length)
-        x = ca.MX.sym("x", len(start))
-        last = np.asarray(ca.Function("last", [x], [ca.densify(ca.jacobian(rows(x), x))])(states[end]).full())
-        by_control, by_length = self._motion.gradient(last, points, controls, length, end)
         strings, groups = self._spread.shape
+        states, points = self._motion.states(start, controls, length)
+        if not np.all(np.isfinite(states)):
+            return np.full((len(weights), count * groups + self._free_duration), np.nan)
+        x: Any = (ca.SX if rows.is_a("SXFunction") else ca.MX).sym("x", len(start))
+        last = weights @ np.asarray(ca.Function("last", [x], [ca.densify(ca.jacobian(rows(x), x))])(states[end]).full())
+        by_control, by_length = self._motion.gradient(last, points, controls, length, end)
         by_group = by_control.reshape(len(last), count, strings) @ self._spread
         parts = [by_group.reshape(len(last), count * groups), by_length[:, None] / count]
         return np.concatenate(parts[: 1 + self._free_duration], axis=1)

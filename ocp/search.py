@@ -28,7 +28,7 @@ class Search:
 
     def __init__(self, scale: Array, metric: Array, allowed: Callable[[Array], Array], deforming: Callable[[Array], Array]) -> None:
         self._scale, self._allowed, self._deforming = scale, allowed, deforming
-        self._factor = np.linalg.cholesky(metric)
+        self._basis = np.linalg.inv(np.linalg.cholesky(metric)).T  # columns of length one in the metric
 
     def nearest(self, rows: RowFunction, goals: int, y: Array) -> Array:
         """y where the first rows, those of `goals`, are as small as the others, which are zero there, let them be."""
@@ -87,9 +87,9 @@ class Search:
         return self._strided(step)
 
     def _newton(self, r: Array, J: Array, rank_tolerance: float) -> Array:
-        left, values, right = np.linalg.svd(np.linalg.solve(self._factor, J.T).T, full_matrices=False)  # J C⁻ᵀ
+        left, values, right = np.linalg.svd(J @ self._basis, full_matrices=False)
         used = values > rank_tolerance * values.max(initial=0.0)
-        return np.asarray(np.linalg.solve(self._factor.T, -right[used].T @ ((left[:, used].T @ r) / values[used])))
+        return np.asarray(self._basis @ (-right[used].T @ ((left[:, used].T @ r) / values[used])))
 
     def _soft_step(self, rows: RowFunction, y: Array) -> Array | None:
         """A step d to second order: c + b d + ½ dᵀ K d = 0 for the combinations of rows that have (nearly) no gradient."""

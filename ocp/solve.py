@@ -126,13 +126,11 @@ def _controlled(target: Target, reach: Reach, guess: Guess, least: float = REACH
     """The target without the rows that the strings cannot move, to first order, along the motion that the guess's force densities cause."""
     if not _rows(target) or target.cycle is not None:  # a free start moves them too
         return target
-    states = reach.rollout(target.start, guess.force_density, guess.duration)
-    if not np.all(np.isfinite(states)):
-        return target
+    intervals = len(guess.force_density)
 
     def reduced(part: Target, share: float) -> Target:
-        end = max(1, round(share * (len(states) - 1)))
-        kept = controlled(part.weights @ reach.of_rows(part.single, target.start, guess.force_density, guess.duration, end), least)
+        end = max(1, round(share * intervals))
+        kept = controlled(reach.of_rows(part.single, part.weights, target.start, guess.force_density, guess.duration, end), least)
         missing = part.count - len(kept)
         if not missing:
             return part
@@ -160,10 +158,11 @@ def _attempt(
     problem: Problem, transcription: OnGrid, solver: Solver, target: Target, scales: Scales, guess: Guess, duals: Duals | None = None
 ) -> _Outcome:
     program = transcription.program(problem, target, scales, guess)
-    solution = solver.solve(program if duals is None else started(program, target, duals))
-    states, gap = None, 0.0
-    if transcription.accuracy is not None and solution.success:
-        solution, states, gap = corrected(program, solution, solver, problem.model, transcription.fractions, transcription.accuracy)
+    known = program if duals is None else started(program, target, duals)
+    if transcription.accuracy is None:
+        solution, states, gap = solver.solve(known), None, 0.0
+    else:
+        solution, states, gap = corrected(known, solver, problem.model, transcription.fractions, transcription.accuracy)
     planned, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
     lower, upper = problem.force_density_limits
     # Interior-point methods overstep limits by their tolerance.

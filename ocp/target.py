@@ -17,20 +17,21 @@ from tenscasadi.validate import Array
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Sizes that make a problem's numbers of order one: length m, time s, and one number for each entry of the state."""
+    """Sizes that make a problem's numbers of order one: length m, time s, mass kg, and one number for each entry of the state."""
 
     length: float
     time: float
+    mass: float
     state: Array
 
     @staticmethod
     def of(problem: Problem) -> Scales:
-        """Of the structure's extent and the longest duration."""
+        """Of the structure's extent and mass, and the longest duration."""
         model = problem.model
         length = float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) or 1.0
         time = problem.longest
         parts = [np.full(model.nq, length), np.full(model.nq, length / time), np.full(model.nx - 2 * model.nq, time)]
-        return Scales(length, time, np.concatenate(parts))
+        return Scales(length, time, float(model.mechanism.M.sum()), np.concatenate(parts))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from ocp.guess import Guess
 from ocp.implicit import bar_names, bar_rows, check_reduced, parts
 from ocp.problem import Problem
 from ocp.program import Assembly, Program, interval_names, state_names
+from ocp.stages import symbols
 from ocp.target import Scales, Target
 from ocp.transcription import OnGrid
 from tenscasadi import dynamics, forces
@@ -65,8 +66,7 @@ class _Chain:
         a.states[hidden] = a.unknowns.constant(np.full(int(hidden.sum()), np.nan))
         self.hidden = hidden
         self._bar_forces = self._guessed()
-        mass = float(a.model.structure.mass_matrix().sum())
-        self._row_scale = mass * a.scales.length / a.count
+        self._row_scale = a.scales.mass * a.scales.length / a.count
 
     def _guessed(self) -> Array:
         """λ (K + 1, β) of the guess."""
@@ -74,8 +74,10 @@ class _Chain:
             return np.zeros((self.a.count + 1, 0))
         guess = self.a.guess
         gamma = guess.force_density if self.a.profile.linear else np.concatenate([guess.force_density, guess.force_density[-1:]])
-        function = self.model.multiplier_function
-        values = function.map(len(gamma))(guess.states.T, gamma.T)[0].full().T
+        x, u = symbols(self.model.ode, self.nx, self.model.nu)
+        N, V, time = self.model.unpack(x)
+        _, lam, _ = self.model.motion(N, V, u, time)
+        values = ca.Function("forces", [x, u], [ca.densify(lam.T)]).map(len(gamma))(guess.states.T, gamma.T).full().T
         return np.asarray(np.nan_to_num(values, posinf=0.0, neginf=0.0))
 
     def add_forces(self, k: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -74,6 +75,17 @@ def projection(model: Model, iterations: int = 3) -> ca.Function:
     Raises TypeError for anything but a Model.
     """
     instance("model", model, Model, "a tenscasadi.Model")
+    mech, built = model.mechanism, _PROJECTIONS.setdefault(model, {})
+    count = iterations if mech.system_size else 1
+    if count not in built:
+        built[count] = _projection(model, count)
+    return built[count]
+
+
+_PROJECTIONS: WeakKeyDictionary[Model, dict[int, ca.Function]] = WeakKeyDictionary()  # a plan asks for the same several times
+
+
+def _projection(model: Model, iterations: int) -> ca.Function:
     mech = model.mechanism
     unrolled = not mech.large and mech.system_size <= dynamics.UNROLL_SOLVE
     x: Any = (ca.SX if unrolled else ca.MX).sym("x", model.nx)

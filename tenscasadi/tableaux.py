@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.validate import Array, finite_array
+
+SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
 
 
 @dataclass(frozen=True)
@@ -81,11 +85,12 @@ def _needed(a: tuple[tuple[float, ...], ...], results: tuple[tuple[float, ...], 
 
 
 def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
-    """x + h Σ weight · slope, with slopes of equal weight added first: each product is a pass over the state."""
-    for weight in dict.fromkeys(weights):
-        if weight:
-            total = sum(slope for slope, own in zip(slopes, weights, strict=True) if own == weight)
-            x = x + (weight * h) * total
+    """x + h Σ weight · slope, with slopes of equal weight added first: each product is a pass over the state. Many are one product."""
+    used = {weight: [slope for slope, own in zip(slopes, weights, strict=True) if own == weight] for weight in weights if weight}
+    if len(used) > SEVERAL:
+        return x + ca.mtimes(ca.horzcat(*(reduce(add, equal) for equal in used.values())), h * ca.DM(list(used)))
+    for weight, equal in used.items():
+        x = x + (weight * h) * reduce(add, equal)
     return x
 
 

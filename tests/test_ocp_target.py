@@ -107,7 +107,7 @@ def test_invariants_are_all_that_the_strings_cannot_change(name):
     A = ca.Function("A", [x], [ca.vertcat(*gradients)])(states[-1]).full()
     free = null_space(A / np.linalg.norm(A, axis=1, keepdims=True))
     assert free.shape[1] == model.nx - count
-    sensitivity = reach.of_rows(ca.Function("state", [x], [x]), start, controls, 1.0)
+    sensitivity = reach.of_rows(ca.Function("state", [x], [x]), np.eye(model.nx), start, controls, 1.0)
     assert len(controlled(sensitivity)) == model.nx - count
     assert np.abs(A @ sensitivity).max() < 1e-4 * np.abs(A).max() * np.abs(sensitivity).max()
 
@@ -123,7 +123,7 @@ def test_sensitivities_agree_with_differences():
     def end(controls, duration):
         return rows(reach.rollout(model.initial_state, controls, duration)[-1]).full().ravel()
 
-    exact = reach.of_rows(rows, model.initial_state, controls, 0.5)
+    exact = reach.of_rows(rows, np.eye(rows.size1_out(0)), model.initial_state, controls, 0.5)
     change = np.random.default_rng(5).normal(size=controls.shape)
     e = 1e-5
     along = (end(controls + e * change, 0.5 + e) - end(controls - e * change, 0.5 - e)) / (2 * e)
