@@ -127,7 +127,7 @@ class _Finder:
     def _refuse(self, y: Array, active: list[int]) -> None:
         """Names the row that misses most, and the invariant that holds it: the one with the largest multiplier."""
         r, H = self.goal(y)
-        worst = int(np.argmax(np.abs(r)))
+        worst = int(np.argmax(np.abs(r) > (1 - 1e-6) * np.abs(r).max()))  # the first of equals
         size, unit = abs(r[worst]) * self.goal.row_scale[worst], "m/s" if worst >= self.lengths.shape[0] else "m"
         reason = "the goals contradict each other: leave one out"
         rows = [(self.groups[k].kind, name) for k in active for name in self.groups[k].names]

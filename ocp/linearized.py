@@ -78,7 +78,7 @@ class Motion:
             last = before
         by_step = np.einsum("siml,sil->m", pulls, rates)
         by_control = np.zeros((len(last), self.count, self.model.nu))
-        by_control[:, :end] = h * (pulls @ J[..., nx:]).sum(axis=1).reshape(end, n, len(last), -1).sum(axis=1).transpose(1, 0, 2)
+        by_control[:, :end] = h * (pulls @ J[..., nx:]).sum(axis=1).reshape(end, n, *by_control.shape[::2]).sum(axis=1).transpose(1, 0, 2)
         return by_control, by_step / n
 
     def _rates(self, points: Array, controls: Array) -> tuple[Array, Array]:
