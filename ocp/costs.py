@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.checks import dimensions
+from ocp.checks import called, dimensions
 from ocp.instant import Instant
 from tenscasadi.structure import Structure
 from tenscasadi.validate import at_least, finite_array, node_index, per_item, positive_number
@@ -127,7 +127,7 @@ class Tracking(RunningCost):
         """weight · Σ ‖node − place‖²."""
         total: Any = 0
         for node, place in self.positions.items():
-            entries = _entries(f"Tracking.positions[{node}](time)", place(now.time)) if callable(place) else tuple(place)
+            entries = _moving(f"Tracking.positions[{node}](time)", place, now.time) if callable(place) else tuple(place)
             total = total + sum((now.nodes[axis, node] - entry) ** 2 for axis, entry in enumerate(entries) if entry is not None)
         return self.weight * total
 
@@ -170,10 +170,24 @@ def _weighted(cost: Any) -> None:
     object.__setattr__(cost, "weight", positive_number(f"{type(cost).__name__}.weight", cost.weight))
 
 
+def _moving(field: str, place: Callable[[Any], Any], time: Any) -> tuple[Any, ...]:
+    """The coordinates of a place at a symbolic time: expressions of it, numbers, or None."""
+    entries = _entries(field, called(field, place, time, "give (x, y, z) of the time, s, a CasADi symbol"))
+    for entry in entries:
+        if isinstance(entry, (ca.SX, ca.MX)):
+            if not isinstance(entry, type(time)) or not entry.is_scalar():
+                raise TypeError(f"{field} has the entry {entry}: give a scalar expression of the time alone")
+        elif entry is not None:
+            finite_array(field, entry, ())
+    return entries
+
+
 def _entries(field: str, place: Any) -> tuple[Any, ...]:
     """The coordinates of a place, numbers or CasADi expressions."""
+    if isinstance(place, ca.DM):
+        place = place.full().ravel()
     try:
-        entries = tuple(ca.vertsplit(ca.vec(place)) if isinstance(place, (ca.SX, ca.MX, ca.DM)) else place)
+        entries = tuple(ca.vertsplit(ca.vec(place)) if isinstance(place, (ca.SX, ca.MX)) else place)
     except TypeError:
         raise TypeError(f"{field} is {place!r}: give a place (x, y, z) or a function of time that gives one") from None
     if len(entries) != 3 or all(entry is None for entry in entries):

@@ -14,6 +14,8 @@ from ocp.goals import Goal, Rows
 from tenscasadi.structure import Structure
 from tenscasadi.validate import finite_array, positive_number
 
+INSTANT = 1e-9  # of the duration: what lies nearer together is one instant
+
 
 @dataclass(frozen=True, eq=False)
 class Periodic(Goal):
@@ -60,8 +62,9 @@ class Periodic(Goal):
                 places.append((nodes[axis, node] - before[node, axis] - moved, f"Periodic: node {node} {'xyz'[axis]}"))
             rates.append(velocities[axis, node] - speeds[node, axis])
             names.append(f"Periodic: node {node} {'xyz'[axis]} velocity")
-        values, labels = zip(*places, strict=True)
-        return Rows(ca.vertcat(*values), labels), Rows(ca.vertcat(*rates), tuple(names), speed=True)
+        return Rows(ca.vertcat(*(value for value, _ in places)), tuple(name for _, name in places)), Rows(
+            ca.vertcat(*rates), tuple(names), speed=True
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +88,7 @@ class Waypoint(Goal):
             raise ValueError("Waypoint.time and .share: give one of them")
         if self.time is not None:
             object.__setattr__(self, "time", positive_number("Waypoint.time", self.time))
-        if self.share is not None and not 0 < positive_number("Waypoint.share", self.share) < 1:
+        if self.share is not None and not INSTANT < positive_number("Waypoint.share", self.share) < 1 - INSTANT:
             raise ValueError(f"Waypoint.share is {self.share:g}: give a share of the duration between 0 and 1, or a goal of the end")
 
     def check(self, structure: Structure) -> None:
@@ -100,8 +103,10 @@ class Waypoint(Goal):
         time = float(self.time or 0.0)
         if shortest < longest:
             raise ValueError(f"Waypoint.time is {time:g}, and Problem.duration is free: give Waypoint(share=...)")
-        if time >= longest:
+        if time >= (1 - INSTANT) * longest:
             raise ValueError(f"Waypoint.time is {time:g}, and the plan takes {longest:g} s: give an earlier time, or a goal of the end")
+        if time <= INSTANT * longest:
+            raise ValueError(f"Waypoint.time is {time:g}, where a plan of {longest:g} s has hardly begun: give a later time")
         return time / longest
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> tuple[Rows, ...]:

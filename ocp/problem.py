@@ -6,24 +6,21 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.bounds import Bound, ForceDensityLimits, Limits, PathBound, TensionLimits
+from ocp.bounds import Bound, ForceDensityLimits, Limits, TensionLimits
 from ocp.checks import dimensions
-from ocp.costs import Cost, FinalCost, RunningCost
-from ocp.expressions import Constraint
+from ocp.costs import Cost
+from ocp.expressions import check_expressions
 from ocp.goals import Goal
-from ocp.instant import symbolic
-from ocp.motions import Periodic, Waypoint
+from ocp.motions import INSTANT, Periodic, Waypoint
 from tenscasadi.correction import projection
 from tenscasadi.model import Model
 from tenscasadi.strings import ForceDensity
 from tenscasadi.validate import Array, finite_array, instance, positive_number
 
 BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, a start with other bars is refused
-START_TOLERANCE = 1e-6  # of the structure's size: beyond it a start is out of bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +87,7 @@ class Problem:
             item.check(structure)
         own["goals"] = tuple(self._with_start(goal) for goal in own["goals"])
         self._check_limits()
-        self._check_expressions()
+        check_expressions(self.model, own["bounds"], own["costs"], None if self.free_start else self.first_state)
 
     @property
     def shortest(self) -> float:
@@ -129,11 +126,15 @@ class Problem:
 
     @property
     def waypoints(self) -> list[tuple[float, Problem]]:
-        """The goals on the way in their order: each a share of the duration, and the problem that ends there."""
-        found = sorted(((goal.at(self.shortest, self.longest), goal) for goal in self.goals if isinstance(goal, Waypoint)), key=lambda pair: pair[0])
+        """The goals on the way in their order: each a share of the duration, and the problem that ends there; those of one time are one."""
+        found: list[tuple[float, list[Goal]]] = []
+        given = [(goal.at(self.shortest, self.longest), goal) for goal in self.goals if isinstance(goal, Waypoint)]
+        for share, goal in sorted(given, key=lambda pair: pair[0]):
+            if not found or share - found[-1][0] > INSTANT:
+                found.append((share, []))
+            found[-1][1].extend(goal.goals)
         return [
-            (share, replace(self, goals=goal.goals, bounds=(), costs=(), duration=(share * self.shortest, share * self.longest)))
-            for share, goal in found
+            (share, replace(self, goals=goals, bounds=(), costs=(), duration=(share * self.shortest, share * self.longest))) for share, goals in found
         ]
 
     def limits(self, kind: type) -> tuple[Array, Array]:
@@ -196,38 +197,6 @@ class Problem:
             if crossed.size:
                 i = int(crossed[0])
                 raise ValueError(f"Problem.bounds: {kind.__name__} leave string {i} nothing, lower {lower[i]:g} and upper {upper[i]:g}: widen one")
-
-    def _check_expressions(self) -> None:
-        """Builds what is asked once, so that a fault shows here, and refuses a start that is out of bounds."""
-        named: set[str] = set()
-        for bound in self.bounds:
-            if isinstance(bound, Constraint):
-                if bound.name in named:
-                    raise ValueError(f"Problem.bounds has two constraints named {bound.name!r}: give each its own name, reports tell them by it")
-                named.add(bound.name)
-        start = self.first_state
-        for bound in self.bounds:
-            if not isinstance(bound, PathBound):
-                continue
-            now = symbolic(self.model)
-            limited = bound.limited(now)
-            if bound.needs_control or not limited.names or self.free_start:
-                continue
-            value = ca.Function("start", [now.state, now.control, now.time], [ca.densify(limited.value)])(start, 0, 0).full().ravel()
-            excess = np.maximum(limited.lower - value, value - limited.upper)
-            worst = int(np.argmax(excess))
-            if excess[worst] > START_TOLERANCE * np.ptp(self.model.structure.nodes):
-                low, high = limited.lower[worst], limited.upper[worst]
-                raise ValueError(
-                    f"Problem.start has {limited.names[worst]} at {value[worst]:g}, and Problem.bounds keep it between {low:g} and {high:g}: "
-                    "start within them, or widen them"
-                )
-        for cost in self.costs:
-            now = symbolic(self.model)
-            if isinstance(cost, RunningCost):
-                cost.rate(now)
-            elif isinstance(cost, FinalCost):
-                cost.final(now)
 
 
 def _listed(field: str, values: Any, kinds: type, example: str) -> tuple[Any, ...]:

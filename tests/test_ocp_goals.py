@@ -74,6 +74,27 @@ def test_a_missed_waypoint_is_named():
     assert plan.replay_error > 0.01 or np.isnan(plan.replay_error)
 
 
+def test_waypoints_at_one_time_are_one():
+    """Given as a time and as a share, apart by rounding, in parts that repeat each other."""
+    high, still = ocp.StringLengths({0: 0.9}), ocp.AtRest()
+    shape = ocp.Shape(prism(1.0).nodes)
+    once = planned(ocp.Waypoint([high, still], time=0.3), shape, intervals=16)
+    parts = [ocp.Waypoint([high], share=0.1 + 0.2), ocp.Waypoint([still], time=0.3), ocp.Waypoint([high], time=0.3)]
+    several = planned(*parts, shape, intervals=16)
+    assert once.success
+    assert several.success, several.message
+    assert several.force_density == pytest.approx(once.force_density, abs=1e-4)
+
+
+def test_one_free_node_may_come_back_elsewhere():
+    """Only its velocities are asked for."""
+    nodes = [(0, 0, 0), (1, 0, 0), (-1, 0, 1), (-1, 0, -1), (-1, 1, 0), (-1, -1, 0)]
+    hinged = tc.Structure(nodes, bars=[(0, 1)], strings=[(0, node) for node in range(2, 6)], pinned=range(1, 6))
+    plan = planned(ocp.Periodic((None, None, None)), model=driven(hinged), bounds=[ocp.ForceDensityLimits(0.0, 10.0)])
+    assert "3 → 2 rows: 1 bar" in plan.message
+    assert plan.success, plan.message
+
+
 def test_a_periodic_motion_repeats():
     plan = planned(ocp.Waypoint([ocp.StringLengths(prism(1.08).string_lengths)], share=0.5), ocp.Periodic(), intervals=16)
     assert plan.success, plan.message
@@ -107,6 +128,13 @@ BAD = {
     "waypoint twice": (lambda: ocp.Waypoint([ocp.AtRest()], 0.5, 0.5), ValueError, "Waypoint.time and .share"),
     "waypoint after the end": (lambda: planned(ocp.Waypoint([ocp.AtRest()], time=1.5)), ValueError, "Waypoint.time is 1.5"),
     "waypoint at the end": (lambda: ocp.Waypoint([ocp.AtRest()], share=1.0), ValueError, "Waypoint.share is 1"),
+    "waypoint all but at the end": (lambda: planned(ocp.Waypoint([ocp.AtRest()], time=1 - 1e-12)), ValueError, "a goal of the end"),
+    "waypoint at the start": (lambda: planned(ocp.Waypoint([ocp.AtRest()], time=1e-12)), ValueError, "Waypoint.time is 1e-12, where .* hardly begun"),
+    "waypoints that contradict each other": (
+        lambda: planned(*(ocp.Waypoint([ocp.StringLengths({0: length})], time=0.5) for length in (0.8, 0.9))),
+        ocp.UnreachableGoal,
+        "waypoint at 0.5 of the duration: StringLengths: string 0 misses its goal by 0.05 m at best, as the goals contradict each other",
+    ),
     "waypoint at no time": (lambda: planned(ocp.Waypoint([ocp.AtRest()], time=0.5), duration=(0.5, 1.0)), ValueError, "duration is free"),
     "waypoint unknown node": (
         lambda: planned(ocp.Waypoint([ocp.NodePositions({9: (0, 0, 0)})], time=0.5)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -29,6 +30,18 @@ def bad_nodes():
 
 def stretching():
     return MODEL.state(PRISM.nodes, PRISM.nodes)
+
+
+def limited(expression, **limits):
+    return problem(bounds=[ocp.Constraint("own", expression, **(limits or {"lower": 0.0}))])
+
+
+def counted(expression):
+    return problem(costs=[ocp.Integral("own", expression)])
+
+
+def followed(place):
+    return problem(costs=[ocp.Tracking({0: place})])
 
 
 BAD = {
@@ -93,6 +106,34 @@ BAD = {
     "lower limit infinite": (lambda: ocp.ForceDensityLimits(np.inf, np.inf), ValueError, "ForceDensityLimits.lower"),
     "weight zero": (lambda: ocp.Effort(0.0), ValueError, "Effort.weight is 0"),
     "weight negative": (lambda: ocp.Smoothness(-1.0), ValueError, "Smoothness.weight"),
+    "constraint of a node that is none": (lambda: limited(lambda now: now.nodes[2, 77]), ValueError, "Constraint 'own' fails .* Slice .* 3×6"),
+    "constraint of shapes that differ": (
+        lambda: limited(lambda now: now.nodes + now.tension),
+        ValueError,
+        "Constraint 'own' fails .* Dimension mismatch",
+    ),
+    "constraint with an if": (lambda: limited(lambda now: now.time if now.time > 0 else 0), ValueError, "Constraint 'own' fails .* casadi.if_else"),
+    "constraint of what is none": (
+        lambda: limited(lambda now: now.position),
+        ValueError,
+        "Constraint 'own' fails .*'position': an instant has nodes",
+    ),
+    "constraint of nothing": (lambda: limited(lambda now: now.nodes[:, []]), TypeError, "Constraint 'own' gives nothing"),
+    "constraint with a symbol": (lambda: limited(lambda now: now.time + ca.SX.sym("z")), ValueError, "Constraint 'own' has the symbol 'z'"),
+    "constraint not a number": (
+        lambda: limited(lambda now: ca.log(now.nodes[2, 0] - 5)),
+        ValueError,
+        "Problem.bounds: own is not a number at the start",
+    ),
+    "cost with a symbol": (lambda: counted(lambda now: now.time + ca.SX.sym("z")), ValueError, "Integral 'own' has the symbol 'z'"),
+    "cost of another kind": (lambda: counted(lambda now: ca.MX.sym("q")), TypeError, "Integral 'own' gives MX, and the instant is SX"),
+    "cost not a number": (lambda: counted(lambda now: 1 / now.nodes[2, 0]), ValueError, "Problem.costs: Integral 'own' is not a number at the start"),
+    "final cost that fails": (lambda: problem(costs=[ocp.AtEnd("own", lambda end: end.nodes[7, 7])]), ValueError, "AtEnd 'own' fails"),
+    "path of text": (lambda: followed(lambda time: "abc"), TypeError, r"Tracking.positions\[0\]\(time\) is not a real number"),
+    "path that fails": (lambda: followed(lambda time: (time.hour, 0, 0)), ValueError, r"Tracking.positions\[0\]\(time\) fails"),
+    "path of other symbols": (lambda: followed(lambda time: (ca.MX.sym("q"), 0, 0)), TypeError, r"Tracking.positions\[0\]\(time\) has the entry q"),
+    "path not a number": (lambda: followed(lambda time: (np.nan, 0, 0)), ValueError, r"Tracking.positions\[0\]\(time\) is nan"),
+    "path without a start": (lambda: followed(lambda time: (1 / time, 0, 0)), ValueError, "Problem.costs: Tracking is not a number at the start"),
     "intervals zero": (lambda: ocp.MultipleShooting(0), ValueError, "MultipleShooting.intervals"),
     "intervals a fraction": (lambda: ocp.MultipleShooting(1.5), TypeError, "MultipleShooting.intervals"),
     "substeps zero": (lambda: ocp.MultipleShooting(substeps=0), ValueError, "MultipleShooting.substeps"),
