@@ -32,6 +32,11 @@ def find_target(problem: Problem, scales: Scales) -> Target:
             stops.append(Stop(share, _end(part, scales), problem.model.nq))
         except UnreachableGoal as error:
             raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
+    if problem.start_goals:
+        try:
+            _end(replace(problem, goals=problem.start_goals, bounds=(), costs=()), scales)
+        except UnreachableGoal as error:
+            raise UnreachableGoal(f"FreeStart.goals: {error}") from None
     return replace(_end(problem, scales), stops=tuple(stops), cycle=find_cycle(problem, scales.length, scales.time, scales.state))
 
 

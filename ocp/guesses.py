@@ -91,7 +91,7 @@ GuessValue = InverseDynamics | Equilibrium | Arrays | Plan
 
 
 def guess_of(value: GuessValue | None, problem: Problem, target: Target, intervals: int) -> Guess:
-    """The guess that a value stands for. Raises TypeError, ValueError."""
+    """The guess that a value stands for. Raises TypeError, ValueError, also for states that no projection puts onto bars and joints."""
     if value is None:
         return make_guess(problem, target, intervals)
     if isinstance(value, Plan):
@@ -114,6 +114,10 @@ def resampled(
         on_grid = np.asarray(projection(problem.model, 3).map(len(shares))(on_grid.T).full()).T
     if not problem.free_start:
         on_grid[0] = target.start
+    lost = ~np.isfinite(on_grid).all(axis=1)
+    if lost.any():
+        share = shares[int(np.argmax(lost))]
+        raise ValueError(f"guess has states at {share:.3g} of the duration that are no motion, such as bars without a length: give others")
     lower, upper = problem.force_density_limits
     held = np.clip(at(gamma, gamma_shares, (shares[:-1] + shares[1:]) / 2), lower, upper)
     return Guess(on_grid, held, float(np.clip(duration, problem.shortest, problem.longest)))

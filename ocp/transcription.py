@@ -19,6 +19,8 @@ from tenscasadi.model import Model
 from tenscasadi.schemes import RungeKutta4, Scheme, check_scheme
 from tenscasadi.validate import Array, instance, positive_number, whole_number
 
+_UNIFORM = ca.Function("ode", [ca.SX.sym("x"), ca.SX.sym("u")], [ca.SX.ones(1)])  # x' = 1
+
 
 class Transcription(Protocol):
     """A way to turn a problem into a program."""
@@ -92,6 +94,12 @@ class MultipleShooting(OnGrid):
         super().__post_init__()
         whole_number("MultipleShooting.substeps", self.substeps, 1)
         check_scheme(self.scheme)
+        try:
+            self.scheme.step(_UNIFORM)
+        except TypeError:
+            name = type(self.scheme).__name__
+            text = f"MultipleShooting.scheme is {name}(), which steps whole models, not the equations with force densities of an interval"
+            raise ValueError(f"{text}: give RungeKutta4(), DormandPrince54(), DormandPrince853() or Collocation()") from None
 
     def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
         """The nonlinear program, scaled about the guess."""

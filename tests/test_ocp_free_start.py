@@ -103,6 +103,26 @@ BAD = {
 }
 
 
+def starting(*goals):
+    """Raised from an upright bar of 1 m."""
+    hinged = tc.Structure([(0, 0, 0), (0, 0, 1), (-1, 0, 0), (1, 0, 0)], [(0, 1)], [(1, 2), (1, 3)], pinned=[0, 2, 3])
+    return ocp.solve(problem(driven(hinged), ocp.FreeStart(goals=goals), goals=[ocp.Periodic()]), ocp.MultipleShooting(10))
+
+
+BAD |= {
+    "a place out of reach": (
+        lambda: starting(ocp.NodePositions({1: (5.0, None, None)})),
+        ocp.UnreachableGoal,
+        "FreeStart.goals: NodePositions: node 1 x misses its goal by 4.* m at best, as bar 0 keeps its length",
+    ),
+    "two places at once": (
+        lambda: starting(*(ocp.NodePositions({1: (x, None, None)}) for x in (0.1, 0.3))),
+        ocp.UnreachableGoal,
+        "FreeStart.goals: NodePositions: node 1 x misses its goal by 0.1 m at best, as the goals contradict each other",
+    ),
+}
+
+
 @pytest.mark.parametrize("name", BAD)
 def test_bad_free_starts_are_refused_by_name(name):
     make, error, message = BAD[name]

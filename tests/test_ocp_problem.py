@@ -138,6 +138,16 @@ BAD = {
     "intervals a fraction": (lambda: ocp.MultipleShooting(1.5), TypeError, "MultipleShooting.intervals"),
     "substeps zero": (lambda: ocp.MultipleShooting(substeps=0), ValueError, "MultipleShooting.substeps"),
     "scheme unknown": (lambda: ocp.MultipleShooting(scheme="rk4"), TypeError, "scheme"),
+    "scheme of whole models": (
+        lambda: ocp.MultipleShooting(scheme=tc.Rattle()),
+        ValueError,
+        r"MultipleShooting.scheme is Rattle\(\), .* give RungeKutta4\(\), .* or Collocation\(\)",
+    ),
+    "guess of bars without a length": (
+        lambda: ocp.solve(problem(), ocp.MultipleShooting(8), guess=ocp.Arrays(np.zeros((9, MODEL.nx)), np.ones((8, MODEL.nu)))),
+        ValueError,
+        "guess has states at 0.125 of the duration that are no motion, such as bars without a length",
+    ),
     "iterations zero": (lambda: ocp.Ipopt(max_iterations=0), ValueError, "Ipopt.max_iterations"),
     "tolerance negative": (lambda: ocp.Ipopt(tolerance=-1.0), ValueError, "Ipopt.tolerance"),
     "verbose a number": (lambda: ocp.Ipopt(verbose=1), TypeError, "Ipopt.verbose"),
