@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ocp.bounds import Bound, ForceDensityLimits, Limits, TensionLimits
 from ocp.checks import dimensions
-from ocp.costs import Cost
+from ocp.costs import Cost, Effort
 from ocp.expressions import check_expressions
 from ocp.goals import Goal
 from ocp.motions import INSTANT, Periodic, Waypoint
@@ -51,7 +51,7 @@ class Problem:
     duration: seconds, or (shortest, longest) to let the solver choose. start: nodes (n, 3) at rest, m, or a state (nx,); None: the
     model's initial state; rounded numbers are put right; or `FreeStart(...)`: found with the plan. goals: `StringLengths`, `AtRest`,
     `Waypoint` …, all met, at the end unless they say when. bounds: `ForceDensityLimits`, `TensionLimits`, `BarClearance` …, along the way. costs:
-    `Effort`, `Tracking` …, summed.
+    `Effort`, `Tracking` …, summed; none: `Effort()`.
     Raises TypeError, ValueError that name the field.
     """
 
@@ -82,6 +82,7 @@ class Problem:
             own["start"] = self._state("Problem.start", self.start)
         for field, kinds, example in _KINDS:
             own[field] = _listed(f"Problem.{field}", getattr(self, field), kinds, example)
+        own["costs"] = own["costs"] or (Effort(),)  # with nothing to keep small, barriers of the solver let force densities grow without bound
         structure = self.model.scene.structure
         for item in (*own["goals"], *own["bounds"], *own["costs"], *self.start_goals):
             item.check(structure)

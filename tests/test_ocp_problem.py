@@ -201,3 +201,13 @@ def test_limits_combine_and_strings_never_push():
     lower, upper = problem().force_density_limits
     assert not lower.any()
     assert np.all(np.isposinf(upper))
+
+
+@pytest.mark.parametrize("start", [None, ocp.FreeStart()], ids=["given", "free"])
+@pytest.mark.parametrize("duration", [1.0, (0.5, 1.0)], ids=["fixed", "free"])
+def test_where_nothing_is_asked_nothing_pulls(duration, start):
+    """Without costs the least effort is looked for: γ = 0."""
+    plan = ocp.solve(ocp.Problem(MODEL, duration, start), ocp.MultipleShooting(8))
+    assert plan.success, plan.message
+    assert plan.iterations < 40
+    assert plan.force_density == pytest.approx(0.0, abs=1e-2)
