@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscasadi.validate import Array
+from tenscasadi.validate import Array, instance
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,8 @@ class Duals:
         return f"Duals({len(self.names)} multipliers, {len(self.point)} unknowns)"
 
     def __getitem__(self, name: str) -> Array:
-        """All multipliers of one name, in the order of time: duals["tension of string 3"]. Raises KeyError."""
+        """All multipliers of one name, in the order of time: duals["tension of string 3"]. Raises TypeError, KeyError."""
+        instance("Duals[name]", name, str, 'one of Duals.names, such as duals["tension of string 3"]')
         found = [k for k, own in enumerate(self.names) if own == name or own.startswith(f"{name}, ")]
         if not found:
             examples = sorted({own.split(",")[0] for own in self.names if own.split(" ")[0] == name.split(" ")[0]})

@@ -17,13 +17,12 @@ from ocp.refine import finer
 from ocp.report import Report, report_of
 from ocp.rerun import run_profile
 from tenscasadi import archive
-from tenscasadi.loads import Gravity
 from tenscasadi.model import Model
-from tenscasadi.scene import Scene
-from tenscasadi.schemes import RungeKutta4, Scheme
+from tenscasadi.schemes import RungeKutta4, Scheme, check_scheme
 from tenscasadi.simulate import simulate
-from tenscasadi.strings import ForceDensity, rest_length
-from tenscasadi.structure import PARAMETERS, Structure
+from tenscasadi.stored import differences, model_arrays, model_of, structure_arrays, structure_of
+from tenscasadi.strings import rest_length
+from tenscasadi.structure import Structure
 from tenscasadi.trajectory import Trajectory
 from tenscasadi.validate import Array, at_least, instance, per_item, positive_number, whole_number
 
@@ -42,7 +41,7 @@ class Plan:
     force_density (K, α) N/m, each row held from its time to the next, or (K + 1, α), linear between the times; trajectory: the planned
     motion at `time`.
     replay_error: m, and replay_speed_error: m/s: how far the motion that `replay` computes ends from the goals (NaN where it diverges).
-    structure, model: what was planned for; `model` is None for a saved plan whose scene has moving supports, or loads other than gravity.
+    structure, model: what was planned for; `model` is None for a loaded plan whose scene has functions of time (moved supports, nodal forces).
     duals: what constraints cost; None where the solver found no optimum. problem: what was asked, and again: how it was solved, on intervals
     of these relative lengths, from a plan, to a tolerance; both None for a saved plan, unless `load` is given the problem.
     """
@@ -110,10 +109,8 @@ class Plan:
 
         Raises ValueError where the model is not known.
         """
-        if self.model is None:
-            raise ValueError("bar_forces needs the model, whose loads a file does not hold: give Plan.load(path, problem=...)")
-        count = len(self.time) - 1
-        lam = self.model.multiplier_function.map(count)(self.trajectory.states[:-1].T, self.force_density[:count].T)[0]
+        model, count = self.known_model("bar_forces"), len(self.time) - 1
+        lam = model.multiplier_function.map(count)(self.trajectory.states[:-1].T, self.force_density[:count].T)[0]
         ends = self.trajectory.nodes[:-1, self.structure.bars]
         return np.asarray(np.asarray(lam.full()).T * np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2))
 
@@ -133,19 +130,25 @@ class Plan:
 
     def replay(self, scheme: Scheme | None = None, step: float | None = None) -> Trajectory:
         """The motion under the planned force densities, integrated by `scheme` (None: RungeKutta4) in steps of `step` s (None: a tenth of
-        an interval) from the plan's start, without corrections.
+        an interval) from the plan's start, the clock of a scene with functions of time included, without corrections.
 
-        Raises ValueError where the model is not known: a loaded plan whose scene had loads other than gravity.
+        Raises TypeError, ValueError; also where the model is not known: a loaded plan whose scene has functions of time.
         """
-        if self.model is None:
-            raise ValueError("replay needs the model, whose loads a file does not hold: give Plan.load(path, problem=...)")
+        model, scheme = self.known_model("replay"), RungeKutta4() if scheme is None else scheme
+        check_scheme(scheme)
         size = None if step is None else positive_number("step", step)
-        start = self.model.state(self.trajectory.nodes[0], self.trajectory.velocities[0])
-        intervals = np.diff(self.time)
+        start, intervals = self.trajectory.states[0], np.diff(self.time)
         if self.linear or np.ptp(intervals) > 1e-9 * self.time[-1]:
-            return run_profile(self.model, scheme or RungeKutta4(), start, self.time, self.force_density, REPLAY_STEPS, size)
+            return run_profile(model, scheme, start, self.time, self.force_density, REPLAY_STEPS, size)
         size = intervals[0] / REPLAY_STEPS if size is None else size
-        return simulate(self.model, float(self.time[-1]), size, scheme or RungeKutta4(), start, self.force_density, compiled=False)
+        return simulate(model, float(self.time[-1]), size, scheme, start, self.force_density, compiled=False)
+
+    def known_model(self, user: str) -> Model:
+        """The model. Raises ValueError, naming what needs it, for a loaded plan whose file does not hold it."""
+        if self.model is None:
+            missing = "which its file does not hold: it is of an older version, or the scene has functions of time"
+            raise ValueError(f"{user} needs the model, {missing}; give Plan.load(path, problem=...)")
+        return self.model
 
     def report(self) -> Report:
         """The limits that hold the plan back, with what they cost, and those that its replay breaks between the ends of its intervals.
@@ -159,37 +162,44 @@ class Plan:
     def refine(self, tolerance: float, attempts: int = 5) -> Plan:
         """The plan whose replay ends within `tolerance`, m, of the goals (and as many m per duration in speed).
 
-        Cuts the intervals whose steps go wrong, in proportion, and solves again from what was found, at most `attempts` times. A plan that
-        was not found is returned as it is; one that still misses the tolerance says so. Raises TypeError, ValueError; also for a
-        loaded plan: solve with it as guess.
+        Cuts the intervals whose steps go wrong, in proportion, and solves again from what was found, at most `attempts` times, and no more
+        where that does not halve the error. A plan that was not found is returned as it is; one that still misses the tolerance says so.
+        Raises TypeError, ValueError; also for a loaded plan: solve with it as guess.
         """
         limit = positive_number("tolerance", tolerance)
         whole_number("attempts", attempts, 1)
         if self.again is None or self.model is None:
             raise ValueError("refine needs to know how the plan was solved, which a file does not hold: refine solve(problem, ..., guess=plan)")
         found, again, model = self, self.again, self.model
+        why = f"in {attempts} attempts: give more, or substeps"
         for _ in range(attempts):
             error = found.worst_error
             if found.duals is None or error <= limit:
                 return found
             times_too_large = error / limit if np.isfinite(error) else LOST
-            found = again(finer(model, found.time, found.trajectory.states, found.force_density, times_too_large), found, limit)
+            finest = again(finer(model, found.time, found.trajectory.states, found.force_density, times_too_large), found, limit)
+            if finest.duals is not None and not finest.worst_error <= max(limit, error / 2):
+                why = f"and {len(finest.time) - 1} intervals in place of {len(found.time) - 1} do not halve the error: give a larger tolerance"
+                found = min(found, finest, key=lambda plan: plan.worst_error)
+                break
+            found = finest
         if found.duals is None or found.worst_error <= limit:
             return found
-        return replace(found, message=f"{found.message}; the tolerance of {limit:g} m was not met in {attempts} attempts: give more, or substeps")
+        return replace(found, success=False, message=f"{found.message}; the tolerance of {limit:g} m was not met {why}")
 
     @property
     def worst_error(self) -> float:
-        """The larger of the replay's errors in place, and in speed times the duration, m."""
-        return max(self.replay_error, self.replay_speed_error * float(self.time[-1]))
+        """The larger of the replay's errors in place, and in speed times the duration, m; infinite where it diverges."""
+        return float(np.nan_to_num(max(self.replay_error, self.replay_speed_error * float(self.time[-1])), nan=np.inf))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes a compressed .npz file (NumPy arrays only) to exactly `path` and returns it. Raises OSError when it cannot be written."""
-        content = {name: np.asarray(getattr(self, name)) for name in _VALUES}
+        content = {name: np.asarray(getattr(self, name)) for name in (*_VALUES, "time", "force_density")}
         content |= {f"trajectory.{field.name}": np.asarray(getattr(self.trajectory, field.name)) for field in fields(Trajectory)}
-        content |= {f"structure.{name}": np.asarray(getattr(self.structure, name)) for name in PARAMETERS if name != "pinned"}
-        content["structure.fixed"] = np.asarray(self.structure.fixed)
-        content |= _scene_arrays(self.model)
+        if self.model is None:
+            content |= structure_arrays(self.structure)
+        else:
+            content |= model_arrays(self.model, self.trajectory.states[:, -1])
         if self.duals is not None:
             content |= {f"duals.{field.name}": np.asarray(getattr(self.duals, field.name)) for field in fields(Duals)}
         return archive.save(path, _FORMAT, content)
@@ -198,54 +208,52 @@ class Plan:
     def load(path: str | os.PathLike[str], problem: Problem | None = None) -> Plan:
         """The plan saved in `path`; its model is rebuilt from the file, or is that of `problem`. No code in the file is ever run.
 
-        Raises FileNotFoundError, and ValueError naming the file for one that cannot be read or is no plan.
+        Raises FileNotFoundError, ValueError naming the file for one that cannot be read or is no plan, and ValueError naming what differs
+        for a problem with another model.
         """
         if problem is not None:
             instance("problem", problem, Problem, "an ocp.Problem or None")
-        plan = archive.load(path, _FORMAT, "plan", _from_arrays)
-        if problem is not None and (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (problem.model.nx, problem.model.nu):
-            raise ValueError("problem is of another structure than the plan: give one whose model has the same nodes and strings")
-        return plan if problem is None else replace(plan, model=problem.model, problem=problem)
+        plan, content = archive.load(path, _FORMAT, "plan", lambda content: (_from_arrays(content), content))
+        if problem is None:
+            return plan
+        wrong = differences(content, problem.model)
+        if not wrong and plan.trajectory.states.shape[1] != problem.model.nx:
+            wrong.append("Model.nx")  # older files hold less
+        if wrong:
+            raise ValueError(f"problem.model is not the plan's, other in {', '.join(wrong[:4])}: give the problem that the plan was made for")
+        return replace(plan, model=problem.model, problem=problem)
 
 
-_VALUES = ("success", "status", "message", "objective", "iterations", "seconds", "time", "force_density", "replay_error", "replay_speed_error")
-
-
-def _scene_arrays(model: Model | None) -> dict[str, Any]:
-    """What a file holds of the scene: enough to replay it, unless there are loads other than gravity."""
-    if model is None or any(getattr(model.scene, load) is not None for load in ("ground", "pressure", "forces", "supports")):
-        return {}
-    scene = model.scene
-    acceleration = np.zeros(0) if scene.gravity is None else np.asarray(scene.gravity.acceleration)
-    return {"scene.gravity": acceleration, "scene.segments": np.asarray(scene.segments), "scene.ends": np.asarray(scene.ends)}
+_VALUES = {  # in NumPy's letters what they are
+    "success": "b",
+    "status": "U",
+    "message": "U",
+    "objective": "f",
+    "iterations": "i",
+    "seconds": "f",
+    "replay_error": "f",
+    "replay_speed_error": "f",
+}
 
 
 def _from_arrays(content: dict[str, Any]) -> Plan:
-    pinned = {int(node): "".join(np.array(list("xyz"))[axes]) for node, axes in enumerate(content["structure.fixed"]) if axes.any()}
-    given = {name: content[f"structure.{name}"] for name in PARAMETERS if name != "pinned"}
-    structure = Structure(**given, pinned=pinned)
-    model = None
-    if "scene.gravity" in content:
-        gravity = content["scene.gravity"]
-        segments: Any = content["scene.segments"].tolist()
-        model = Model(
-            Scene(
-                structure,
-                control=ForceDensity(),
-                segments=segments,
-                ends=str(content["scene.ends"]),  # type: ignore[arg-type]  # Scene checks it
-                gravity=Gravity(tuple(gravity.tolist())) if gravity.size else None,
-            )
-        )
-    values = {name: value.item() if value.ndim == 0 else value for name, value in ((name, content[name]) for name in _VALUES)}
+    model = model_of(content)
+    structure = structure_of(content) if model is None else model.scene.structure
+    for name, kind in _VALUES.items():
+        if content[name].dtype.kind != kind or content[name].ndim:
+            raise ValueError(f"field {name!r} holds values of type {content[name].dtype}, shape {content[name].shape}")
     prefix = "trajectory."
     trajectory = Trajectory.from_arrays({name.removeprefix(prefix): value for name, value in content.items() if name.startswith(prefix)})
+    if model is not None and trajectory.states.shape[1] != model.nx:
+        raise ValueError(f"field 'trajectory.states' has {trajectory.states.shape[1]} columns, not {model.nx}")
     intervals, strings = len(trajectory.time) - 1, len(structure.strings)
-    rows = intervals + (len(values["force_density"]) == intervals + 1)
-    for name, shape in (("time", (intervals + 1,)), ("force_density", (rows, strings))):
-        if values[name].shape != shape or values[name].dtype.kind != "f":
-            raise ValueError(f"field {name!r} has shape {values[name].shape}, not {shape}")
+    time, gamma = content["time"], content["force_density"]
+    rows = intervals + (len(gamma) == intervals + 1)
+    for name, value, shape in (("time", time, (intervals + 1,)), ("force_density", gamma, (rows, strings))):
+        if value.shape != shape or value.dtype.kind != "f":
+            raise ValueError(f"field {name!r} has shape {value.shape}, not {shape}")
     duals = None
     if "duals.names" in content:
         duals = Duals(tuple(content["duals.names"].tolist()), content["duals.values"], content["duals.point"])
-    return Plan(**values, trajectory=trajectory, structure=structure, model=model, duals=duals)
+    values = {name: content[name].item() for name in _VALUES}
+    return Plan(**values, time=time, force_density=gamma, trajectory=trajectory, structure=structure, model=model, duals=duals)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,15 +12,16 @@ from tenscasadi.model import Model
 from tenscasadi.simulate import simulate
 from tenscasadi.strings import RestLength, rest_length
 from tenscasadi.trajectory import Trajectory
-from tenscasadi.validate import Array, instance, per_item, whole_number
+from tenscasadi.validate import Array, at_least, instance, per_item, whole_number
 
 
 def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLike = 0.0) -> Array:
     """Which force densities (K, α) strings of `stiffness`, N/m (None: the structure's), can carry: γ < k, and rest lengths ≥ `shortest`, m."""
     instance("plan", plan, Plan, "an ocp.Plan")
     count = plan.force_density.shape[1]
-    k = per_item("stiffness", plan.structure.stiffness if stiffness is None else stiffness, count, "string")
-    least = per_item("shortest", shortest, count, "string")
+    given = plan.structure.stiffness if stiffness is None else stiffness
+    k = at_least("stiffness", per_item("stiffness", given, count, "string"), 0.0, "string")
+    least = at_least("shortest", per_item("shortest", shortest, count, "string"), 0.0, "string")
     gamma = plan.force_density
     rest = rest_length(gamma, plan.lengths()[: len(gamma)], k)
     return np.asarray(((gamma < k) | (gamma == 0)) & (rest > 0) & (rest >= least))
@@ -37,17 +37,14 @@ def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayL
     instance("plan", plan, Plan, "an ocp.Plan")
     whole_number("updates", updates, 1)
     plan.rest_lengths(stiffness)  # names the string that is too soft
-    if plan.model is None:
-        raise ValueError("plan.model is None: give Plan.load(path, problem=...)")
+    planned = plan.known_model("replay_wound")
     k = per_item("stiffness", plan.structure.stiffness if stiffness is None else stiffness, len(plan.structure.strings), "string")
     steps = updates * round(float(plan.time[-1] / np.diff(plan.time).min()))
     fine = plan.replay(step=float(plan.time[-1]) / steps)
     ends = fine.nodes[:, plan.structure.strings]
     lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
     rest = rest_length(fine.control, lengths, k)
-    scene: Any = plan.model.scene
-    elastic = replace(scene, structure=plan.structure.replace(stiffness=k, damping=damping), control=RestLength())
-    model = Model(elastic, plan.model.coordinates)
-    start = model.state(plan.trajectory.nodes[0], plan.trajectory.velocities[0])
+    elastic = replace(planned.scene, structure=plan.structure.replace(stiffness=k, damping=damping), control=RestLength())
+    model = Model(elastic, planned.coordinates, "constant" if planned.mechanism.constant_length else "current")
     wound = (rest[1:] + rest[:-1])[: len(rest) - 1] / 2  # the middle of each step
-    return simulate(model, float(plan.time[-1]), float(plan.time[-1]) / steps / 5, state=start, control=wound, compiled=False)
+    return simulate(model, float(plan.time[-1]), float(plan.time[-1]) / steps / 5, state=plan.trajectory.states[0], control=wound, compiled=False)

@@ -14,7 +14,7 @@ import numpy as np
 T = TypeVar("T")
 # Anything that reading a damaged or foreign archive may raise.
 _UNREADABLE = (
-    *(OSError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, AttributeError, SyntaxError, OverflowError),
+    *(OSError, ValueError, TypeError, EOFError, KeyError, IndexError, RuntimeError, MemoryError, AttributeError, SyntaxError, OverflowError),
     *(zipfile.BadZipFile, zlib.error),
 )
 
@@ -31,6 +31,10 @@ def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) ->
         with open(part, "wb") as file:
             np.savez_compressed(file, allow_pickle=False, format=np.asarray(form), **content)
         os.replace(part, whole)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, os.fspath(path)) from None  # of the file, not of the one beside it
     finally:
         part.unlink(missing_ok=True)
     return target

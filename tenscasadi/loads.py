@@ -59,7 +59,7 @@ class Ground:
             "damping": positive_number("Ground.damping", self.damping, zero=True),
             "friction": None if self.friction is None else positive_number("Ground.friction", self.friction),
             "height": float(finite_array("Ground.height", self.height, ())),
-            "normal": tuple(float(v) for v in normal / size),
+            "normal": tuple(float(v) for v in (normal if abs(size - 1) < 1e-15 else normal / size)),  # once normalised it stays as it is
             "slip_speed": positive_number("Ground.slip_speed", self.slip_speed),
         }
         for name, value in checked.items():

@@ -131,6 +131,8 @@ def test_multipliers_are_saved(tmp_path):
 
 def test_names_without_multiplier_are_refused():
     duals = ocp.solve(problem(), ocp.Variational(6)).duals
+    with pytest.raises(TypeError, match=r"Duals\[name\] is 0: give one of Duals.names"):
+        duals[0]
     with pytest.raises(KeyError, match=r"tension of string 9.*has no multiplier.*tension of string 0"):
         duals["tension of string 9"]
     assert len(duals["tension of string 1"]) == 12

@@ -340,17 +340,88 @@ def test_a_saved_plan_knows_its_scene(tmp_path):
     assert np.array_equal(loaded.replay().states, plan.replay().states)
 
 
-def test_a_plan_under_other_loads_needs_its_problem(tmp_path):
-    model = driven(prism(1.0), ground=tc.Ground(height=-5.0))
-    problem = ocp.Problem(model, 0.1, costs=[ocp.Effort()], bounds=[PRESTRESS])
-    plan = ocp.solve(problem, ocp.MultipleShooting(2))
+@pytest.mark.parametrize(
+    "model",
+    [
+        lambda: driven(prism(1.0, string_mass=0.3), segments=2, fractions=(0.2, 0.8)),
+        lambda: driven(prism(1.0), ground=tc.Ground(height=-5.0), forces=tc.NodalForce(np.ones((2, 6, 3)), times=[0.0, 1.0])),
+        lambda: tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()), "full"),
+    ],
+    ids=["segments", "loads", "full coordinates"],
+)
+def test_a_saved_plan_loads_with_the_model_that_it_was_made_with(model, tmp_path):
+    plan = ocp.solve(ocp.Problem(model(), 0.1, costs=[ocp.Effort()], bounds=[PRESTRESS]), ocp.MultipleShooting(2))
+    loaded = ocp.Plan.load(plan.save(tmp_path / "plan.npz"))
+    assert np.array_equal(loaded.replay().states, plan.replay().states)
+    assert np.array_equal(loaded.bar_forces(), plan.bar_forces())
+
+
+def test_a_plan_is_not_loaded_for_a_problem_with_another_model(plan, tmp_path):
     path = plan.save(tmp_path / "plan.npz")
-    with pytest.raises(ValueError, match=r"Plan.load\(path, problem=...\)"):
-        ocp.Plan.load(path).replay()
-    assert np.array_equal(ocp.Plan.load(path, problem).replay().states, plan.replay().states)
-    other = ocp.Problem(driven(tc.shapes.d_bar()), 0.1)
-    with pytest.raises(ValueError, match="problem is of another structure than the plan"):
-        ocp.Plan.load(path, other)
+    others = {
+        "Structure.bar_mass": driven(prism(1.0, bar_mass=5.0)),
+        "Structure.nodes, Structure.bars": driven(tc.shapes.d_bar()),
+        "Scene.gravity": driven(prism(1.0), gravity=tc.Gravity()),
+        "Model.coordinates": tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity()), "full"),
+    }
+    for name, model in others.items():
+        with pytest.raises(ValueError, match=f"^problem.model is not the plan's, other in {name}.*: give the problem that the plan was made for"):
+            ocp.Plan.load(path, ocp.Problem(model))
+    assert ocp.Plan.load(path, ocp.Problem(driven(prism(1.0)))).replay().success
+
+
+# --- time ---
+
+
+def blown(rate=4.0):
+    """A bar on a ball joint, held by four strings, in a wind that changes with time."""
+    nodes = [(0, 0, 0), (0, 0, 1.0), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)]
+    arm = tc.Structure(nodes, bars=[(0, 1)], strings=[(1, k) for k in range(2, 6)], pinned=[0, 2, 3, 4, 5])
+    return driven(arm, forces=tc.NodalForce(lambda t: [[0, 0, 0], [20 * np.sin(rate * t), 0, 0]] + [[0, 0, 0]] * 4))
+
+
+@pytest.fixture(scope="module")
+def late():
+    """A plan in the wind from t = 0.7 s on."""
+    model = blown()
+    start = np.append(model.initial_state[:-1], 0.7)
+    goals = [ocp.NodePositions({1: (0.3, 0.1, None)}), ocp.AtRest()]
+    problem = ocp.Problem(model, 1.0, start, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 200.0)], costs=[ocp.Effort()])
+    return ocp.solve(problem, ocp.MultipleShooting(20, substeps=2))
+
+
+def test_a_plan_is_replayed_from_the_clock_that_it_starts_at(late):
+    assert late.success
+    assert late.replay_error < 1e-3
+    linear = replace(late, force_density=np.concatenate([late.force_density, late.force_density[-1:]]))
+    for motion in (late.replay(), linear.replay(), ocp.replay_wound(late, 1000.0, 1.0)):
+        assert motion.states[[0, -1], -1] == pytest.approx([0.7, 1.7])
+        assert motion.time[[0, -1]] == pytest.approx([0.0, 1.0])
+    assert motion.nodes[-1, 1] == pytest.approx(late.trajectory.nodes[-1, 1], abs=5e-3)
+
+
+def test_a_plan_under_functions_of_time_needs_its_problem(late, tmp_path):
+    path = late.save(tmp_path / "plan.npz")
+    alone = ocp.Plan.load(path)
+    for use in (alone.replay, alone.bar_forces, lambda: ocp.replay_wound(alone)):
+        with pytest.raises(ValueError, match=r"needs the model, .* functions of time; give Plan.load\(path, problem=...\)"):
+            use()
+    assert np.array_equal(ocp.Plan.load(path, late.problem).replay().states, late.replay().states)
+    for other in (blown(4.1), driven(late.structure)):
+        with pytest.raises(ValueError, match=r"other in Scene\.forces:"):
+            ocp.Plan.load(path, ocp.Problem(other))
+
+
+def test_replays_take_schemes_only(plan):
+    linear = replace(plan, force_density=np.concatenate([plan.force_density, plan.force_density[-1:]]))
+    for one in (plan, linear):
+        for scheme in ("rk4", tc.RungeKutta4, 0):
+            with pytest.raises(TypeError, match=r"scheme is .*: give an integration scheme, such as RungeKutta4\(\)"):
+                one.replay(scheme)
+        assert one.replay(tc.DormandPrince853()).success
+
+
+# --- damaged files ---
 
 
 def test_files_that_are_no_plans_are_refused(plan, tmp_path):
@@ -366,7 +437,8 @@ def test_files_that_are_no_plans_are_refused(plan, tmp_path):
     plan.save(path)
     with np.load(path) as archive:
         content = dict(archive)
-    for name, value in (("force_density", np.zeros((3, 9))), ("structure.bars", np.array([[0, 99]])), ("time", None), ("structure.fixed", None)):
+    wrong = {"force_density": np.zeros((3, 9)), "structure.bars": np.array([[0, 99]]), "iterations": np.zeros(3), "scene.segments": np.zeros(9, int)}
+    for name, value in {**wrong, "time": None, "structure.fixed": None, "scene.slack": None}.items():
         kept = {key: entry for key, entry in content.items() if key != name} | ({} if value is None else {name: value})
         np.savez_compressed(path, **kept)
         with pytest.raises(ValueError, match="is not a plan"):

@@ -203,6 +203,7 @@ def test_no_global_state(motion):
         (lambda motion, path: plots.force_densities(motion, upper=[1.0, 2.0]), ValueError, "upper"),
         (lambda motion, path: plots.force_densities(motion, lower="high"), TypeError, "lower"),
         (lambda motion, path: plots.force_densities(SimpleNamespace(time=[0.0, 1.0], force_density=np.ones((4, 1)))), ValueError, "force_density"),
+        (lambda motion, path: plots.force_densities("x"), TypeError, "history is 'x'"),
         (lambda motion, path: plots.errors(3), TypeError, "trajectory"),
         (lambda motion, path: plots.errors(motion, path=path / "picture.xyz"), ValueError, "xyz"),
         (lambda motion, path: animate(motion, path / "motion.mp4"), ValueError, "path"),
