@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -32,8 +32,8 @@ class Variational(OnGrid):
 
     The discrete Euler-Lagrange equations of the leapfrog (Störmer-Verlet, Rattle) method with a Lagrangian multiplier λ for each bar and node
     (Marsden, West, Acta Numerica 2001, 10, 357, sections 1.5 and 3.5). Neither accelerations nor inverse matrices appear: all is polynomial,
-    of low degree, with few non-zeros, which makes this the fastest of the transcriptions. Velocities at both ends are those of the discrete
-    momenta; they are unknowns in between only where a goal, a limit or a cost asks for them.
+    of low degree, with few non-zeros, which makes this the fastest of the transcriptions. Velocities are those of the discrete momenta, which
+    unlike central differences see force densities that jump; within, they are unknowns only where a goal, a limit or a cost asks for them.
     """
 
     def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
@@ -65,6 +65,7 @@ class _Chain:
         hidden[-1, self.nq : 2 * self.nq] = False
         a.states[hidden] = a.unknowns.constant(np.full(int(hidden.sum()), np.nan))
         self.hidden = hidden
+        self._back = a.unknowns.constant(-a.fractions[:, None])
         self._bar_forces = self._guessed()
         self._row_scale = a.scales.mass * a.scales.length / a.count
 
@@ -97,14 +98,11 @@ class _Chain:
         z, (q0, v, q1, c, lam, duration, share, passed) = parts(nq, nq, nq, m, self.bars, 1, 1, 1, kind=kind)
         force = self._force(q0, v, a.gamma(c, EARLY), lam, duration * passed)
         row = self._momentum((q1 - q0) / share - duration * v) - duration**2 * share / 2 * force
-        backwards = own[-1].reshape(-1, a.controls.shape[1])[::-1].ravel()
-        ends = [
-            [q[0], a.states[0, nq : 2 * nq], q[1], own[0], self.lam[0], T, a.share[0], a.time[0]],
-            [q[-1], a.states[-1, nq : 2 * nq], q[-2], backwards, self.lam[-1], T, a.unknowns.constant([-a.fractions[-1]]), a.time[-1]],
-        ]
-        index = np.array([np.concatenate(end) for end in ends])
+        first = np.concatenate([q[0], a.states[0, nq : 2 * nq], q[1], own[0], self.lam[0], T, a.share[0], a.time[0]])
         rows = tuple(f"dynamics of interval {k}, {name}{at}" for k, at in ((0, ""), (a.count - 1, " at its end")) for name in names)
-        result = [self._block("ends", z, row, index, rows)]
+        last = self._backwards(a.states[-1:, nq : 2 * nq], self.lam[-1:], slice(-1, None))
+        self._leaving = self._block("ends", z, row, np.vstack([first, last]), rows)
+        result = [self._leaving]
 
         if a.count > 1:
             z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = parts(nq, nq, nq, m, m, self.bars, 1, 1, 1, 1, kind=kind)
@@ -130,10 +128,8 @@ class _Chain:
         at_nodes = ca.Function("lengths", [z[:nq]], [ca.substitute(lengths, z[nq:], ca.SX.zeros(nq))])
         names = interval_names(a.count, bar_names(self.bars, "length"))
         last = tuple(f"dynamics of interval {a.count - 1}, {name}" for name in bar_names(self.bars, "rate"))
-        return [
-            Block(at_nodes, a.states[1:, :nq], names),
-            Block(ca.Function("rates", [z], [rates]), a.states[-1:, : 2 * nq], last),
-        ]
+        self._rates = Block(ca.Function("rates", [z], [rates]), a.states[-1:, : 2 * nq], last)
+        return [Block(at_nodes, a.states[1:, :nq], names), self._rates]
 
     def _block(self, name: str, z: Any, row: Any, index: Indices, names: tuple[str, ...]) -> Block:
         return Block(ca.Function(name, [z], [row / self._row_scale]), index, names)
@@ -144,12 +140,17 @@ class _Chain:
 
     def _force(self, q: Any, v: Any, gamma: Any, lam: Any, time: Any) -> Any:
         """F + B λ̂ C_b on the free coordinates."""
+        total = self._total(q, v, gamma, lam, time)
+        return self.model.pack(total, total, 0)[: self.nq]
+
+    def _total(self, q: Any, v: Any, gamma: Any, lam: Any, time: Any) -> Any:
+        """F + B λ̂ C_b (3×n)."""
         mech = self.mech
         N, V, clock = self.model.unpack(self._state(q, v, time))
         total = sum(forces.terms(self.model.scene, mech, N, V, gamma, clock).values(), start=ca.DM.zeros(*mech.N.shape))
         if self.bars:
             total = total + dynamics.push(mech, ca.mtimes(N, sparse(mech.C_b.T)), lam.T, ca.DM.zeros(3, 0))
-        return self.model.pack(total, total, 0)[: self.nq]
+        return total
 
     def _momentum(self, change: Any) -> Any:
         """M times a change of the free coordinates."""
@@ -159,15 +160,21 @@ class _Chain:
 
     # --- what the motion leaves out ---
 
-    def _central(self) -> ca.Function:
-        """(q⁻, q, q⁺, T, share⁻, share⁺) → v: the slope of the parabola through three nodes, at the middle one."""
-        z, (q0, q1, q2, duration, before, after) = parts(self.nq, self.nq, self.nq, 1, 1, 1)
-        v = (after * (q1 - q0) / before + before * (q2 - q1) / after) / (duration * (before + after))
-        return ca.Function("central", [z], [v])
+    def _backwards(self, v: Indices, lam: Indices, intervals: slice) -> Indices:
+        """What the momenta (of velocities v) at the ends of intervals refer to, seen backwards in time; lam: of bars before these ends."""
+        a = self.a
+        before, after = (a.states[part, : self.nq][intervals] for part in (slice(-1), slice(1, None)))
+        own = a.interval_controls[intervals]
+        controls = own.reshape(len(own), -1, a.controls.shape[1])[:, ::-1].reshape(own.shape)
+        return np.hstack([after, v, before, controls, lam, a.repeated(a.duration, len(own)), self._back[intervals], a.time[1:][intervals]])
 
-    def _central_index(self) -> Indices:
-        a, q = self.a, self.a.states[:, : self.nq]
-        return np.hstack([q[:-2], q[1:-1], q[2:], a.repeated(a.duration, a.count - 1), a.share[:-1], a.share[1:]])
+    def _velocity(self) -> ca.Function:
+        """The arguments of `_backwards`, its v a guess that damping sees, → v of the momentum."""
+        sizes = (self.nq, self.nq, self.nq, self.a.interval_controls.shape[1], self.bars, 1, 1, 1)
+        z, (q, v, before, c, lam, duration, share, passed) = parts(*sizes, kind=ca.SX if self.model.ode.is_a("SXFunction") else ca.MX)
+        pushed = self._total(q, v, self.a.gamma(c, EARLY), lam, duration * passed)
+        faster = self.model.pack(self.mech.with_inverse(pushed), pushed, 0)[: self.nq]
+        return ca.Function("velocity", [z], [(before - q) / (share * duration) - duration * share / 2 * faster])
 
     def missing(self, needed: Callable[[Indices], Array]) -> list[Block]:
         """Unknowns and rows for velocities within and the clock, where a block depends on them."""
@@ -176,15 +183,7 @@ class _Chain:
         asked = needed(a.states[self.hidden])
         columns = np.nonzero(self.hidden)[1]
         if np.any(asked[columns < 2 * nq]) and a.count > 1:
-            v = np.zeros((a.count - 1, nq), dtype=np.intp)
-            scale, names = a.scales.state[nq : 2 * nq], state_names(self.model)[nq : 2 * nq]
-            for k in range(1, a.count):
-                v[k - 1] = a.unknowns.add([f"{name}, interval {k - 1}" for name in names], a.guess.states[k, nq : 2 * nq], scale, stage=k)
-            central = self._central()
-            z = ca.SX.sym("z", central.size1_in(0) + nq)
-            function = ca.Function("velocity", [z], [(z[:nq] - central(z[nq:])) / ca.DM(scale)])
-            blocks.append(Block(function, np.hstack([v, self._central_index()]), interval_names(a.count - 1, names)))
-            a.states[1:-1, nq : 2 * nq] = v
+            blocks += self._velocities()
         if np.any(asked[columns >= 2 * nq]):
             for k in range(1, a.count + 1):
                 a.add_state(k, slice(2 * nq, None))
@@ -194,6 +193,23 @@ class _Chain:
             blocks.append(Block(ca.Function("clock", [z], [row]), index, interval_names(a.count, ("clock",))))
         return blocks
 
+    def _velocities(self) -> list[Block]:
+        """Unknowns and rows for the velocities within. Where γ jumps, bars push otherwise before a node than after it; λ is the mean of both."""
+        a, nq = self.a, self.nq
+        v, lam = (np.zeros((a.count - 1, size), dtype=np.intp) for size in (nq, self.bars))
+        names = state_names(self.model)[nq : 2 * nq]
+        before = bar_names(self.bars, "force density before the end")
+        for k in range(1, a.count):
+            at = f", interval {k - 1}"
+            v[k - 1] = a.unknowns.add([name + at for name in names], a.guess.states[k, nq : 2 * nq], a.scales.state[nq : 2 * nq], stage=k)
+            lam[k - 1] = a.unknowns.add([name + at for name in before], self._bar_forces[k], a.strength, stage=k)
+        a.states[1:-1, nq : 2 * nq] = v
+        blocks = [replace(self._leaving, index=self._backwards(v, lam, slice(-1)), names=interval_names(a.count - 1, names))]
+        if self.bars:
+            rates = interval_names(a.count - 1, bar_names(self.bars, "rate"))
+            blocks.append(replace(self._rates, index=a.states[1:-1, : 2 * nq], names=rates))
+        return blocks
+
     def all_states(self, seen: Callable[[Indices], Any]) -> Any:
         """States (nx, K + 1), given what reads references."""
         a, nq = self.a, self.nq
@@ -201,7 +217,11 @@ class _Chain:
         ends = seen(a.states[[0, -1], nq : 2 * nq])
         v = ends
         if a.count > 1:
-            v = ca.horzcat(ends[:, 0], self._central().map(a.count - 1)(seen(self._central_index())), ends[:, 1])
+            central = ca.mtimes(q[:, 2:] - q[:, :-2], ca.diag(1 / (a.fractions[1:] + a.fractions[:-1]))) / seen(a.duration)
+            nowhere = np.zeros((a.count - 1, nq), dtype=np.intp)  # whatever: `central` takes the place of what stands there
+            z = seen(self._backwards(nowhere, self.lam[1:-1], slice(-1)))
+            z = ca.vertcat(z[:nq, :], central, z[2 * nq :, :])
+            v = ca.horzcat(ends[:, 0], self._velocity().map(a.count - 1)(z), ends[:, 1])
         x = ca.vertcat(q, v)
         if self.model.scene.has_clock:
             x = ca.vertcat(x, float(a.target.start[-1]) + ca.mtimes(seen(a.duration[None]), seen(a.time)))

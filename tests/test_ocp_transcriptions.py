@@ -10,6 +10,7 @@ import ocp
 import tenscasadi as tc
 from ocp.finder import find_target
 from ocp.guess import make_guess
+from ocp.instant import symbolic
 from ocp.target import Scales
 
 BAR = 1.4
@@ -223,6 +224,41 @@ def test_wrong_types_are_refused():
         ocp.Variational(5, control="linear")
     with pytest.raises(TypeError, match=r"PiecewiseConstant\.groups"):
         ocp.PiecewiseConstant(5)
+
+
+@pytest.mark.parametrize("control", [ocp.PiecewiseConstant(), LINEAR], ids=["constant", "linear"])
+@pytest.mark.parametrize("make", [ocp.ImplicitMidpoint, ocp.Variational, ocp.MultipleShooting], ids=lambda kind: kind.__name__)
+def test_work_is_not_hidden_by_force_densities_that_jump(make, control):
+    """Seen at nodes alone, or by central differences, strings seem to work less where γ and motion swing from interval to interval."""
+    plan = ocp.solve(raising(costs=[ocp.Work(), ocp.Effort(1e-4)]), make(24, control=control))
+    assert plan.success, plan.message
+    assert plan.objective == pytest.approx(2.171, rel=1e-3)
+    assert np.abs(np.diff(plan.force_density, axis=0)).max() < 5.0  # to and fro by 30 where it pays
+
+
+def test_work_is_what_the_replay_works():
+    problem = raising(costs=[ocp.Work(), ocp.Effort(1e-4)])
+    plan = ocp.solve(problem, ocp.Variational(24))
+    now = symbolic(problem.model)
+    rate = ca.Function("rate", [now.state, now.control], [ocp.Work().rate(now)])
+    fine = plan.replay(step=plan.time[-1] / (24 * 40)).states
+    work = 0.0
+    for k, gamma in enumerate(plan.force_density):
+        states = fine[40 * k : 40 * k + 41]
+        work += np.trapezoid(rate(states.T, np.tile(gamma[:, None], 41)).full().ravel(), dx=plan.time[-1] / len(fine[1:]))
+    effort = 1e-4 * (plan.force_density**2).mean(axis=0).sum()
+    assert work + effort == pytest.approx(plan.objective, rel=1e-3)
+
+
+@pytest.mark.parametrize("intervals", [24, (1,) * 12 + (2,) * 8], ids=["equal", "unequal"])
+def test_limits_of_velocities_hold_in_the_replay(intervals):
+    quick = ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities[:, 3]), upper=0.006)
+    problem = raising(bounds=[ocp.ForceDensityLimits(5.0, 100.0), quick])
+    leapfrog, reference = (ocp.solve(problem, make(intervals)) for make in (ocp.Variational, ocp.MultipleShooting))
+    assert leapfrog.success
+    assert leapfrog.objective == pytest.approx(reference.objective, rel=5e-3)
+    highest = (leapfrog.replay().states[:, 27:30] ** 2).sum(axis=1).max()
+    assert highest < 0.0075  # without the limit 0.0109
 
 
 @pytest.mark.parametrize("make", [ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation], ids=lambda kind: kind.__name__)
