@@ -12,7 +12,7 @@ from ocp.blocks import Block, Unknowns
 from ocp.costs import ControlCost, Cost, FinalCost, RunningCost, Smoothness
 from ocp.grid import Profile, constant_matrix
 from ocp.instant import Instant, symbolic
-from ocp.path import StageRows, StopRows, corner_rows, stage_rows
+from ocp.path import StageRows, StopRows, corner_rows, cubic, stage_rows
 from ocp.problem import Problem
 from ocp.target import Scales
 from tenscasadi.model import Model
@@ -103,7 +103,7 @@ def _cost(a: Layout, cost: Cost) -> Block:
         value = _integral(a, cost, z[:-2], z[-2] * z[-1])
         index = np.hstack([a.interval_controls, a.repeated(a.duration), a.share])
     elif isinstance(cost, RunningCost):
-        z, value, index = _trapezoids(a, cost)
+        z, value, index = _simpson(a, cost)
     elif isinstance(cost, FinalCost):
         x, c, T = symbols(symbolic(a.model).state, a.model.nx, a.interval_controls.shape[1], 1)
         z, value = ca.vertcat(x, c, T), cost.final(Instant(a.model, x, a.gamma(c, 1.0), T))
@@ -131,13 +131,16 @@ def _integral(a: Layout, cost: ControlCost, local: Any, interval: Any) -> Any:
     return cost.expression(points, interval / 2)
 
 
-def _trapezoids(a: Layout, cost: RunningCost) -> tuple[Any, Any, Indices]:
+def _simpson(a: Layout, cost: RunningCost) -> tuple[Any, Any, Indices]:
+    """By Simpson's rule, the middle on the cubic between the ends: what swings within intervals would be hidden from the ends alone."""
     now = symbolic(a.model)
     rate = ca.Function("rate", [now.state, now.control, now.time], [cost.rate(now)])
     nx = a.model.nx
     parts = symbols(rate, nx, nx, a.interval_controls.shape[1], 1, 1, 1, 1)
     x, y, c, T, part, start, end = parts
-    value = T * part / 2 * (rate(x, a.gamma(c, 0.0), T * start) + rate(y, a.gamma(c, 1.0), T * end))
+    ends = rate(x, a.gamma(c, 0.0), T * start) + rate(y, a.gamma(c, 1.0), T * end)
+    middle = rate(cubic(x, y, T * part, 0.5, a.model.nq), a.gamma(c, 0.5), T * (start + end) / 2)
+    value = T * part / 6 * (ends + 4 * middle)
     index = [a.states[:-1], a.states[1:], a.interval_controls, a.repeated(a.duration), a.share, a.time[:-1], a.time[1:]]
     return ca.vertcat(*parts), value, np.hstack(index)
 
