@@ -193,7 +193,10 @@ class Plan:
         return float(np.nan_to_num(max(self.replay_error, self.replay_speed_error * float(self.time[-1])), nan=np.inf))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes a compressed .npz file (NumPy arrays only) to exactly `path` and returns it. Raises OSError when it cannot be written."""
+        """Writes a compressed .npz file (NumPy arrays only) to exactly `path` and returns it: the plan and its model, without functions of time.
+
+        Raises OSError when it cannot be written.
+        """
         content = {name: np.asarray(getattr(self, name)) for name in (*_VALUES, "time", "force_density")}
         content |= {f"trajectory.{field.name}": np.asarray(getattr(self.trajectory, field.name)) for field in fields(Trajectory)}
         if self.model is None:
