@@ -50,7 +50,7 @@ class PathBound(Bound):
 
 
 class CornerBound(Bound):
-    """Holds from the start of one interval to that of the next."""
+    """Holds from the start of one interval to that of the next; of linear profiles also to the end of the last."""
 
     def limited_between(self, before: Instant, after: Instant, interval: Any) -> Limited:
         """What is limited between two instants, `interval` s apart."""
@@ -139,6 +139,7 @@ class RestLengthLimits(Limits, PathBound):
 class RestLengthRateLimits(CornerBound):
     """How fast a motor winds: |ρ at the start of an interval − ρ at the start of the one before| ≤ speed · h.
 
+    Where force densities are linear, ρ at the end of the last interval is limited, too.
     speed: m/s, one number or one per string (inf: no limit). stiffness: N/m; None: the structure's.
     """
 
@@ -245,10 +246,10 @@ def _check_bars(name: str, structure: Structure) -> None:
 def _finite(value: Any, instead: float = 0.0) -> Any:
     """`value` with inf, which says that there is no limit, replaced by a number that passes the checks."""
     try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+        array = np.asarray(value)
+    except ValueError:
         return value  # refused next, by name
-    return np.where(np.isposinf(array), instead, array)
+    return np.where(np.isposinf(array), instead, array) if array.dtype.kind in "iuf" else value
 
 
 def _broadcast(field: str, value: ArrayLike | None, count: int, missing: float, item: str = "string") -> Array:

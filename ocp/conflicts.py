@@ -1,4 +1,4 @@
-"""Limits that contradict each other where a plan starts, found by a linear program before anything is solved."""
+"""Limits that contradict each other, within a group of strings or where a plan starts: found before anything is solved."""
 
 from __future__ import annotations
 
@@ -7,26 +7,35 @@ import numpy as np
 import scipy.optimize
 
 from ocp.bounds import PathBound
-from ocp.instant import symbolic
+from ocp.grid import Profile, spread
+from ocp.limits import limits_along
 from ocp.problem import Problem
 
 CLEAR = 1e-3  # of a limit: contradictions that are smaller are left to the solver
+
+
+def check_groups(problem: Problem, profile: Profile) -> None:
+    """Raises ValueError, naming the strings, where the limits of a group's strings leave no force density for all of them."""
+    lower, upper = problem.force_density_limits
+    for together in spread(profile, len(lower)).T > 0:
+        strings = np.flatnonzero(together)
+        low, high = strings[np.argmax(lower[strings])], strings[np.argmin(upper[strings])]
+        if lower[low] > upper[high]:
+            raise ValueError(
+                f"{type(profile).__name__}.groups: strings {', '.join(map(str, strings))} share a force density, and Problem.bounds keep "
+                f"that of string {low} at {lower[low]:g} N/m or more and that of string {high} at {upper[high]:g} N/m or less: "
+                "widen one, or take the group apart"
+            )
 
 
 def check_start(problem: Problem) -> None:
     """Raises ValueError, naming the limit that is missed most, where no force densities meet all limits that are linear in them at the start."""
     lower, upper = problem.force_density_limits
     slopes, room, rows = [np.zeros((0, len(lower)))], [np.zeros(0)], []
-    for bound in problem.bounds:
-        if not isinstance(bound, PathBound):
-            continue
-        now = symbolic(problem.model)
-        limited = bound.limited(now)
-        if not limited.names:
-            continue
-        value = ca.densify(limited.value)
-        linear = ~np.array(ca.which_depends(value, now.control, 2, True), dtype=bool)
-        function = ca.Function("linear", [now.state, now.control, now.time], [value, ca.densify(ca.jacobian(value, now.control))])
+    for limited, symbols, _ in limits_along(problem, PathBound):
+        value, control = ca.densify(limited.value), symbols[1]
+        linear = ~np.array(ca.which_depends(value, control, 2, True), dtype=bool)
+        function = ca.Function("linear", symbols, [value, ca.densify(ca.jacobian(value, control))])
         at_none, slope = (np.asarray(part.full()) for part in function(np.asarray(problem.start), 0, 0))
         for side, sign, limit in (("at most", 1.0, limited.upper), ("at least", -1.0, limited.lower)):
             kept = np.flatnonzero(linear & np.isfinite(limit) & np.isfinite(at_none[:, 0]) & np.isfinite(slope).all(axis=1))

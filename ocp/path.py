@@ -10,6 +10,7 @@ import numpy as np
 from ocp.bounds import CornerBound, Limited, PathBound
 from ocp.costs import ControlCost, FinalCost, RunningCost
 from ocp.instant import symbolic
+from ocp.limits import Along, limits_along
 from ocp.problem import Problem
 from ocp.target import Scales, Target
 from tenscasadi.validate import Array
@@ -31,25 +32,12 @@ def stage_rows(problem: Problem, scales: Scales, strength: float) -> list[StageR
 
     strength: a typical γ, N/m.
     """
-    result = []
-    for bound in problem.bounds:
-        if isinstance(bound, PathBound):
-            now = symbolic(problem.model)
-            ends = ("start", "end") if bound.needs_control else ("end",)
-            result += _rows(bound.limited(now), [now.state, now.control, now.time], ends, scales, strength)
-    return result
+    return [_rows(one, scales, strength) for one in limits_along(problem, PathBound)]
 
 
 def corner_rows(problem: Problem, scales: Scales, strength: float) -> list[StageRows]:
-    """Rows of all bounds between the starts of neighbouring intervals: Functions (x, u, x⁺, u⁺, h) → rows."""
-    result = []
-    for bound in problem.bounds:
-        if isinstance(bound, CornerBound):
-            before, after = symbolic(problem.model), symbolic(problem.model)
-            h: Any = type(before.state).sym("h")
-            inputs = [before.state, before.control, after.state, after.control, h]
-            result += _rows(bound.limited_between(before, after, h), inputs, ("end",), scales, strength)
-    return result
+    """Rows of all bounds from each time for which a profile has force densities to the next: Functions (x, u, x⁺, u⁺, h) → rows."""
+    return [_rows(one, scales, strength) for one in limits_along(problem, CornerBound)]
 
 
 def typical_cost(problem: Problem, strength: float, states: Array, force_density: Array, duration: float) -> float:
@@ -75,12 +63,11 @@ def typical_cost(problem: Problem, strength: float, states: Array, force_density
     return abs(total) if np.isfinite(total) and total else 1.0
 
 
-def _rows(limited: Limited, inputs: list[Any], ends: tuple[str, ...], scales: Scales, strength: float) -> list[StageRows]:
-    if not limited.names:
-        return []
+def _rows(along: Along, scales: Scales, strength: float) -> StageRows:
+    limited = along.limited
     scale = _scale(limited, scales, strength)
-    function = ca.Function("bound", inputs, [ca.densify(limited.value / ca.DM(scale))])
-    return [StageRows(function, limited.lower / scale, limited.upper / scale, limited.names, ends, scale)]
+    function = ca.Function("bound", along.symbols, [ca.densify(limited.value / ca.DM(scale))])
+    return StageRows(function, limited.lower / scale, limited.upper / scale, limited.names, along.ends, scale)
 
 
 def _scale(limited: Limited, scales: Scales, strength: float) -> Array:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.conflicts import check_start
+from ocp.conflicts import check_groups, check_start
 from ocp.correct import corrected
 from ocp.duals import Duals
 from ocp.explain import explain_failure, long_steps
@@ -97,6 +97,7 @@ def program_of(problem: Problem, transcription: OnGrid, guess: GuessValue | None
 
 def _prepared(problem: Problem, transcription: OnGrid, guess: GuessValue | None) -> tuple[Scales, Target, Target, Guess, Reach]:
     """What is asked, and of that what is to be imposed, with the guess and what tells which rows the strings move along it."""
+    check_groups(problem, transcription.control)
     scales = Scales.of(problem)
     target = find_target(problem, scales)
     if not problem.free_start:

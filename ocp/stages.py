@@ -49,12 +49,12 @@ class Layout(Protocol):
 
 
 def bound_blocks(a: Layout) -> list[Block]:
-    """Limits of instants, at the ends of every interval, and between the starts of neighbours."""
+    """Limits of instants, at the ends of every interval, and from each time for which the profile has force densities to the next."""
     limits = stage_rows(a.problem, a.scales, a.strength)
     blocks = [_at_end(a, rows, end) for rows in limits for end in rows.ends]
     if a.problem.free_start:  # a given one has been checked
         blocks += [_at_start(_at_end(a, rows, "start"), len(rows.names)) for rows in limits if "start" not in rows.ends]
-    if a.count > 1:
+    if len(a.controls) > 1:
         blocks += [_at_corners(a, rows) for rows in corner_rows(a.problem, a.scales, a.strength)]
     return blocks
 
@@ -86,12 +86,13 @@ def _at_start(block: Block, count: int) -> Block:
 
 
 def _at_corners(a: Layout, rows: StageRows) -> Block:
-    nx, m = a.model.nx, a.interval_controls.shape[1]
+    nx, m, pairs = a.model.nx, a.controls.shape[1], len(a.controls) - 1
+    E = constant_matrix(a.spread)
     x, c, y, d, T, part = symbols(rows.function, nx, m, nx, m, 1, 1)
-    value = rows.function(x, a.gamma(c, 0.0), y, a.gamma(d, 0.0), T * part)
-    own, duration = a.interval_controls, a.repeated(a.duration, a.count - 1)
-    index = np.hstack([a.states[:-2], own[:-1], a.states[1:-1], own[1:], duration, a.share[:-1]])
-    names = tuple(f"{name}, end of interval {k}" for k in range(a.count - 1) for name in rows.names)
+    value = rows.function(x, ca.mtimes(E, c), y, ca.mtimes(E, d), T * part)
+    duration = a.repeated(a.duration, pairs)
+    index = np.hstack([a.states[:pairs], a.controls[:-1], a.states[1 : pairs + 1], a.controls[1:], duration, a.share[:pairs]])
+    names = tuple(f"{name}, end of interval {k}" for k in range(pairs) for name in rows.names)
     return Block(ca.Function("corner", [ca.vertcat(x, c, y, d, T, part)], [value]), index, names, rows.lower, rows.upper, rows.scale)
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.bounds import PathBound
 from ocp.instant import Instant, symbolic
+from ocp.limits import limits_along
 from ocp.places import segment_distance
 
 BAR = 1.4
@@ -93,6 +97,43 @@ def test_motors_have_a_speed(free):
     assert np.abs(np.diff(plan.rest_lengths(), axis=0)).max() * 10 == pytest.approx(speed, rel=5e-3)
 
 
+def rates(plan):
+    """Of the rest lengths, from each time that has force densities to the next, m/s."""
+    rest = plan.rest_lengths()
+    return np.abs(np.diff(rest, axis=0)).max(axis=1) / np.diff(plan.time)[: len(rest) - 1]
+
+
+def test_motors_have_a_speed_up_to_the_end_of_linear_profiles():
+    linear = ocp.MultipleShooting(12, control=ocp.PiecewiseLinear())
+    asked = ocp.Problem(MODEL, 1.0, goals=GOALS, bounds=[PRESTRESS], costs=[ocp.Effort()])
+    unlimited = ocp.solve(asked, linear)
+    speed = 0.9 * rates(unlimited)[-1]
+    plan = ocp.solve(replace(asked, bounds=[PRESTRESS, ocp.RestLengthRateLimits(speed)]), linear)
+    assert plan.success
+    assert len(rates(plan)) == 12
+    assert rates(plan).max() <= speed * (1 + 1e-5)
+    assert not plan.report().violated
+    fast = replace(asked, bounds=[PRESTRESS, ocp.RestLengthRateLimits(2 * rates(unlimited).max())])
+    assert ocp.solve(fast, linear, ocp.Fatrop()).objective == pytest.approx(unlimited.objective, rel=1e-5)
+
+
+def test_one_interval_of_a_linear_profile_has_a_rate():
+    limited = ocp.Problem(MODEL, 0.1, bounds=[PRESTRESS, ocp.RestLengthRateLimits(0.1)], costs=[ocp.Prestress(np.arange(9.0, 18.0)), ocp.Duration()])
+    plan = ocp.solve(limited, ocp.MultipleShooting(1, control=ocp.PiecewiseLinear()))
+    assert rates(plan).max() <= 0.1 * (1 + 1e-5)
+    assert not any("rate" in name for name in ocp.solve(limited, ocp.MultipleShooting(1)).duals.names)
+
+
+def test_a_report_calls_rates_beyond_their_limit_violated(free):
+    limit = 0.5 * rates(free).max()
+    report = replace(free, problem=replace(free.problem, bounds=[PRESTRESS, ocp.RestLengthRateLimits(limit)])).report()
+    worst = max(report.violated, key=lambda one: abs(one.worst))
+    assert worst.name.startswith("rest length rate of string")
+    assert abs(worst.worst) == pytest.approx(2 * limit, rel=1e-9)
+    assert worst.time in free.time[1:-1]
+    assert not {(one.name, one.side) for one in report.violated} & {(one.name, one.side) for one in report.active}
+
+
 def test_bars_keep_clear_of_each_other(free):
     def gap(plan):
         return min(true_distance(*state[[0, 4]], *state[[1, 5]]) for state in plan.trajectory.nodes)
@@ -155,6 +196,28 @@ def test_an_arm_goes_round_an_obstacle(over):
     least = [min(true_distance(*state[[0, 1]], centre, centre + 1e-9) for state in plan.trajectory.nodes) for plan in (over, round_it)]
     assert least[0] < 0.19
     assert least[1] > 0.199
+
+
+def test_bounds_of_one_kind_are_told_apart():
+    tight, close = ocp.Obstacle((0.0, -0.05, 0.9), 0.25), ocp.Obstacle((0.0, 0.55, 0.83), 0.38)
+    plan = swung(tight, close)
+    assert plan.success, plan.message
+    found = {one.name: one for one in plan.report().active if one.name.startswith("obstacle")}
+    names = [f"obstacle clear of bar 0 (bounds[{k}])" for k in (0, 1)]
+    assert [found[name].limit for name in names] == [0.25, 0.38]
+    for name in names:
+        assert found[name].price == pytest.approx(-plan.duals[name].sum(), rel=1e-3)
+        assert found[name].price > 1.0
+    with pytest.raises(KeyError, match=r"bounds\[0\].* or .*bounds\[1\]"):
+        plan.duals["obstacle clear of bar 0"]
+
+
+def test_only_what_several_bounds_limit_is_numbered():
+    boxes = [ocp.InsideBox((-9.0, None, None), nodes=[0, 1]), ocp.InsideBox(upper=(9.0, 9.0, None), nodes=[1])]
+    asked = ocp.Problem(MODEL, bounds=[*boxes, ocp.TensionLimits(upper=90.0)])
+    found = [one.limited.names for one in limits_along(asked, PathBound)]
+    assert found[:2] == [("x of node 0", "x of node 1 (bounds[0])"), ("x of node 1 (bounds[1])", "y of node 1")]
+    assert found[2][0] == "tension of string 0"
 
 
 def test_an_arm_stays_in_its_box(over):
@@ -242,6 +305,19 @@ BAD = {
     "negative compression": (lambda: ocp.BarForceLimits(-1.0), ValueError, "BarForceLimits.compression"),
     "wrong number of bars": (lambda: raised(ocp.BarForceLimits([1.0, 2.0])), ValueError, "BarForceLimits.compression"),
     "no radius": (lambda: raised(ocp.Buckling(1e9), model=driven(prism(1.0))), ValueError, "Buckling needs the radius of bar 0"),
+    "limit in words": (lambda: ocp.ForceDensityLimits(0.0, "200"), TypeError, "ForceDensityLimits.upper is not a real number"),
+    "limits in words": (lambda: ocp.ForceDensityLimits(0.0, ["200"] * 9), TypeError, "ForceDensityLimits.upper is not an array of real numbers"),
+    "limit of truth": (lambda: ocp.TensionLimits(upper=True), TypeError, "TensionLimits.upper is not a real number"),
+    "speed in words": (lambda: ocp.RestLengthRateLimits("12"), TypeError, "RestLengthRateLimits.speed is not a real number"),
+    "compression in words": (lambda: ocp.BarForceLimits("5"), TypeError, "BarForceLimits.compression is not a real number"),
+    "groups without common ground": (
+        lambda: ocp.solve(
+            ocp.Problem(MODEL, bounds=[ocp.ForceDensityLimits([5, 20] + 7 * [5], [10, 50] + 7 * [100])]),
+            ocp.MultipleShooting(8, control=ocp.PiecewiseLinear(((2, 0, 1),))),
+        ),
+        ValueError,
+        r"PiecewiseLinear.groups: strings 0, 1, 2 share a force density.*string 1 at 20 N/m or more.*string 0 at 10 N/m or less",
+    ),
     "modulus zero": (lambda: ocp.Buckling(0.0), ValueError, "Buckling.modulus"),
     "safety zero": (lambda: ocp.Buckling(1.0, 0.0), ValueError, "Buckling.safety"),
     "speed zero": (lambda: ocp.RestLengthRateLimits(0.0), ValueError, "RestLengthRateLimits.speed"),
