@@ -21,6 +21,7 @@ from tenscasadi.model import Model
 from tenscasadi.validate import Array
 
 ROUNDED = 2e-4  # of the structure's size: goals given to four digits are met as nearly as the bars allow, beyond they are refused
+AMPLE = 100.0  # times what nodes move by in a short time, as accelerations at the start tell: beyond is out of reach however they grow
 RIGID = ("bar", "joint", "clock")
 
 
@@ -29,15 +30,37 @@ def find_target(problem: Problem, scales: Scales) -> Target:
     stops = []
     for share, part in problem.waypoints:
         try:
-            stops.append(Stop(share, _end(part, scales), problem.model.nq))
+            stop = _end(part, scales)
+            _check_time(problem, stop, part.longest)
         except UnreachableGoal as error:
             raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
+        stops.append(Stop(share, stop, problem.model.nq))
     if problem.start_goals:
         try:
             _end(replace(problem, goals=problem.start_goals, bounds=(), costs=()), scales)
         except UnreachableGoal as error:
             raise UnreachableGoal(f"FreeStart.goals: {error}") from None
-    return replace(_end(problem, scales), stops=tuple(stops), cycle=find_cycle(problem, scales.length, scales.time, scales.state))
+    end = _end(problem, scales)
+    _check_time(problem, end, problem.longest)
+    return replace(end, stops=tuple(stops), cycle=find_cycle(problem, scales.length, scales.time, scales.state))
+
+
+def _check_time(problem: Problem, target: Target, seconds: float) -> None:
+    """Refuses a target farther off, by far, than force densities within their limits move nodes in that time."""
+    model, start = problem.model, problem.first_state
+    _, most = problem.force_density_limits
+    if target.state is None or problem.free_start or model.scene.has_clock or not np.all(np.isfinite(most)):
+        return
+    nq, nu = model.nq, model.nu
+    pulls = np.column_stack([np.zeros(nu), np.eye(nu)])
+    free, *slopes = np.asarray(model.ode.map(nu + 1)(start, pulls).full()).T[:, nq : 2 * nq]  # accelerations are linear in γ
+    fastest = np.max(np.abs(free) + sum(np.abs(slope - free) * limit for slope, limit in zip(slopes, most, strict=True)))
+    reach = (np.abs(start[nq : 2 * nq]).max() + fastest * seconds) * seconds
+    away = np.abs(target.state - start)[:nq]
+    if away.max() > AMPLE * reach:
+        node, axis = divmod(int(np.flatnonzero(model.mechanism.free.ravel())[np.argmax(away)]), 3)
+        way = f"node {model.mechanism.physical[node]} {'xyz'[axis]} has to move by {away.max():.2g} m in {seconds:.2g} s"
+        raise UnreachableGoal(f"{way}, in which force densities within their limits move it by about {reach:.2g} m: give more time")
 
 
 def _end(problem: Problem, scales: Scales) -> Target:

@@ -87,6 +87,16 @@ REFUSED = {
         lambda: asked(goals=[*RISE, ocp.Waypoint([ocp.Shape(prism(1.05).nodes), ocp.AtRest()], share=0.1)]),
         ("intervals is 8: waypoint at 0.1 of the duration, 9 force densities in each of the 1 up to there", "give at least 20"),
     ),
+    "a waypoint comes at once": (
+        lambda: asked(goals=[*RISE, ocp.Waypoint([ocp.Shape(prism(1.05).nodes)], time=1e-6)]),
+        (
+            "waypoint at 1e-06 of the duration: node ",
+            "has to move by 0.0",
+            "in 1e-06 s, in which force densities within their limits",
+            "give more time",
+        ),
+    ),
+    "a plan ends at once": (lambda: asked(duration=1e-5), ("m in 1e-05 s, in which force densities", "give more time")),
     "a shape has other bars": (lambda: asked(goals=[ocp.Shape(2 * prism(1.0).nodes)]), ("Shape.nodes make bar 0 2.8 m long, not 1.4 m",)),
 }
 

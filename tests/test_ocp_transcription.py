@@ -79,7 +79,6 @@ def names(built, start):
 def test_what_a_problem_lacks_is_not_built():
     bare, _, _ = program()
     assert len(bare.names) == len(names(bare, "dynamics")) + 2
-    assert bare.problem["f"].is_constant()
     assert "duration" not in bare.w_names
     none, _, target = program(goals=[])
     assert len(none.names) == len(names(none, "dynamics"))
