@@ -18,7 +18,7 @@ from tenscasadi.validate import Array
 
 
 class UnreachableGoal(ValueError):
-    """The goals contradict each other, the bars' lengths, or what the motion keeps whatever the strings do."""
+    """The goals contradict each other, the bars' lengths, what the motion keeps whatever the strings do, or the time there is."""
 
 
 @dataclass(frozen=True, eq=False)
