@@ -269,7 +269,7 @@ def test_tracking_pulls_nodes_to_their_places(free):
 def test_running_costs_are_integrals():
     plan = raised(costs=[ocp.Effort(), ocp.Integral("clock", lambda now: now.time**2, 3.0), ocp.AtEnd("top", lambda end: end.nodes[2, 3], 2.0)])
     assert plan.success
-    parts = 0.1 * np.sum(plan.force_density**2), 3.0 * (1 / 3 + 0.1**2 / 6), 2.0 * plan.trajectory.nodes[-1, 3, 2]
+    parts = 0.1 * np.sum(plan.force_density**2), 3.0 / 3, 2.0 * plan.trajectory.nodes[-1, 3, 2]
     assert plan.objective == pytest.approx(sum(parts), rel=1e-6)
 
 
