@@ -151,7 +151,7 @@ class Plan:
         return self.model
 
     def report(self) -> Report:
-        """The limits that hold the plan back, with what they cost, and those that its replay breaks between the ends of its intervals.
+        """The limits that hold the plan back, with what they cost, and those that it breaks, or its replay between the ends of its intervals.
 
         Raises ValueError where the problem is not known: for a loaded plan.
         """
