@@ -67,6 +67,21 @@ def test_a_tolerance_that_is_not_met_is_said(coarse):
     assert "the tolerance of 1e-12 m was not met in 1 attempts" in plan.message
 
 
+@pytest.mark.parametrize("lowered", [0.6, 1.5, np.nan])
+def test_refining_stops_where_it_no_longer_helps(coarse, lowered):
+    asked = []
+
+    def again(intervals, plan, tolerance):
+        asked.append(len(intervals))
+        return replace(plan, replay_error=lowered * plan.replay_error, replay_speed_error=lowered * plan.replay_speed_error)
+
+    plan = replace(coarse, again=again).refine(1e-9)
+    assert len(asked) == 1
+    assert not plan.success
+    assert plan.worst_error == min(coarse.worst_error, np.nan_to_num(lowered * coarse.worst_error, nan=np.inf))
+    assert "the tolerance of 1e-09 m was not met and 8 intervals in place of 8 do not halve the error" in plan.message
+
+
 def test_what_was_not_found_is_not_refined():
     plan = ocp.solve(problem(), ocp.MultipleShooting(8), ocp.Ipopt(max_iterations=2))
     assert plan.refine(1e-4) is plan
@@ -98,7 +113,7 @@ def test_a_report_names_what_holds_the_plan():
     assert not found.violated
     text = str(found)
     assert "force density of string 0: lower limit 5 N/m" in text
-    assert "violated by the replay: none" in text
+    assert "violated: none" in text
 
 
 def test_a_report_names_what_the_replay_breaks(coarse):
@@ -127,6 +142,10 @@ def test_wound_strings_do_what_force_densities_do(coarse):
     assert not ocp.reachable(fine, 500.0, shortest=1.05).all()
     with pytest.raises(ValueError, match="stiffness of string"):
         ocp.replay_wound(fine, 8.0)
+    with pytest.raises(ValueError, match="stiffness of string 0 is -5: it must be at least 0"):
+        ocp.reachable(fine, -5.0)
+    with pytest.raises(ValueError, match="shortest of string 0 is -1: it must be at least 0"):
+        ocp.reachable(fine, 500.0, -1.0)
 
 
 # --- guesses ---
