@@ -44,8 +44,9 @@ def export_program(problem: Problem, transcription: OnGrid, folder: str | Path, 
 def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
     """Writes `mpc.c` and `mpc.h` into `folder` (made if need be); returns their paths.
 
-    Function: `decide` (time, state, before) → after, see `Mpc.function`, with its solver. before, after: α × intervals numbers, interval by
-    interval; the first α of `after` are to be applied. mpc.h holds the sizes, the period, and `mpc_first` to begin with. Raises TypeError, OSError.
+    Function: `decide` (time, state, before) → after, see `Mpc.function`, also for a fourth input, with its solver. before, after: α × intervals
+    numbers, interval by interval; the first α of `after` are to be applied. mpc.h holds the sizes, the period, and `MPC_FIRST` to begin with.
+    Raises TypeError, OSError.
     """
     instance("mpc", mpc, Mpc, "an ocp.Mpc")
     first = ", ".join(repr(float(value)) for value in mpc.first.T.ravel())
@@ -53,6 +54,9 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
         "decide (time s, state, before N/m) -> after N/m; apply the first MPC_STRINGS of after for MPC_PERIOD s, then hand it on as before.",
         "State: free coordinates of the nodes, node by node, then their velocities. MPC_FIRST is the first before.",
     ]
+    decide = mpc.function()
+    if "earlier" in decide.name_in():
+        lines.append("earlier: the state at the last decision, NAN to begin with; limits of rates hold from there on.")
     constants = [
         f"#define MPC_STATES {mpc.model.nx}",
         f"#define MPC_STRINGS {mpc.model.nu}",
@@ -60,7 +64,7 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
         f"#define MPC_PERIOD {mpc.period!r}",
         f"#define MPC_FIRST {{{first}}}",
     ]
-    return _generate(Path(folder), "mpc", [mpc.function()], lines, constants)
+    return _generate(Path(folder), "mpc", [decide], lines, constants)
 
 
 def _generate(folder: Path, name: str, functions: Sequence[ca.Function], comment: Sequence[str], constants: Sequence[str] = ()) -> list[Path]:

@@ -8,11 +8,12 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
 
+from ocp.bounds import ForceDensityLimits
 from ocp.grid import at
 from ocp.linearized import Motion, Tangents, departures
 from ocp.plan import Plan
 from tenscasadi.model import Model
-from tenscasadi.validate import Array, instance, per_item, positive_number, whole_number
+from tenscasadi.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,8 @@ class Tracker:
         return float(self.time[1] - self.time[0])
 
     def control(self, time: float, state: Array) -> Array:
-        """γ (α,), N/m, at a state (nx,)."""
+        """γ (α,), N/m, at `time` s after the beginning and a state (nx,)."""
+        time, state = positive_number("time", time, zero=True), finite_array("state", state, (self.model.nx,))
         k = min(int(time / self.period + 1e-9), len(self.gains) - 1)
         after = time > self.time[-1] - 1e-9
         away = state - self.states[-1 if after else k]
@@ -62,7 +64,7 @@ def track(
     δq are departures of coordinates; of free structures, of the distances between nodes. Derivatives are those of the integrated steps,
     reduced to the changes that bars and joints allow. decisions: how many, None: one per interval. place: m, None: 1 % of the structure's
     size; speed: 10 place in the duration. effort: N/m, None: a tenth of the plan's mean γ. lower, upper: what the force densities are
-    clipped to, N/m, one number or one per string; None: those of the plan's problem (a loaded plan: 0 and none).
+    clipped to, N/m, as in `ForceDensityLimits`; None: those of the plan's problem (a loaded plan: 0 and none).
     Raises TypeError, ValueError.
     """
     instance("plan", plan, Plan, "an ocp.Plan")
@@ -73,18 +75,20 @@ def track(
     size = 0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) if place is None else positive_number("place", place)
     force = 0.1 * float(plan.force_density.mean()) or 1.0 if effort is None else positive_number("effort", effort)
     known = (0.0, np.inf) if plan.problem is None else plan.problem.force_density_limits
-    given = {"lower": known[0] if lower is None else lower, "upper": known[1] if upper is None else upper}
-    limits = [per_item(name, np.nan_to_num(np.asarray(value, dtype=float), posinf=1e30), model.nu, "string") for name, value in given.items()]
+    limits = ForceDensityLimits(known[0] if lower is None else lower, known[1] if upper is None else upper)
+    limits.check(model.scene.structure)
     time = np.linspace(0.0, T, count + 1)
     gamma = at(plan.force_density, plan.time, (time[:-1] + time[1:]) / 2)
     motion = Motion(model, count, 2)
     states, points = motion.states(plan.trajectory.states[0], gamma, T / count)
+    if not np.all(np.abs(states) <= LARGEST):
+        raise ValueError(f"decisions is {count}: steps of {T / count / 2:g} s diverge along the plan, give more decisions")
     A, B = motion.derivatives(points, gamma, T / count)
     kept = departures(model, size, 10 * size / T)
     tangents = Tangents(model, states[0])
     Z = [tangents(x) for x in states]
     C = [np.asarray(kept(x)[1].full()) @ basis for x, basis in zip(states, Z, strict=True)]
-    return Tracker(model, time, states, gamma, _gains(A, B, Z, C, force**-2), *limits)
+    return Tracker(model, time, states, gamma, _gains(A, B, Z, C, force**-2), *limits.limits(model.scene.structure))
 
 
 def _gains(A: Array, B: Array, Z: list[Array], C: list[Array], effort: float) -> Array:

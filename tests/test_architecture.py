@@ -52,7 +52,7 @@ TENSCASADI = (
     {"__main__"},
 )
 OCP = (
-    {"best", "blocks", "checks", "direct", "duals", "grid", "instant", "momentum"},
+    {"best", "blocks", "checks", "direct", "duals", "grid", "instant", "interior", "momentum"},
     {"bounds", "costs", "goals", "reduction", "refine"},
     {"expressions", "invariants", "motions", "places", "search"},
     {"problem"},

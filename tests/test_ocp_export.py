@@ -96,8 +96,8 @@ def reader(path, sizes):
     n_arg, n_res, n_iw, n_w = (size.value for size in work)
     iw, w = (ctypes.c_longlong * (n_iw + 1))(), (ctypes.c_double * (n_w + 1))()
 
-    def decide(time, state, before):
-        given = [np.ascontiguousarray(value, dtype=float).ravel() for value in (time, state, before)]
+    def decide(*inputs):
+        given = [np.ascontiguousarray(value, dtype=float).ravel() for value in inputs]
         after = np.zeros(sizes)
         arg, res = (doubles * (n_arg + 1))(), (doubles * (n_res + 1))()
         for k, value in enumerate(given):
@@ -115,6 +115,7 @@ CONTROLLERS = {
     "along a linear plan": lambda: ocp.Mpc(
         problem(), 0.1, 4, plan=ocp.solve(problem(), ocp.Variational((1, 2, 1, 2, 2), control=ocp.PiecewiseLinear()))
     ),
+    "with limits of rates": lambda: ocp.Mpc(problem(bounds=[ocp.RestLengthRateLimits(0.3, stiffness=1000.0)]), 0.1, 4),
     "without limits of the path": lambda: ocp.Mpc(problem(bounds=[]), 0.1, 3),
 }
 
@@ -130,12 +131,15 @@ def test_an_exported_controller_decides_as_the_controller(case, tmp_path):
     before = np.array(constants["MPC_FIRST"].strip("{}").split(","), dtype=float)
     decide = reader(built(tmp_path, "mpc"), mpc.intervals * MODEL.nu)
     state, decided = np.array(MODEL.initial_state), []
+    earlier = [np.full(MODEL.nx, np.nan)] if "earlier[" in header else []
+    assert bool(earlier) is ("rates" in case)
     for k in range(14):
         if k == 5:  # a push
             state[MODEL.nq : MODEL.nq + 2] += [0.3, -0.2]
         ours = mpc.control(k * mpc.period, state)
-        before = decide(k * mpc.period, state, before)
+        before = decide(k * mpc.period, state, before, *earlier)
         assert before[: MODEL.nu] == pytest.approx(ours, abs=1e-5 * 50.0)
+        earlier = [state] * len(earlier)
         state = tc.simulate(MODEL, mpc.period, mpc.period / 20, state=state, control=ours, compiled=False).states[-1].copy()
         decided.append(ours)
     assert np.ptp(decided, axis=0).max() > 1.0  # there was something to decide
