@@ -36,10 +36,11 @@ def find_target(problem: Problem, scales: Scales) -> Target:
             raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
         stops.append(Stop(share, stop, problem.model.nq))
     if problem.start_goals:
+        closed = any(goal.shift == (0.0, 0.0, 0.0) for goal in problem.repeating)  # the start is the end
         try:
-            _end(replace(problem, goals=problem.start_goals, bounds=(), costs=()), scales)
+            _end(replace(problem, goals=problem.start_goals + closed * problem.final_goals, bounds=(), costs=()), scales)
         except UnreachableGoal as error:
-            raise UnreachableGoal(f"FreeStart.goals: {error}") from None
+            raise UnreachableGoal(f"free start: {error}") from None
     end = _end(problem, scales)
     _check_time(problem, end, problem.longest)
     return replace(end, stops=tuple(stops), cycle=find_cycle(problem, scales.length, scales.time, scales.state))

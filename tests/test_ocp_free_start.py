@@ -103,22 +103,27 @@ BAD = {
 }
 
 
-def starting(*goals):
-    """Raised from an upright bar of 1 m."""
+def starting(*goals, end=()):
+    """The plan of an upright bar of 1 m that comes back."""
     hinged = tc.Structure([(0, 0, 0), (0, 0, 1), (-1, 0, 0), (1, 0, 0)], [(0, 1)], [(1, 2), (1, 3)], pinned=[0, 2, 3])
-    return ocp.solve(problem(driven(hinged), ocp.FreeStart(goals=goals), goals=[ocp.Periodic()]), ocp.MultipleShooting(10))
+    return ocp.solve(problem(driven(hinged), ocp.FreeStart(goals=goals), goals=[ocp.Periodic(), *end]), ocp.MultipleShooting(10))
 
 
 BAD |= {
     "a place out of reach": (
         lambda: starting(ocp.NodePositions({1: (5.0, None, None)})),
         ocp.UnreachableGoal,
-        "FreeStart.goals: NodePositions: node 1 x misses its goal by 4.* m at best, as bar 0 keeps its length",
+        "free start: NodePositions: node 1 x misses its goal by 4.* m at best, as bar 0 keeps its length",
+    ),
+    "another place than the end, which repeats it": (
+        lambda: starting(ocp.NodePositions({1: (0.1, None, None)}), end=[ocp.NodePositions({1: (0.3, None, None)})]),
+        ocp.UnreachableGoal,
+        "free start: NodePositions: node 1 x misses its goal by 0.1 m at best, as the goals contradict each other",
     ),
     "two places at once": (
         lambda: starting(*(ocp.NodePositions({1: (x, None, None)}) for x in (0.1, 0.3))),
         ocp.UnreachableGoal,
-        "FreeStart.goals: NodePositions: node 1 x misses its goal by 0.1 m at best, as the goals contradict each other",
+        "free start: NodePositions: node 1 x misses its goal by 0.1 m at best, as the goals contradict each other",
     ),
 }
 
