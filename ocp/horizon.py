@@ -49,11 +49,13 @@ class HorizonRows:
         points: states (count + 2, nx) and force densities (count + 1, nu); effects: their derivatives by ΔU; begun: whether there was a last
         decision.
         """
-        own = slice(0, self.count)
-        given = [points[kind][first:][own].T for kind, first in self._places]
+        given = [points[kind][first : first + self.count].T for kind, first in self._places]
         value, *slopes = (np.asarray(part.full()).T for part in self._all(*given, self._last_input(np.arange(self.count), time)[None]))
         size = (self.count, -1, len(self.limit))
-        a = sum(J.reshape(size).transpose(0, 2, 1) @ effects[kind][first:][own] for J, (kind, first) in zip(slopes, self._places, strict=True))
+        a = sum(
+            J.reshape(size).transpose(0, 2, 1) @ effects[kind][first : first + self.count]
+            for J, (kind, first) in zip(slopes, self._places, strict=True)
+        )
         b = self.limit - value
         if self.between and not begun:
             b[0] = np.inf
