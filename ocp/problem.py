@@ -51,7 +51,7 @@ class Problem:
     duration: seconds, or (shortest, longest) to let the solver choose. start: nodes (n, 3) at rest, m, or a state (nx,); None: the
     model's initial state; rounded numbers are put right; or `FreeStart(...)`: found with the plan. goals: `StringLengths`, `AtRest`,
     `Waypoint` …, all met, at the end unless they say when. bounds: `ForceDensityLimits`, `TensionLimits`, `BarClearance` …, along the way. costs:
-    `Effort`, `Tracking` …, summed; none: `Effort()`.
+    `Effort`, `Tracking` …, summed; none: any motion will do, or `Effort()` where force densities have no upper limits.
     Raises TypeError, ValueError that name the field.
     """
 
@@ -82,12 +82,13 @@ class Problem:
             own["start"] = self._state("Problem.start", self.start)
         for field, kinds, example in _KINDS:
             own[field] = _listed(f"Problem.{field}", getattr(self, field), kinds, example)
-        own["costs"] = own["costs"] or (Effort(),)  # with nothing to keep small, barriers of the solver let force densities grow without bound
         structure = self.model.scene.structure
         for item in (*own["goals"], *own["bounds"], *own["costs"], *self.start_goals):
             item.check(structure)
         own["goals"] = tuple(self._with_start(goal) for goal in own["goals"])
         self._check_limits()
+        if not own["costs"] and np.isposinf(self.force_density_limits[1]).any():
+            own["costs"] = (Effort(),)  # with nothing to keep them small, barriers of the solver let force densities grow without bound
         check_expressions(self.model, own["bounds"], own["costs"], None if self.free_start else self.first_state)
 
     @property

@@ -206,8 +206,13 @@ def test_limits_combine_and_strings_never_push():
 @pytest.mark.parametrize("start", [None, ocp.FreeStart()], ids=["given", "free"])
 @pytest.mark.parametrize("duration", [1.0, (0.5, 1.0)], ids=["fixed", "free"])
 def test_where_nothing_is_asked_nothing_pulls(duration, start):
-    """Without costs the least effort is looked for: γ = 0."""
+    """Without costs and upper limits the least effort is looked for: γ = 0."""
     plan = ocp.solve(ocp.Problem(MODEL, duration, start), ocp.MultipleShooting(8))
     assert plan.success, plan.message
     assert plan.iterations < 40
     assert plan.force_density == pytest.approx(0.0, abs=1e-2)
+
+
+def test_costs_are_added_only_where_nothing_else_keeps_force_densities_small():
+    assert ocp.Problem(MODEL).costs == (ocp.Effort(),)
+    assert ocp.Problem(MODEL, bounds=[ocp.ForceDensityLimits(0.0, 50.0)]).costs == ()
