@@ -29,10 +29,10 @@ class Ipopt:
 
     max_iterations; tolerance: of scaled optimality and constraints; verbose: prints a line for each iteration; options: further IPOPT
     options, such as {"linear_solver": "spral"}, which override those chosen here: {"mu_init": 1e-4} saves a tenth of the iterations where there
-    is no contact. MUMPS runs without its own scaling, which triples its speed on these problems. seconds: wall time after which it stops, None: no limit. watch: called with a `Progress` after each iteration, such
-    as a `tenscasadi.convergence.Convergence`, which draws them; when it returns False the solver stops. warm: the guess is nearly a solution,
-    such as another plan: keep to it, and to its multipliers, if grid and constraints are the same. However it is stopped, also from the
-    keyboard, what is returned is the best iterate. Raises TypeError, ValueError.
+    is no contact. MUMPS runs without its own scaling, which triples its speed on these problems. seconds: wall time after which it stops, None:
+    no limit. watch: called with a `Progress` after each iteration, such as a `tenscasadi.convergence.Convergence`, which draws them; when it
+    returns False the solver stops. warm: the guess is nearly a solution, such as another plan: keep to it, and to its multipliers, if grid and
+    constraints are the same. However it is stopped, also from the keyboard, what is returned is the best iterate. Raises TypeError, ValueError.
     """
 
     max_iterations: int = 300
