@@ -65,6 +65,8 @@ def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Prog
         name, scale = program.names[worst], program.scale[worst]
         amount = f"{violation[worst]:.2g} of its scale" if scale == 1.0 else f"{violation[worst] * scale:.2g} in its unit"
         parts.append("largest violation: " + (missed.worst() if name.startswith("goal") else f"{name}, by {amount}"))
+    else:
+        parts.append("all constraints are met, but the cost is not settled: a plan of another transcription may be a better guess")
     if held:
         often, _ = Counter(name.split(",")[0] for name in held).most_common(1)[0]
         parts.append(f"upper limits hold {len(held)} times, most often the {often}")

@@ -284,6 +284,12 @@ def test_too_few_iterations_are_said():
     assert found.force_density.shape == (12, 9)
 
 
+def test_what_is_feasible_but_not_settled_is_said():
+    found = ocp.solve(ocp.Problem(driven(prism(1.0)), **asked()), ocp.MultipleShooting(12), ocp.Ipopt(max_iterations=6))
+    assert not found.success
+    assert "all constraints are met, but the cost is not settled" in found.message
+
+
 def test_a_goal_that_external_forces_keep_away_is_said():
     """Nothing is conserved under a wind, so that nothing is refused beforehand; but no string stops a free prism in it."""
     wind = np.zeros((6, 3))
