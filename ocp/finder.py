@@ -8,7 +8,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.sparse
 
 from ocp.cycle import find_cycle
 from ocp.goals import rows_of
@@ -220,7 +219,7 @@ def _metric(model: Model) -> Array:
     """The mass matrix on positions and velocities, relative to its mean, and one for clock and duration."""
     mech = model.mechanism
     free = np.flatnonzero(mech.free.ravel())
-    mass = scipy.sparse.kron(mech.M, scipy.sparse.eye_array(3)).toarray()[np.ix_(free, free)]
+    mass = np.kron(mech.M.toarray(), np.eye(3))[np.ix_(free, free)]
     mass = mass / np.diag(mass).mean()
     result = np.eye(model.nx + 1)
     result[: model.nq, : model.nq] = mass
