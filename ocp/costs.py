@@ -34,7 +34,7 @@ class ControlCost(Cost):
 
 
 class RunningCost(Cost):
-    """A cost that is integrated over time, by the trapezoidal rule on each interval."""
+    """A cost that is integrated over time, by Simpson's rule on each interval, its middle on the cubic between its ends."""
 
     def rate(self, now: Instant) -> Any:
         """The cost per second, a CasADi scalar."""
