@@ -28,7 +28,6 @@ from ocp.transcription import OnGrid
 BAR = 1.4  # m
 SAME = 60  # intervals at which the fast path and plain multiple shooting are compared
 CORRECTED, LEAST = "Variational, corrected", 20  # the fast path; with fewer intervals corrections need many rounds
-FAST = ocp.Ipopt(options={"mu_init": 1e-4})  # its solver: the default's first barrier is larger, for the sake of motions with contact
 
 
 class Row(NamedTuple):
@@ -95,7 +94,7 @@ def main(folder: Path = Path(), quick: bool = False) -> list[Row]:
     folder.mkdir(parents=True, exist_ok=True)
     grids, repeats = ((5, LEAST), 1) if quick else ((10, 20, 40, SAME), 5)
     measured("warm-up", ocp.Variational(5), ocp.Ipopt(), 1)
-    rows = [measured(name, method, FAST if name == CORRECTED else ocp.Ipopt(), repeats) for n in grids for name, method in methods(n).items()]
+    rows = [measured(name, method, ocp.Ipopt(), repeats) for n in grids for name, method in methods(n).items()]
     plain = measured("plain multiple shooting", ocp.MultipleShooting(grids[-1], substeps=2), Plain(), repeats)
     rows.append(plain)
     print(f"{'method':<30}{'intervals':>10}{'seconds':>10}{'iterations':>12}{'replay error (m)':>18}{'objective':>12}")

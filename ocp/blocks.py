@@ -154,14 +154,27 @@ def _symbol(function: ca.Function) -> Any:
     return (ca.SX if function.is_a("SXFunction") else ca.MX).sym("z", function.size1_in(0))
 
 
-def _derivative(block: Block) -> tuple[ca.Function, ca.Sparsity]:
-    """z → non-zeros of the Jacobian, and where they are."""
+def _varied(block: Block, z: Any) -> tuple[Any, Indices]:
+    """What of z some instance has as unknowns, and its places: derivatives by constants would cost time and join what does not depend on each other.
+
+    All of an MX, which CasADi differentiates by whole symbols.
+    """
+    if isinstance(z, ca.MX):
+        return z, np.arange(z.shape[0])
+    places = np.flatnonzero((block.index >= 0).any(axis=0))
+    return z[places.tolist()], places
+
+
+def _derivative(block: Block) -> tuple[ca.Function, Indices, Indices]:
+    """z → non-zeros of the Jacobian, and the row and the entry of z of each."""
     z: Any = _symbol(block.function)
-    J = ca.jacobian(block.function(z), z)
+    varied, places = _varied(block, z)
+    J = ca.jacobian(block.function(z), varied)
     if block.combination is not None:
         own, z = ca.Function("own", [z], [J]), ca.MX.sym("z", z.shape[0])
         J = ca.mtimes(ca.DM(block.combination), own(z))
-    return ca.Function("derivative", [z], [_nonzeros(J)]), J.sparsity()
+    row, column = (np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet())
+    return ca.Function("derivative", [z], [_nonzeros(J)]), row, places[column]
 
 
 def _nonzeros(matrix: Any) -> Any:
@@ -181,8 +194,7 @@ class _Entries:
 
     def add(self, block: Block, z: Any, scale: Array, first_row: int = 0, factor: float = 1.0, transposed: bool = False) -> None:
         """The Jacobian of all instances of a block."""
-        derivative, sparsity = _derivative(block)
-        local_row, local_column = (np.array(entries, dtype=np.intp) for entries in sparsity.get_triplet())
+        derivative, local_row, local_column = _derivative(block)
         if not len(local_row):
             return
         values = derivative.map(block.count)(z)
@@ -198,8 +210,9 @@ class _Entries:
         weight = type(s).sym("weight", block.function.size1_out(0))
         if block.combination is not None:
             multipliers = ca.mtimes(ca.DM(block.combination.T), multipliers)
-        H = ca.hessian(ca.dot(weight, block.function(s)), s)[0]
-        local_row, local_column = (np.array(entries, dtype=np.intp) for entries in H.sparsity().get_triplet())
+        varied, places = _varied(block, s)
+        H = ca.hessian(ca.dot(weight, block.function(s)), varied)[0]
+        local_row, local_column = (places[np.array(entries, dtype=np.intp)] for entries in H.sparsity().get_triplet())
         if not len(local_row):
             return
         row, column = (block.index[:, local].ravel() for local in (local_row, local_column))

@@ -95,7 +95,8 @@ def _reference(problem: Problem, states: Array) -> Array:
     ends = []
     for state in (states[0], states[-1]):
         try:
-            shape = structure.replace(nodes=model.nodes(state)[:count])
+            nodes = model.nodes(state)[:count]
+            shape = structure if np.array_equal(nodes, structure.nodes) else structure.replace(nodes=nodes)
             gamma = equilibrium_force_density(shape, _weights(structure, model.scene.gravity), minimum=0.0)
         except (EquilibriumError, ValueError):
             gamma = lower

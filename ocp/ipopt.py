@@ -19,7 +19,8 @@ from tenscasadi.validate import positive_number
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-8 for push in PUSHES}}
-BARRIER = 1e-3  # to start with: with IPOPT's own, 0.1, iterates leave the guess; with less, motions with contact take several times as many
+BARRIER = 1e-4  # to start with: with IPOPT's own, 0.1, iterates leave the guess
+CONTACT = 1e-3  # the same, for motions with contact, which take several times as many iterations with less
 KNOWN = 1e-9  # the same where multipliers are known; where they are not, a small one keeps iterates at limits that they should leave
 
 
@@ -28,11 +29,11 @@ class Ipopt:
     """IPOPT with exact derivatives.
 
     max_iterations; tolerance: of scaled optimality and constraints; verbose: prints a line for each iteration; options: further IPOPT
-    options, such as {"linear_solver": "spral"}, which override those chosen here: {"mu_init": 1e-4} saves a tenth of the iterations where there
-    is no contact. MUMPS runs without its own scaling, which triples its speed on these problems. seconds: wall time after which it stops, None:
-    no limit. watch: called with a `Progress` after each iteration, such as a `tenscasadi.convergence.Convergence`, which draws them; when it
-    returns False the solver stops. warm: the guess is nearly a solution, such as another plan: keep to it, and to its multipliers, if grid and
-    constraints are the same. However it is stopped, also from the keyboard, what is returned is the best iterate. Raises TypeError, ValueError.
+    options, such as {"linear_solver": "spral"}, which override those chosen here. MUMPS runs without its own scaling, which triples its
+    speed on these problems. seconds: wall time after which it stops, None: no limit. watch: called with a `Progress` after each iteration, such
+    as a `tenscasadi.convergence.Convergence`, which draws them; when it returns False the solver stops. warm: the guess is nearly a solution,
+    such as another plan: keep to it, and to its multipliers, if grid and constraints are the same. However it is stopped, also from the
+    keyboard, what is returned is the best iterate. Raises TypeError, ValueError.
     """
 
     max_iterations: int = 300
@@ -72,7 +73,7 @@ class Ipopt:
             "mumps_permuting_scaling": 0,
             "mumps_pivot_order": 0,  # AMD; what MUMPS chooses fills factors where collocation or a free duration couples much: 10 to 80 times slower
             "nlp_scaling_method": "none",  # programs are scaled
-            "mu_init": BARRIER,
+            "mu_init": CONTACT if program.contact else BARRIER,
             "min_refinement_steps": 0,  # solutions of linear systems are refined where their residuals ask for it
             "constr_mult_init_max": 0,  # multipliers of a guess by least squares cost a factorisation, and save no iteration
             **({} if self.seconds is None else {"max_wall_time": self.seconds}),

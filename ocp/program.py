@@ -29,8 +29,8 @@ class Program:
     problem: {"x": w, "f": f, "g": g} as `casadi.nlpsol` takes it. first: w to start from. names: one for each row of g, and w_names for each of w.
     objective, scale, w_scale: what f, g and w are multiplied by to be costs, and in physical units (rows of goals have none). unpack: Function
     w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration. parts: what w,
-    g and f consist of; g begins with `moving` rows of the motion. states: references to x (intervals + 1, nx). multipliers: those of g and of w's
-    limits to start from, where they are known.
+    g and f consist of; g begins with `moving` rows of the motion. states: references to x (intervals + 1, nx). contact: whether nodes may meet a
+    ground. multipliers: those of g and of w's limits to start from, where they are known.
     """
 
     problem: dict[str, Any]
@@ -48,6 +48,7 @@ class Program:
     parts: Separable
     moving: int
     states: Indices
+    contact: bool = False
     multipliers: tuple[Array, Array] | None = None
 
     def derivatives(self) -> dict[str, ca.Function]:
@@ -187,6 +188,7 @@ class Assembly:
             separable,
             sum(block.rows * block.count for block in self.rows),
             self.states,
+            self.model.scene.ground is not None,
         )
 
     def _asked(self) -> tuple[list[Block], list[Block]]:

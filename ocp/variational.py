@@ -140,23 +140,25 @@ class _Chain:
 
     def _force(self, q: Any, v: Any, gamma: Any, lam: Any, time: Any) -> Any:
         """F + B λ̂ C_b on the free coordinates."""
-        total = self._total(q, v, gamma, lam, time)
-        return self.model.pack(total, total, 0)[: self.nq]
-
-    def _total(self, q: Any, v: Any, gamma: Any, lam: Any, time: Any) -> Any:
-        """F + B λ̂ C_b (3×n)."""
         mech = self.mech
         N, V, clock = self.model.unpack(self._state(q, v, time))
         total = sum(forces.terms(self.model.scene, mech, N, V, gamma, clock).values(), start=ca.DM.zeros(*mech.N.shape))
         if self.bars:
             total = total + dynamics.push(mech, ca.mtimes(N, sparse(mech.C_b.T)), lam.T, ca.DM.zeros(3, 0))
-        return total
+        return self.model.pack(total, total, 0)[: self.nq]
 
     def _momentum(self, change: Any) -> Any:
         """M times a change of the free coordinates."""
         _, V, _ = self.model.unpack(self._state(change, change, 0))
         P = ca.mtimes(V, sparse(self.mech.M))
         return self.model.pack(P, P, 0)[: self.nq]
+
+    def _per_mass(self) -> ca.Function:
+        """M⁻¹ times what pushes the free coordinates."""
+        pushed = ca.SX.sym("pushed", self.nq)
+        _, V, _ = self.model.unpack(self._state(pushed, pushed, 0))
+        faster = self.mech.with_inverse(V)
+        return ca.Function("per_mass", [pushed], [self.model.pack(faster, faster, 0)[: self.nq]])
 
     # --- what the motion leaves out ---
 
@@ -167,14 +169,6 @@ class _Chain:
         own = a.interval_controls[intervals]
         controls = own.reshape(len(own), -1, a.controls.shape[1])[:, ::-1].reshape(own.shape)
         return np.hstack([after, v, before, controls, lam, a.repeated(a.duration, len(own)), self._back[intervals], a.time[1:][intervals]])
-
-    def _velocity(self) -> ca.Function:
-        """The arguments of `_backwards`, its v a guess that damping sees, → v of the momentum."""
-        sizes = (self.nq, self.nq, self.nq, self.a.interval_controls.shape[1], self.bars, 1, 1, 1)
-        z, (q, v, before, c, lam, duration, share, passed) = parts(*sizes, kind=ca.SX if self.model.ode.is_a("SXFunction") else ca.MX)
-        pushed = self._total(q, v, self.a.gamma(c, EARLY), lam, duration * passed)
-        faster = self.model.pack(self.mech.with_inverse(pushed), pushed, 0)[: self.nq]
-        return ca.Function("velocity", [z], [(before - q) / (share * duration) - duration * share / 2 * faster])
 
     def missing(self, needed: Callable[[Indices], Array]) -> list[Block]:
         """Unknowns and rows for velocities within and the clock, where a block depends on them."""
@@ -220,8 +214,9 @@ class _Chain:
             central = ca.mtimes(q[:, 2:] - q[:, :-2], ca.diag(1 / (a.fractions[1:] + a.fractions[:-1]))) / seen(a.duration)
             nowhere = np.zeros((a.count - 1, nq), dtype=np.intp)  # whatever: `central` takes the place of what stands there
             z = seen(self._backwards(nowhere, self.lam[1:-1], slice(-1)))
-            z = ca.vertcat(z[:nq, :], central, z[2 * nq :, :])
-            v = ca.horzcat(ends[:, 0], self._velocity().map(a.count - 1)(z), ends[:, 1])
+            left = self._leaving.function.map(a.count - 1)(ca.vertcat(z[:nq, :], central, z[2 * nq :, :]))
+            faster = self._per_mass().map(a.count - 1)(left) * (self._row_scale / seen(a.duration))
+            v = ca.horzcat(ends[:, 0], central + faster, ends[:, 1])
         x = ca.vertcat(q, v)
         if self.model.scene.has_clock:
             x = ca.vertcat(x, float(a.target.start[-1]) + ca.mtimes(seen(a.duration[None]), seen(a.time)))
