@@ -68,9 +68,7 @@ def track(
     Raises TypeError, ValueError.
     """
     instance("plan", plan, Plan, "an ocp.Plan")
-    if plan.model is None:
-        raise ValueError("plan.model is None: give Plan.load(path, problem=...)")
-    model, T = plan.model, float(plan.time[-1])
+    model, T = plan.known_model("track"), float(plan.time[-1])
     count = len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1)
     size = 0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) if place is None else positive_number("place", place)
     force = 0.1 * float(plan.force_density.mean()) or 1.0 if effort is None else positive_number("effort", effort)

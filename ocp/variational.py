@@ -208,15 +208,14 @@ class _Chain:
         """States (nx, K + 1), given what reads references."""
         a, nq = self.a, self.nq
         q = seen(a.states[:, :nq])
-        ends = seen(a.states[[0, -1], nq : 2 * nq])
-        v = ends
-        if a.count > 1:
+        v = seen(a.states[:, nq : 2 * nq])
+        if a.count > 1 and a.states[1, nq] < 0:  # velocities within are no unknowns
             central = ca.mtimes(q[:, 2:] - q[:, :-2], ca.diag(1 / (a.fractions[1:] + a.fractions[:-1]))) / seen(a.duration)
             nowhere = np.zeros((a.count - 1, nq), dtype=np.intp)  # whatever: `central` takes the place of what stands there
             z = seen(self._backwards(nowhere, self.lam[1:-1], slice(-1)))
             left = self._leaving.function.map(a.count - 1)(ca.vertcat(z[:nq, :], central, z[2 * nq :, :]))
             faster = self._per_mass().map(a.count - 1)(left) * (self._row_scale / seen(a.duration))
-            v = ca.horzcat(ends[:, 0], central + faster, ends[:, 1])
+            v = ca.horzcat(v[:, 0], central + faster, v[:, -1])
         x = ca.vertcat(q, v)
         if self.model.scene.has_clock:
             x = ca.vertcat(x, float(a.target.start[-1]) + ca.mtimes(seen(a.duration[None]), seen(a.time)))

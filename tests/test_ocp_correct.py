@@ -54,6 +54,25 @@ def test_the_duration_may_be_free_and_limits_hold():
     assert max(plan.tension().max(), plan.tension(end=True).max()) < 12.0 * (1 + 1e-6)
 
 
+@pytest.mark.parametrize(
+    "asked",
+    [
+        rising(1.0, ocp.Constraint("speed", lambda now: now.velocities[2, 3:6].T, upper=0.13)),
+        ocp.Problem(
+            tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity())),
+            goals=[ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest(), ocp.Waypoint([ocp.AtRest()], share=0.5)],
+            bounds=[ocp.ForceDensityLimits(5.0, 100.0)],
+            costs=[ocp.Effort()],
+        ),
+    ],
+    ids=["limit", "waypoint"],
+)
+def test_velocities_on_the_way_are_corrected_too(asked):
+    plan = ocp.solve(asked, ocp.Variational(20, accuracy=1e-7))
+    assert plan.success, plan.message
+    assert plan.replay_error < 1e-6
+
+
 def test_corrections_cost_the_order_of_the_scheme_and_no_more():
     coarse, exact = (ocp.solve(rising(), ocp.Variational(20, accuracy=accuracy)).objective for accuracy in (None, 1e-9))
     fine = ocp.solve(rising(), ocp.MultipleShooting(20, substeps=8)).objective  # the same force densities, the motion itself
