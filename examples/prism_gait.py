@@ -2,8 +2,9 @@
 
 The ground is soft and has friction (slip is damped, rather than rubbed, below 0.3 m/s). The first guess is a simulation: five strings of an
 elastic prism are wound in and out like sines, with strengths and phases found by trying some hundreds at random, until it moves nearly
-periodically. The plan makes that exact. It is then carried out three times in a row, by the same force densities wherever the nodes are: errors
-grow about threefold in each period, so that a longer walk needs a controller.
+periodically. The plan makes that exact; there are many such gaits of nearly the same cost, and which one is found depends on rounding. It is then
+carried out three times in a row, by the same force densities wherever the nodes are: errors grow several times in each period, so that a
+longer walk needs a controller.
 
 Run it with a folder for the pictures: python examples/prism_gait.py pictures
 """
@@ -49,7 +50,7 @@ def main(folder: Path = Path()) -> tuple[ocp.Plan, np.ndarray]:
         costs=[ocp.Prestress(still.force_density[-1])],
     )
     grid = ocp.Variational(100, control=ocp.PiecewiseLinear())
-    plan = ocp.solve(problem, grid, ocp.Ipopt(tolerance=1e-3), ocp.Arrays(states, pull))
+    plan = ocp.solve(problem, grid, ocp.Ipopt(tolerance=1e-3), ocp.Arrays(states, pull), tolerance=0.04)
     print(plan.summary())
 
     walk = carried_out(plan)
