@@ -2,7 +2,7 @@
 
 The ground is soft and has friction (slip is damped, rather than rubbed, below 0.3 m/s). The first guess is a simulation: five strings of an
 elastic prism are wound in and out like sines, with strengths and phases found by trying some hundreds at random, until it moves nearly
-periodically. The plan makes that exact; there are many such gaits of nearly the same cost, and which one is found depends on rounding. It is then
+periodically. The plan makes that exact; there are many such gaits, and which one is found depends on rounding. It is then
 carried out three times in a row, by the same force densities wherever the nodes are: errors grow several times in each period, so that a
 longer walk needs a controller.
 
