@@ -41,7 +41,7 @@ def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Invariant]
         groups.append(Invariant("clock", clock - float(start[-1]) - time, ("the clock runs",), ("s",)))
     if scene.ground is None and scene.pressure is None and scene.forces is None and scene.supports is None:
         gravity = np.zeros(3) if scene.gravity is None else np.array(scene.gravity.acceleration)
-        rows = [momentum_rows(body, model.mechanism, (N, V), (N0, V0), gravity, time) for body in bodies(model.structure, gravity)]
+        rows = [momentum_rows(body, model.mechanism, (N, V), x, start, gravity, time) for body in bodies(model.structure, gravity)]
         values, names, units = zip(*rows, strict=True)
         groups.append(Invariant("momentum", ca.vertcat(*values), sum(names, ()), sum(units, ())))
         groups += _plane(N, V, N0, V0, gravity)

@@ -37,7 +37,7 @@ class Motion:
         rate = model.ode(sx, su)
         slopes = ca.jacobian(rate, ca.vertcat(sx, su))
         self._row, self._column = (np.array(entries, dtype=np.intp) for entries in slopes.sparsity().get_triplet())
-        self._slopes = Direct(ca.Function("slopes", [sx, su], [ca.densify(rate), ca.vec(slopes.nz[:])]).map(4 * count * substeps))
+        self._slopes = Direct(ca.Function("slopes", [sx, su], [ca.densify(rate), ca.vec(slopes.nz[:])]).map(count * substeps))
 
     def states(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
         """States (count + 1, nx) under controls (count, nu) in intervals of `length` s, and the points (count · substeps, 4, nx) where the
@@ -84,7 +84,11 @@ class Motion:
     def _rates(self, points: Array, controls: Array) -> tuple[Array, Array]:
         """f (steps, 4, nx) and its derivative (steps, 4, nx, nx + nu) with respect to state and control."""
         nx, width = self.model.nx, self.model.nx + self.model.nu
-        rates, entries = self._slopes(points, np.repeat(controls, 4 * self._substeps, axis=0))
+        held = np.repeat(controls, self._substeps, axis=0)
+        # stage by stage: to make a map takes as long as its size
+        rates, entries = (
+            np.stack(parts, axis=1).reshape(4 * len(held), -1) for parts in zip(*(self._slopes(points[:, i], held) for i in range(4)), strict=True)
+        )
         J = np.zeros((len(rates), nx * width))
         J[:, self._row * width + self._column] = entries
         return rates.reshape(-1, 4, nx), J.reshape(-1, 4, nx, width)

@@ -84,14 +84,14 @@ def free_motions(nodes: Array, fixed: Flags, gravity: Array) -> tuple[Flags, lis
 
 
 def momentum_rows(
-    body: Body, mech: Mechanism, now: tuple[Any, Any], start: tuple[Array, Array], gravity: Array, time: Any
+    body: Body, mech: Mechanism, now: tuple[Any, Any], x: Any, start: Array, gravity: Array, time: Any
 ) -> tuple[Any, tuple[str, ...], tuple[str, ...]]:
     """Rows that stay zero, their names and units: the path and speed of the centre of mass, and angular momentum per mass.
 
-    now and start: N and V (3×n) of the motion, `time` seconds after its start, and of its start.
+    now: N and V (3×n), expressions of the state x (nx), of the motion `time` seconds after its start (nx,).
     """
     c, v, spin = _momenta(body, mech, *now)
-    c0, v0, spin0 = _momenta(body, mech, *(ca.DM(Z) for Z in start))
+    c0, v0, spin0 = ca.Function("begun", [x], [c, v, spin])(start)
     g = ca.DM(gravity)
     axes = np.flatnonzero(body.along).tolist()
     value = ca.vertcat((c - c0 - v0 * time - g * time**2 / 2)[axes], (v - v0 - g * time)[axes], spin - spin0)

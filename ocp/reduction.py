@@ -41,6 +41,10 @@ class RowFunction:
         value, gradient = self._code.first(y)
         return value.ravel()[self._rows], gradient.T[self._rows] * self.scale
 
+    def size(self, y: Array) -> float:
+        """The norm of the scaled rows."""
+        return float(np.linalg.norm(self._code.value(y)[0].ravel()[self._rows]))
+
     def curvatures(self, y: Array, weights: Array) -> Iterator[Array]:
         """Second derivatives (ny, ny) of wᵀ rows in scaled unknowns, for each column w of `weights` (m, k)."""
         every = np.zeros((self._code.count, weights.shape[1]))
@@ -58,6 +62,7 @@ class _Code:
 
     def __init__(self, y: Any, scaled: Any) -> None:
         self._y, self._scaled, self.count = y, scaled, int(scaled.shape[0])
+        self.value = Direct(ca.Function("rows", [y], [ca.densify(scaled)]))
         self.first = Direct(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
 
     @cached_property

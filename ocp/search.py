@@ -34,22 +34,22 @@ class Search:
         """y where the first rows, those of `goals`, are as small as the others, which are zero there, let them be."""
         crawling = 0
         for _ in range(STEPS):
-            best, least = None, _size(rows, y)
+            best, least = None, rows.size(y)
             if least < DONE or crawling == PATIENCE:
                 break
             enough = QUICK * least
             for trial in self._trials(rows, y):
-                if _size(rows, trial) < least:
-                    best, least = trial, _size(rows, trial)
+                if rows.size(trial) < least:
+                    best, least = trial, rows.size(trial)
                 if least < enough:
                     break
             if best is None:
                 break
-            crawling = crawling + 1 if least > CRAWL * _size(rows, y) else 0
+            crawling = crawling + 1 if least > CRAWL * rows.size(y) else 0
             y = best
         kept, before = rows.only(slice(goals, len(rows.row_scale))), np.inf
         for _ in range(STEPS):  # what cannot give comes last: the goal's residual shows what is missing
-            size = _size(kept, y)
+            size = kept.size(y)
             if size < DONE or size > CRAWL * before:
                 break
             y, before = self._moved(y, self._step(kept, y, RANK)), size
@@ -65,12 +65,12 @@ class Search:
 
     def _shortened(self, rows: RowFunction, y: Array, step: Array, follow: bool) -> Iterator[Array]:
         """y moved by the largest of step, step/2, … that makes the rows smaller; `follow`: after regular directions have followed."""
-        size = _size(rows, y)
+        size = rows.size(y)
         for halvings in range(8):
             trial = self._moved(y, step * 0.5**halvings)
             if follow:
                 trial = self._moved(trial, self._step(rows, trial, NEARLY_SINGULAR))
-            if _size(rows, trial) < size:
+            if rows.size(trial) < size:
                 yield trial
                 return
 
@@ -118,7 +118,3 @@ class Search:
 
     def _moved(self, y: Array, step: Array) -> Array:
         return self._allowed(y + step * self._scale)
-
-
-def _size(rows: RowFunction, y: Array) -> float:
-    return float(np.linalg.norm(rows(y)[0]))
