@@ -34,7 +34,8 @@ class Projection:
         whole_number("Projection.iterations", self.iterations, 1)
 
     def step(self, model: Model) -> ca.Function | None:
-        """The Function (x) → x of one correction; None when the model has nothing to keep."""
+        """The Function (x) → x of one correction; None when the model has nothing to keep. TypeError for anything but a Model."""
+        instance("model", model, Model, "a tenscasadi.Model")
         return projection(model, self.iterations) if model.mechanism.constrained else None
 
 
@@ -57,8 +58,9 @@ class BarLengthCorrection:
     def step(self, model: Model) -> ca.Function | None:
         """The Function (x) → x of one correction; None when the model has nothing to keep.
 
-        Raises ValueError where bars meet or are pinned in reduced coordinates: their nodes cannot move apart there.
+        Raises TypeError for anything but a Model, ValueError where bars meet or are pinned in reduced coordinates: nodes cannot move apart there.
         """
+        instance("model", model, Model, "a tenscasadi.Model")
         if not model.mechanism.constrained:
             return None
         if model.mechanism.system_size and not model.mechanism.joints:

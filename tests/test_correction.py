@@ -177,3 +177,9 @@ def test_a_trajectory_tells_what_its_correction_did(correction: Projection | Bar
         moved = projection(model)(once).full().ravel()
         first = simulate(model, 1e-2, 1e-2, correction=correction, state=x).correction_shift[0]
         assert first == pytest.approx(np.linalg.norm(model.nodes(moved) - model.nodes(once), axis=1).max(), rel=1e-6)
+
+
+@pytest.mark.parametrize("correction", [Projection(), BarLengthCorrection()], ids=lambda value: type(value).__name__)
+def test_what_is_no_model_is_refused_by_name(correction):
+    with pytest.raises(TypeError, match=r"model is 'prism': give a tenscasadi\.Model"):
+        correction.step("prism")
