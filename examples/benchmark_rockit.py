@@ -16,10 +16,10 @@ import numpy as np
 
 import ocp
 import tenscasadi as tc
-from ocp.finder import find_target
-from ocp.guess import make_guess
-from ocp.target import Scales
-from ocp.transcription import OnGrid
+from ocp.boundary.find_target import find_target
+from ocp.boundary.target import Scales
+from ocp.transcription.base import OnGrid
+from ocp.transcription.initial_guess import make_guess
 
 BAR = 1.4  # m
 LEAST, MOST = 5.0, 100.0  # N/m

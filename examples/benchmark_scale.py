@@ -17,8 +17,8 @@ import casadi as ca
 import numpy as np
 
 import tenscasadi as tc
-from tenscasadi.compiled import compile_function, find_compiler
-from tenscasadi.model import instructions
+from tenscasadi.dynamics.model import instructions
+from tenscasadi.util.compile import compile_function, find_compiler
 
 CHAINS = (3, 10, 33, 100, 333, 1000, 1667)  # prisms, of three bars each
 MEMBRANES = ((4, 3), (8, 5), (16, 9), (40, 21), (80, 41), (100, 67))  # (p, q)

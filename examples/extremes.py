@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 import tenscasadi as tc
-from tenscasadi.validate import Array
+from tenscasadi.util.validate import Array
 
 
 class Row(NamedTuple):

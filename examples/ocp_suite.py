@@ -13,6 +13,7 @@ import numpy as np
 
 import ocp
 import tenscasadi as tc
+from ocp.problem.bounds import Bound
 
 EFFORT = (ocp.Effort(),)
 
@@ -126,7 +127,7 @@ def falling() -> ocp.Problem:
     return ocp.Problem(driven(prism(3, 1.0), tc.Gravity()), 0.5, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)], costs=EFFORT)
 
 
-def limited(*bounds: ocp.bounds.Bound) -> ocp.Problem:
+def limited(*bounds: Bound) -> ocp.Problem:
     """A prism grows within further limits."""
     asked = free_prism(3, 1.0, 1.1)
     return ocp.Problem(asked.model, 1.0, goals=asked.goals, bounds=[*asked.bounds, *bounds], costs=EFFORT)

@@ -21,9 +21,9 @@ from matplotlib.figure import Figure
 
 import ocp
 import tenscasadi as tc
-from ocp.program import Program
-from ocp.solver import Solution
-from ocp.transcription import OnGrid
+from ocp.solvers.base import Solution
+from ocp.transcription.base import OnGrid
+from ocp.transcription.variables import Program
 
 BAR = 1.4  # m
 SAME = 60  # intervals at which the fast path and plain multiple shooting are compared

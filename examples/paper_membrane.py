@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 import tenscasadi as tc
 from tenscasadi import plots
-from tenscasadi.shapes import membrane_faces
+from tenscasadi.structure.shapes import membrane_faces
 
 RADIUS, LENGTH = 20.0, 40.0
 ATMOSPHERE = 101325.0

@@ -6,33 +6,33 @@ made, or where a `Problem` learns which structure it is for.
 
 from __future__ import annotations
 
-from ocp.best import Progress
-from ocp.bounds import BarForceLimits, Buckling, ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
-from ocp.closed_loop import ClosedLoop, run
-from ocp.collocation import Collocation
-from ocp.costs import Duration, Effort, Prestress, Smoothness, Tracking, Work
-from ocp.duals import Duals
+from ocp.boundary.invariants import UnreachableGoal
+from ocp.control.closed_loop import ClosedLoop, run
+from ocp.control.lqr import Tracker, track
+from ocp.control.mpc import Mpc
 from ocp.export import export_mpc, export_program
-from ocp.expressions import AtEnd, Constraint, Integral
-from ocp.fatrop import Fatrop
-from ocp.goals import AtRest, NodePositions, Shape, StringLengths
-from ocp.grid import PiecewiseConstant, PiecewiseLinear
-from ocp.guesses import Arrays, Equilibrium, InverseDynamics
-from ocp.implicit import ImplicitMidpoint
-from ocp.instant import Instant
-from ocp.invariants import UnreachableGoal
-from ocp.ipopt import Ipopt
-from ocp.motions import Periodic, Waypoint
-from ocp.mpc import Mpc
-from ocp.places import AboveGround, BarClearance, InsideBox, Obstacle
-from ocp.plan import Plan
-from ocp.problem import FreeStart, Problem
-from ocp.report import Report
+from ocp.plan.actuation import reachable, replay_wound
+from ocp.plan.plan import Plan
+from ocp.plan.report import Report
+from ocp.problem.bounds import BarForceLimits, Buckling, ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
+from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Tracking, Work
+from ocp.problem.expressions import AtEnd, Constraint, Integral
+from ocp.problem.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
+from ocp.problem.goals import AtRest, NodePositions, Shape, StringLengths
+from ocp.problem.instant import Instant
+from ocp.problem.motions import Periodic, Waypoint
+from ocp.problem.problem import FreeStart, Problem
 from ocp.solve import solve
-from ocp.track import Tracker, track
-from ocp.transcription import MultipleShooting
-from ocp.variational import Variational
-from ocp.winding import reachable, replay_wound
+from ocp.solvers.best import Progress
+from ocp.solvers.duals import Duals
+from ocp.solvers.fatrop import Fatrop
+from ocp.solvers.ipopt import Ipopt
+from ocp.transcription.base import MultipleShooting
+from ocp.transcription.collocation import Collocation
+from ocp.transcription.guesses import Arrays, Equilibrium, InverseDynamics
+from ocp.transcription.implicit import ImplicitMidpoint
+from ocp.transcription.mesh import PiecewiseConstant, PiecewiseLinear
+from ocp.transcription.variational import Variational
 
 __all__ = [
     # what is asked

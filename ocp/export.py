@@ -10,12 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.guesses import GuessValue
-from ocp.mpc import Mpc
-from ocp.problem import Problem
+from ocp.control.mpc import Mpc
+from ocp.problem.problem import Problem
 from ocp.solve import program_of
-from ocp.transcription import OnGrid
-from tenscasadi.validate import instance
+from ocp.transcription.base import OnGrid
+from ocp.transcription.guesses import GuessValue
+from tenscasadi.util.validate import instance
 
 
 def export_program(problem: Problem, transcription: OnGrid, folder: str | Path, guess: GuessValue | None = None) -> list[Path]:

@@ -10,29 +10,29 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.conflicts import check_groups, check_start
-from ocp.correct import corrected
-from ocp.duals import Duals
-from ocp.explain import explain_failure, long_steps
-from ocp.fatrop import Fatrop
-from ocp.finder import find_target
-from ocp.grid import held_values, spread
-from ocp.guess import Guess
-from ocp.guesses import GuessValue, guess_of
-from ocp.ipopt import Ipopt
-from ocp.misses import misses
-from ocp.multipliers import duals_of, started
-from ocp.path import cubic, within
-from ocp.plan import Plan
-from ocp.problem import Problem
-from ocp.program import Program
-from ocp.reach import HARDLY_REACHED, REACHED, Reach, controlled
-from ocp.solver import Solution, Solver
-from ocp.target import Scales, Target
-from ocp.transcription import MultipleShooting, OnGrid
-from tenscasadi.record import record
-from tenscasadi.trajectory import Trajectory
-from tenscasadi.validate import Array, instance, positive_number
+from ocp.boundary.find_target import find_target
+from ocp.boundary.reach import HARDLY_REACHED, REACHED, Reach, controlled
+from ocp.boundary.target import Scales, Target
+from ocp.plan.diagnosis import explain_failure, long_steps
+from ocp.plan.misses import misses
+from ocp.plan.plan import Plan
+from ocp.presolve import check_groups, check_start
+from ocp.problem.path_constraints import cubic, within
+from ocp.problem.problem import Problem
+from ocp.solvers.base import Solution, Solver
+from ocp.solvers.deferred_correction import corrected
+from ocp.solvers.duals import Duals
+from ocp.solvers.fatrop import Fatrop
+from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.multipliers import duals_of, started
+from ocp.transcription.base import MultipleShooting, OnGrid
+from ocp.transcription.guesses import GuessValue, guess_of
+from ocp.transcription.initial_guess import Guess
+from ocp.transcription.mesh import held_values, spread
+from ocp.transcription.variables import Program
+from tenscasadi.simulation.record import record
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.validate import Array, instance, positive_number
 
 MET = 3e-4  # of the structure's size (and of it per duration): goals missed by more are missed
 RELIABLE = 1e-2  # of the same: what a replay may miss by, unless a tolerance is stated

@@ -5,35 +5,35 @@ Pictures are in `tenscasadi.plots`, which loads matplotlib and is imported by na
 
 from __future__ import annotations
 
-from tenscasadi import shapes
-from tenscasadi.class_one import ClassOne
-from tenscasadi.collocation import Collocation
-from tenscasadi.compiled import CompileError
-from tenscasadi.correction import BarLengthCorrection, Projection, projection
-from tenscasadi.dynamics import Multipliers
-from tenscasadi.export import export_c
-from tenscasadi.linear import Linearization, Modes, linearize, modes
-from tenscasadi.loads import Gravity, Ground, NodalForce, Pressure
-from tenscasadi.mode_motion import mode_motion
-from tenscasadi.model import Energy, Model
-from tenscasadi.precision import Single
-from tenscasadi.rattle import Rattle
-from tenscasadi.recommend import NoScheme, Recommendation, recommend
-from tenscasadi.redundancy import RedundantConstraints
-from tenscasadi.reference import NoReference, Reference, certify
-from tenscasadi.scene import Scene
-from tenscasadi.schemes import DormandPrince54, DormandPrince853, RungeKutta4
-from tenscasadi.simulate import simulate
-from tenscasadi.stability import stable_step
-from tenscasadi.state_space import Constraints
-from tenscasadi.statics import EquilibriumError, equilibrium_force_density, self_stress
-from tenscasadi.strings import Clip, ForceDensity, RestLength, Smooth
-from tenscasadi.structure import Structure
-from tenscasadi.sundials import Cvodes, Idas
-from tenscasadi.supports import SupportMotion
-from tenscasadi.table import Row, Tradeoff
-from tenscasadi.tradeoff import tradeoff
-from tenscasadi.trajectory import Trajectory
+from tenscasadi.analysis.certify import NoReference, Reference, certify
+from tenscasadi.analysis.mode_motion import mode_motion
+from tenscasadi.analysis.modes import Linearization, Modes, linearize, modes
+from tenscasadi.analysis.recommend import NoScheme, Recommendation, recommend
+from tenscasadi.analysis.tradeoff import tradeoff
+from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
+from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density, self_stress
+from tenscasadi.dynamics.mechanism import Multipliers
+from tenscasadi.dynamics.model import Energy, Model
+from tenscasadi.dynamics.redundancy import RedundantConstraints
+from tenscasadi.dynamics.state_space import Constraints
+from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.rattle import Rattle
+from tenscasadi.integrators.scheme import DormandPrince54, DormandPrince853, RungeKutta4
+from tenscasadi.integrators.stability import stable_step
+from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
+from tenscasadi.integrators.sundials import Cvodes, Idas
+from tenscasadi.scene.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import Clip, ForceDensity, RestLength, Smooth
+from tenscasadi.scene.supports import SupportMotion
+from tenscasadi.simulation.export import export_c
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure import shapes
+from tenscasadi.structure.class_one import ClassOne
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.compile import CompileError
+from tenscasadi.util.precision import Single
 
 __all__ = [
     # what is modelled

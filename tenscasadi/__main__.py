@@ -1,5 +1,5 @@
 """`python -m tenscasadi`: the command line."""
 
-from tenscasadi.cli import main
+from tenscasadi.cli.main import main
 
 raise SystemExit(main())

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tenscasadi.cli import _parser
+from tenscasadi.cli.main import _parser
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -50,11 +50,11 @@ def test_commands_are_understood(command):
     assert callable(_parser().parse_args(shlex.split(command)[1:]).run)
 
 
-def test_files_named_exist_and_all_are_named():
+def test_folders_named_exist_and_all_are_named():
     for package in ("tenscasadi", "ocp"):
         table = README.split(f"| in `{package}/` |")[1].split("\n\n")[0]
-        named = re.findall(r"`(\w+\.py)`", table)
-        assert sorted(named) == sorted(path.name for path in (ROOT / package).glob("*.py") if path.name != "__init__.py")
+        named = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
+        assert sorted(named) == sorted(path.parent.name for path in (ROOT / package).glob("*/__init__.py"))
     for path in re.findall(r"\]\((docs/[^)]+)\)", README) + re.findall(r"`(examples/\w+\.py)`", README):
         assert (ROOT / path).exists(), path
 

@@ -1,0 +1,236 @@
+"""The state that the goals ask for: found before planning, so that what cannot be reached is refused by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.boundary.free_start import find_cycle
+from ocp.boundary.gauss_newton import NEARLY_SINGULAR, Search
+from ocp.boundary.invariants import UnreachableGoal, invariants
+from ocp.boundary.row_reduction import RANK, Combined, Reduction, RowFunction, reduce_rows, soft_directions
+from ocp.boundary.target import Scales, Stop, Target
+from ocp.problem.goals import rows_of
+from ocp.problem.problem import Problem
+from tenscasadi.dynamics.model import Model
+from tenscasadi.util.validate import Array
+
+ROUNDED = 2e-4  # of the structure's size: goals given to four digits are met as nearly as the bars allow, beyond they are refused
+AMPLE = 100.0  # times what nodes move by in a short time, as accelerations at the start tell: beyond is out of reach however they grow
+RIGID = ("bar", "joint", "clock")
+
+
+def find_target(problem: Problem, scales: Scales) -> Target:
+    """The target of a problem. Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much."""
+    stops = []
+    for share, part in problem.waypoints:
+        try:
+            stop = _end(part, scales)
+            _check_time(problem, stop, part.longest)
+        except UnreachableGoal as error:
+            raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
+        stops.append(Stop(share, stop, problem.model.nq))
+    if problem.start_goals:
+        closed = any(goal.shift == (0.0, 0.0, 0.0) for goal in problem.repeating)  # the start is the end
+        try:
+            _end(replace(problem, goals=problem.start_goals + closed * problem.final_goals, bounds=(), costs=()), scales)
+        except UnreachableGoal as error:
+            raise UnreachableGoal(f"free start: {error}") from None
+    end = _end(problem, scales)
+    _check_time(problem, end, problem.longest)
+    return replace(end, stops=tuple(stops), cycle=find_cycle(problem, scales.length, scales.time, scales.state))
+
+
+def _check_time(problem: Problem, target: Target, seconds: float) -> None:
+    """Refuses a target farther off, by far, than force densities within their limits move nodes in that time."""
+    model, start = problem.model, problem.first_state
+    _, most = problem.force_density_limits
+    if target.state is None or problem.free_start or model.scene.has_clock or not np.all(np.isfinite(most)):
+        return
+    nq, nu = model.nq, model.nu
+    pulls = np.column_stack([np.zeros(nu), np.eye(nu)])
+    free, *slopes = np.asarray(model.ode.map(nu + 1)(start, pulls).full()).T[:, nq : 2 * nq]  # accelerations are linear in γ
+    fastest = np.max(np.abs(free) + sum(np.abs(slope - free) * limit for slope, limit in zip(slopes, most, strict=True)))
+    reach = (np.abs(start[nq : 2 * nq]).max() + fastest * seconds) * seconds
+    away = np.abs(target.state - start)[:nq]
+    if away.max() > AMPLE * reach:
+        node, axis = divmod(int(np.flatnonzero(model.mechanism.free.ravel())[np.argmax(away)]), 3)
+        way = f"node {model.mechanism.physical[node]} {'xyz'[axis]} has to move by {away.max():.2g} m in {seconds:.2g} s"
+        raise UnreachableGoal(f"{way}, in which force densities within their limits move it by about {reach:.2g} m: give more time")
+
+
+def _end(problem: Problem, scales: Scales) -> Target:
+    """The target at the end of a problem."""
+    model = problem.model
+    start = problem.first_state
+    finder = _Finder(problem, start, scales)
+    if not finder.names:
+        x = ca.SX.sym("x", model.nx)
+        empty, none = ca.SX(0, 1), Combined(np.zeros((0, 0)), (), np.zeros(0))
+        single, misfit = ca.Function("single", [x], [empty]), ca.Function("misfit", [x], [empty, empty])
+        return Target(start, None, single, np.zeros((0, 0)), misfit, (), 0, {}, 0, 0.0, none)
+    y, adjusted = finder.solve()
+    return finder.reduced(y, adjusted)
+
+
+class _Finder:
+    """The goals and invariants of a problem as rows of y = (x, duration), and the way to a y that meets them."""
+
+    def __init__(self, problem: Problem, start: Array, scales: Scales) -> None:
+        model, self.problem, self.start, self.scales = problem.model, problem, start, scales
+        self.x, duration = ca.SX.sym("x", model.nx), ca.SX.sym("T")
+        self.y = ca.vertcat(self.x, duration)
+        self.scale = np.append(scales.state, scales.time)
+        self.free_duration = problem.shortest < problem.longest
+        N, V, structure = model.nodes(self.x), model.velocities(self.x), model.scene.structure
+        goals = [rows for goal in problem.final_goals for rows in rows_of(goal, structure, N, V)]
+        self.lengths = ca.vertcat(ca.SX(0, 1), *(rows.value for rows in goals if not rows.speed))
+        self.speeds = ca.vertcat(ca.SX(0, 1), *(rows.value for rows in goals if rows.speed))
+        self.names = tuple(name for speed in (False, True) for rows in goals if rows.speed is speed for name in rows.names)
+        self.value = ca.vertcat(self.lengths, self.speeds)
+        metre, speed = scales.length, scales.length / scales.time
+        row_scale = np.concatenate([np.full(self.lengths.shape[0], metre), np.full(self.speeds.shape[0], speed)])
+        # from a free start all momenta can be had
+        self.groups = [group for group in invariants(model, start, self.x, duration) if group.kind in RIGID or not problem.free_start]
+        sizes = {"m": metre, "m/s": speed, "m²/s": metre * speed, "s": scales.time}
+        every = np.append(row_scale, [sizes[unit] for group in self.groups for unit in group.units])
+        self.rows = RowFunction(self.y, ca.vertcat(self.value, *(group.value for group in self.groups)), every, self.scale)
+        ends = np.cumsum([len(row_scale), *(len(group.units) for group in self.groups)]).tolist()
+        self.goal = self.rows.only(slice(ends[0]))
+        self.kept = [self.rows.only(slice(a, b)) for a, b in pairwise(ends)]
+        self.search = Search(self.scale, _metric(model), self._allowed, self._deforming)
+
+    def solve(self) -> tuple[Array, float]:
+        """y at the target, and by how much goals had to be adjusted (m), 0 when they are met."""
+        y = np.append(self.start, (self.problem.shortest + self.problem.longest) / 2)
+        rigid = [k for k, group in enumerate(self.groups) if group.kind in RIGID]
+        goals, miss = len(self.goal.row_scale), 0.0
+        for active in [rigid] if len(rigid) == len(self.groups) else [rigid, list(range(len(self.groups)))]:
+            count = goals + sum(len(self.groups[k].units) for k in active)  # rigid groups come first
+            y = self.search.nearest(self.rows.only(slice(count)), goals, y)
+            miss = self._miss(y)
+            if miss > ROUNDED:
+                self._refuse(y, active)
+        straight = self._straightened(y)
+        if straight is not None:
+            y = self.search.nearest(self.rows, goals, straight)
+            miss = self._miss(y)
+        return y, miss * self.scales.length if miss > 1e-7 else 0.0
+
+    def _miss(self, y: Array) -> float:
+        return float(np.abs(self.goal(y)[0]).max(initial=0.0))
+
+    def _allowed(self, y: Array) -> Array:
+        """y with a duration that the problem allows."""
+        return np.append(y[:-1], np.clip(y[-1], self.problem.shortest, self.problem.longest))
+
+    def _deforming(self, step: Array) -> Array:
+        """Of a change of y what moves nodes; where none is pinned, relative to their mean."""
+        nq = self.problem.model.nq
+        result = np.where(np.arange(len(step)) < nq, step, 0.0)
+        if not self.problem.model.structure.fixed.any():
+            result[:nq] -= np.tile(step[:nq].reshape(-1, 3).mean(axis=0), nq // 3)
+        return result
+
+    def _straightened(self, y: Array) -> Array | None:
+        """Nodes inside strings, which no goal places, back on the line between the string's ends; None where there are none."""
+        model, s = self.problem.model, self.problem.model.structure
+        parent = s.string_parent
+        inner = np.flatnonzero(parent[:-1] == parent[1:])  # children follow each other from first to second node
+        if not inner.size:
+            return None
+        nodes = model.nodes(y[:-1]).copy()
+        a, b = nodes[model.scene.structure.strings].transpose(1, 0, 2)
+        along = np.cumsum(s.string_fraction)
+        along = along - np.concatenate([[0.0], along])[np.searchsorted(parent, parent)]
+        nodes[s.strings[inner, 1]] = a[parent[inner]] + along[inner, None] * (b - a)[parent[inner]]
+        x = model.state(nodes, model.velocities(y[:-1]))
+        x[2 * model.nq :] = y[2 * model.nq : -1]
+        return np.append(x, y[-1])
+
+    def _refuse(self, y: Array, active: list[int]) -> None:
+        """Names the row that misses most, and the invariant that holds it: the one with the largest multiplier."""
+        r, H = self.goal(y)
+        worst = int(np.argmax(np.abs(r) > (1 - 1e-6) * np.abs(r).max()))  # the first of equals
+        size, unit = abs(r[worst]) * self.goal.row_scale[worst], "m/s" if worst >= self.lengths.shape[0] else "m"
+        reason = "the goals contradict each other: leave one out"
+        rows = [(self.groups[k].kind, name) for k in active for name in self.groups[k].names]
+        if rows:
+            A = np.concatenate([self.kept[k](y)[1] for k in active])
+            norms = np.linalg.norm(A, axis=1)
+            push = abs(np.linalg.lstsq((A / np.maximum(norms, 1e-9)[:, None]).T, H.T @ r, rcond=RANK)[0])
+            later = np.array([kind not in RIGID for kind, _ in rows])
+            if later.any():  # bars alone have been tried before, and let the goals be met
+                push = push * later + 1e-9 * later * np.arange(len(rows))  # where nothing pushes, the last stands in the way: it is the plane
+            kind, name = rows[int(np.argmax(push))]
+            if push.max() > 1e-2 * np.abs(r).max() or later.any():
+                reason = f"{name}{_CURES[kind]}"
+        raise UnreachableGoal(f"{self.names[worst]} misses its goal by {size:.3g} {unit} at best, as {reason}")
+
+    def reduced(self, y: Array, adjusted: float) -> Target:
+        """The target at y with the rows that can be imposed there."""
+        values, H = self.goal(y)
+        directions, _, _ = soft_directions(self.rows, y, NEARLY_SINGULAR)
+        weights, squared, (more, gradient) = self._shape_rows(y, directions)
+        added = len(weights)
+        H = np.concatenate([H, weights @ gradient])
+        groups = [(group.kind, kept(y)[1]) for group, kept in zip(self.groups, self.kept, strict=True)]
+        if not self.free_duration:
+            H, groups = H[:, :-1], [(kind, A[:, :-1]) for kind, A in groups]
+        reduction: Reduction = reduce_rows(H, groups)
+        rows = ca.vertcat(self.value / ca.DM(self.goal.row_scale), squared) - ca.DM(np.append(values, more))
+        single, every = ca.Function("single", [self.x], [rows]), reduction.combinations
+        imposed = np.concatenate([every[:, : len(values)], every[:, len(values) :] @ weights], axis=1)
+        distances = (ca.sqrt(squared) - ca.DM(np.sqrt(more))) * self.scales.length
+        misfit = ca.Function("misfit", [self.x], [ca.vertcat(self.lengths, distances), self.speeds], ["x"], ["metres", "speeds"])
+        count = self.lengths.shape[0]
+        names = (*self.names[:count], *(f"distance of nodes {a} and {b}" for a, b in self._pairs(distances.shape[0])), *self.names[count:])
+        row_names = (*self.names, *(f"shape, combination {k}" for k in range(added)))
+        combined = Combined(reduction.combinations, row_names, np.append(self.goal.row_scale, np.ones(added)))
+        return Target(self.start, y[:-1], single, imposed, misfit, names, len(self.names), reduction.repeated, added, adjusted, combined)
+
+    def _shape_rows(self, y: Array, directions: Array) -> tuple[Array, Any, tuple[Array, Array]]:
+        """Combinations (k, m) of all m squared distances of nodes, which feel `directions` and no rigid motion; the distances, as rows of x; and
+        their values and gradient at y."""
+        model, L = self.problem.model, self.scales.length
+        if not directions.shape[1]:
+            return np.zeros((0, 0)), ca.SX(0, 1), (np.zeros(0), np.zeros((0, len(y))))
+        count = len(model.scene.structure.nodes)
+        a, b = (index.tolist() for index in np.triu_indices(count, 1))
+        N = model.nodes(self.x)
+        d = N[:, a] - N[:, b]
+        squared = ca.sum1(d * d).T / L**2
+        value, gradient = RowFunction(self.y, squared, np.ones(len(a)), self.scale)(y)
+        weights = (gradient @ directions).T
+        norms = np.linalg.norm(weights, axis=1, keepdims=True)
+        return (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK], squared, (value, gradient)
+
+    def _pairs(self, count: int) -> list[tuple[int, int]]:
+        if not count:
+            return []
+        return list(zip(*(index.tolist() for index in np.triu_indices(len(self.problem.model.scene.structure.nodes), 1)), strict=True))
+
+
+def _metric(model: Model) -> Array:
+    """The mass matrix on positions and velocities, relative to its mean, and one for clock and duration."""
+    mech = model.mechanism
+    free = np.flatnonzero(mech.free.ravel())
+    mass = np.kron(mech.M.toarray(), np.eye(3))[np.ix_(free, free)]
+    mass = mass / np.diag(mass).mean()
+    result = np.eye(model.nx + 1)
+    result[: model.nq, : model.nq] = mass
+    result[model.nq : 2 * model.nq, model.nq : 2 * model.nq] = mass
+    return result
+
+
+_CURES = {
+    "bar": ": give goals that fit the bars",
+    "joint": ": give goals that fit the joints",
+    "clock": ": give goals that fit the time",
+    "momentum": " whatever the strings do: move the goal there, or pin a node",
+    "plane": ", where all forces act: move the goal into it, or start out of it",
+}

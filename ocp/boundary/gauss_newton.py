@@ -1,0 +1,120 @@
+"""The nearest state that meets goals and constraints: Gauss-Newton, with a quadratic equation where gradients vanish."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import scipy.optimize
+
+from ocp.boundary.row_reduction import RANK, RowFunction, soft_directions
+from tenscasadi.util.validate import Array
+
+STRIDE = 0.1  # of the structure's size: how far a step may move nodes relative to each other
+STEPS = 100
+NEARLY_SINGULAR = 3e-2  # as RANK, where Newton's steps become too long and a quadratic equation takes over
+QUICK = 0.9  # a step that leaves less than this share of the residual is taken without looking at others
+CRAWL, PATIENCE = 0.99, 5  # so many steps that leave more than this share lead nowhere
+DONE = 1e-13
+STARTS = 4  # directions, the most curved ones, along which a quadratic equation is tried from both sides
+
+
+class Search:
+    """Moves y by the smallest steps in the sense of a metric (ny, ny) on scaled unknowns.
+
+    In that of the mass matrix such steps neither turn nor shift a free structure. `allowed` maps a y to the nearest that is allowed.
+    `deforming` leaves of a scaled step what moves nodes relative to each other: in all else rows are nearly linear, and steps may be long.
+    """
+
+    def __init__(self, scale: Array, metric: Array, allowed: Callable[[Array], Array], deforming: Callable[[Array], Array]) -> None:
+        self._scale, self._allowed, self._deforming = scale, allowed, deforming
+        self._basis = np.linalg.inv(np.linalg.cholesky(metric)).T  # columns of length one in the metric
+
+    def nearest(self, rows: RowFunction, goals: int, y: Array) -> Array:
+        """y where the first rows, those of `goals`, are as small as the others, which are zero there, let them be."""
+        crawling = 0
+        for _ in range(STEPS):
+            best, least = None, rows.size(y)
+            if least < DONE or crawling == PATIENCE:
+                break
+            enough = QUICK * least
+            for trial in self._trials(rows, y):
+                if rows.size(trial) < least:
+                    best, least = trial, rows.size(trial)
+                if least < enough:
+                    break
+            if best is None:
+                break
+            crawling = crawling + 1 if least > CRAWL * rows.size(y) else 0
+            y = best
+        kept, before = rows.only(slice(goals, len(rows.row_scale))), np.inf
+        for _ in range(STEPS):  # what cannot give comes last: the goal's residual shows what is missing
+            size = kept.size(y)
+            if size < DONE or size > CRAWL * before:
+                break
+            y, before = self._moved(y, self._step(kept, y, RANK)), size
+        return y
+
+    def _trials(self, rows: RowFunction, y: Array) -> Iterator[Array]:
+        """Shortened steps that come nearer: along regular directions, along all, and along those that only second order feels."""
+        for rank_tolerance in (NEARLY_SINGULAR, RANK):
+            yield from self._shortened(rows, y, self._step(rows, y, rank_tolerance), follow=False)
+        soft = self._soft_step(rows, y)
+        if soft is not None:
+            yield from self._shortened(rows, y, soft, follow=True)
+
+    def _shortened(self, rows: RowFunction, y: Array, step: Array, follow: bool) -> Iterator[Array]:
+        """y moved by the largest of step, step/2, … that makes the rows smaller; `follow`: after regular directions have followed."""
+        size = rows.size(y)
+        for halvings in range(8):
+            trial = self._moved(y, step * 0.5**halvings)
+            if follow:
+                trial = self._moved(trial, self._step(rows, trial, NEARLY_SINGULAR))
+            if rows.size(trial) < size:
+                yield trial
+                return
+
+    def _step(self, rows: RowFunction, y: Array, rank_tolerance: float) -> Array:
+        """−J⁺ r in scaled unknowns; directions that are more singular than `rank_tolerance` stay where they are."""
+        r, J = rows(y)
+        step = self._newton(r, J, rank_tolerance)
+        wanted = y + step * self._scale
+        allowed = self._allowed(wanted)
+        held = allowed != wanted
+        if held.any():  # what is at its limit goes no further, and the others do without it
+            fixed = np.where(held, (allowed - y) / self._scale, 0.0)
+            step = fixed + self._newton(r + J @ fixed, np.where(held, 0.0, J), rank_tolerance)
+        return self._strided(step)
+
+    def _newton(self, r: Array, J: Array, rank_tolerance: float) -> Array:
+        left, values, right = np.linalg.svd(J @ self._basis, full_matrices=False)
+        used = values > rank_tolerance * values.max(initial=0.0)
+        return np.asarray(self._basis @ (-right[used].T @ ((left[:, used].T @ r) / values[used])))
+
+    def _soft_step(self, rows: RowFunction, y: Array) -> Array | None:
+        """A step d to second order: c + b d + ½ dᵀ K d = 0 for the combinations of rows that have (nearly) no gradient."""
+        directions, W, K = soft_directions(rows, y, NEARLY_SINGULAR)
+        if not directions.shape[1]:
+            return None
+        r, J = rows(y)
+        c, b = W.T @ r, W.T @ J @ directions
+
+        def curved(d: Array) -> Array:
+            return np.asarray(c + b @ d + np.einsum("jkl,k,l->j", K, d, d) / 2)
+
+        def slopes(d: Array) -> Array:
+            return np.asarray(b + np.einsum("jkl,l->jk", K, d))
+
+        reach = np.sqrt(2 * np.abs(c).max() / max(np.abs(K).max(), 1e-12))
+        starts = [sign * reach * axis for axis in np.eye(directions.shape[1])[-STARTS:] for sign in (1.0, -1.0)]
+        tried = [scipy.optimize.least_squares(curved, d, slopes) for d in starts]
+        found = min(tried, key=lambda result: (round(float(result.cost), 15), float(np.linalg.norm(result.x))))
+        return self._strided(directions @ found.x)
+
+    def _strided(self, step: Array) -> Array:
+        deforming = self._deforming(step)
+        largest = np.abs(deforming).max(initial=0.0)
+        return step - (1 - STRIDE / largest) * deforming if largest > STRIDE else step
+
+    def _moved(self, y: Array, step: Array) -> Array:
+        return self._allowed(y + step * self._scale)

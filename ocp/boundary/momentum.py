@@ -1,0 +1,114 @@
+"""Momenta that strings cannot change: of each body, along the axes and about the axes that nothing holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from tenscasadi.dynamics.mechanism import Mechanism
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.validate import Array, Indices
+
+AXES = "xyz"
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A part of the structure that no other part can push: its nodes that move, and the motions that nothing holds (see `free_motions`)."""
+
+    nodes: Indices
+    along: Flags
+    rotations: list[tuple[Array, Array]]
+    name: str
+
+
+def bodies(structure: Structure, gravity: Array) -> list[Body]:
+    """What hangs together by members that do not meet in a pinned node."""
+    pinned: Flags = np.asarray(structure.fixed.all(axis=1), dtype=bool).reshape(-1)
+    pairs = np.concatenate([structure.bars, structure.strings])
+    at_pin: Flags = pinned[pairs[:, 0]] | pinned[pairs[:, 1]]
+    links, held = pairs[~at_pin], pairs[at_pin]
+    n = len(structure.nodes)
+    graph = scipy.sparse.coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(n, n))
+    count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    groups = [np.flatnonzero((label == k) & ~pinned) for k in range(count)]
+    groups = [moving for moving in groups if moving.size]
+    found = []
+    for k, moving in enumerate(groups):
+        touching = np.unique(held[np.isin(held, moving).any(axis=1)])
+        nodes = np.union1d(moving, touching[pinned[touching]])
+        along, rotations = free_motions(structure.nodes[nodes], structure.fixed[nodes], gravity)
+        found.append(Body(moving, along, rotations, f" of body {k}" if len(groups) > 1 else ""))
+    return found
+
+
+def free_motions(nodes: Array, fixed: Flags, gravity: Array) -> tuple[Flags, list[tuple[Array, Array]]]:
+    """The axes (3,) bool along which nothing holds a body's nodes (n, 3), and the rotations (t, ω) whose momentum is kept.
+
+    A rotation moves node r by t + ω×(r − c), c the centre of mass along the free axes: its momentum is conserved when it moves no
+    `fixed` (n, 3) coordinate, wherever the nodes are, and no weight (Noether's theorem). A single pin leaves three rotations, two pins one.
+    """
+    along: Flags = np.logical_not(np.asarray(fixed.any(axis=0)))
+    origin = nodes.mean(axis=0)
+    size = float(np.abs(nodes - origin).max()) or 1.0
+    conditions = [np.eye(6)[axis] for axis in range(3) if along[axis]]
+    for node, axis in np.argwhere(fixed):
+        b, c = (axis + 1) % 3, (axis + 2) % 3
+        row = np.eye(6)[axis]  # (t + ω×r)_a = t_a + ω_b r_c − ω_c r_b
+        for other, turn, sign in ((c, b, 1.0), (b, c, -1.0)):
+            if fixed[node, other]:
+                row[3 + turn] += sign * (nodes[node, other] - origin[other]) / size
+            else:
+                conditions.append(np.eye(6)[3 + turn])
+        conditions.append(row)
+    if gravity.any():
+        g = gravity / np.linalg.norm(gravity)
+        cross = np.array([[0.0, -g[2], g[1]], [g[2], 0.0, -g[0]], [-g[1], g[0], 0.0]])  # g×ω
+        conditions += [np.concatenate([np.zeros(3), cross[axis]]) for axis in range(3) if not along[axis]]
+        conditions.append(np.concatenate([g, np.zeros(3)]))
+    _, values, right = np.linalg.svd(np.array(conditions) if conditions else np.zeros((1, 6)))
+    rank = int(np.sum(values > 1e-9))
+    rotations = []
+    for vector in right[rank:]:
+        t, omega = vector[:3] * size, vector[3:]
+        if np.linalg.norm(omega) > 1e-9:
+            rotations.append((t - np.cross(omega, np.where(along, 0.0, origin)), omega))
+    return along, rotations
+
+
+def momentum_rows(
+    body: Body, mech: Mechanism, now: tuple[Any, Any], x: Any, start: Array, gravity: Array, time: Any
+) -> tuple[Any, tuple[str, ...], tuple[str, ...]]:
+    """Rows that stay zero, their names and units: the path and speed of the centre of mass, and angular momentum per mass.
+
+    now: N and V (3×n), expressions of the state x (nx), of the motion `time` seconds after its start (nx,).
+    """
+    c, v, spin = _momenta(body, mech, *now)
+    c0, v0, spin0 = ca.Function("begun", [x], [c, v, spin])(start)
+    g = ca.DM(gravity)
+    axes = np.flatnonzero(body.along).tolist()
+    value = ca.vertcat((c - c0 - v0 * time - g * time**2 / 2)[axes], (v - v0 - g * time)[axes], spin - spin0)
+    names = [f"the centre of mass{body.name} {what} along {AXES[axis]}" for what in ("follows its path", "keeps its speed") for axis in axes]
+    names += [f"the angular momentum{body.name} about ({', '.join(f'{w:.2g}' for w in omega)}) is kept" for _, omega in body.rotations]
+    units = ["m"] * len(axes) + ["m/s"] * len(axes) + ["m²/s"] * len(body.rotations)
+    return value, tuple(names), tuple(units)
+
+
+def _momenta(body: Body, mech: Mechanism, N: Any, V: Any) -> tuple[Any, Any, Any]:
+    """Centre of mass, its velocity, and the momenta of the rotations per mass. Pinned nodes do not move and have no part in them."""
+    own = np.isin(mech.physical, body.nodes)
+    weight = np.asarray(mech.M.sum(axis=1)).ravel() * own
+    mass = float(weight.sum())
+    centre, drift = (ca.mtimes(Z, ca.DM(weight)) / mass for Z in (N, V))
+    arms = N - ca.repmat(centre * ca.DM(body.along.astype(float)), 1, N.shape[1])
+    P = ca.mtimes(V, sparse(mech.M)) * ca.repmat(ca.DM(own.astype(float)).T, 3, 1)  # 3×n momenta of the columns
+    turning = [arms[b, :] * P[c, :] - arms[c, :] * P[b, :] for b, c in ((1, 2), (2, 0), (0, 1))]  # r×p
+    spin = [ca.dot(ca.DM(t), ca.sum2(P)) + ca.sum2(sum(omega[a] * turning[a] for a in range(3))) for t, omega in body.rotations]
+    return centre, drift, ca.vertcat(*spin) / mass if spin else ca.DM.zeros(0, 1)

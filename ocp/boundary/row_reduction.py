@@ -1,0 +1,148 @@
+"""Rows of a goal that a solver can impose: those that the dynamics do not repeat already, and a shape in place of singular lengths.
+
+With A the gradients of the invariants at the target and Z a basis of null(A), a goal with gradient H can be moved in range(H Z)
+only. The other combinations of its rows hold by themselves at a target that can be reached; imposed as well, they make the
+gradients of the optimal control problem linearly dependent, and solvers fail.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ocp.transcription.direct import Direct
+from tenscasadi.util.validate import Array, Indices
+
+RANK = 1e-3  # smallest singular value, relative to rows of norm one, that counts: below it a row has two solutions closer than a plan resolves
+
+
+class RowFunction:
+    """CasADi rows of y, with numbers for value, gradient and curvature in scaled rows and scaled unknowns."""
+
+    def __init__(self, y: Any, value: Any, row_scale: Array, scale: Array) -> None:
+        self.row_scale, self.scale = row_scale, scale
+        self._rows: slice = slice(None)
+        self._code = _Code(y, value / ca.DM(row_scale))
+
+    def only(self, rows: slice) -> RowFunction:
+        """Some of the rows, from the same code. Only those of all rows."""
+        part = copy.copy(self)
+        part.row_scale, part._rows = self.row_scale[rows], rows
+        return part
+
+    def __call__(self, y: Array) -> tuple[Array, Array]:
+        """Scaled rows (m,) and their gradient (m, ny) in scaled unknowns."""
+        value, gradient = self._code.first(y)
+        return value.ravel()[self._rows], gradient.T[self._rows] * self.scale
+
+    def size(self, y: Array) -> float:
+        """The norm of the scaled rows."""
+        return float(np.linalg.norm(self._code.value(y)[0].ravel()[self._rows]))
+
+    def curvatures(self, y: Array, weights: Array) -> Iterator[Array]:
+        """Second derivatives (ny, ny) of wᵀ rows in scaled unknowns, for each column w of `weights` (m, k)."""
+        every = np.zeros((self._code.count, weights.shape[1]))
+        every[self._rows] = weights
+        function, row, column = self._code.second
+        factor = self.scale[row] * self.scale[column]
+        for entries in np.asarray(function.map(max(1, weights.shape[1]))(y, every).full()).T if weights.size else ():
+            result = np.zeros((len(y), len(y)))
+            result[row, column] = entries * factor
+            yield result
+
+
+class _Code:
+    """Scaled rows of y as CasADi Functions."""
+
+    def __init__(self, y: Any, scaled: Any) -> None:
+        self._y, self._scaled, self.count = y, scaled, int(scaled.shape[0])
+        self.value = Direct(ca.Function("rows", [y], [ca.densify(scaled)]))
+        self.first = Direct(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
+
+    @cached_property
+    def second(self) -> tuple[ca.Function, Indices, Indices]:
+        """(y, w) → non-zeros of the Hessian of wᵀ rows, and where they stand."""
+        weight = ca.SX.sym("w", self.count)
+        hessian = ca.hessian(ca.dot(weight, self._scaled), self._y)[0]
+        row, column = (np.array(entries, dtype=np.intp) for entries in hessian.sparsity().get_triplet())
+        return ca.Function("curvature", [self._y, weight], [ca.densify(ca.vec(hessian.nz[:]))]), row, column
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """Which combinations (rank, m) of m scaled rows to impose, and what became of the others: {kind of invariant: rows that it repeats}."""
+
+    combinations: Array
+    repeated: dict[str, int]
+
+
+class Combined(NamedTuple):
+    """Combinations (count, m) of m named rows, of which each is divided by its size (m,): m, m/s, or 1 of what was added for the shape."""
+
+    combinations: Array
+    names: tuple[str, ...]
+    sizes: Array
+
+
+def reduce_rows(H: Array, groups: Sequence[tuple[str, Array]]) -> Reduction:
+    """Independent combinations of rows with gradient H (m, ny), given the invariants' gradients by kind (each (·, ny))."""
+    norms = np.linalg.norm(H, axis=1)
+    rows = H / np.maximum(norms, 1e-12)[:, None]
+    left, values, _ = _svd(rows)
+    repeated = {"another": len(H) - int(np.sum(values > RANK))}
+    known = np.zeros((0, H.shape[1]))
+    for kind, A in groups:
+        before = int(np.sum(values > RANK))
+        known = np.concatenate([known, _normalised(A)])
+        left, values, _ = _svd(rows @ null_space(known))
+        repeated[kind] = repeated.get(kind, 0) + before - int(np.sum(values > RANK))
+    kept = values > RANK
+    combinations = (left[:, : len(values)][:, kept] / values[kept]).T / np.maximum(norms, 1e-12)
+    return Reduction(combinations, {kind: count for kind, count in repeated.items() if count})
+
+
+def soft_directions(rows: RowFunction, y: Array, rank_tolerance: float = RANK) -> tuple[Array, Array, Array]:
+    """Where first order says nothing but second order does: at a prestressed equilibrium lengths fix the shape, their gradients do not.
+
+    Returns scaled unit directions D (ny, k) that the rows' gradients leave free but whose curvature some combination w of the rows
+    (W (m, j), zero gradient) feels, and the curvatures (j, k, k) of these combinations on D.
+    """
+    _, J = rows(y)
+    norms = np.linalg.norm(J, axis=1)
+    used = norms > 1e-12
+    left, singular, right = _svd(J[used] / norms[used, None])
+    rank = int(np.sum(singular > rank_tolerance))
+    W = np.zeros((len(J), left.shape[1] - rank))
+    W[used] = left[:, rank:] / norms[used, None]
+    F = right[rank:].T
+    forms = [F.T @ curvature @ F for curvature in rows.curvatures(y, W)]
+    if not forms or not F.shape[1]:
+        return np.zeros((J.shape[1], 0)), W, np.zeros((W.shape[1], 0, 0))
+    strength, vectors = np.linalg.eigh(sum(form @ form for form in forms))
+    D = vectors[:, strength > RANK**2]
+    return F @ D, W, np.array([D.T @ form @ D for form in forms])
+
+
+def null_space(A: Array) -> Array:
+    """An orthonormal basis (n, n − rank) of the null space of A (m, n)."""
+    _, values, right = _svd(A)
+    return np.asarray(right[int(np.sum(values > RANK)) :].T)
+
+
+def _normalised(A: Array) -> Array:
+    norms = np.linalg.norm(A, axis=1, keepdims=True)
+    return np.asarray(np.divide(A, norms, out=np.zeros_like(A), where=norms > 1e-9))
+
+
+def _svd(A: Array) -> tuple[Array, Array, Array]:
+    """U, σ padded with zeros to the number of rows or columns, Vᵀ, all of full size."""
+    if A.shape[0] == 0 or A.shape[1] == 0:
+        return np.eye(A.shape[0]), np.zeros(0), np.eye(A.shape[1])
+    left, values, right = np.linalg.svd(A, full_matrices=True)
+    return left, values, right

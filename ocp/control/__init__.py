@@ -1,0 +1,1 @@
+"""Plans in closed loop: time-varying LQR and model predictive control."""

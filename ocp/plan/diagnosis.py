@@ -1,0 +1,134 @@
+"""Why no plan was found: which constraint is left violated, which limits hold it back, which goals the strings move, what to try."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import casadi as ca
+import numpy as np
+
+from ocp.boundary.reach import Reach, controlled
+from ocp.boundary.target import Target
+from ocp.plan.misses import Misses
+from ocp.solvers.base import Solution
+from ocp.solvers.best import STOPPED
+from ocp.transcription.initial_guess import Guess
+from ocp.transcription.variables import Program
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.stability import fastest_rate
+from tenscasadi.util.validate import Array
+
+VIOLATED = 1e-6  # in scaled rows: below it a constraint counts as met
+AT_LIMIT = 1e-3  # of a limit: nearer counts as held by it
+LONG = 2.0  # radians of the fastest vibration in a step: beyond, steps are unstable, or nearly
+RUNAWAY = 1e3  # in scaled unknowns: what nothing holds grows beyond
+
+_ROOM = "give a longer duration, wider limits, or a nearer goal"
+_FATROP = "Fatrop gave up, as it does on some problems that IPOPT solves: try ocp.Ipopt()"
+_CAUSES = {
+    "Maximum_Iterations_Exceeded": "stopped at the iteration limit: raise max_iterations of the solver",
+    "Infeasible_Problem_Detected": f"no plan near this one meets all constraints: {_ROOM}, or more intervals",
+    "Restoration_Failed": f"the solver found no way back to the constraints: {_ROOM}",
+    "Invalid_Number_Detected": "something became infinite on the way: give more intervals or substeps",
+    "Diverging_Iterates": f"the motion grew without bound: {_ROOM}",
+    "Not_Enough_Degrees_Of_Freedom": "there are more constraints than unknowns: give more intervals, or leave constraints out",
+    "Fatrop_Failed": _FATROP,
+    "Fatrop_Error": _FATROP,
+}
+_STOPS = {
+    "Maximum_WallTime_Exceeded": "stopped at the time limit: raise Ipopt(seconds=...)",
+    "Maximum_CpuTime_Exceeded": "stopped at the time limit: raise max_cpu_time in Ipopt(options=...)",
+    STOPPED: "stopped on request, by Ipopt(watch=...) or from the keyboard, with the best so far",
+}
+_STEPS = f"the solver could not go on: {_ROOM}, or more intervals"
+
+
+def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Program, solution: Solution, found: Guess, too_long: str) -> str:
+    """The cause and its cure, the largest violation by name, the limits that hold, and how many rows of the goals the strings move.
+
+    too_long: what `long_steps` says.
+    """
+    values = ca.Function("values", [program.problem["x"]], [program.problem["f"], program.problem["g"]])(solution.w)
+    f, g = (np.asarray(value.full()).ravel() for value in values)
+    violation = np.maximum(np.maximum(program.lower - g, g - program.upper), 0.0)
+    held = _held(program.w_names, solution.w, program.w_lower, program.w_upper) + _held(program.names, g, program.lower, program.upper)
+    cause = _STOPS.get(solution.status) or _not_finite(program, solution, f, g) or too_long or _runaway(program, solution)
+    if not cause:
+        cause = _CAUSES.get(solution.status, _STEPS)
+        if held and solution.status == "Maximum_Iterations_Exceeded":
+            cause += f", or {_ROOM}"
+    parts = [f"no plan: {cause}"]
+    if not np.all(np.isfinite(g)):
+        return parts[0]
+    worst = int(np.argmax(violation))
+    if violation[worst] > VIOLATED:
+        name, scale = program.names[worst], program.scale[worst]
+        amount = f"{violation[worst]:.2g} of its scale" if scale == 1.0 else f"{violation[worst] * scale:.2g} in its unit"
+        parts.append("largest violation: " + (missed.worst() if name.startswith("goal") else f"{name}, by {amount}"))
+    else:
+        parts.append("all constraints are met, but the cost is not settled: a plan of another transcription may be a better guess")
+    if held:
+        often, _ = Counter(name.split(",")[0] for name in held).most_common(1)[0]
+        parts.append(f"upper limits hold {len(held)} times, most often the {often}")
+    if imposed.count:
+        states = reach.rollout(imposed.start, found.force_density, found.duration)
+        if np.all(np.isfinite(states)):
+            rank = len(controlled(reach.of_rows(imposed.single, imposed.weights, imposed.start, found.force_density, found.duration)))
+            parts.append(f"the strings move {rank} of {imposed.count} rows of the goals")
+    return "; ".join(parts)
+
+
+def long_steps(model: Model, states: Array, gamma: Array, step: float, duration: float) -> str:
+    """Whether steps, s, are too long for the fastest vibration at some of the states (K + 1, nx) under γ (K, α), and how many are needed.
+
+    "" where they are not.
+    """
+    chosen = [k for k in sorted({0, len(gamma) // 2, len(gamma) - 1}) if np.all(np.isfinite(states[k])) and np.all(np.isfinite(gamma[k]))]
+    rate = max((fastest_rate(model, states[k], gamma[k]) for k in chosen), default=0.0)
+    if not rate * step > LONG:
+        return ""
+    return (
+        f"steps of {step:.2g} s are too long for the fastest vibration, which takes {2 * np.pi / rate:.2g} s: "
+        f"give at least {int(np.ceil(duration * rate))} of them, as intervals or substeps, or smaller force densities"
+    )
+
+
+def _not_finite(program: Program, solution: Solution, f: Array, g: Array) -> str:
+    """Which row, cost, or derivative is not a number, and what to do."""
+    if not np.all(np.isfinite(g)):
+        return _cure(program.names[int(np.argmax(~np.isfinite(g)))])
+    if not np.all(np.isfinite(f)):
+        return _cure("the sum of Problem.costs")
+    if solution.status != "Invalid_Number_Detected":
+        return ""
+    derivatives = program.derivatives()
+    slope = np.asarray(derivatives["nlp_grad_f"](solution.w, [])[1].full()).ravel()
+    if not np.all(np.isfinite(slope)):
+        return _cure(f"the derivative of Problem.costs by {program.w_names[int(np.argmax(~np.isfinite(slope)))]}")
+    J = derivatives["nlp_jac_g"](solution.w, [])[1]
+    bad = np.flatnonzero(~np.isfinite(np.asarray(J.nonzeros())))
+    return _cure(f"the derivative of {program.names[J.sparsity().get_triplet()[0][int(bad[0])]]}") if bad.size else ""
+
+
+def _cure(name: str) -> str:
+    cure = "give more intervals or substeps" if "dynamics" in name else "keep roots, logarithms and quotients away from their limits"
+    return f"{name} is not a number: {cure}"
+
+
+def _runaway(program: Program, solution: Solution) -> str:
+    """An unknown without limit that grows and grows."""
+    if solution.last is None or not np.all(np.isfinite(solution.last)):
+        return ""
+    limits = np.where(solution.last > 0, program.w_upper, program.w_lower)
+    size = np.where(np.isfinite(limits), 0.0, np.abs(solution.last))
+    worst = int(np.argmax(size))
+    if size[worst] < RUNAWAY:
+        return ""
+    grown = solution.last[worst] * program.w_scale[worst]
+    return f"{program.w_names[worst]} grows to {grown:.2g} with nothing to hold it: give it a limit, or a cost"
+
+
+def _held(names: tuple[str, ...], value: Array, lower: Array, upper: Array) -> list[str]:
+    """The entries at (or beyond) their upper limit."""
+    limited = np.isfinite(upper) & (lower < upper)
+    return [names[k] for k in np.flatnonzero(limited) if value[k] > upper[k] - AT_LIMIT * abs(upper[k])]

@@ -1,0 +1,143 @@
+"""Which limits a plan meets, what they cost, and which it or its replay breaks: by string, bar or node, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp.problem.bounds import CornerBound, Limited, PathBound
+from ocp.problem.limits import Along, limits_along
+from ocp.problem.problem import Problem
+from ocp.solvers.duals import Duals
+from ocp.transcription.mesh import at
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.validate import Array
+
+MARGIN = 1e-4  # of a limit's range or size: nearer counts as held by it, farther beyond as broken
+
+
+class Finding(NamedTuple):
+    """One limit of one member: how much of the plan it holds (share of the instants), the worst value and when it occurs, s.
+
+    price: by how much the objective would fall for each unit by which the limit gave way, over the whole plan and to first order; NaN
+    where it is not known: of what the replay breaks, and of the single strings of a group.
+    """
+
+    name: str
+    side: str  # "lower" or "upper"
+    limit: float
+    worst: float
+    time: float
+    share: float
+    unit: str
+    price: float = np.nan
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        cost = f", costs {self.price:.3g} per {self.unit or 'unit'}" if np.isfinite(self.price) else ""
+        worst = f"{self.worst:.6g}{unit} at t = {self.time:.4g} s, {self.share:.0%} of the time"
+        return f"{self.name}: {self.side} limit {self.limit:g}{unit}, {worst}{cost}"
+
+
+@dataclass(frozen=True)
+class Report:
+    """active: the limits that hold the plan back, the most costly first; violated: those that it oversteps, or its replay on a finer grid.
+
+    What several bounds limit is told apart by the bound's place: "obstacle clear of bar 0 (bounds[2])". Prints as a text.
+    """
+
+    active: tuple[Finding, ...]
+    violated: tuple[Finding, ...]
+
+    def __str__(self) -> str:
+        lines = []
+        for title, findings in (("active", self.active), ("violated", self.violated)):
+            lines.append(f"{title}: {len(findings) or 'none'}")
+            lines += [f"  {finding}" for finding in findings]
+        return "\n".join(lines)
+
+
+def report_of(problem: Problem, time: Array, states: Array, force_density: Array, replay: Trajectory, duals: Duals | None) -> Report:
+    """The limits of `problem` that hold at the ends of a plan's intervals, and those that it breaks there, or its replay between them."""
+    # both ends of every interval, under the force densities in it
+    ends, before = np.append(time[:-1], time[1:]), np.append(time[:-1], time[1:] - 1e-9 * time[-1])
+    planned = _at_instants(problem, ends, np.concatenate([states[:-1], states[1:]]), at(force_density, time, before))
+    planned += _between_instants(problem, time, states, force_density)
+    replayed = _at_instants(problem, replay.time, replay.states, replay.control)
+    broken = [finding for course in (*planned, *replayed) for finding in course.findings(broken=True)]
+    held = [finding for course in planned for finding in course.findings(broken=False)]
+    active = [finding._replace(price=_price(finding, duals)) for finding in _merged(held, lambda one: one.share)]
+    return Report(
+        tuple(sorted(active, key=lambda one: (-np.nan_to_num(one.price), -one.share))),
+        _merged(broken, lambda one: abs(one.worst - one.limit)),
+    )
+
+
+def _price(finding: Finding, duals: Duals | None) -> float:
+    if duals is None:
+        return np.nan
+    try:
+        held = duals[finding.name]
+    except KeyError:
+        return np.nan
+    return float(np.maximum(held if finding.side == "upper" else -held, 0.0).sum())
+
+
+class _Course(NamedTuple):
+    """How values (n, m) with limits run over time (n,)."""
+
+    limited: Limited
+    time: Array
+    values: Array
+
+    def findings(self, broken: bool) -> list[Finding]:
+        """The limits that are overstepped, or those that hold and are not."""
+        found = []
+        lower, upper = self.limited.lower, self.limited.upper
+        spread = np.where(np.isfinite(upper - lower), upper - lower, np.inf)
+        typical = np.abs(self.values).max(initial=0.0)
+        for k, name in enumerate(self.limited.names):
+            for side, limit, sign in (("lower", lower[k], -1.0), ("upper", upper[k], 1.0)):
+                if not np.isfinite(limit):
+                    continue
+                excess = sign * (self.values[:, k] - limit)
+                size = MARGIN * (min(spread[k], max(abs(limit), typical)) or 1.0)
+                hit = excess > (size if broken else -size)
+                worst = int(np.argmax(excess))
+                if hit.any() and (broken or excess[worst] <= size):
+                    value, when, share = float(self.values[worst, k]), float(self.time[worst]), float(hit.mean())
+                    found.append(Finding(name, side, float(limit), value, when, share, self.limited.unit))
+        return found
+
+
+def _at_instants(problem: Problem, time: Array, states: Array, controls: Array) -> list[_Course]:
+    """Force densities and what bounds limit of instants."""
+    lower, upper = problem.force_density_limits
+    names = tuple(f"force density of string {k}" for k in range(len(lower)))
+    own = _Course(Limited(None, lower, upper, names, "N/m"), time, controls)
+    return [own, *(_course(one, time, states.T, controls.T, time[None]) for one in limits_along(problem, PathBound))]
+
+
+def _between_instants(problem: Problem, time: Array, states: Array, force_density: Array) -> list[_Course]:
+    """What bounds limit from each time for which a profile has force densities to the next."""
+    x, u, t = states[: len(force_density)].T, force_density.T, time[: len(force_density)]
+    if len(t) < 2:
+        return []
+    return [_course(one, t[1:], x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], np.diff(t)[None]) for one in limits_along(problem, CornerBound)]
+
+
+def _course(along: Along, time: Array, *arguments: Array) -> _Course:
+    return _Course(along.limited, time, np.asarray(along.function.map(len(time))(*arguments).full()).T)
+
+
+def _merged(findings: list[Finding], most: Callable[[Finding], float]) -> tuple[Finding, ...]:
+    """One for each limit, the one that has most of something; those that hold longest come first."""
+    best: dict[tuple[str, str], Finding] = {}
+    for finding in findings:
+        key = finding.name, finding.side
+        if key not in best or most(finding) > most(best[key]):
+            best[key] = finding
+    return tuple(sorted(best.values(), key=lambda finding: -finding.share))

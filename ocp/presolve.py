@@ -1,0 +1,63 @@
+"""Limits that contradict each other, within a group of strings or where a plan starts: found before anything is solved."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import scipy.optimize
+
+from ocp.problem.bounds import PathBound
+from ocp.problem.limits import limits_along
+from ocp.problem.problem import Problem
+from ocp.transcription.mesh import Profile, spread
+
+CLEAR = 1e-3  # of a limit: contradictions that are smaller are left to the solver
+
+
+def check_groups(problem: Problem, profile: Profile) -> None:
+    """Raises ValueError, naming the strings, where the limits of a group's strings leave no force density for all of them."""
+    lower, upper = problem.force_density_limits
+    for together in spread(profile, len(lower)).T > 0:
+        strings = np.flatnonzero(together)
+        low, high = strings[np.argmax(lower[strings])], strings[np.argmin(upper[strings])]
+        if lower[low] > upper[high]:
+            raise ValueError(
+                f"{type(profile).__name__}.groups: strings {', '.join(map(str, strings))} share a force density, and Problem.bounds keep "
+                f"that of string {low} at {lower[low]:g} N/m or more and that of string {high} at {upper[high]:g} N/m or less: "
+                "widen one, or take the group apart"
+            )
+
+
+def check_start(problem: Problem) -> None:
+    """Raises ValueError, naming the limit that is missed most, where no force densities meet all limits that are linear in them at the start."""
+    lower, upper = problem.force_density_limits
+    slopes, room, rows = [np.zeros((0, len(lower)))], [np.zeros(0)], []
+    for limited, symbols, _ in limits_along(problem, PathBound):
+        value, control = ca.densify(limited.value), symbols[1]
+        linear = ~np.array(ca.which_depends(value, control, 2, True), dtype=bool)
+        function = ca.Function("linear", symbols, [value, ca.densify(ca.jacobian(value, control))])
+        at_none, slope = (np.asarray(part.full()) for part in function(np.asarray(problem.start), 0, 0))
+        for side, sign, limit in (("at most", 1.0, limited.upper), ("at least", -1.0, limited.lower)):
+            kept = np.flatnonzero(linear & np.isfinite(limit) & np.isfinite(at_none[:, 0]) & np.isfinite(slope).all(axis=1))
+            size = np.maximum(np.abs(limit[kept]), 1e-9)
+            slopes.append(sign * slope[kept] / size[:, None])
+            room.append(sign * (limit[kept] - at_none[kept, 0]) / size)
+            rows += [(limited.names[k], f"{side} {limit[k]:g} {limited.unit}".rstrip(), limit[k], sign * size[j]) for j, k in enumerate(kept)]
+    A, b = np.concatenate(slopes), np.concatenate(room)
+    if not len(b):
+        return
+    best = scipy.optimize.linprog(
+        np.append(np.zeros(len(lower)), 1.0),
+        A_ub=np.column_stack([A, -np.ones(len(b))]),
+        b_ub=b,
+        bounds=np.vstack([np.column_stack([lower, upper]), [0.0, np.inf]]),
+    )
+    if best.x is None or best.x[-1] < CLEAR:
+        return
+    excess = A @ best.x[:-1] - b
+    worst = int(np.argmax(excess))
+    name, wanted, limit, size = rows[worst]
+    raise ValueError(
+        f"Problem.bounds leave no force densities at the start: {name} has to be {wanted}, and with all others kept as well as this one "
+        f"it is {limit + size * excess[worst]:.4g}: widen one, or start elsewhere"
+    )

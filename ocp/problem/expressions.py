@@ -1,0 +1,183 @@
+"""Own costs and constraints: any CasADi expression of an instant of the plan, with a name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ocp.problem.bounds import Bound, Limited, PathBound
+from ocp.problem.checks import called, dimensions
+from ocp.problem.costs import Cost, FinalCost, RunningCost
+from ocp.problem.instant import Instant, symbolic
+from tenscasadi.dynamics.model import Model
+from tenscasadi.util.validate import Array, finite_array, positive_number
+
+Expression = Callable[[Instant], Any]
+
+START_TOLERANCE = 1e-6  # of the structure's size: beyond it a start is out of bounds
+_NO_NUMBER = "is not a number at the start: keep roots, logarithms and quotients away from their limits, or start elsewhere"
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint(PathBound):
+    """lower ≤ expression(now) ≤ upper at each end of every interval, where `now` is an `ocp.Instant`: now.nodes (3×n), now.velocities, now.time …
+
+    name: what reports call it. expression: gives a CasADi scalar or column. lower, upper: one number or one per entry, None: no limit.
+    """
+
+    name: str
+    expression: Expression
+    lower: ArrayLike | None = None
+    upper: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        _named(self)
+        if self.lower is None and self.upper is None:
+            raise ValueError(f"Constraint {self.name!r}: lower and upper are both None: give at least one")
+        for field in ("lower", "upper"):
+            value = getattr(self, field)
+            if value is not None:
+                finite_array(f"Constraint {self.name!r}: {field}", value, (None,) if dimensions(value) else ())
+
+    def limited(self, now: Instant) -> Limited:
+        """The expression's entries. Raises ValueError where they and the limits differ in number, or limits cross."""
+        value = _column(self, now)
+        count = value.shape[0]
+        lower, upper = self._limit("lower", count, -np.inf), self._limit("upper", count, np.inf)
+        if np.any(lower > upper):
+            raise ValueError(f"Constraint {self.name!r}: lower is above upper: give lower ≤ upper")
+        names = (self.name,) if count == 1 else tuple(f"{self.name} [{k}]" for k in range(count))
+        return Limited(value, lower, upper, names, "")
+
+    def _limit(self, field: str, count: int, missing: float) -> Array:
+        value = getattr(self, field)
+        if value is None:
+            return np.full(count, missing)
+        array = np.asarray(value, dtype=float)
+        if array.ndim and len(array) != count:
+            raise ValueError(f"Constraint {self.name!r}: {field} has {len(array)} entries and the expression {count}: give one number or {count}")
+        return np.broadcast_to(array, (count,)).copy()
+
+
+@dataclass(frozen=True, eq=False)
+class Integral(RunningCost):
+    """weight · ∫ expression(now) dt, of a CasADi scalar."""
+
+    name: str
+    expression: Expression
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        _named(self)
+        object.__setattr__(self, "weight", positive_number(f"Integral {self.name!r}: weight", self.weight))
+
+    def rate(self, now: Instant) -> Any:
+        """weight · expression."""
+        return self.weight * _scalar(self, now)
+
+
+@dataclass(frozen=True, eq=False)
+class AtEnd(FinalCost):
+    """weight · expression(end), of a CasADi scalar."""
+
+    name: str
+    expression: Expression
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        _named(self)
+        object.__setattr__(self, "weight", positive_number(f"AtEnd {self.name!r}: weight", self.weight))
+
+    def final(self, end: Instant) -> Any:
+        """weight · expression."""
+        return self.weight * _scalar(self, end)
+
+
+def check_expressions(model: Model, bounds: Sequence[Bound], costs: Sequence[Cost], start: Array | None) -> None:
+    """Builds what is asked once, so that a fault shows here, and refuses a start (nx,), None where it is free, that is out of bounds."""
+    names = [bound.name for bound in bounds if isinstance(bound, Constraint)]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"Problem.bounds has two constraints named {name!r}: give each its own name, reports tell them by it")
+    for bound in bounds:
+        if isinstance(bound, PathBound):
+            now = symbolic(model)
+            limited = bound.limited(now)
+            value, steered = _first(bound, now, limited.value, start)
+            undefined = np.isnan(value) & ~steered
+            if undefined.any():
+                raise ValueError(f"Problem.bounds: {limited.names[int(np.argmax(undefined))]} {_NO_NUMBER}")
+            if not bound.needs_control and len(value):
+                _check_within(limited, value, START_TOLERANCE * float(np.ptp(model.structure.nodes)))
+    for cost in costs:
+        now = symbolic(model)
+        if isinstance(cost, RunningCost):
+            value, steered = _first(cost, now, cost.rate(now), start)
+            if np.any(~np.isfinite(value) & ~steered):
+                raise ValueError(f"Problem.costs: {_label(cost)} {_NO_NUMBER}")
+        elif isinstance(cost, FinalCost):
+            _first(cost, now, cost.final(now), None)
+
+
+def _first(item: Any, now: Instant, value: Any, start: Array | None) -> tuple[Array, NDArray[np.bool_]]:
+    """The entries of an expression at the start under no forces, none without a start; which of them force densities change."""
+    column = ca.densify(ca.vec(value))
+    function = ca.Function("first", [now.state, now.control, now.time], [column], {"allow_free": True})
+    if function.get_free():
+        raise ValueError(f"{_label(item)} has the symbol {function.get_free()[0]!r}, which nothing gives a value: use those of the instant alone")
+    if start is None or column.is_empty():
+        return np.zeros(0), np.zeros(0, dtype=bool)
+    steered = np.array(function.jac_sparsity(0, 1).get_triplet()[0], dtype=np.intp)
+    return np.asarray(function(start, 0, 0).full()).ravel(), np.isin(np.arange(column.shape[0]), steered)
+
+
+def _check_within(limited: Limited, value: Array, tolerance: float) -> None:
+    excess = np.maximum(limited.lower - value, value - limited.upper)
+    worst = int(np.argmax(excess))
+    if excess[worst] > tolerance:
+        low, high = limited.lower[worst], limited.upper[worst]
+        raise ValueError(
+            f"Problem.start has {limited.names[worst]} at {value[worst]:g}, and Problem.bounds keep it between {low:g} and {high:g}: "
+            "start within them, or widen them"
+        )
+
+
+def _named(item: Any) -> None:
+    kind = type(item).__name__
+    if not isinstance(item.name, str) or not item.name:
+        raise TypeError(f"{kind}.name is {item.name!r}: give a name, it stands in reports")
+    if not callable(item.expression):
+        raise TypeError(f"{kind} {item.name!r}: expression is {item.expression!r}: give a function of an instant")
+
+
+def _label(item: Any) -> str:
+    """What errors call a bound or a cost."""
+    name = getattr(item, "name", None)
+    return type(item).__name__ + (f" {name!r}" if name else "")
+
+
+def _column(item: Any, now: Instant) -> Any:
+    """The entries of an own expression, whose faults are told by its name."""
+    nodes, strings = now.model.scene.structure.nodes, now.model.scene.structure.strings
+    hint = f"an instant has nodes and velocities 3×{len(nodes)}, lengths, rates and control ({len(strings)},), tension, bar_force, state, time"
+    value = called(_label(item), item.expression, now, hint)
+    if not isinstance(value, (ca.SX, ca.MX)) or value.is_empty():
+        raise TypeError(
+            f"{_label(item)} gives {'nothing' if hasattr(value, 'is_empty') else type(value).__name__}: give a CasADi expression of the instant"
+        )
+    if not isinstance(value, type(now.state)):
+        kinds = f"{type(value).__name__}, and the instant is {type(now.state).__name__}"
+        raise TypeError(f"{_label(item)} gives {kinds}: give an expression of the instant alone, without symbols of your own")
+    return ca.vec(value)
+
+
+def _scalar(item: Any, now: Instant) -> Any:
+    column = _column(item, now)
+    if column.shape[0] != 1:
+        raise ValueError(f"{_label(item)} gives {column.shape[0]} entries: give a scalar, such as ca.sumsqr(...)")
+    return column

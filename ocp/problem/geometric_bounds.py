@@ -1,0 +1,204 @@
+"""Limits of where nodes and bars may be, as values: above the ground, inside a box, clear of each other and of obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.problem.bounds import Limited, PathBound
+from ocp.problem.instant import Instant, norms
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array, finite_array, node_index, positive_number, whole_number
+
+Corner = Sequence[float | None]
+ROUNDING = 0.02  # of a bar: over which the nearest point of a segment is led past its end, to have smooth derivatives
+
+
+@dataclass(frozen=True, eq=False)
+class InsideBox(PathBound):
+    """Nodes between two corners (x, y, z), m, None for a side that is open; nodes: which, None: all. Pinned coordinates are left out."""
+
+    lower: Corner = (None, None, None)
+    upper: Corner = (None, None, None)
+    nodes: Iterable[int] | None = None
+
+    needs_control = False
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        for field in ("lower", "upper"):
+            object.__setattr__(self, field, _corner(f"{name}.{field}", getattr(self, field)))
+        lower, upper = self.corners()
+        if np.all(np.isinf(np.concatenate([lower, upper]))):
+            raise ValueError(f"{name}.lower and .upper are open on all sides: give at least one")
+        if np.any(lower >= upper):
+            axis = int(np.argmax(lower >= upper))
+            raise ValueError(f"{name}.lower is {lower[axis]:g} and .upper {upper[axis]:g} along {'xyz'[axis]}: give lower < upper")
+        object.__setattr__(self, "nodes", _listed(f"{name}.nodes", self.nodes, "[0, 1]"))
+
+    def corners(self) -> tuple[Array, Array]:
+        """Both corners (3,), −inf and inf where the box is open."""
+        lower = np.array([-np.inf if value is None else value for value in self.lower])
+        return lower, np.array([np.inf if value is None else value for value in self.upper])
+
+    def check(self, structure: Structure) -> None:
+        """Raise where a node does not exist or is pinned outside."""
+        lower, upper = self.corners()
+        for node in self._chosen(structure):
+            node_index(f"{type(self).__name__}.nodes", node, len(structure.nodes))
+            for axis in np.flatnonzero(structure.fixed[node]):
+                place = structure.nodes[node, axis]
+                if not lower[axis] <= place <= upper[axis]:
+                    raise ValueError(f"{type(self).__name__} leaves out node {node}, pinned at {'xyz'[axis]} = {place:g} m: widen it or name nodes")
+
+    def limited(self, now: Instant) -> Limited:
+        """The coordinates that have a limit and may move."""
+        structure = now.model.scene.structure
+        lower, upper = self.corners()
+        sides = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+        entries = [(node, axis) for node in self._chosen(structure) for axis in sides if not structure.fixed[node, axis]]
+        axes = [axis for _, axis in entries]
+        value = ca.vertcat(*(now.nodes[int(axis), int(node)] for node, axis in entries))
+        return Limited(value, lower[axes], upper[axes], tuple(f"{'xyz'[axis]} of node {node}" for node, axis in entries), "m")
+
+    def _chosen(self, structure: Structure) -> list[int]:
+        return list(range(len(structure.nodes)) if self.nodes is None else self.nodes)
+
+
+def AboveGround(height: float = 0.0, nodes: Iterable[int] | None = None) -> InsideBox:
+    """Nodes at z ≥ height, m; nodes: which, None: all."""
+    return InsideBox((None, None, float(finite_array("AboveGround.height", height, ()))), nodes=nodes)
+
+
+@dataclass(frozen=True, eq=False)
+class BarClearance(PathBound):
+    """Bars stay `distance` m apart, axis to axis; pairs: of bars, None: all that share no node.
+
+    Distances are those of segments, with the ends rounded off over 2 % of a bar to keep derivatives smooth.
+    """
+
+    distance: float
+    pairs: Iterable[tuple[int, int]] | None = None
+
+    needs_control = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "distance", positive_number("BarClearance.distance", self.distance))
+        pairs = _listed("BarClearance.pairs", self.pairs, "[(0, 1)]")
+        if pairs is not None:
+            for k, pair in enumerate(pairs):
+                if len(_listed(f"BarClearance.pairs[{k}]", pair, "(0, 1)") or ()) != 2:
+                    raise ValueError(f"BarClearance.pairs[{k}] is {pair}: give two bars, such as (0, 1)")
+            object.__setattr__(self, "pairs", tuple(tuple(pair) for pair in pairs))
+
+    def check(self, structure: Structure) -> None:
+        """Raise where a bar does not exist, two bars of a pair share a node, or there is no pair."""
+        for pair in self.chosen(structure):
+            for bar in pair:
+                if whole_number("BarClearance.pairs: bar", bar, 0) >= len(structure.bars):
+                    raise ValueError(f"BarClearance.pairs names bar {bar}: bars run from 0 to {len(structure.bars) - 1}")
+            if set(structure.bars[pair[0]]) & set(structure.bars[pair[1]]):
+                raise ValueError(f"BarClearance.pairs: bars {pair[0]} and {pair[1]} share a node: leave that pair out")
+        if not self.chosen(structure):
+            raise ValueError("BarClearance: all bars share nodes: leave it out")
+
+    def chosen(self, structure: Structure) -> list[tuple[int, int]]:
+        """Pairs of bars."""
+        if self.pairs is not None:
+            return [(pair[0], pair[1]) for pair in self.pairs]
+        ends = [set(bar) for bar in structure.bars.tolist()]
+        return [(i, j) for i, j in combinations(range(len(ends)), 2) if not ends[i] & ends[j]]
+
+    def limited(self, now: Instant) -> Limited:
+        """The distance of each pair."""
+        structure = now.model.scene.structure
+        pairs = np.array(self.chosen(structure))
+        sides = [[now.nodes[:, structure.bars[pairs[:, k], end].tolist()] for end in (0, 1)] for k in (0, 1)]
+        value = segment_distance(*sides[0], *sides[1])
+        names = tuple(f"clearance of bars {i} and {j}" for i, j in pairs)
+        return Limited(value, np.full(len(pairs), self.distance), np.full(len(pairs), np.inf), names, "m")
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle(PathBound):
+    """A ball that bars (their axes) and nodes keep out of: centre (x, y, z) and radius, m; bars, nodes: which, None: all."""
+
+    centre: Sequence[float]
+    radius: float
+    bars: Iterable[int] | None = None
+    nodes: Iterable[int] | None = None
+
+    needs_control = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", finite_array("Obstacle.centre", self.centre, (3,)))
+        object.__setattr__(self, "radius", positive_number("Obstacle.radius", self.radius))
+        for field in ("bars", "nodes"):
+            object.__setattr__(self, field, _listed(f"Obstacle.{field}", getattr(self, field), "[0, 1]"))
+
+    def check(self, structure: Structure) -> None:
+        """Raise where a bar or node does not exist."""
+        for field, count in (("bars", len(structure.bars)), ("nodes", len(structure.nodes))):
+            for index in getattr(self, field) or ():
+                if whole_number(f"Obstacle.{field}", index, 0) >= count:
+                    raise ValueError(f"Obstacle.{field} is {index}: give indices from 0 to {count - 1}")
+
+    def limited(self, now: Instant) -> Limited:
+        """The distance of each bar and node from the centre."""
+        structure = now.model.scene.structure
+        bars = list(range(len(structure.bars)) if self.bars is None else self.bars)
+        on_bars = set(structure.bars[bars].ravel().tolist())
+        given = range(len(structure.nodes)) if self.nodes is None else self.nodes
+        nodes = [node for node in given if node not in on_bars and not structure.fixed[node].all()]
+        values, names = [], []
+        if bars:
+            a, b = (now.nodes[:, structure.bars[bars, end].tolist()] for end in (0, 1))
+            centre = ca.repmat(ca.DM(self.centre), 1, len(bars))
+            along = b - a
+            share = _within_segment(ca.sum1((centre - a) * along) / ca.sum1(along * along))
+            values.append(norms(a + ca.repmat(share, 3, 1) * along - centre))
+            names += [f"obstacle clear of bar {k}" for k in bars]
+        if nodes:
+            values.append(norms(now.nodes[:, nodes] - ca.repmat(ca.DM(self.centre), 1, len(nodes))))
+            names += [f"obstacle clear of node {k}" for k in nodes]
+        return Limited(ca.vertcat(*values), np.full(len(names), self.radius), np.full(len(names), np.inf), tuple(names), "m")
+
+
+def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
+    """Distances (m,) between segments a–b and c–d, 3×m each: of their nearest points, smoothly kept within the segments."""
+    u, v, w = b - a, d - c, a - c
+    uu, vv, uv, uw, vw = ca.sum1(u * u), ca.sum1(v * v), ca.sum1(u * v), ca.sum1(u * w), ca.sum1(v * w)
+    s = _within_segment((uv * vw - vv * uw) / (uu * vv - uv * uv + 1e-6 * uu * vv))  # parallel: any point will do
+    t = _within_segment((uv * s + vw) / vv)
+    s = _within_segment((uv * t - uw) / uu)
+    gap = w + ca.repmat(s, 3, 1) * u - ca.repmat(t, 3, 1) * v
+    return norms(gap)
+
+
+def _within_segment(share: Any) -> Any:
+    """`share` clipped to [0, 1], rounded off."""
+    return (ca.sqrt(share**2 + ROUNDING**2) - ca.sqrt((share - 1) ** 2 + ROUNDING**2) + 1) / 2
+
+
+def _listed(field: str, value: Any, example: str) -> tuple[Any, ...] | None:
+    """What is named one by one; None stays None."""
+    if value is None:
+        return None
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise TypeError(f"{field} is {value!r}: give a list, such as {example}")
+    return tuple(value)
+
+
+def _corner(field: str, value: Any) -> tuple[float | None, ...]:
+    try:
+        entries = tuple(value)
+    except TypeError:
+        raise TypeError(f"{field} is {value!r}: give a corner (x, y, z), None for an open side") from None
+    if len(entries) != 3:
+        raise ValueError(f"{field} is {entries}: give three coordinates, None for an open side")
+    return tuple(None if entry is None else float(finite_array(field, entry, ())) for entry in entries)

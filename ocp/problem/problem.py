@@ -1,0 +1,227 @@
+"""What is asked of a plan: a model, how long, from where, to where, within which limits, at the least of which costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ocp.problem.bounds import Bound, ForceDensityLimits, Limits, TensionLimits
+from ocp.problem.checks import dimensions
+from ocp.problem.costs import Cost, Effort
+from ocp.problem.expressions import check_expressions
+from ocp.problem.goals import Goal
+from ocp.problem.motions import INSTANT, Periodic, Waypoint
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.stabilization import projection
+from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.util.validate import Array, finite_array, instance, positive_number
+
+BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, a start with other bars is refused
+
+
+@dataclass(frozen=True, eq=False)
+class FreeStart:
+    """A start that the solver chooses, as for a gait, which repeats a motion that is not known before.
+
+    near: nodes (n, 3) at rest, m, or a state (nx,), where it is looked for; None: the model's initial state. goals: `NodePositions`,
+    `AtRest` …, what it has to meet, such as the place of a node where nothing else says where on the ground a motion begins. Bars have their
+    lengths at the start by constraints of their own; a clock starts as it does near.
+    """
+
+    near: ArrayLike | None = None
+    goals: Iterable[Goal] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "goals", _listed("FreeStart.goals", self.goals, Goal, "[AtRest()]"))
+        for k, goal in enumerate(self.goals):
+            if isinstance(goal, (Waypoint, Periodic)):
+                raise TypeError(
+                    f"FreeStart.goals[{k}] is a {type(goal).__name__}: give it to the problem, goals of the start are of that instant alone"
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A plan to be found for `model`, whose control is `ForceDensity()`.
+
+    duration: seconds, or (shortest, longest) to let the solver choose. start: nodes (n, 3) at rest, m, or a state (nx,); None: the
+    model's initial state; rounded numbers are put right; or `FreeStart(...)`: found with the plan. goals: `StringLengths`, `AtRest`,
+    `Waypoint` …, all met, at the end unless they say when. bounds: `ForceDensityLimits`, `TensionLimits`, `BarClearance` …, along the way. costs:
+    `Effort`, `Tracking` …, summed; none: any motion will do, or `Effort()` where force densities have no upper limits.
+    Raises TypeError, ValueError that name the field.
+    """
+
+    model: Model
+    duration: float | tuple[float, float] = 1.0
+    start: ArrayLike | FreeStart | None = None
+    goals: Iterable[Goal] = ()
+    bounds: Iterable[Bound] = ()
+    costs: Iterable[Cost] = ()
+
+    def __post_init__(self) -> None:
+        instance("Problem.model", self.model, Model, "a tenscasadi.Model")
+        if not isinstance(self.model.scene.control, ForceDensity):
+            raise ValueError(f"Problem.model has the control {self.model.scene.control}: give a model of Scene(..., control=ForceDensity())")
+        if self.model.nu == 0:
+            raise ValueError("Problem.model has no strings: there is nothing to plan")
+        if self.model.nq == 0:
+            raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
+        own = self.__dict__
+        own["duration"] = _duration(self.duration)
+        if isinstance(self.start, type):
+            raise TypeError(f"Problem.start is the class {self.start.__name__}: give {self.start.__name__}()")
+        if isinstance(self.start, FreeStart):
+            if self.model.mechanism.joints or self.model.scene.supports is not None:
+                raise ValueError('Problem.start is free, where bars alone are kept: give Model(scene, coordinates="reduced") without moved supports')
+            own["start"] = replace(self.start, near=self._state("FreeStart.near", self.start.near))
+        else:
+            own["start"] = self._state("Problem.start", self.start)
+        for field, kinds, example in _KINDS:
+            own[field] = _listed(f"Problem.{field}", getattr(self, field), kinds, example)
+        structure = self.model.scene.structure
+        for item in (*own["goals"], *own["bounds"], *own["costs"], *self.start_goals):
+            item.check(structure)
+        own["goals"] = tuple(self._with_start(goal) for goal in own["goals"])
+        self._check_limits()
+        if not own["costs"] and np.isposinf(self.force_density_limits[1]).any():
+            own["costs"] = (Effort(),)  # with nothing to keep them small, barriers of the solver let force densities grow without bound
+        check_expressions(self.model, own["bounds"], own["costs"], None if self.free_start else self.first_state)
+
+    @property
+    def shortest(self) -> float:
+        """The least duration, s."""
+        return self.duration[0] if isinstance(self.duration, tuple) else self.duration
+
+    @property
+    def longest(self) -> float:
+        """The greatest duration, s."""
+        return self.duration[1] if isinstance(self.duration, tuple) else self.duration
+
+    @property
+    def free_start(self) -> bool:
+        """Whether the start is to be found."""
+        return isinstance(self.start, FreeStart)
+
+    @property
+    def first_state(self) -> Array:
+        """The start (nx,), or the state near which it is looked for."""
+        return np.asarray(self.start.near if isinstance(self.start, FreeStart) else self.start)
+
+    @property
+    def start_goals(self) -> tuple[Goal, ...]:
+        """What a free start has to meet."""
+        return tuple(self.start.goals) if isinstance(self.start, FreeStart) else ()
+
+    @property
+    def final_goals(self) -> tuple[Goal, ...]:
+        """The goals that are met at the end, wherever the motion starts."""
+        return tuple(goal for goal in self.goals if not isinstance(goal, Waypoint) and goal not in self.repeating)
+
+    @property
+    def repeating(self) -> tuple[Periodic, ...]:
+        """The goals that ask the end to repeat a start that is not known."""
+        return tuple(goal for goal in self.goals if isinstance(goal, Periodic) and goal.start is None)
+
+    @property
+    def waypoints(self) -> list[tuple[float, Problem]]:
+        """The goals on the way in their order: each a share of the duration, and the problem that ends there; those of one time are one."""
+        found: list[tuple[float, list[Goal]]] = []
+        given = [(goal.at(self.shortest, self.longest), goal) for goal in self.goals if isinstance(goal, Waypoint)]
+        for share, goal in sorted(given, key=lambda pair: pair[0]):
+            if not found or share - found[-1][0] > INSTANT:
+                found.append((share, []))
+            found[-1][1].extend(goal.goals)
+        return [
+            (share, replace(self, goals=goals, bounds=(), costs=(), duration=(share * self.shortest, share * self.longest))) for share, goals in found
+        ]
+
+    def limits(self, kind: type) -> tuple[Array, Array]:
+        """Lower and upper limits (α,) that all bounds of one kind leave; −inf and inf where there is none."""
+        structure = self.model.scene.structure
+        given = [bound.limits(structure) for bound in self.bounds if isinstance(bound, kind) and isinstance(bound, Limits)]
+        count = len(structure.strings)
+        lower = np.max([np.full(count, -np.inf), *(low for low, _ in given)], axis=0)
+        upper = np.min([np.full(count, np.inf), *(up for _, up in given)], axis=0)
+        return lower, upper
+
+    @property
+    def force_density_limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits of γ (α,), N/m: at least 0, as strings do not push."""
+        lower, upper = self.limits(ForceDensityLimits)
+        return np.maximum(lower, 0.0), upper
+
+    def _state(self, field: str, given: ArrayLike | None) -> Array:
+        """The state (nx,) that is given as nodes or as a state, on the constraints."""
+        if given is None:
+            return self.model.initial_state
+        if dimensions(given) == 1:
+            state = finite_array(field, given, (self.model.nx,))
+        else:
+            nodes = finite_array(field, given, (len(self.model.structure.nodes), 3))
+            try:
+                state = self.model.state(nodes)
+            except ValueError as error:
+                raise ValueError(f"{field}: {error}") from None
+        s = self.model.structure
+        bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (self.model.nodes(state), self.model.velocities(state)))
+        actual = np.linalg.norm(bars, axis=1)
+        bad = np.flatnonzero(abs(actual / s.bar_lengths - 1) > BAR_TOLERANCE)
+        if bad.size:
+            i = int(bad[0])
+            raise ValueError(f"{field} makes bar {i} {actual[i]:g} m long, not {s.bar_lengths[i]:g} m: give nodes that keep the bars' lengths")
+        stretch = abs(np.sum(bars * rates, axis=1)) / s.bar_lengths
+        bad = np.flatnonzero(stretch > BAR_TOLERANCE * np.linalg.norm(self.model.velocities(state), axis=1).max())
+        if bad.size:
+            i = int(bad[0])
+            raise ValueError(f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths")
+        return np.asarray(projection(self.model, 10)(state).full()).ravel()
+
+    def _with_start(self, goal: Goal) -> Goal:
+        """Periodic goals learn where the plan starts."""
+        if isinstance(goal, Waypoint):
+            goal.at(self.shortest, self.longest)
+            if self.free_start and any(isinstance(inner, Periodic) and inner.start is None for inner in goal.goals):
+                raise ValueError("Waypoint.goals has Periodic(), and the start is free: give Periodic(start=...), or Periodic() as a goal of the end")
+            return replace(goal, goals=tuple(self._with_start(inner) for inner in goal.goals))
+        if isinstance(goal, Periodic) and goal.start is None and not self.free_start:
+            start, count = self.first_state, len(self.model.scene.structure.nodes)
+            return replace(goal, start=(self.model.nodes(start)[:count], self.model.velocities(start)[:count]))
+        return goal
+
+    def _check_limits(self) -> None:
+        for kind in (ForceDensityLimits, TensionLimits):
+            lower, upper = self.limits(kind)
+            crossed = np.flatnonzero(lower > upper)
+            if crossed.size:
+                i = int(crossed[0])
+                raise ValueError(f"Problem.bounds: {kind.__name__} leave string {i} nothing, lower {lower[i]:g} and upper {upper[i]:g}: widen one")
+
+
+def _listed(field: str, values: Any, kinds: type, example: str) -> tuple[Any, ...]:
+    if isinstance(values, kinds) or not isinstance(values, Iterable):
+        raise TypeError(f"{field} is {values!r}: give a list of them, such as {example}")
+    found = tuple(values)
+    for k, value in enumerate(found):
+        instance(f"{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}")
+    return found
+
+
+def _duration(value: Any) -> float | tuple[float, float]:
+    if dimensions(value) == 0:
+        return positive_number("Problem.duration", value)
+    pair = finite_array("Problem.duration", value, (2,))
+    shortest = positive_number("Problem.duration[0]", pair[0])
+    if pair[1] < shortest:
+        raise ValueError(f"Problem.duration is ({shortest:g}, {pair[1]:g}): give (shortest, longest)")
+    return shortest if pair[1] == shortest else (shortest, float(pair[1]))
+
+
+_KINDS: tuple[tuple[str, type, str], ...] = (
+    ("goals", Goal, "[AtRest()]"),
+    ("bounds", Bound, "[ForceDensityLimits(0, 200)]"),
+    ("costs", Cost, "[Effort()]"),
+)

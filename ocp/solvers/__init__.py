@@ -1,0 +1,1 @@
+"""Methods that solve the program, and what they say of its multipliers."""

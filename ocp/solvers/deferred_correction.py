@@ -1,0 +1,72 @@
+"""A coarse program whose solution moves as exactly as fine steps do: deferred correction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ocp.solvers.base import Solution, Solver
+from ocp.solvers.ipopt import Ipopt
+from ocp.transcription.base import ramped_step, shooting_step
+from ocp.transcription.variables import Program
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import DormandPrince853
+from tenscasadi.util.validate import Array
+
+FINE = 1  # steps of DormandPrince853 in an interval: more exact than ten of RungeKutta4, at a third of the cost
+ROUNDS = 6
+ROUGH = 1e-5  # tolerance of the first solution, which the next one moves by more
+GAIN = 0.5  # a round that leaves more than this share of the gap leads nowhere
+
+
+class Corrected(NamedTuple):
+    """A solution, the states (intervals + 1, nx) to which fine steps lead, None where they diverge, and how far its own are from them, m (speeds: m
+    per duration)."""
+
+    solution: Solution
+    states: Array | None
+    gap: float
+
+
+def corrected(program: Program, solver: Solver, model: Model, fractions: Array, accuracy: float) -> Corrected:
+    """Solves, and again from the solution with rows g(w) = τ of the motion in place of g(w) = 0, until states are as near to fine ones as `accuracy`.
+
+    τ is what the rows leave at the states of fine steps under the planned force densities (Stetter, Numer. Math. 1978, 29, 425): where that is
+    settled, the coarse rows hold exactly at the fine motion. Each round gains what the coarse scheme is worth: a factor of about its relative error.
+    Only limits change, so nothing is built again. Optimal is the plan for the costs of the coarse rows, which are wrong by its order.
+    """
+    ipopt = solver if isinstance(solver, Ipopt) else Ipopt(tolerance=solver.tolerance)
+    solution = (replace(ipopt, tolerance=max(ipopt.tolerance, ROUGH)) if solver is ipopt else solver).solve(program)
+    best, before, iterations = Corrected(solution, None, np.inf), np.inf, solution.iterations
+    if not solution.success:
+        return best
+    rows = ca.Function("rows", [program.problem["x"]], [program.problem["g"]])
+    again: Callable[[Program], Solution] | None = None
+    known, count = program.states >= 0, len(fractions)
+    linear = program.unpack.size2_out(1) > count
+    chain = (ramped_step if linear else shooting_step)(model, DormandPrince853(), FINE).mapaccum(count)
+    for done in range(ROUNDS + 1):
+        states, gamma, duration = (np.asarray(value.full()).T for value in program.unpack(solution.w))
+        T = float(duration.squeeze())
+        held = (gamma[:-1].T, gamma[1:].T) if linear else (gamma.T,)
+        fine = np.column_stack([states[0], np.asarray(chain(states[0], *held, T * fractions[None]).full())]).T
+        gap = np.abs(fine - states) * known
+        size = float(max(gap[:, : model.nq].max(initial=0.0), T * gap[:, model.nq : 2 * model.nq].max(initial=0.0)))
+        if done and size < best.gap:  # the first solution is a rough one
+            best = Corrected(solution._replace(iterations=iterations), fine, size)
+        if (done and size <= accuracy) or not size < GAIN * before or done == ROUNDS:
+            break
+        before = size
+        shift = np.asarray(rows(program.with_states(solution.w, fine)).full()).ravel()[: program.moving]
+        lower, upper = (np.concatenate([shift, limit[program.moving :]]) for limit in (program.lower, program.upper))
+        moved = replace(program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers)
+        again = again or replace(ipopt, warm=True).prepared(moved)
+        solution = again(moved)
+        iterations += solution.iterations
+        if not solution.success:
+            return best if done else Corrected(solution, None, np.inf)
+    return best

@@ -1,0 +1,1 @@
+"""From a problem in continuous time to a sparse nonlinear program."""

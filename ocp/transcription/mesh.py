@@ -1,0 +1,127 @@
+"""The time grid of a plan and how force densities run on it, as values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.util.validate import Array, finite_array, positive_number, whole_number
+
+Intervals = int | Sequence[float]
+
+
+def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
+    """A number of equal intervals, or the shares of the duration that intervals take, which sum to one. Raises TypeError, ValueError."""
+    if isinstance(value, (bool, np.bool_, int, np.integer, float, str)):
+        return whole_number(field, value, 1)
+    shares = finite_array(field, value, (None,))
+    if not shares.size:
+        raise ValueError(f"{field} is empty: give a number of intervals, or their lengths relative to each other")
+    for k, share in enumerate(shares):
+        positive_number(f"{field}[{k}]", share)
+    return tuple((shares / shares.sum()).tolist())
+
+
+def fractions(intervals: Intervals) -> Array:
+    """The share (K,) of the duration that each interval takes."""
+    if isinstance(intervals, (int, np.integer)):
+        return np.full(int(intervals), 1 / int(intervals))
+    return np.asarray(intervals, dtype=float)
+
+
+class Profile(Protocol):
+    """How force densities run over the intervals of a grid."""
+
+    @property
+    def linear(self) -> bool:
+        """Whether they are given at the ends of intervals, instead of in each."""
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Strings that always have the same force density."""
+
+
+@dataclass(frozen=True)
+class _Grouped:
+    groups: tuple[tuple[int, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        field = f"{type(self).__name__}.groups"
+        try:
+            groups = tuple(tuple(group) for group in self.groups)
+        except TypeError:
+            raise TypeError(f"{field} is {self.groups!r}: give groups of strings, such as ((0, 1, 2), (3, 4, 5))") from None
+        seen: set[int] = set()
+        for group in groups:
+            for string in group:
+                if whole_number(field, string, 0) in seen:
+                    raise ValueError(f"{field} has string {string} twice: give each string once")
+                seen.add(string)
+        object.__setattr__(self, "groups", tuple(group for group in groups if group))
+
+
+@dataclass(frozen=True)
+class PiecewiseConstant(_Grouped):
+    """γ constant on each interval; the strings of a group, such as those that a symmetry maps onto each other, share theirs."""
+
+    linear: ClassVar[bool] = False
+
+
+@dataclass(frozen=True)
+class PiecewiseLinear(_Grouped):
+    """γ continuous, linear on each interval; the strings of a group, such as those that a symmetry maps onto each other, share theirs."""
+
+    linear: ClassVar[bool] = True
+
+
+def spread(profile: Profile, strings: int) -> Array:
+    """E (strings × groups) of ones and zeros: γ of all strings is E times those of the groups; strings in no group are alone.
+
+    Raises ValueError for a group with a string that does not exist.
+    """
+    for group in profile.groups:
+        for string in group:
+            if string >= strings:
+                raise ValueError(f"{type(profile).__name__}.groups has string {string}: strings run from 0 to {strings - 1}")
+    leader = np.arange(strings)
+    for group in profile.groups:
+        leader[list(group)] = min(group)
+    return np.asarray(leader[:, None] == np.unique(leader)[None], dtype=float)
+
+
+def node_values(held: Array, lengths: Array) -> Array:
+    """Values (K + 1, α) at the ends of intervals from those held (K, α) in intervals of these lengths: neighbours' means, the shorter weighs more."""
+    if len(held) == 1:
+        return np.repeat(held, 2, axis=0)
+    left, right = lengths[:-1, None], lengths[1:, None]
+    inner = (right * held[:-1] + left * held[1:]) / (left + right)
+    return np.concatenate([held[:1], inner, held[-1:]])
+
+
+def held_values(values: Array, intervals: int) -> Array:
+    """Mean values (K, α) on each interval of a profile of either kind."""
+    return values if len(values) == intervals else (values[:-1] + values[1:]) / 2
+
+
+def at(values: Array, nodes: Array, time: Array) -> Array:
+    """A profile (K, α) or (K + 1, α) on the grid `nodes` (K + 1,) at `time` (…,)."""
+    last = len(nodes) - 2
+    k = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, last)
+    if len(values) == last + 1:
+        return np.asarray(values[k])
+    share = np.clip((time - nodes[k]) / (nodes[k + 1] - nodes[k]), 0.0, 1.0)[..., None]
+    return np.asarray((1 - share) * values[k] + share * values[k + 1])
+
+
+def between(left: Any, right: Any, share: float) -> Any:
+    """γ at a share of an interval from the values at its ends (equal for constant profiles)."""
+    return left if left is right else (1 - share) * left + share * right
+
+
+def constant_matrix(matrix: Array) -> ca.DM:
+    """A sparse CasADi matrix."""
+    return ca.sparsify(ca.DM(matrix))

@@ -1,0 +1,1 @@
+"""What a simulation costs and how wrong it is; natural modes."""

@@ -1,0 +1,157 @@
+"""A certified end of a motion: two tight solutions by different schemes and steps, and how closely they agree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.dynamics.model import Model, instructions
+from tenscasadi.integrators.events import switching
+from tenscasadi.integrators.scheme import DormandPrince54, DormandPrince853, Scheme
+from tenscasadi.integrators.stability import stable_step
+from tenscasadi.simulation.control_input import ControlInput
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.validate import Array, finite_array, instance, positive_number
+
+_ENOUGH = 1e-12  # of the structure's size: rounding over a run is of this order
+_ACCURATE = 1e-7  # of the structure's size: what does not agree as closely is no reference
+_FINER = 4  # from one pair of solutions to the next
+_COARSEST = 64  # steps of the first pair, at least
+_TOLERANCES = (1e-10, 1e-12, 1e-14)
+_GRID = 50  # parts of a run with control of the error, at least as many steps
+_ROUNDING = 1e-10  # of the structure's size: solutions that differ by less and cease to converge, do so by rounding
+_FASTER = 10.0  # compiled code against the virtual machine
+
+
+class NoReference(ValueError):
+    """Two tight solutions do not agree: the motion is chaotic, unstable or too stiff over that time, and no error can be measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Where the nodes of a structure end.
+
+    nodes (n, 3) m at time t_end, s, of the scene's structure (not of its strings' segments), read-only; error, m: the largest distance of
+    a node between two solutions by different schemes and steps, an estimate of the error of the worse one; message: which they were.
+    """
+
+    nodes: Array
+    error: float
+    t_end: float
+    message: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "nodes", finite_array("Reference.nodes", self.nodes, (None, 3)))
+        object.__setattr__(self, "error", positive_number("Reference.error", self.error, zero=True))
+        object.__setattr__(self, "t_end", positive_number("Reference.t_end", self.t_end))
+
+
+def certify(
+    model: Model,
+    t_end: float,
+    state: Any = None,
+    control: ControlInput = None,
+    accuracy: float | None = None,
+    enough: float | None = None,
+    compiled: bool | None = None,
+    work: float = 1e10,
+) -> Reference:
+    """The end of a motion as `DormandPrince853` and `DormandPrince54` find it, with steps that are refined until both agree.
+
+    state, control, compiled: as for `simulate`. Refinement ends when the two agree within `enough`, m (None: 1e-12 of the structure's size),
+    when finer steps do not bring them closer, or before a solution would take more than `work` instructions (a tenth in the virtual machine).
+    Where slack or contact spoils the order of fixed steps, both control their error and locate these events.
+    Raises NoReference when they end further apart than `accuracy`, m (None: 1e-7 of the structure's size), TypeError, ValueError.
+    """
+    instance("model", model, Model, "a tenscasadi.Model")
+    t_end = positive_number("t_end", t_end)
+    state = None if state is None else finite_array("state", state, (model.nx,))
+    size = float(np.ptp(model.scene.structure.nodes, axis=0).max(initial=0.0)) or 1.0
+    accuracy = _ACCURATE * size if accuracy is None else positive_number("accuracy", accuracy)
+    enough = min(_ENOUGH * size, accuracy) if enough is None else positive_number("enough", enough)
+    work = positive_number("work", work) / (1 if compiled is not False else _FASTER)
+    pairs = _Pairs(model, t_end, state, control, compiled)
+    for count in _counts(model, t_end, state, work):
+        before = pairs.apart
+        pairs.try_steps(count)
+        if pairs.error <= enough or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size)):
+            break  # finer steps only round more
+        if pairs.apart > before / _FINER**3 and switching(model) is not None:
+            break
+    if pairs.error > enough and pairs.apart > _ROUNDING * size and switching(model) is not None:
+        for rtol in _TOLERANCES:
+            pairs.try_tolerance(rtol)
+            if pairs.error <= enough:
+                break
+    if pairs.best is not None and pairs.error <= accuracy:
+        return pairs.best
+    why = f"{pairs.best.message}, wanted {accuracy:.2g} m" if pairs.best is not None else f"the solutions diverge, the last: {pairs.fault}"
+    raise NoReference(
+        f"no reference up to t_end = {t_end:g} s: {why}; give a smaller t_end (chaotic and unstable motions lose all digits), "
+        "a larger accuracy or more work, or remove slack and impact events by Smooth(width)"
+    )
+
+
+class _Pairs:
+    """Pairs of solutions, the best so far, and how far the last pair ends apart (infinite when one fails)."""
+
+    def __init__(self, model: Model, t_end: float, state: Any, control: ControlInput, compiled: bool | None) -> None:
+        self._model, self._t_end = model, t_end
+        self._options: dict[str, Any] = {"state": state, "control": control, "compiled": compiled, "energy_balance": False}
+        self.best: Reference | None = None
+        self.apart, self.fault = np.inf, "not tried"
+
+    @property
+    def error(self) -> float:
+        """Of the best pair; infinite when there is none."""
+        return np.inf if self.best is None else self.best.error
+
+    def try_steps(self, count: int) -> None:
+        """`count` steps of order 8 and four times as many of order 5; no multiple: they meet events at different places of a step."""
+        finer = _FINER * count + 1
+        self._try(f"DormandPrince853 with {count} steps and DormandPrince54 with {finer}", (DormandPrince853(), count), (DormandPrince54(), finer))
+
+    def try_tolerance(self, rtol: float) -> None:
+        """Both with control of the error and events located."""
+        first, second = DormandPrince853(rtol), DormandPrince54(rtol)
+        self._try(f"DormandPrince853 and DormandPrince54 with rtol={rtol:g}", (first, _GRID), (second, _GRID + 1))
+
+    def _try(self, what: str, *pair: tuple[Scheme, int]) -> None:
+        self.apart = np.inf
+        ends = []
+        for scheme, count in pair:
+            run = simulate(self._model, self._t_end, self._t_end / count, scheme, save_every=count, **self._options)
+            if run.interrupted:
+                raise KeyboardInterrupt
+            if not run.success:
+                self.fault = run.message
+                return
+            ends.append(end_nodes(self._model, run))
+        self.apart = distance(*ends)
+        if self.apart < self.error:
+            self.best = Reference(ends[0], self.apart, self._t_end, f"{what} end {self.apart:.2g} m apart")
+
+
+def _counts(model: Model, t_end: float, state: Any, work: float) -> Iterator[int]:
+    """Steps of order 8 from what is stable at the start to what `work` allows; at least one pair."""
+    longest = min(stable_step(model, state, None, DormandPrince853()), _FINER * stable_step(model, state, None, DormandPrince54()))
+    steps = max(_COARSEST, int(np.ceil(t_end / longest))) if np.isfinite(longest) and longest > 0 else _COARSEST
+    most = work / instructions(DormandPrince853().advance(model))
+    yield steps
+    while steps * _FINER <= most:
+        steps *= _FINER
+        yield steps
+
+
+def end_nodes(model: Model, trajectory: Trajectory) -> Array:
+    """The last nodes (n, 3) of the scene's structure; segments' nodes come after them and are left out."""
+    return trajectory.nodes[-1, : len(model.scene.structure.nodes)]
+
+
+def distance(nodes: Array, others: Array) -> float:
+    """The largest distance of a node from its other self, m."""
+    return float(np.linalg.norm(nodes - others, axis=1).max(initial=0.0))

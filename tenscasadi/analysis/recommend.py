@@ -1,0 +1,252 @@
+"""Which scheme and step to take for a wanted accuracy, found by measuring the motion itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.analysis.certify import certify, distance, end_nodes
+from tenscasadi.analysis.tradeoff import LONGEST, Case, check_ways, is_implicit
+from tenscasadi.analysis.tradeoff_table import short
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.rattle import Rattle
+from tenscasadi.integrators.scheme import DormandPrince54, DormandPrince853, RungeKutta4, Scheme, extent
+from tenscasadi.integrators.stability import stable_step
+from tenscasadi.integrators.stabilization import Correction, Projection
+from tenscasadi.integrators.sundials import Cvodes, Idas
+from tenscasadi.scene.scene import Scene
+from tenscasadi.simulation.control_input import ControlInput
+from tenscasadi.simulation.steppers import own_steps
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.compile import CompileError
+from tenscasadi.util.precision import Compiled, Single
+from tenscasadi.util.validate import Array, finite_array, instance, positive_number
+
+_REFERENCE = 0.1  # error of the reference in units of the tolerance
+_MARGIN = 0.7  # of the tolerance that the measured error may take, with that of the reference
+_CLOSE = 1.15  # the step found is this close to the largest that serves
+_TRIES = 40  # runs to find one step
+_REPEATS = 3  # timed runs
+
+_SHORT = 2e7  # instructions that the virtual machine is through with before they are compiled
+_OVERHEAD = 2.0  # of a step with control of its error: the error, the search for events
+_GAIN = 6.0  # of machine code for Newton's method, about
+_FEW = 8  # steps of Newton's method to begin with
+_BOUND = 2.0  # times the fewest stable steps: who takes more does so for accuracy
+
+SCHEMES: tuple[Scheme, ...] = (
+    *(DormandPrince853(), DormandPrince853(rtol=1e-6), DormandPrince54(rtol=1e-6)),
+    *(DormandPrince54(), RungeKutta4(), Rattle(), Rattle(order=4)),
+    *(Cvodes(), Idas(), Collocation(2, "radau"), Collocation(3, "radau")),
+)
+
+
+class NoScheme(ValueError):
+    """No scheme that was tried meets the tolerance."""
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """How to reach a tolerance at the least cost: `tc.simulate(model, t_end, **recommendation.options)`.
+
+    step, s, the largest where the scheme controls its error; error: largest position error expected at the end, m, with that of the
+    reference that it was measured against;
+    seconds: wall time expected of the time loop, s, without set-up; work: instructions of the run, without those of error control, NaN for
+    implicit schemes; message: what was compared.
+    """
+
+    scheme: Scheme
+    step: float
+    correction: Correction | None
+    error: float
+    seconds: float
+    work: float
+    message: str
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Keywords for `simulate`."""
+        return {"scheme": self.scheme, "step": self.step, "correction": self.correction}
+
+
+def recommend(
+    what: Scene | Model,
+    t_end: float,
+    tolerance: float,
+    state: Any = None,
+    control: ControlInput = None,
+    schemes: Sequence[Scheme] = SCHEMES,
+    corrections: Sequence[Correction | None] = (None, Projection()),
+    compiled: Compiled = None,
+) -> Recommendation:
+    """The scheme, step and correction that bring all nodes within `tolerance`, m, of where they are at `t_end`, s, for the least work.
+
+    what: a scene or a model; state, control, compiled: as for `simulate`. schemes: to choose from; of those with `rtol`, which control
+    their error, the tolerance is looked for, without corrections.
+
+    The motion is solved once to a tenth of the tolerance (`certify`), then each scheme looks for the largest step (or `rtol`) that serves, and is
+    left out as soon as it costs more than the best so far: some twenty runs like the one recommended. Costs are instructions times steps, so that
+    the answer does not depend on what else the machine does. Implicit schemes (`Cvodes`, `Idas`, `Collocation`) are looked at where stability, not
+    accuracy, bounds the steps of the best explicit one; how often they iterate is not known, so they are compared with it by the clock.
+    Raises NoReference when no solution of that accuracy exists (chaos, instability), NoScheme, TypeError, ValueError.
+    """
+    instance("what", what, (Scene, Model), "a tenscasadi.Scene or Model")
+    model = what if isinstance(what, Model) else Model(what)
+    t_end, tolerance = positive_number("t_end", t_end), positive_number("tolerance", tolerance)
+    check_ways(schemes, corrections)
+    enough = _REFERENCE * tolerance
+    start = None if state is None else finite_array("state", state, (model.nx,))
+    reference = certify(model, t_end, start, control, accuracy=enough, enough=enough, compiled=None if isinstance(compiled, Single) else compiled)
+    wanted = _MARGIN * tolerance - reference.error
+
+    ways = [Case(model, scheme, correction, t_end, start, control, compiled) for scheme, correction in product(schemes, corrections)]
+    best: _Choice | None = None
+    told = []
+    speed = 1.0  # instructions of the best explicit scheme in a second
+    for case in sorted(ways, key=lambda case: is_implicit(case.scheme)):
+        name = short(case.scheme)
+        if is_implicit(case.scheme) and best is not None and not is_implicit(best.case.scheme):
+            if best.steps > _BOUND * _coarsest(best.case, best.end):
+                told.append(f"{name} left out: stability does not bound the steps of {short(best.case.scheme)}")
+                continue
+            speed = best.cost / best.seconds()
+        most = np.inf if best is None else best.cost
+        try:
+            if case.correction is not None and (own_steps(case.scheme) or case.correction.step(model) is None):
+                continue  # nothing to correct
+            found = _found(case, speed, reference.nodes, wanted, most)
+            best = found if found is not None and found.cost < most else best
+        except (TypeError, ValueError, CompileError) as error:  # such as Appendix C's correction where bars meet
+            told.append(f"{name} left out: {error}")
+    names = ", ".join(map(short, schemes))
+    if best is None:
+        failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
+        raise NoScheme("; ".join(dict.fromkeys([failed, *told])))
+    seconds = best.seconds()
+    expected = best.error + reference.error
+    outcome = f"{best.steps} steps of {short(best.case.scheme)}: {expected:.2g} m, {seconds:.2g} s"
+    message = f"{outcome}; compared with {names}; reference: {reference.message}"
+    work = float(best.steps * best.case.instructions()) or np.nan
+    limit = stable_step(model, start, None, best.case.scheme, safety=1.0)
+    if best.step > limit and not own_steps(best.case.scheme):
+        told.append(f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved")
+    return Recommendation(best.case.scheme, best.step, best.case.correction, expected, seconds, work, "; ".join(dict.fromkeys([message, *told])))
+
+
+@dataclass(frozen=True)
+class _Price:
+    """What runs cost, in instructions: `step` for each step that is tried, `second` for each second of wall time."""
+
+    step: float
+    second: float
+
+
+def _found(case: Case, speed: float, nodes: Array, wanted: float, most: float) -> _Choice | None:
+    """About the cheapest step or rtol that serves; `speed`: instructions in a second, where they are not counted. None: none for less than `most`."""
+    if not is_implicit(case.scheme):
+        price = _Price(case.instructions() * (_OVERHEAD if own_steps(case.scheme) else 1.0), 0.0)
+        return (_loosest if own_steps(case.scheme) else _fewest)(case, price, nodes, wanted, most)
+    clock = _Price(0.0, speed)
+    if not isinstance(case.scheme, Collocation):
+        return _loosest(case, clock, nodes, wanted, most)
+    if case.compiled is False:
+        return _fewest(case, clock, nodes, wanted, most)
+    promising = _fewest(replace(case, compiled=False), _Price(0.0, speed / _GAIN), nodes, wanted, most)  # it takes seconds to compile
+    return None if promising is None else _measured(case, promising.step, clock, nodes, wanted, False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """A way that serves, or does not: `steps` of at most `step` s end in the state `end` (nx,), `error` m off, and cost so many instructions."""
+
+    case: Case
+    step: float
+    steps: int
+    error: float
+    end: Array
+    cost: float
+
+    def seconds(self) -> float:
+        """Of the time loop, measured."""
+        if own_steps(self.case.scheme) or is_implicit(self.case.scheme):
+            return min(self.case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS))
+        return self.case.seconds_per_step(self.step, _REPEATS) * self.steps
+
+
+def _measured(case: Case, step: float, price: _Price, nodes: Array, wanted: float, uncompiled: bool) -> _Choice:
+    """A run; its error is infinite when it fails. `uncompiled`: in the virtual machine, where there is a choice."""
+    swift = replace(case, compiled=False) if uncompiled and case.compiled is None else case
+
+    def run() -> Trajectory:
+        return swift.run(step, energy_balance=False, save_every=10**9)
+
+    first = run()
+    error = distance(end_nodes(case.model, first), nodes) if first.success else np.inf
+    seconds = first.seconds
+    if price.second and error <= wanted:
+        seconds = min(seconds, *(run().seconds for _ in range(_REPEATS - 1)))
+    cost = price.step * first.attempts + price.second * seconds
+    return _Choice(case, step, first.attempts, error, first.states[-1], cost)
+
+
+def _loosest(case: Case, price: _Price, nodes: Array, wanted: float, most: float) -> _Choice | None:
+    """About the largest rtol whose error is at most `wanted`; None when that costs `most` or more."""
+    best: _Choice | None = None
+    least = 1e-6 if isinstance(case.compiled, Single) else 1e-15
+    rtol, tight, loose = 0.1 * wanted / extent(case.model), 0.0, 0.1
+    for _ in range(_TRIES // 4):
+        rtol = min(max(rtol, least), 0.1)
+        tried = replace(case, scheme=replace(case.scheme, rtol=rtol, atol=None))  # type: ignore[type-var]
+        now = _measured(tried, LONGEST * case.t_end, price, nodes, wanted, most < _SHORT)
+        if now.error <= wanted:
+            tight, best = rtol, now
+        else:
+            loose = rtol
+            if rtol <= least or (best is None and np.isfinite(now.error) and now.cost >= most):
+                break
+        if loose <= 4 * tight or (best is now and now.error > wanted / 4):
+            break
+        ratio = float(np.clip(0.5 * wanted / max(now.error, 1e-300), 1e-3, 1e3))
+        rtol = rtol * ratio if tight < rtol * ratio < loose else float(np.sqrt(max(tight, 1e-16) * loose))
+    return best
+
+
+def _fewest(case: Case, price: _Price, nodes: Array, wanted: float, most: float) -> _Choice | None:
+    """About the fewest equal steps whose error is at most `wanted`; None when that costs `most` or more."""
+    limit = most / price.step if price.step else np.inf
+    steps = min(_coarsest(case), max(1, int(limit) - 1) if np.isfinite(limit) else _coarsest(case))  # from there on downwards
+    low, best = 0, None
+    for _ in range(_TRIES):
+        if steps >= limit:
+            return None
+        now = _measured(case, case.t_end / steps, price, nodes, wanted, steps * price.step < _SHORT)
+        if now.error <= wanted:
+            best = now
+        else:
+            low = steps
+            if now.cost >= most:
+                return None
+        if best is None:
+            # as far as the scheme's order says, if it is in its range already
+            factor = (now.error / wanted) ** (1 / case.scheme.order) if np.isfinite(now.error) else 2.0
+            steps = max(low + 1, int(np.ceil(low * float(np.clip(1.05 * factor, _CLOSE, 8.0)))))
+        elif best.steps <= max(_CLOSE * low, low + 1):
+            break
+        else:
+            middle = int(np.sqrt(low * best.steps)) if low else best.steps // 2
+            steps = min(max(middle, low + 1), best.steps - 1)
+    return best
+
+
+def _coarsest(case: Case, state: Array | None = None) -> int:
+    """Steps at the limit of stability of the start, and of `state`."""
+    if is_implicit(case.scheme):
+        return _FEW
+    states = [case.state] if state is None else [case.state, state]
+    limit = min(stable_step(case.model, x, None, case.scheme, safety=1.0) for x in states)
+    return max(1, int(np.ceil(case.t_end / limit))) if np.isfinite(limit) and limit > 0 else 1

@@ -1,0 +1,222 @@
+"""Speed against accuracy, measured: a grid of schemes, steps, corrections and models against a certified reference."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from statistics import median
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from tenscasadi.analysis.certify import Reference, certify, distance, end_nodes
+from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
+from tenscasadi.dynamics.model import Model, instructions
+from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.scheme import Scheme, check_scheme
+from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
+from tenscasadi.integrators.sundials import Sundials
+from tenscasadi.simulation.control_input import ControlInput
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.steppers import own_steps
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.compile import CompileError
+from tenscasadi.util.precision import Compiled, Single
+from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
+
+_TIMED = 0.02  # s of one timed run, about: short enough for many, long enough for the clock
+_TRIAL = 2048  # steps that tell how many take that long
+_MOST = 2**18  # steps of a timed run
+LONGEST = 1 / 20  # of the run: the largest step of a scheme that controls its error
+
+State = Array | Callable[[Model], Array] | None
+
+
+def tradeoff(
+    models: Model | Mapping[str, Model],
+    t_end: float,
+    schemes: Sequence[Scheme],
+    steps: Sequence[float],
+    reference: Reference | str | None = None,
+    state: State = None,
+    control: ControlInput = None,
+    corrections: Sequence[Correction | None] = (None,),
+    compiled: Sequence[Compiled] = (None,),
+    repeats: int = 3,
+    progress: bool = False,
+) -> Tradeoff:
+    """Runs every scheme with every step, correction, model and way to run on [0, t_end], and measures what each costs and how wrong it is.
+
+    models: a model, or several by name that share their scene's nodes and differ in fidelity: segments, lumping, slack, coordinates.
+    steps: largest steps, s; a scheme that controls its error (`rtol`) takes its own, up to a twentieth of t_end, and is run once.
+    reference: what position errors are measured against: a `Reference`, or the name of the model that `certify` solves; None: the first.
+    state: start (nx,), a function model -> (nx,), or None: each model's initial state. control: as for `simulate`.
+    compiled: ways to run, each as for `simulate`: None, True, False or `Single()`; several, such as (True, Single()), are compared.
+    repeats: timed runs, whose median counts. progress: shows a progress bar.
+
+    Ctrl-C ends the study and returns the rows so far, with `complete` False. A run that diverges, and a scheme that cannot serve a model,
+    give rows with `success` False and the reason in `message`. Raises NoReference, TypeError, ValueError.
+    """
+    named = dict(models) if isinstance(models, Mapping) else {"": models}
+    _check(named, schemes, corrections)
+    t_end, repeats = positive_number("t_end", t_end), whole_number("repeats", repeats, 1)
+    ways = _sequence("compiled", compiled)
+    for way in ways:
+        instance("compiled", way, (bool, Single, type(None)), "True, False, None or Single()")
+    lengths = sorted({positive_number(f"steps[{i}]", step) for i, step in enumerate(_sequence("steps", steps))}, reverse=True)
+    rows: list[Row] = []
+    known: Reference | None = None
+    end = "interrupted from the keyboard before the reference was found"
+    plans = list(product(named.items(), schemes, corrections, ways))
+    total = sum(1 if own_steps(scheme) else len(lengths) for _, scheme, _, _ in plans)
+    try:
+        with tqdm(total=total, unit=" runs", disable=not progress) as bar:
+            known = _reference(named, t_end, reference, state, control, False if all(way is False for way in ways) else None)
+            for (name, model), scheme, correction, way in plans:
+                case = Case(model, scheme, correction, t_end, start_of(model, state), control, way)
+                for row in _rows(case, name, lengths, known, repeats):
+                    rows.append(row)
+                    bar.update()
+        end = ""
+    except KeyboardInterrupt:
+        end = f"interrupted from the keyboard after {len(rows)} of {total} runs" if known else end
+    error, told = (known.error, known.message) if known else (np.inf, "none")
+    return Tradeoff(tuple(rows), t_end, error, told, complete=not end, message=end)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A way to compute a motion: all but the step."""
+
+    model: Model
+    scheme: Scheme
+    correction: Correction | None
+    t_end: float
+    state: Array | None
+    control: ControlInput
+    compiled: Compiled
+
+    def run(self, step: float, **options: Any) -> Trajectory:
+        """The motion. Raises KeyboardInterrupt where `simulate` returns what it has."""
+        options = {"t_end": self.t_end, "control": self.control, **options}
+        run = simulate(self.model, step=step, scheme=self.scheme, state=self.state, correction=self.correction, compiled=self.compiled, **options)
+        if run.interrupted:
+            raise KeyboardInterrupt
+        return run
+
+    def instructions(self) -> int:
+        """Instructions of one step, with its share of the correction; 0: not known, for implicit schemes iterate as often as it takes."""
+        if is_implicit(self.scheme):
+            return 0
+        project = None if self.correction is None else self.correction.step(self.model)
+        extra = 0 if self.correction is None or project is None else instructions(project) / self.correction.every
+        return round(instructions(self.scheme.advance(self.model)) + extra)
+
+    def seconds_per_step(self, step: float, repeats: int) -> float:
+        """Wall time of a step, s: the median of `repeats` runs that are long enough for the clock, and hardly leave the start.
+
+        A run over [0, t_end] with coarse steps is too short to be timed, and all steps cost the same.
+        """
+        fine = 1e-3 * step
+
+        def seconds(steps: int) -> float:
+            return self.run(fine, t_end=fine * steps, control=self._held(), energy_balance=False, save_every=steps).seconds / steps
+
+        steps = int(np.clip(_TIMED / seconds(_TRIAL), _TRIAL, _MOST))
+        steps = 2 ** int(np.log2(steps))  # what the loop does in one call divides it
+        return median(seconds(steps) for _ in range(repeats))
+
+    def _held(self) -> ControlInput:
+        """A constant control, if it is one: others are not for the short time of a timed run."""
+        return None if callable(self.control) or (self.control is not None and np.ndim(self.control) != 1) else self.control
+
+
+def is_implicit(scheme: Scheme) -> bool:
+    """Whether each step of a scheme solves equations that hold forces, with no limit of stability."""
+    return isinstance(scheme, (Collocation, Sundials))
+
+
+def start_of(model: Model, state: State) -> Array | None:
+    """The start that `state` means for this model. Raises TypeError, ValueError."""
+    value = state(model) if callable(state) else state
+    return None if value is None else finite_array("state", value, (model.nx,))
+
+
+def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int) -> Iterable[Row]:
+    """A row for each step; the time of a step and the set-up are measured once."""
+    chooses = own_steps(case.scheme)
+    empty = Row(case.scheme, np.nan, case.correction, name, compiled=case.compiled is not False, single=isinstance(case.compiled, Single))
+    each = setup = np.nan
+    for step in [LONGEST * case.t_end] if chooses else lengths:
+        began = time.perf_counter()
+        empty = replace(empty, step=np.nan if chooses else step)
+        try:
+            run, work = case.run(step), case.instructions()
+        except (TypeError, ValueError, CompileError) as error:  # such as Rattle where supports are moved
+            yield replace(empty, message=str(error))
+            continue
+        if np.isnan(setup):
+            setup = time.perf_counter() - began - run.seconds
+            empty = replace(empty, compiled=run.compiled, setup=setup)
+        row = replace(empty, instructions=work, steps=run.attempts, success=run.success, message=run.message)
+        if run.success:
+            if is_implicit(case.scheme) or chooses:  # a step costs what it takes to solve its equations
+                seconds = median(case.run(step, energy_balance=False).seconds for _ in range(repeats))
+            else:
+                each = case.seconds_per_step(lengths[-1], repeats) if np.isnan(each) else each
+                seconds = each * run.attempts
+            row = replace(
+                row,
+                seconds=seconds / case.t_end,
+                position=distance(end_nodes(case.model, run), reference.nodes),
+                bar=float(run.bar_length_error.max()),
+                joint=float(run.joint_error.max()),
+                energy=float(np.abs(run.energy_error).max()),
+            )
+        yield row
+
+
+def _reference(
+    named: dict[str, Model], t_end: float, reference: Reference | str | None, state: State, control: ControlInput, compiled: bool | None
+) -> Reference:
+    if isinstance(reference, Reference):
+        nodes = len(next(iter(named.values())).scene.structure.nodes)
+        if len(reference.nodes) != nodes:
+            raise ValueError(f"reference has {len(reference.nodes)} nodes, the models have {nodes}: give the reference of the same structure")
+        if not np.isclose(reference.t_end, t_end, rtol=1e-12):
+            raise ValueError(f"reference is for t_end = {reference.t_end:g} s and t_end is {t_end:g}: give one of the same time")
+        return reference
+    if reference is not None and reference not in named:
+        raise ValueError(f"reference is {reference!r}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}")
+    model = named[next(iter(named)) if reference is None else reference]
+    return certify(model, t_end, start_of(model, state), control, compiled=compiled)
+
+
+def _check(named: dict[str, Model], schemes: Any, corrections: Any) -> None:
+    if not named:
+        raise ValueError("models is empty: give a tenscasadi.Model, or models by name")
+    for name, model in named.items():
+        instance(f"models[{name!r}]" if name else "models", model, Model, "a tenscasadi.Model, or models by name")
+    counts = {name: len(model.scene.structure.nodes) for name, model in named.items()}
+    if len(set(counts.values())) > 1:
+        raise ValueError(f"models have scenes of {counts} nodes: give models of one structure, that differ in what is modelled")
+    check_ways(schemes, corrections)
+
+
+def check_ways(schemes: Any, corrections: Any) -> None:
+    """TypeError or ValueError unless these are sequences of schemes and of corrections, each with one at least."""
+    for scheme in _sequence("schemes", schemes):
+        check_scheme(scheme)
+    for correction in _sequence("corrections", corrections):
+        instance("corrections", correction, (Projection, BarLengthCorrection, type(None)), "(None, Projection())")
+
+
+def _sequence(field: str, values: Any) -> Sequence[Any]:
+    if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
+        raise TypeError(f"{field} is {values!r}: give a sequence, such as a list")
+    if not len(values):
+        raise ValueError(f"{field} is empty: give at least one")
+    return list(values)

@@ -1,0 +1,212 @@
+"""What the command line does: plan, simulate, tradeoff and info, each prints a summary, writes a .npz and pictures, and returns an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tenscasadi import plots
+from tenscasadi.analysis.tradeoff import tradeoff
+from tenscasadi.cli.demos import demo
+from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.rattle import Rattle
+from tenscasadi.integrators.scheme import DormandPrince54, DormandPrince853, RungeKutta4, Scheme
+from tenscasadi.integrators.stability import fastest_rate, stable_step
+from tenscasadi.integrators.stabilization import Projection
+from tenscasadi.plots.animation import animate
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure import shapes
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.compile import find_compiler
+from tenscasadi.util.precision import Single
+from tenscasadi.util.validate import positive_number
+
+FAILED, INTERRUPTED = 1, 130
+
+
+def run_simulate(arguments: argparse.Namespace) -> int:
+    """Simulates a shape; writes trajectory and pictures."""
+    chosen = demo(arguments.shape)
+    began = time.perf_counter()
+    model = Model(chosen.scene(arguments.gravity), coordinates=arguments.coordinates)
+    state = chosen.start(model)
+    t_end = chosen.t_end if arguments.t_end is None else arguments.t_end
+    trajectory = simulate(
+        model,
+        t_end,
+        arguments.step,
+        state=state,
+        correction=None if arguments.projection is None else Projection(arguments.projection),
+        save_every=arguments.save_every,
+        compiled=False if arguments.uncompiled else None,
+        progress=sys.stderr.isatty(),
+    )
+    ready = time.perf_counter()
+    print(f"{arguments.shape}: {model.structure!r}, {model.nx} states, {model.coordinates} coordinates")
+    print(trajectory.summary())
+    print(f"set-up        {ready - began - trajectory.seconds:.2f} s: equations and their compilation")
+    files = _write_trajectory(arguments, trajectory)
+    _tell(files, time.perf_counter() - ready)
+    return 0 if trajectory.success else FAILED
+
+
+def _write_trajectory(arguments: argparse.Namespace, trajectory: Trajectory) -> list[Path]:
+    folder, name = _folder(arguments.output), arguments.shape
+    files = [folder / f"{name}-simulation{suffix}" for suffix in (".npz", ".png", "-errors.png")]
+    trajectory.save(files[0])
+    plots.time_lapse(trajectory, title=name, path=files[1])
+    plots.errors(trajectory, title=name, path=files[2])
+    if arguments.gif:
+        files.append(animate(trajectory, folder / f"{name}-simulation.gif", title=name))
+    return files
+
+
+def run_tradeoff(arguments: argparse.Namespace) -> int:
+    """Measures what schemes and steps cost and are worth on a shape; writes table and picture."""
+    chosen = demo(arguments.shape)
+    if arguments.tolerance is not None:
+        positive_number("tolerance", arguments.tolerance)
+    model = Model(chosen.scene())
+    schemes: tuple[Scheme, ...] = (
+        RungeKutta4(),
+        DormandPrince54(),
+        DormandPrince853(),
+        Rattle(),
+        *(DormandPrince853(rtol) for rtol in arguments.rtol),
+    )
+    table = tradeoff(
+        model,
+        chosen.t_end if arguments.t_end is None else arguments.t_end,
+        schemes,
+        arguments.steps,
+        state=chosen.start,
+        corrections=(None, Projection()),
+        compiled=(False if arguments.uncompiled else None, *([Single()] if arguments.single else [])),
+        progress=sys.stderr.isatty(),
+    )
+    print(f"{arguments.shape}: {model.structure!r}, {table.t_end:g} s")
+    print(table.summary())
+    if not table.rows:  # interrupted before the first
+        return INTERRUPTED
+    served = True
+    if arguments.tolerance is not None:
+        try:
+            row = table.cheapest(arguments.tolerance)
+            print(f"fastest within {arguments.tolerance:g} m: {row.name}" + ("" if np.isnan(row.step) else f", step {row.step:g} s"))
+        except ValueError as error:  # what was measured is kept all the same
+            print(error)
+            served = False
+    began = time.perf_counter()
+    folder = _folder(arguments.output)
+    files = [folder / f"{arguments.shape}-tradeoff{suffix}" for suffix in (".npz", ".png")]
+    table.save(files[0])
+    table.plot(files[1], title=arguments.shape)
+    _tell(files, time.perf_counter() - began)
+    return INTERRUPTED if not table.complete else 0 if served else FAILED
+
+
+def run_info(arguments: argparse.Namespace) -> int:
+    """Describes a shape; writes it and its picture."""
+    chosen = demo(arguments.shape)
+    scene = chosen.scene()
+    model, s = Model(scene), scene.structure
+    print(f"{arguments.shape}: {chosen.text}")
+    print(f"nodes         {len(s.nodes)}, pinned: {', '.join(map(str, s.pinned)) or 'none'}")
+    print(f"bars          {len(s.bars)}, lengths {_range(s.bar_lengths)} m, mass {s.bar_mass.sum():g} kg in all")
+    print(
+        f"strings       {len(s.strings)}" + (f", lengths {_range(s.string_lengths)} m, stiffness {_range(s.stiffness)} N/m" if len(s.strings) else "")
+    )
+    gamma = _equilibrium(s)
+    print("\nterm: instructions of the right-hand side")
+    print(model.describe())
+    print(f"\nfastest rate  {fastest_rate(model):.4g} rad/s, largest stable step of RungeKutta4 {stable_step(model, safety=1.0):.3g} s")
+    compiler = find_compiler()
+    print(f"C compiler    {' '.join(compiler) if compiler else 'none found: simulations run uncompiled'}")
+    began = time.perf_counter()
+    folder = _folder(arguments.output)
+    files = [folder / f"{arguments.shape}-structure{suffix}" for suffix in (".npz", ".png")]
+    fields = ("nodes", "bars", "strings", "bar_mass", "bar_radius", "node_mass", "fixed", "stiffness", "damping", "rest_length", "string_mass")
+    content: dict[str, Any] = {name: getattr(s, name) for name in fields}
+    np.savez_compressed(files[0], **content, equilibrium_force_density=gamma)
+    plots.structure(s, labels=True, title=arguments.shape, path=files[1])
+    _tell(files, time.perf_counter() - began)
+    return 0
+
+
+def _equilibrium(structure: Structure) -> Any:
+    if not len(structure.strings):
+        return np.zeros(0)
+    try:
+        gamma = equilibrium_force_density(structure)
+    except EquilibriumError as error:
+        print(f"equilibrium   {error}")
+        return np.full(len(structure.strings), np.nan)
+    print(f"equilibrium   without loads, force densities in the ratio {' : '.join(f'{value:.4g}' for value in np.unique(gamma.round(9)))}")
+    return gamma
+
+
+def run_plan(arguments: argparse.Namespace) -> int:
+    """Plans how a prism changes its height; writes plan and pictures."""
+    if arguments.shape != "prism":
+        raise ValueError(f"unknown shape {arguments.shape!r}: plans are made for prism")
+    import ocp  # only here: everything else of tenscasadi works without it
+
+    start = shapes.prism(arguments.bars, arguments.radius, arguments.height)
+    goal = _same_bars(arguments, 1.2 * arguments.height if arguments.to_height is None else arguments.to_height)
+    problem = ocp.Problem(
+        Model(Scene(start, control=ForceDensity())),
+        duration=arguments.duration,
+        goals=[ocp.StringLengths(goal.string_lengths), ocp.AtRest()],
+        bounds=[ocp.ForceDensityLimits(arguments.lower, arguments.upper)],
+        costs=[ocp.Effort()],
+    )
+    plan = ocp.solve(problem, ocp.MultipleShooting(intervals=arguments.intervals), ocp.Ipopt())
+    print(f"prism: {start!r}, from a height of {arguments.height:g} m to {goal.nodes[:, 2].max():g} m in {arguments.duration:g} s")
+    print(plan.summary())
+    if find_compiler() is None:
+        print("C compiler    none found: it runs uncompiled")
+    began = time.perf_counter()
+    folder = _folder(arguments.output)
+    files = [folder / f"prism-plan{suffix}" for suffix in (".npz", ".png", "-forces.png")]
+    plan.save(files[0])
+    plots.time_lapse(plan.replay(), title="prism: the plan, replayed", path=files[1])
+    plots.force_densities(plan, lower=arguments.lower, upper=arguments.upper, title="prism: planned force densities", path=files[2])
+    _tell(files, time.perf_counter() - began)
+    return 0 if plan.success else FAILED
+
+
+def _same_bars(arguments: argparse.Namespace, height: float) -> Structure:
+    """The equilibrium prism of another height with bars of the same length."""
+    bars, radius = arguments.bars, arguments.radius
+    chord = 2 * np.sin(np.pi / 4 + np.pi / (2 * bars))  # of the equilibrium twist, for radius 1
+    square = (chord * radius) ** 2 + arguments.height**2 - height**2
+    if not square > 0:
+        longest = np.sqrt((chord * radius) ** 2 + arguments.height**2)
+        raise ValueError(f"to-height is {height:g}: it must be less than the length of the bars, {longest:g} m")
+    return shapes.prism(bars, float(np.sqrt(square)) / chord, height)
+
+
+def _folder(path: Path) -> Path:
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _tell(files: Sequence[Path], seconds: float) -> None:
+    print(f"\nwrote in {seconds:.2f} s:")
+    for file in files:
+        print(f"  {file}")
+
+
+def _range(values: Any) -> str:
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{low:g}" if np.isclose(low, high) else f"{low:g} … {high:g}"

@@ -1,0 +1,1 @@
+"""Equilibrium and self-stress of structures."""

@@ -1,0 +1,108 @@
+"""Equilibrium and self-stress: N K = W with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58, 60 at rest)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import lstsq, null_space
+from scipy.optimize import nnls
+
+from tenscasadi.structure.structure import Structure, connectivity
+from tenscasadi.util.validate import Array, at_least, finite_array, per_item
+
+TOLERANCE = 1e-9  # relative: singular values and unbalanced forces below it are rounding
+
+
+class EquilibriumError(ValueError):
+    """No admissible force densities hold the structure; `residual`: the least unbalanced force, in N (2-norm over all nodes)."""
+
+    def __init__(self, message: str, residual: float) -> None:
+        super().__init__(message)
+        self.residual = residual
+
+
+def self_stress(structure: Structure) -> Array:
+    """Orthonormal basis (k, α + β) of the self-stresses, γ then λ in N/m: N K = 0 at all free coordinates. λ > 0: compression."""
+    return np.asarray(null_space(_balance(structure), rcond=TOLERANCE).T)
+
+
+def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = None, minimum: ArrayLike = 1.0) -> Array:
+    """The smallest (least Σγ²) force densities γ (α,) N/m, all ≥ `minimum`, that hold the structure at rest in its nodes.
+
+    loads: forces on the nodes (n, 3) in N, or None. minimum: N/m ≥ 0, one number or (α,). Bars carry what they must and pins
+    react freely. Raises EquilibriumError, with the residual in N, when there are none; TypeError, ValueError for bad input.
+    """
+    alpha = len(structure.strings)
+    least = at_least("minimum", per_item("minimum", minimum, alpha, "string"), 0.0, "string")
+    load = np.zeros(structure.nodes.shape) if loads is None else finite_array("loads", loads, structure.nodes.shape)
+    free = ~structure.fixed.ravel()
+    w = load.ravel()[free]
+    balance = _balance(structure)
+    A = balance[:, :alpha]
+    # the bars take whatever acts along them: what is left is balanced by strings alone
+    Q = null_space((balance[:, alpha:] / structure.bar_lengths).T, rcond=TOLERANCE).T
+    E, f = Q @ A, Q @ w
+    force = max(float(np.abs(A * least).max(initial=0.0)), float(np.abs(w).max(initial=0.0)))
+
+    extra, residual = _nonnegative(E, f - E @ least)
+    if residual > TOLERANCE * force:
+        left = np.zeros(structure.nodes.size)
+        left[free] = Q.T @ (f - E @ (least + extra))
+        raise _no_equilibrium(left.reshape(-1, 3), least, residual)
+    gamma = _least_norm(E, f, least)
+    if gamma is None or np.linalg.norm(E @ gamma - f) > max(10.0 * residual, TOLERANCE * force):
+        gamma = least + extra
+    return gamma
+
+
+def _balance(structure: Structure) -> Array:
+    """Free coordinates × (α + β): N K of one unit of each force density."""
+    n = len(structure.nodes)
+    columns = []
+    for pairs, sign in ((structure.strings, 1.0), (structure.bars, -1.0)):
+        C = connectivity(pairs, n).toarray()
+        vectors = C @ structure.nodes
+        columns.append(sign * np.einsum("mn,mx->nxm", C, vectors).reshape(3 * n, len(pairs)))
+    return np.concatenate(columns, axis=1)[~structure.fixed.ravel()]
+
+
+def _nonnegative(A: Array, b: Array) -> tuple[Array, float]:
+    """x ≥ 0 of least ‖A x − b‖, and that norm."""
+    if A.shape[1] == 0 or A.shape[0] == 0:
+        return np.zeros(A.shape[1]), float(np.linalg.norm(b))
+    x, residual = nnls(A, b, maxiter=30 * A.shape[1] + 100)
+    return x, float(residual)
+
+
+def _least_norm(E: Array, f: Array, least: Array) -> Array | None:
+    """γ of least ‖γ‖ with E γ = f, γ ≥ `least`: least distance programming (Lawson and Hanson, Solving Least Squares, ch. 23).
+
+    With γ = γ₀ + Z y, Z a basis of null(E): min ‖y‖ with Z y ≥ least − γ₀. None where rounding hides that it is feasible.
+    """
+    if E.shape[0] == 0:
+        return least.copy()
+    start = np.asarray(lstsq(E, f, cond=TOLERANCE)[0])
+    Z = null_space(E, rcond=TOLERANCE)
+    short = least - start
+    scale = float(np.abs(short).max(initial=0.0))
+    if scale > 0.0 and Z.shape[1]:
+        target = np.zeros(Z.shape[1] + 1)
+        target[-1] = 1.0
+        system = np.vstack([Z.T, short / scale])
+        u, distance = _nonnegative(system, target)
+        if distance < TOLERANCE:
+            return None
+        r = system @ u - target
+        start = start - Z @ (r[:-1] / r[-1]) * scale
+    return np.asarray(np.maximum(start, least))
+
+
+def _no_equilibrium(left: Array, least: Array, residual: float) -> EquilibriumError:
+    size = np.linalg.norm(left, axis=1)
+    worst = int(np.argmax(size))
+    bound = f"of at least {least.min():g} N/m " if least.size else ""
+    return EquilibriumError(
+        f"no force densities {bound}hold the structure: {residual:.3g} N stay unbalanced at best, most at node {worst} "
+        f"({size[worst]:.3g} N); change the nodes, the loads, what is pinned, or add strings",
+        residual,
+    )

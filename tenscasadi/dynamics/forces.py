@@ -1,0 +1,97 @@
+"""The forces of a scene on the columns of N: strings and loads, F = W − S γ̂ C_s (3×n, Eq. 67), and their potential energy.
+
+Only what the scene has is built. In full coordinates loads act on the first copy of each physical node.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics.mechanism import Mechanism
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.util.casadi_tools import constant_row, sparse, spread
+from tenscasadi.util.validate import Array
+
+
+def strings(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool = True) -> tuple[Any, Any]:
+    """γ (1×α) of the modelled strings under the control u, and their vectors S (3×α)."""
+    s = scene.modelled
+    S = ca.mtimes(N, sparse(mech.C_s.T))  # 3×α, Eq. 66
+    if isinstance(scene.control, ForceDensity):
+        return _per_child(scene, u, 1 / s.string_fraction), S  # equal tension along a straight parent
+    rate = None
+    if damped and is_damped(scene):
+        rate = ca.sum1(S * ca.mtimes(V, sparse(mech.C_s.T))) * constant_row(s.damping)  # c sᵀṡ, Eq. 98
+    gamma = scene.slack.force_density(ca.sum1(S * S), _rest(scene, u), constant_row(s.stiffness), rate, constant_row(s.rest_length))
+    return gamma, S
+
+
+def is_damped(scene: Scene) -> bool:
+    """Whether any string damps: force densities that are commanded do not."""
+    return not isinstance(scene.control, ForceDensity) and bool(np.any(scene.modelled.damping > 0))
+
+
+def pull(mech: Mechanism, gamma: Any, S: Any) -> Any:
+    """−S γ̂ C_s (3×n, Eq. 56)."""
+    return spread(S, gamma, -mech.C_s)
+
+
+def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> dict[str, Any]:
+    """The columns of F (3×n) by the name of their origin."""
+    first = mech.first.tolist()
+    result: dict[str, Any] = {}
+    if len(scene.modelled.strings):
+        result["strings"] = pull(mech, *strings(scene, mech, N, V, u))
+    if scene.gravity is not None:
+        result["gravity"] = scene.gravity.forces(mech.M.sum(axis=1))
+    if scene.ground is not None:
+        result["ground"] = _on_first(mech, scene.ground.forces(N[:, first], V[:, first]))
+    if scene.pressure is not None:
+        result["pressure"] = _on_first(mech, scene.pressure.forces(N[:, first]))
+    if scene.forces is not None:
+        result["nodal forces"] = _on_first(mech, scene.forces.forces(time))
+    return result
+
+
+def potential(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any, Any]:
+    """Elastic energy (taut strings and the ground's springs) and gravity energy, J."""
+    s = scene.modelled
+    elastic: Any = ca.DM(0)
+    if len(s.strings) and not isinstance(scene.control, ForceDensity):
+        S = ca.mtimes(N, sparse(mech.C_s.T))
+        elastic = ca.sum2(scene.slack.energy(ca.sum1(S * S), _rest(scene, u), constant_row(s.stiffness), constant_row(s.rest_length)))
+    if scene.ground is not None:
+        elastic = elastic + scene.ground.energy(N[:, mech.first.tolist()])
+    return elastic, ca.DM(0) if scene.gravity is None else scene.gravity.energy(N, mech.M.sum(axis=1))
+
+
+def conservative(scene: Scene) -> bool:
+    """Whether no force outside the energies does work while the control stands still."""
+    driven = isinstance(scene.control, ForceDensity) and len(scene.modelled.strings) > 0
+    rough = scene.ground is not None and not scene.ground.conservative
+    return not (driven or is_damped(scene) or rough or scene.pressure is not None or scene.forces is not None or scene.supports is not None)
+
+
+def _rest(scene: Scene, u: Any) -> Any:
+    s = scene.modelled
+    return _per_child(scene, u, s.string_fraction) if isinstance(scene.control, RestLength) else constant_row(s.rest_length)
+
+
+def _per_child(scene: Scene, u: Any, factor: Array) -> Any:
+    """u per parent string as a row over the modelled strings, times `factor`."""
+    parent = scene.modelled.string_parent
+    row = u.T if len(parent) == u.shape[0] else u[parent.tolist()].T
+    return row if np.all(factor == 1) else row * ca.DM(factor).T
+
+
+def _on_first(mech: Mechanism, W: Any) -> Any:
+    """Loads on physical nodes (3×m; nodes inside strings, behind them, may be left out) as columns on the first copy of each."""
+    count, n = W.shape[1], mech.N.shape[1]
+    columns = mech.first[:count].tolist()
+    if columns == list(range(n)):
+        return W
+    return ca.mtimes(W, ca.DM.triplet(list(range(count)), columns, ca.DM.ones(count), count, n))

@@ -1,0 +1,266 @@
+"""A scene as CasADi Functions: the ordinary differential equation, what can be observed, power and multipliers."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics import forces
+from tenscasadi.dynamics import mechanism as dynamics
+from tenscasadi.dynamics.mechanism import Multipliers
+from tenscasadi.dynamics.state_space import StateSpace
+from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.util.casadi_tools import solve_semidefinite, sparse, spread, staged
+from tenscasadi.util.compile import compile_function
+
+
+class Energy(NamedTuple):
+    """Energies of a state, J: of motion, of taut strings and the ground's springs, and in gravity (zero at the origin)."""
+
+    kinetic: float
+    elastic: float
+    gravity: float
+
+    @property
+    def total(self) -> float:
+        """The sum, J."""
+        return self.kinetic + self.elastic + self.gravity
+
+
+class Terms(dict[str, int]):
+    """Instruction counts by the name of a term; prints as a table."""
+
+    def __str__(self) -> str:
+        width = max(map(len, self), default=0)
+        return "\n".join(f"{name:<{width}}  {count:>8}" for name, count in self.items())
+
+
+class Model(StateSpace):
+    """The equations of motion of a `Scene`, Eqs. 58-95, as CasADi Functions.
+
+    `coordinates="reduced"`: the state holds the coordinates of physical nodes that are free to move; joints and pins cannot drift.
+    `coordinates="full"`: the state holds the paper's class-one nodes, and Ω keeps joints and pins.
+    Reduced systems couple all bars that hang together: long chains of joined bars, from a hundred on, are cheaper in full coordinates.
+    State x = (positions, velocities), each node by node, and a clock where loads depend on time. Control u: one entry per parent
+    string (`ForceDensity`, N/m; `RestLength`, m) or none. `bar_length="constant"` is the paper's λ̂ as printed, for comparison: it
+    divides by l² where "current" divides by bᵀb, and then errors of length grow exponentially. Raises TypeError, ValueError;
+    warns with `RedundantConstraints`.
+    """
+
+    # --- CasADi Functions ---
+
+    @cached_property
+    def ode(self) -> ca.Function:
+        """(x, u) → xdot: self-contained, differentiable, usable by any CasADi tool."""
+        x, u = self._symbols(self._unrolled)
+        N, V, time = self.unpack(x)
+        A, _, _ = self.motion(N, V, u, time)
+        rate = [self.pack(V, A, 1)]
+        # Of vector operations cse would share the zeros too that each product starts from, and copy them.
+        return ca.Function("ode", [x, u], ca.cse(rate) if self._unrolled else rate, ["x", "u"], ["xdot"])
+
+    def compile(self) -> ca.Function:
+        """`ode` as machine code: the same inputs, outputs and values, without derivatives. Raises CompileError without a C compiler."""
+        return compile_function(self.ode)
+
+    @cached_property
+    def observe(self) -> ca.Function:
+        """(x, u) → nodes and velocities (3n, node by node), force_density and tension (α), energy (3), bar_length_error, joint_error."""
+        x, u = self._symbols(not self.mechanism.large)
+        N, V, time = self.unpack(x)
+        gamma, S = forces.strings(self.scene, self.mechanism, N, V, u)
+        first = self.mechanism.first.tolist()
+        outputs = {
+            "nodes": ca.vec(N[:, first]),
+            "velocities": ca.vec(V[:, first]),
+            "force_density": gamma.T,
+            "tension": (gamma * ca.sqrt(ca.sum1(S * S))).T,
+            "energy": ca.vertcat(self._kinetic(V), *forces.potential(self.scene, self.mechanism, N, u)),
+            "bar_length_error": self._bar_length_error(N),
+            "joint_error": self._joint_error(N, time),
+        }
+        return ca.Function("observe", [x, u], [ca.densify(value) for value in outputs.values()], ["x", "u"], list(outputs))
+
+    @cached_property
+    def power(self) -> ca.Function | None:
+        """(x, u) → power, W, of all forces that `energy` does not hold; None when there are none. Jumps of the control are not in it."""
+        if self.conservative:
+            return None
+        x, u = self._symbols(not self.mechanism.large)
+        N, V, time = self.unpack(x)
+        if self._supports is None:
+            push = _sum(forces.terms(self.scene, self.mechanism, N, V, u, time), self.mechanism)
+        else:  # with the reactions of the supports, which work too: all that moves the mass
+            push = ca.mtimes(self.motion(N, V, u, time)[0], sparse(self.mechanism.M))
+        n: Any = type(N).sym("n", N.shape)
+        total = sum(forces.potential(self.scene, self.mechanism, n, u))
+        slope = ca.substitute(ca.jtimes(total, n, V), n, N)
+        return ca.Function("power", [x, u], [ca.densify(ca.sum2(ca.sum1(push * V)) + slope)], ["x", "u"], ["power"])
+
+    @cached_property
+    def multiplier_function(self) -> ca.Function:
+        """(x, u) → λ (β) and Ω (3×c): see `multipliers`."""
+        x, u = self._symbols(self._unrolled)
+        N, V, time = self.unpack(x)
+        A, lam, omega = self.motion(N, V, u, time)
+        if self.coordinates == "reduced" and len(self.structure.bars):
+            omega = self._joint_forces(N, V, A, lam, u, time)
+        return ca.Function("multipliers", [x, u], [ca.densify(lam.T), ca.densify(omega)], ["x", "u"], ["bar_force_density", "joint_force"])
+
+    # --- numbers in, numbers out ---
+
+    def force_density(self, x: Any, u: Any = None) -> Any:
+        """γ of the modelled strings (α,), N/m; u None: the initial control. CasADi in, CasADi out."""
+        return self._observed("force_density", x, u)
+
+    def tension(self, x: Any, u: Any = None) -> Any:
+        """Tensions of the modelled strings (α,), N; u None: the initial control. CasADi in, CasADi out."""
+        return self._observed("tension", x, u)
+
+    def multipliers(self, x: Any, u: Any = None) -> Multipliers:
+        """λ̂ (β,) and Ω (3, c) in the paper's signs (Eqs. 85, 87); Ω's columns are those of `structure.class_one().P`,
+        then one for each node that is pinned along some axes only.
+
+        Where constraints are redundant these are the smallest of the many that give the same motion, in scaled rows.
+        """
+        lam, omega = self.multiplier_function(*self.arguments(x, u))
+        return Multipliers(lam.full().ravel(), omega.full())
+
+    def energy(self, x: Any, u: Any = None) -> Energy:
+        """Kinetic, elastic and gravity energy, J; strings driven by force density store none."""
+        return Energy(*self._observed("energy", x, u).tolist())
+
+    def bar_length_error(self, x: Any) -> float:
+        """The largest | |b| − l | / l over the bars: 0 is exact."""
+        return float(self._observed("bar_length_error", x, None)[0])
+
+    def joint_error(self, x: Any) -> float:
+        """The largest distance of a joint or pin from where it belongs, per axis, m: 0 in reduced coordinates."""
+        return float(self._observed("joint_error", x, None)[0])
+
+    @property
+    def conservative(self) -> bool:
+        """Whether no force outside `energy` does work while the control stands still."""
+        return forces.conservative(self.scene)
+
+    def describe(self) -> Terms:
+        """The terms that this scene builds, each with the instructions that it adds to the right-hand side."""
+        x, u = self._symbols(not self.mechanism.large)
+        N, V, time = self.unpack(x)
+        built = forces.terms(self.scene, self.mechanism, N, V, u, time)
+        if forces.is_damped(self.scene):
+            elastic = forces.pull(self.mechanism, *forces.strings(self.scene, self.mechanism, N, V, u, damped=False))
+            built = {"string elasticity": elastic, "string damping": built.pop("strings"), **built}
+        elif "strings" in built:
+            name = "string force densities" if isinstance(self.scene.control, ForceDensity) else "string elasticity"
+            built = {name: built.pop("strings"), **built}
+        terms = Terms()
+        outputs: dict[str, Any] = {}
+        before = 0
+        for name, expression in built.items():
+            if name == "string damping":  # the whole string law; what it adds to elasticity is the damping
+                outputs.pop("string elasticity")
+            outputs[name] = ca.vec(expression)[self._free.tolist()]  # what pulls at a pinned node is not needed
+            count = ca.Function("terms", [x, u], ca.cse(list(outputs.values()))).n_instructions()
+            terms[name] = count - before
+            before = count
+        total = instructions(self.ode)
+        rest = "inverse mass"
+        if self.mechanism.constrained:
+            rest = "bars (λ)" + (" and joints (Ω)" if self.mechanism.joints else "") + " and inverse mass"
+        terms[rest] = max(total - before, 0)
+        terms["total"] = total
+        return terms
+
+    # --- expressions ---
+
+    @property
+    def _unrolled(self) -> bool:
+        return not self.mechanism.large and self.mechanism.system_size <= dynamics.UNROLL_SOLVE
+
+    def _symbols(self, unrolled: bool) -> tuple[Any, Any]:
+        kind = ca.SX if unrolled else ca.MX
+        return kind.sym("x", self.nx), kind.sym("u", self.nu)
+
+    def motion(self, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, Any, Any]:
+        """N̈ (3×n), λ (1×β) and Ω (3×c)."""
+        mech = self.mechanism
+        C_bT = sparse(mech.C_b.T)
+
+        def unconstrained(N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
+            F = _sum(forces.terms(self.scene, mech, N, V, u, time), mech)
+            moved = self.moved_acceleration(time)
+            if moved is not None:
+                F = F - ca.mtimes(moved, sparse(mech.M))
+            if not mech.constrained:
+                return (F,)
+            B, Bd = (ca.mtimes(Z, C_bT) for Z in (N, V))
+            unforced = mech.with_inverse(F, mech.C_b.T)
+            r = ca.sum1(Bd * Bd) + ca.sum1(B * (unforced if moved is None else unforced + ca.mtimes(moved, C_bT)))  # Eq. 28
+            if not mech.system_size:
+                return F, B, r
+            return F, B, r, *dynamics.system(mech, B, r, mech.with_inverse(F, mech.P) - self.targets(time)[2])
+
+        def constrained(F: Any, time: Any, *rows: Any) -> tuple[Any, ...]:
+            lam, omega = dynamics.multipliers(mech, *rows) if rows else (ca.DM.zeros(1, 0), ca.DM.zeros(3, 0))
+            A = mech.with_inverse(F + dynamics.push(mech, rows[0], lam, omega) if rows else F)
+            moved = self.moved_acceleration(time)
+            return A if moved is None else A + moved, lam, omega
+
+        F, *rows = staged(mech.large, unconstrained, N, V, u, time)
+        if rows:
+            B, r, *linear = rows
+            rows = [B, r, solve_semidefinite(*linear) if linear else ca.DM.zeros(0, 1)]
+        A, lam, omega = staged(mech.large, constrained, F, time, *rows)
+        return A, lam, omega
+
+    def _joint_forces(self, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
+        """Ω of reduced coordinates: what the class-one nodes of Eq. 85 still need for the accelerations that they have."""
+        full = dynamics.mechanism(self.structure, "full")
+        if not full.joints:
+            return ca.DM.zeros(3, 0)
+        N, V, A = (Z[:, full.physical.tolist()] for Z in (N, V, A))
+        push = spread(ca.mtimes(N, sparse(full.C_b.T)), lam, full.C_b)
+        left = ca.mtimes(A, sparse(full.M)) - _sum(forces.terms(self.scene, full, N, V, u, time), full) - push  # Ω Pᵀ
+        return ca.mtimes(left, ca.DM(np.linalg.pinv(full.P.toarray().T)))
+
+    def _kinetic(self, V: Any) -> Any:
+        return ca.sum2(ca.sum1(V * ca.mtimes(V, sparse(self.mechanism.M)))) / 2
+
+    def _bar_length_error(self, N: Any) -> Any:
+        if not self.mechanism.bars:
+            return ca.DM(0)
+        B = ca.mtimes(N, sparse(self.mechanism.C_b.T))
+        return ca.mmax(ca.fabs(ca.sqrt(ca.sum1(B * B)) / ca.DM(self.mechanism.lengths).T - 1))
+
+    def _joint_error(self, N: Any, time: Any) -> Any:
+        if not self.mechanism.joints:
+            return ca.DM(0)
+        gap = (ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0]) * ca.DM(self.mechanism.active.astype(float))
+        return ca.mmax(ca.fabs(gap))
+
+    # --- numbers ---
+
+    def _observed(self, name: str, x: Any, u: Any) -> Any:
+        arguments = self.arguments(x, u)
+        value = self.observe(*arguments)[self.observe.index_out(name)]
+        return value.full().ravel() if isinstance(value, ca.DM) else value
+
+
+def _sum(terms: dict[str, Any], mech: dynamics.Mechanism) -> Any:
+    """F (3×n), the sum of its terms."""
+    return sum(terms.values(), start=ca.DM.zeros(3, mech.N.shape[1]))
+
+
+def instructions(function: ca.Function) -> int:
+    """Instructions of a Function and, for each call in it, of the Functions that it calls."""
+    count = int(function.n_instructions())
+    if function.class_name() != "MXFunction":
+        return count
+    for k in range(function.n_instructions()):
+        if function.instruction_id(k) == ca.OP_CALL:
+            count += instructions(function.instruction_MX(k).which_function())
+    return count

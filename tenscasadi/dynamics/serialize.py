@@ -1,0 +1,132 @@
+"""A model as arrays by name, and back: what files hold of it, without functions of time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import Clip, ForceDensity, Smooth
+from tenscasadi.structure.class_one import Layout
+from tenscasadi.structure.structure import PARAMETERS, Structure
+from tenscasadi.util.validate import Array, Indices, finite_array
+
+Content = Mapping[str, Any]
+
+_ROUNDING = 1e-9  # relative: numbers that differ by less are the same, computed elsewhere
+_MEMBERS = [name for name in PARAMETERS if name != "pinned"]
+_GROUND = ("stiffness", "damping", "friction", "height", "normal", "slip_speed")
+_LAYOUT = ("physical", "bar_columns", "string_columns", "mass_share")
+_NOTHING = np.zeros(0)  # stands for None
+
+
+def structure_arrays(structure: Structure) -> dict[str, Array]:
+    """All that tells a structure, also what `subdivide` and `from_matrices` leave in it."""
+    layout = structure._layout
+    ties = layout.P.tocoo()
+    content = {name: getattr(structure, name) for name in (*_MEMBERS, "fixed", "string_parent", "string_fraction")}
+    content |= {f"layout.{name}": getattr(layout, name) for name in _LAYOUT}
+    content |= {"layout.ties": np.column_stack([*ties.coords, ties.data]), "layout.tied": np.asarray(layout.P.shape[1])}
+    return {f"structure.{name}": np.asarray(value) for name, value in content.items()}
+
+
+def structure_of(content: Content) -> Structure:
+    """The structure that `structure_arrays` told; files from before there were layouts have the default one. Raises KeyError, ValueError."""
+    given = {name.removeprefix("structure."): value for name, value in content.items() if name.startswith("structure.")}
+    pinned = {int(node): "".join(np.array(list("xyz"))[axes]) for node, axes in enumerate(given["fixed"]) if axes.any()}
+    structure = Structure(**{name: given[name] for name in _MEMBERS}, pinned=pinned)
+    if "layout.ties" not in given:
+        return structure
+    bars, strings, columns = len(structure.bars), len(structure.strings), len(given["layout.physical"])
+    row, column, value = finite_array("layout.ties", given["layout.ties"], (None, 3)).T
+    P = csr_array((value, (row.astype(np.intp), column.astype(np.intp))), shape=(columns, int(given["layout.tied"])))
+    layout = Layout(
+        _indices("layout.physical", given, (columns,), len(structure.nodes)),
+        _indices("layout.bar_columns", given, (bars, 2), columns),
+        _indices("layout.string_columns", given, (strings, 2), columns),
+        finite_array("layout.mass_share", given["layout.mass_share"], (columns,)),
+        P,
+    )
+    fraction = finite_array("string_fraction", given["string_fraction"], (strings,))
+    return structure._derived(string_parent=_indices("string_parent", given, (strings,), strings), string_fraction=fraction, _layout=layout)
+
+
+def model_arrays(model: Model, times: Array) -> dict[str, Array]:
+    """All that the motion under force densities depends on; of functions of time what they give at `times` (K,), s."""
+    scene = model.scene
+    ground, pressure, forces, supports = scene.ground, scene.pressure, scene.forces, scene.supports
+    functions = [name for name, given in (("forces", forces and callable(forces.values)), ("supports", supports)) if given]
+    content: dict[str, Any] = {
+        "functions": np.asarray(functions, dtype=str),
+        "clock": times if functions else _NOTHING,
+        "segments": scene.segments,
+        "ends": scene.ends,
+        "fractions": _NOTHING if scene.fractions is None else scene.fractions,
+        "slack": [scene.slack.width] if isinstance(scene.slack, Smooth) else _NOTHING,
+        "gravity": _NOTHING if scene.gravity is None else scene.gravity.acceleration,
+        **{f"ground.{name}": _NOTHING if ground is None else np.asarray(getattr(ground, name), dtype=float) for name in _GROUND},  # None becomes NaN
+        "pressure": _NOTHING if pressure is None else [pressure.difference],
+        "pressure.faces": _NOTHING if pressure is None else np.reshape(pressure.faces, (-1, 3)),
+        "forces": _NOTHING if forces is None else _sampled(forces, len(scene.structure.nodes), times),
+        "forces.times": _NOTHING if forces is None or forces.times is None else forces.times,
+        "supports": _NOTHING if supports is None else [rates(t)[0].full() for rates in [supports.rates()] for t in times],
+        "supports.nodes": _NOTHING if supports is None else supports.nodes,
+    }
+    told = {f"scene.{name}": np.asarray(value) for name, value in content.items()}
+    own = {"model.coordinates": model.coordinates, "model.bar_length": "constant" if model.mechanism.constant_length else "current"}
+    return structure_arrays(scene.structure) | told | {name: np.asarray(value) for name, value in own.items()}
+
+
+def model_of(content: Content) -> Model | None:
+    """The model under force densities that `model_arrays` told; None where it has functions of time, or was not told. Raises KeyError, ValueError."""
+    if "model.coordinates" not in content or content["scene.functions"].size:
+        return None
+    told = {name.removeprefix("scene."): value for name, value in content.items() if name.startswith("scene.")}
+    given: dict[str, Any] = {name: told[name].tolist() for name in ("segments", "ends")}
+    if told["fractions"].size:
+        given["fractions"] = told["fractions"].tolist()
+    if told["gravity"].size:
+        given["gravity"] = Gravity(told["gravity"])
+    if told["ground.normal"].size:
+        numbers: dict[str, Any] = {name: told[f"ground.{name}"] for name in _GROUND}
+        given["ground"] = Ground(**{**numbers, "friction": None if np.isnan(numbers["friction"]) else numbers["friction"]})
+    if told["pressure"].size:
+        given["pressure"] = Pressure(told["pressure.faces"].tolist(), told["pressure"].item())
+    if told["forces"].size:
+        given["forces"] = NodalForce(told["forces"], told["forces.times"] if told["forces.times"].size else None)
+    slack = Smooth(told["slack"].item()) if told["slack"].size else Clip()
+    scene = Scene(structure_of(content), control=ForceDensity(), slack=slack, **given)
+    return Model(scene, content["model.coordinates"].item(), content["model.bar_length"].item())
+
+
+def differences(content: Content, model: Model) -> list[str]:
+    """What `model` has otherwise than the model that was told, such as "Structure.bar_mass"; of older files what they hold."""
+    own = model_arrays(model, content.get("scene.clock", _NOTHING))
+    told = own.keys() & content.keys() - {"scene.clock", "scene.functions"}
+    return [name[0].upper() + name[1:] for name in own if name in told and not _same(content[name], own[name])]
+
+
+def _indices(name: str, given: Content, shape: tuple[int, ...], count: int) -> Indices:
+    value = given[name]
+    if value.dtype.kind != "i" or value.shape != shape or np.any((value < 0) | (value >= count)):
+        raise ValueError(f"field {name!r} does not hold indices below {count} in the shape {shape}")
+    return np.asarray(value)
+
+
+def _sampled(forces: NodalForce, nodes: int, times: Array) -> Any:
+    if not callable(forces.values):
+        return forces.values
+    return [finite_array(f"NodalForce.values({t:g})", forces.values(float(t)), (nodes, 3)) for t in times]
+
+
+def _same(one: Any, other: Any) -> bool:
+    if one.shape != other.shape or one.dtype.kind != other.dtype.kind:
+        return False
+    if one.dtype.kind != "f":
+        return bool(np.array_equal(one, other))
+    return bool(np.allclose(one, other, rtol=_ROUNDING, atol=_ROUNDING * np.nanmax(np.abs(other), initial=0.0), equal_nan=True))

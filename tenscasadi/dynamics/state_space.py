@@ -1,0 +1,201 @@
+"""The state of a scene: how x holds the columns of N and V, what moves, and what joints and supports ask for."""
+
+from __future__ import annotations
+
+import warnings
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics import mechanism as dynamics
+from tenscasadi.dynamics.mechanism import BarLength, Coordinates
+from tenscasadi.dynamics.redundancy import RedundantConstraints, find_redundancy
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.validate import Array, finite_array, instance
+
+
+class Constraints(NamedTuple):
+    """What bars and joints ask of a state: columns that are zero where it is kept. Joints, pins included: full coordinates only."""
+
+    bars: Any  # (bᵀb − l²)/(2 l) of each bar, m: how much it is too long, to first order
+    bar_rates: Any  # bᵀḃ/l, m/s
+    joints: Any  # N P − D along each axis that is held, m
+    joint_rates: Any  # V P − Ḋ, m/s
+
+
+class StateSpace:
+    """States and controls of a scene in one of the two coordinates: sizes, conversions, and the matrices in `mechanism`."""
+
+    def __init__(self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current") -> None:
+        instance("Model.scene", scene, Scene, "a tenscasadi.Scene")
+        if coordinates not in ("reduced", "full"):
+            raise ValueError(f'Model.coordinates is {coordinates!r}: give "reduced" or "full"')
+        if bar_length not in ("current", "constant"):
+            raise ValueError(f'Model.bar_length is {bar_length!r}: give "current" or "constant"')
+        self.scene = scene
+        self.structure = scene.modelled
+        self.coordinates: Coordinates = coordinates
+        self.mechanism = dynamics.mechanism(self.structure, coordinates, bar_length)
+        if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:
+            raise ValueError('Model.bar_length is "constant": bars that meet or are pinned need coordinates="full" for it')
+        self._supports = None if scene.supports is None else scene.supports.rates()
+        self._free = np.flatnonzero(self.mechanism.free.ravel())
+        self.nq = len(self._free)
+        self.nx = 2 * self.nq + (1 if scene.has_clock else 0)
+        self.nu = 0 if scene.control is None else len(scene.structure.strings)
+        message = find_redundancy(self.structure, self.mechanism)
+        if message:
+            warnings.warn(message, RedundantConstraints, stacklevel=2)
+
+    # --- numbers ---
+
+    @cached_property
+    def initial_state(self) -> Array:
+        """The structure's nodes at rest (nx,), or at the velocities nearest to rest that moved supports leave possible."""
+        x = self.state(self.structure.nodes)
+        if self._supports is None or not self.mechanism.constrained:
+            return x
+        N, V, time = self.unpack(ca.DM(x))
+        return self.pack(N, dynamics.without_stretching(self.mechanism, N, V, self.targets(time)[1]), time).full().ravel()  # type: ignore[no-any-return]
+
+    @cached_property
+    def initial_control(self) -> Array:
+        """The control that leaves the strings as the structure has them (nu,): γ of its rest lengths, or the rest lengths."""
+        s = self.scene.structure
+        if isinstance(self.scene.control, RestLength):
+            return s.rest_length.copy()
+        if isinstance(self.scene.control, ForceDensity):
+            return s.stiffness * np.maximum(0.0, 1 - s.rest_length / s.string_lengths)  # Eq. 99 at rest
+        return np.zeros(0)
+
+    def state(self, nodes: Any, velocities: Any = None) -> Array:
+        """x (nx,) of physical nodes (n, 3), m, and velocities (n, 3), m/s (None: at rest); the clock starts at 0.
+
+        n counts the modelled nodes; moved supports keep their own motion. Raises ValueError where a pinned coordinate is elsewhere or moves.
+        """
+        n = len(self.structure.nodes)
+        positions = finite_array("nodes", nodes, (n, 3))
+        speeds = np.zeros((n, 3)) if velocities is None else finite_array("velocities", velocities, (n, 3))
+        if self._supports is not None:
+            speeds = speeds.copy()
+            speeds[self._moved] = self._supports(0.0)[1].full().T  # theirs, whatever is given
+        fixed = self.structure.fixed.copy()
+        fixed[self._moved] = False
+        size = np.ptp(self.structure.nodes, axis=0).max(initial=0.0)
+        displaced = abs(positions - self.structure.nodes) > 1e-9 * max(size, 1e-300)
+        moving = abs(speeds) > 1e-9 * abs(speeds).max(initial=0.0)
+        for name, wrong in {"nodes": displaced, "velocities": moving}.items():
+            if np.any(wrong & fixed):
+                node, axis = np.argwhere(wrong & fixed)[0]
+                raise ValueError(f"{name}[{node}, {axis}] moves a pinned coordinate: keep node {node} at {self.structure.nodes[node]}, at rest")
+        columns = self.mechanism.physical
+        x = np.zeros(self.nx)
+        x[: self.nq] = positions[columns].ravel()[self._free]
+        x[self.nq : 2 * self.nq] = speeds[columns].ravel()[self._free]
+        return x
+
+    def nodes(self, x: Any) -> Any:
+        """Physical nodes of states: (…, nx) → (…, n, 3), m. A CasADi state gives the 3×n expression."""
+        return self._physical(x, 0, self.mechanism.N.T)
+
+    def velocities(self, x: Any) -> Any:
+        """Velocities of physical nodes: (…, nx) → (…, n, 3), m/s. A CasADi state gives the 3×n expression."""
+        return self._physical(x, self.nq, np.zeros_like(self.mechanism.N.T))
+
+    def constraints(self, x: Any) -> Constraints:
+        """The constraints at a state (nx,) and their rates of change: arrays, or CasADi columns for a CasADi state. Raises ValueError.
+
+        `ca.vertcat(*model.constraints(x))` are the rows that a free start has to satisfy in a tool for optimal control. Every motion
+        keeps them: imposed at later times too they are redundant, and their gradients linearly dependent with those of the dynamics.
+        """
+        value, _ = self.arguments(x, None)
+        N, V, time = self.unpack(value)
+        mech, lengths = self.mechanism, ca.DM(self.mechanism.lengths)
+        B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
+        held = np.flatnonzero(mech.active.ravel(order="F")).tolist()
+        gaps = [ca.vec(ca.densify(ca.mtimes(Z, sparse(mech.P)) - D))[held] for Z, D in zip((N, V), self.targets(time)[:2], strict=True)]
+        rows = (ca.sum1(B * B).T / lengths - lengths) / 2, ca.sum1(B * Bd).T / lengths, *gaps
+        return Constraints(*(row.full().ravel() if isinstance(row, ca.DM) else row for row in rows))
+
+    def arguments(self, x: Any, u: Any) -> tuple[Any, Any]:
+        """x and u as CasADi values of the right sizes; u None: the initial control. Raises TypeError, ValueError."""
+        if u is None:
+            u = self.initial_control
+        return tuple(
+            value if isinstance(value, (ca.SX, ca.MX)) else ca.DM(finite_array(name, value, (size,)))
+            for name, value, size in (("x", x, self.nx), ("u", u, self.nu))
+        )  # type: ignore[return-value]
+
+    # --- expressions ---
+
+    def unpack(self, x: Any) -> tuple[Any, Any, Any]:
+        """N and V (3×n, the columns of `mechanism`) and the time of a CasADi state."""
+        start = self.mechanism.N.T
+        time = x[self.nx - 1] if self.scene.has_clock else 0
+        N, V = self._place(x[: self.nq], start), self._place(x[self.nq : 2 * self.nq], np.zeros_like(start))
+        if self._supports is not None and self.coordinates == "reduced":
+            N[:, self._moved], V[:, self._moved], _ = self._supports(time)
+        return N, V, time
+
+    def targets(self, time: Any) -> tuple[Any, Any, Any]:
+        """D of N P = D and its first two rates (3×c): joints, pins and moved supports of full coordinates."""
+        mech = self.mechanism
+        still = ca.DM.zeros(*mech.D.shape)
+        if self._supports is None or not mech.joints:
+            return ca.DM(mech.D), still, still
+        held = mech.P.toarray()
+        columns = []
+        for node in self._moved:  # the column of P that pins one of the node's copies alone
+            alone = (np.count_nonzero(held, axis=0) == 1) & mech.active.all(axis=0)
+            columns.append(next(int(k) for k in np.flatnonzero(alone) if mech.physical[np.flatnonzero(held[:, k])[0]] == node))
+        sign = ca.DM(held[:, columns].sum(axis=0)).T
+        results = []
+        for base, rate in zip((ca.DM(mech.D), still, still), self._supports(time), strict=True):
+            D = type(rate)(base)
+            D[:, columns] = rate * ca.repmat(sign, 3, 1)
+            results.append(D)
+        return results[0], results[1], results[2]
+
+    @property
+    def _moved(self) -> list[int]:
+        return [] if self.scene.supports is None else self.scene.supports.nodes
+
+    def _place(self, free: Any, elsewhere: Array) -> Any:
+        if self.nq == elsewhere.size:
+            return ca.reshape(free, 3, len(elsewhere))
+        vector = type(free)(ca.DM(elsewhere.ravel()))
+        vector[self._free.tolist()] = free
+        return ca.reshape(vector, 3, len(elsewhere))
+
+    def pack(self, upper: Any, lower: Any, clock: Any) -> Any:
+        """The inverse of `unpack`, also for rates of change: two 3×n matrices and, where there is a clock, its entry."""
+        free = self._free.tolist()
+        parts = [ca.vec(matrix)[free] if self.nq < 3 * matrix.shape[1] else ca.vec(matrix) for matrix in (upper, lower)]
+        return ca.densify(ca.vertcat(*parts, *([clock] if self.scene.has_clock else [])))
+
+    def moved_acceleration(self, time: Any) -> Any | None:
+        """Accelerations (3×n) of supports that are moved in reduced coordinates; None when there are none. In full ones P holds them."""
+        if self._supports is None or self.coordinates == "full":
+            return None
+        moved = type(time).zeros(3, self.mechanism.N.shape[1])
+        moved[:, self._moved] = self._supports(time)[2]
+        return moved
+
+    def _physical(self, x: Any, start: int, elsewhere: Array) -> Any:
+        if isinstance(x, (ca.SX, ca.MX)):
+            return self.unpack(x)[0 if start == 0 else 1][:, self.mechanism.first.tolist()]
+        states = np.asarray(x, dtype=float)
+        if states.ndim == 0 or states.shape[-1] != self.nx:
+            raise ValueError(f"x has shape {states.shape}: give states of shape (..., {self.nx})")
+        result = np.broadcast_to(elsewhere.ravel(), (*states.shape[:-1], elsewhere.size)).copy()
+        result[..., self._free] = states[..., start : start + self.nq]
+        nodes = result.reshape(*states.shape[:-1], -1, 3)
+        if self._supports is not None and self.coordinates == "reduced":
+            times = states[..., -1].ravel()
+            moved = self._supports.map(times.size)(times.reshape(1, -1))[0 if start == 0 else 1].full().T
+            nodes[..., self._moved, :] = moved.reshape(*states.shape[:-1], len(self._moved), 3)
+        return nodes[..., self.mechanism.first, :]

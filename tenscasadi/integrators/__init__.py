@@ -1,0 +1,1 @@
+"""Steps in time: schemes, step-size control, events, and what keeps bars and joints."""

@@ -1,0 +1,214 @@
+"""Steps with error control as one CasADi Function: attempts that are accepted or rejected inside compiled code, events located."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.events import held_ode, potential, switching
+from tenscasadi.integrators.scheme import EmbeddedRungeKutta, with_work
+from tenscasadi.integrators.stabilization import Correction
+
+ATTEMPTS = 64  # a call: those that are not needed cost next to nothing
+_BLOCK = 8
+_LARGEST, _SMALLEST, _SAFETY = 8.0, 0.2, 0.9  # change of the step from one attempt to the next: Hairer, Nørsett, Wanner I, (II.4.13)
+_EVENT_SHARE = 0.1  # of the tolerance that a step may lose by ending after an event instead of at it
+_SHORTEST = 1e-9  # of the largest step: events that are over after less are not looked for
+_HALVING = 6  # trials of a bracket after which it is halved, whatever the interpolation says
+_RIDDERS = 8  # iterations to the root of an interpolation
+
+
+class Memory(NamedTuple):
+    """What attempts hand on beside the state; one number each."""
+
+    rest: Any  # s, until the time at which the attempts end
+    step: Any  # s, to try next
+    low: Any  # s, a step without an event in it, and
+    high: Any  # s, one with an event; 0: no event has been seen
+    aim: Any  # s, the step to try in that bracket
+    allowed: Any  # s, by which it may overshoot the event
+    trials: Any  # of that bracket
+    accepted: Any  # steps
+    rejected: Any  # attempts with too large an error
+    located: Any  # attempts to locate events
+    events: Any  # modes that changed
+
+
+class Limits(NamedTuple):
+    """What attempts keep to: inputs, so that one compiled Function serves all tolerances."""
+
+    longest: Any  # s, of a step
+    rtol: Any
+    atol: Any  # m and m/s
+
+
+def attempts_function(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
+    """`ATTEMPTS` attempts: Function "attempts" (z, memory, u, limits) -> (z, memory), with `Memory` and `Limits` as columns.
+
+    Attempts after the one that reaches `memory.rest` = 0 do nothing.
+    """
+    attempt = _attempt(model, scheme, correction, power)
+    arguments = _symbols(attempt)
+    idle = ca.Function("idle", arguments, arguments[:2], attempt.name_in(), attempt.name_out())
+    choice = ca.Function.if_else("choice", attempt, idle)
+    memory = arguments[1]
+    guarded = ca.Function("guarded", arguments, list(choice(memory[0] > 0, *arguments)), attempt.name_in(), attempt.name_out())
+    return _repeated("attempts", _repeated("block", guarded, _BLOCK), ATTEMPTS // _BLOCK)
+
+
+def _repeated(name: str, function: ca.Function, times: int) -> ca.Function:
+    arguments = _symbols(function)
+    z, memory, *inputs = arguments
+    for _ in range(times):
+        z, memory = function(z, memory, *inputs)
+    return ca.Function(name, arguments, [z, memory], function.name_in(), function.name_out())
+
+
+def _symbols(function: ca.Function) -> list[ca.MX]:
+    return [ca.MX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())]
+
+
+def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
+    """One trial of a step and what follows from it."""
+    nz = model.nx + power
+    z, u = ca.MX.sym("z", nz), ca.MX.sym("u", model.nu)
+    packed, limits = ca.MX.sym("memory", len(Memory._fields)), ca.MX.sym("limits", len(Limits._fields))
+    m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), Limits(*ca.vertsplit(limits))
+    gaps = switching(model)
+    x = z[: model.nx]
+    bracketed = m.high > 0
+    trial = ca.if_else(bracketed, m.aim, ca.if_else(m.step >= m.rest, m.rest, m.step))
+
+    held = u
+    if gaps is None:
+        ode = with_work(model.ode, model.power) if power and model.power is not None else model.ode
+    else:
+        ode = held_ode(model, power)
+        gap = gaps(x, u)
+        mode = gap > 0
+        held = ca.vertcat(u, mode)
+    after, errors, slope, end_slope = scheme.tableau.trial(ode)(z, held, trial)
+    if gaps is not None and power:
+        stored = potential(model)
+        after = ca.vertcat(after[: model.nx], after[model.nx :] + stored(after[: model.nx], u) - stored(x, u))
+    project = None if correction is None else correction.step(model)
+    if project is not None:
+        after = ca.vertcat(project(after[: model.nx]), after[model.nx :])
+
+    moving = slice(0, 2 * model.nq)
+    scale = atol + rtol * ca.fmax(ca.fabs(z[moving]), ca.fabs(after[moving]))
+    error = _norm([ca.vec(column)[moving] / scale for column in ca.horzsplit(errors)])
+    growth = ca.fmin(_LARGEST, ca.fmax(_SMALLEST, _SAFETY * ca.fmax(error, 1e-300) ** (-1 / scheme.order)))
+    passed = error <= 1  # not for NaN
+
+    changed = located = hidden = root = jump = ca.MX(0)
+    if gaps is not None:
+        mode_after = gaps(after[: model.nx], u) > 0
+        changed = ca.sum1(mode_after != mode)
+        path = x, slope[: model.nx], after[: model.nx], end_slope[: model.nx], u, trial, mode
+        jump = _jump(ode, moving)(after, held, ca.vertcat(u, mode_after), scale, changed)
+        ends = ca.if_else(changed > 0, m.low, trial), ca.if_else(changed > 0, trial, m.high)
+        root = _root(gaps, model)(*path, *ends, ca.logic_or(changed > 0, bracketed))
+        negligible = ca.logic_or((trial - root) * jump <= _EVENT_SHARE, trial - root <= 1e-15 * longest)
+        located = ca.logic_and(changed > 0, negligible)
+        hidden = _hidden(gaps, model)(*path)
+
+    crossing = ca.logic_and(changed > 0, ca.logic_not(located))
+    early = ca.logic_and(bracketed, ca.logic_and(changed == 0, trial < m.high))
+    unseen = ca.logic_and(hidden > 0, ca.logic_and(changed == 0, trial > _SHORTEST * longest))
+    suspect = ca.logic_and(unseen, ca.logic_not(bracketed))
+    zero = ca.MX(0)
+
+    rejected = m._replace(step=trial * growth, low=zero, high=zero, trials=zero, rejected=m.rejected + 1)
+    inspected = m._replace(step=trial * hidden, located=m.located + 1)
+    allowed = _EVENT_SHARE / ca.fmax(jump, 1e-300)
+    shortened = _aimed(m._replace(high=trial, allowed=allowed, located=m.located + 1), root)
+    lengthened = _aimed(m._replace(low=trial, located=m.located + 1), root)
+    grown = ca.fmin(longest, ca.if_else(trial < m.step, ca.fmax(m.step, trial * growth), trial * growth))
+    taken = m._replace(rest=m.rest - trial, step=grown, low=zero, high=zero, trials=zero, accepted=m.accepted + 1, events=m.events + changed)
+
+    result = ca.vertcat(*taken)
+    for condition, outcome in ((early, lengthened), (crossing, shortened), (suspect, inspected), (ca.logic_not(passed), rejected)):
+        result = ca.if_else(condition, ca.vertcat(*outcome), result)
+    again = ca.logic_or(ca.logic_not(passed), ca.logic_or(suspect, ca.logic_or(crossing, early)))
+    outputs = [ca.if_else(again, z, after), result]
+    return ca.Function("attempt", [z, packed, u, limits], outputs, ["z", "memory", "u", "limits"], ["z_next", "memory_next"])
+
+
+def _aimed(m: Memory, root: Any) -> Memory:
+    """The next trial in a bracket: where an interpolation has its root, and half of what is allowed beyond; the middle where that is no help."""
+    aim = root + m.allowed / 2
+    inside = ca.logic_and(ca.logic_and(aim > m.low, aim < m.high), m.trials < _HALVING)
+    return m._replace(aim=ca.if_else(inside, aim, (m.low + m.high) / 2), trials=m.trials + 1)
+
+
+def _norm(errors: list[Any]) -> Any:
+    """The root mean square of one scaled error; of two, Hairer's mixture for DOP853: as small as the better, warned by the worse."""
+    squared = [ca.sumsqr(error) for error in errors]
+    n = max(errors[0].shape[0], 1)
+    if len(squared) == 1:
+        return ca.sqrt(squared[0] / n)
+    return squared[0] / ca.sqrt(n * (squared[0] + 0.01 * squared[1]) + 1e-300)
+
+
+def _jump(ode: ca.Function, moving: slice) -> ca.Function:
+    """(z, w, w_after, scale, changed) -> norm of the change of slope where the mode has changed, else 0 at no cost."""
+    z, w, after = ca.MX.sym("z", ode.sparsity_in(0)), ca.MX.sym("w", ode.sparsity_in(1)), ca.MX.sym("after", ode.sparsity_in(1))
+    scale = ca.MX.sym("scale", moving.stop)
+    arguments = [z, w, after, scale]
+    difference = ca.Function("difference", arguments, [_norm([(ode(z, after) - ode(z, w))[moving] / scale])])
+    nothing = ca.Function("nothing", arguments, [ca.MX(0)])
+    changed = ca.MX.sym("changed")
+    choice = ca.Function.if_else("jump_choice", difference, nothing)
+    return ca.Function("jump", [*arguments, changed], [choice(changed > 0, *arguments)])
+
+
+def _hidden(gaps: ca.Function, model: Model) -> ca.Function:
+    """The earliest quarter of a step, as a fraction, at which its cubic interpolation is in another mode; 0 when none is."""
+    *step, u, h, mode = path = _path(gaps, model)
+    found = ca.MX(0)
+    for t in (0.75, 0.5, 0.25):
+        found = ca.if_else(ca.sum1((gaps(_between(step, h, t), u) > 0) != mode) > 0, t, found)
+    return ca.Function("hidden", path, [found])
+
+
+def _root(gaps: ca.Function, model: Model) -> ca.Function:
+    """(a step, low, high, wanted) -> the time, s, of the first event that its cubic interpolation meets in between; at no cost unless wanted."""
+    *step, u, h, mode = path = _path(gaps, model)
+    low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
+    sign = 2 * mode - 1
+    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(_between(step, h, t / h), u))])
+    a, b, at_a, at_b = (ca.MX.sym(name) for name in ("a", "b", "at_a", "at_b"))
+    middle = (a + b) / 2
+    at_middle = value(middle, *path)
+    new = middle + (middle - a) * at_middle / ca.sqrt(at_middle**2 - at_a * at_b + 1e-300)
+    at_new = value(new, *path)
+    before, half = at_new > 0, at_middle > 0
+    ends = [ca.if_else(before, new, ca.if_else(half, middle, a)), ca.if_else(before, ca.if_else(half, b, middle), new)]
+    ends += [ca.if_else(before, at_new, ca.if_else(half, at_middle, at_a)), ca.if_else(before, ca.if_else(half, at_b, at_middle), at_new)]
+    ridders = ca.Function("ridders", [a, b, at_a, at_b, *path], ends)
+    bracket = [low, high, value(low, *path), value(high, *path)]
+    sure = ca.logic_and(bracket[2] > 0, bracket[3] < 0)
+    outside = ca.if_else(bracket[2] > 0, high, low)
+    for _ in range(_RIDDERS):
+        bracket = list(ridders(*bracket, *path))
+    arguments = [*path, low, high]
+    found = ca.Function("found", arguments, [ca.if_else(sure, bracket[1], outside)])
+    nothing = ca.Function("nothing", arguments, [ca.MX(0)])
+    wanted = ca.MX.sym("wanted")
+    return ca.Function("root", [*arguments, wanted], [ca.Function.if_else("root_choice", found, nothing)(wanted, *arguments)])
+
+
+def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:
+    """Symbols for a step: x and its slope, where it ends and the slope there, u, the step's length, s, and the mode."""
+    ends = [ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end")]
+    return [*ends, ca.MX.sym("u", model.nu), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]
+
+
+def _between(step: list[ca.MX], h: Any, t: Any) -> Any:
+    """The cubic interpolation of a step at the fraction `t`: Hermite's, ibid. (II.6.7); step: the first four of `_path`."""
+    x, slope, after, end = step
+    a, b, c, d = (1 + 2 * t) * (1 - t) ** 2, t * (1 - t) ** 2, t * t * (3 - 2 * t), t * t * (t - 1)
+    return a * x + c * after + h * (b * slope + d * end)

@@ -1,0 +1,82 @@
+"""How large a step may be: the rates of the linearised motion against the stability region of a scheme."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import Complex, RungeKutta4, Scheme, check_scheme, stability_limit
+from tenscasadi.util.validate import finite_array, instance, positive_number
+
+_DENSE = 400  # states up to which all eigenvalues are computed
+
+
+def fastest_rate(model: Model, x: Any = None, u: Any = None) -> float:
+    """ω_max, rad/s: the largest |eigenvalue| of ∂ode/∂x at state `x` (nx,) and control `u` (nu,); None: the model's initial ones.
+
+    Above 400 states it is found by Arnoldi's method to about 1 %. Raises TypeError, ValueError; NaN where the linearisation is not finite.
+    """
+    return float(np.abs(_rates(model, x, u)).max(initial=0.0))
+
+
+def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = RungeKutta4(), safety: float = 0.9) -> float:
+    """The largest step, s, at which `scheme` is stable for the motion linearised at `x`, `u` (as for `fastest_rate`), times `safety`.
+
+    A step above it makes vibrations grow until the run breaks down; one far below it is a matter of accuracy. Strings that go taut and bars
+    that spin faster later on change the limit. Infinite when nothing limits the step. Raises TypeError, ValueError.
+    """
+    check_scheme(scheme)
+    return positive_number("safety", safety) * step_limit(scheme, _rates(model, x, u))
+
+
+def step_limit(scheme: Scheme, rates: Complex) -> float:
+    """The largest step at which `scheme` is stable for these eigenvalues; infinite when nothing limits it, NaN when one is not finite."""
+    if not np.all(np.isfinite(rates)):
+        return float("nan")
+    size = np.abs(rates)
+    moving = rates[size > 1e-9 * size.max(initial=0.0)]  # the others are zero but for rounding
+    return float(stability_limit(scheme, moving).min(initial=np.inf))
+
+
+def _rates(model: Model, x: Any, u: Any) -> Complex:
+    """Eigenvalues of ∂ode/∂x: all of them for small models, the largest for others."""
+    instance("model", model, Model, "a tenscasadi.Model")
+    state = ca.DM(model.initial_state if x is None else finite_array("x", x, (model.nx,)))
+    control = ca.DM(model.initial_control if u is None else finite_array("u", u, (model.nu,)))
+    if model.nx == 0:
+        return np.zeros(0, dtype=complex)
+    if model.nx <= _DENSE:
+        X, U = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
+        jacobian = ca.Function("jacobian", [X, U], [ca.jacobian(model.ode(X, U), X)])(state, control).full()
+        return _eigenvalues(jacobian)
+    return _largest_eigenvalues(model, state, control)
+
+
+def _eigenvalues(matrix: Any) -> Complex:
+    if not np.all(np.isfinite(matrix)):
+        return np.array([complex(np.nan)])
+    return np.asarray(np.linalg.eigvals(matrix), dtype=complex)
+
+
+def _largest_eigenvalues(model: Model, state: ca.DM, control: ca.DM) -> Complex:
+    X, U, V = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("v", model.nx)
+    along = ca.Function("along", [X, U, V], [ca.jtimes(model.ode(X, U), X, V)])
+    start = np.random.default_rng(0).normal(size=model.nx)  # fixed: the same answer every time
+    if not np.all(np.isfinite(along(state, control, start).full())):
+        return np.array([complex(np.nan)])
+    operator = LinearOperator((model.nx, model.nx), matvec=lambda v: along(state, control, v).full().ravel(), dtype=float)
+    try:
+        found = eigs(operator, k=6, which="LM", v0=start, tol=1e-3, ncv=40, return_eigenvectors=False)
+    except ArpackNoConvergence as error:
+        found = error.eigenvalues
+    except ArpackError:
+        found = []
+    if len(found):
+        return np.asarray(found, dtype=complex)
+    # Undamped motion has |eigenvalue|² at most ‖A²‖: a bound, on the safe side.
+    jacobian = ca.Function("jacobian", [X, U], [ca.jacobian(model.ode(X, U), X)])(state, control).sparse()
+    return np.array([1j * np.sqrt(abs(jacobian @ jacobian).sum(axis=1).max())])

@@ -1,0 +1,160 @@
+"""Corrections of a state that has left its constraints: bars of another length, joints that gape, velocities that would do either."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.dynamics import mechanism as dynamics
+from tenscasadi.dynamics.mechanism import Mechanism, without_residual, without_stretching
+from tenscasadi.dynamics.model import Model
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.validate import instance, positive_number, whole_number
+
+
+@dataclass(frozen=True)
+class Projection:
+    """All bars and joints at once, by the smallest movement in the sense of the mass matrix, after `every` steps.
+
+    Newton's method in position (`iterations` steps; bars that stand alone need one, in closed form), then one linear
+    solve for velocities. Unlike Appendix C it also serves closed loops of bars and string nodes. Linear and angular momentum
+    are kept, energy is not exactly.
+    """
+
+    every: int = 1
+    iterations: int = 3
+
+    def __post_init__(self) -> None:
+        whole_number("Projection.every", self.every, 1)
+        whole_number("Projection.iterations", self.iterations, 1)
+
+    def step(self, model: Model) -> ca.Function | None:
+        """The Function (x) → x of one correction; None when the model has nothing to keep. TypeError for anything but a Model."""
+        instance("model", model, Model, "a tenscasadi.Model")
+        return projection(model, self.iterations) if model.mechanism.constrained else None
+
+
+@dataclass(frozen=True)
+class BarLengthCorrection:
+    """The paper's Appendix C, after `every` steps: each bar alone, then joints by moving centres of mass (and string nodes).
+
+    A bar's vector moves by p and its rate by r such that q‖p‖² + ‖r‖² is least; `weight` q, 1/s². The largest root of Eq. 121 is
+    found by Newton's method from q l ‖b‖, which also serves bars that do not turn. In closed loops of bars joints stay open by about
+    half of what the bars were wrong (the existence condition, Eq. 143, does not hold): prefer `Projection` there.
+    """
+
+    weight: float = 1.0
+    every: int = 1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "weight", positive_number("BarLengthCorrection.weight", self.weight))
+        whole_number("BarLengthCorrection.every", self.every, 1)
+
+    def step(self, model: Model) -> ca.Function | None:
+        """The Function (x) → x of one correction; None when the model has nothing to keep.
+
+        Raises TypeError for anything but a Model, ValueError where bars meet or are pinned in reduced coordinates: nodes cannot move apart there.
+        """
+        instance("model", model, Model, "a tenscasadi.Model")
+        if not model.mechanism.constrained:
+            return None
+        if model.mechanism.system_size and not model.mechanism.joints:
+            raise ValueError('BarLengthCorrection moves bars one by one, these meet or are pinned: use Model(coordinates="full") or Projection')
+        return _appendix_c(model, self.weight)
+
+
+Correction = Projection | BarLengthCorrection
+
+
+def projection(model: Model, iterations: int = 3) -> ca.Function:
+    """(x) → x moved onto the constraints of `model` by as little as the mass matrix says, see `Projection`: a start for `simulate`.
+
+    Raises TypeError for anything but a Model.
+    """
+    instance("model", model, Model, "a tenscasadi.Model")
+    mech, built = model.mechanism, _PROJECTIONS.setdefault(model, {})
+    count = iterations if mech.system_size else 1
+    if count not in built:
+        built[count] = _projection(model, count)
+    return built[count]
+
+
+_PROJECTIONS: WeakKeyDictionary[Model, dict[int, ca.Function]] = WeakKeyDictionary()  # a plan asks for the same several times
+
+
+def _projection(model: Model, iterations: int) -> ca.Function:
+    mech = model.mechanism
+    unrolled = not mech.large and mech.system_size <= dynamics.UNROLL_SOLVE
+    x: Any = (ca.SX if unrolled else ca.MX).sym("x", model.nx)
+    N, V, time = model.unpack(x)
+    D, Dd, _ = model.targets(time)
+    if mech.system_size:
+        for _ in range(iterations):
+            N = _newton(mech, N, D)
+    elif mech.constrained:
+        N = _rescale(mech, N)
+    if mech.constrained:
+        V = without_stretching(mech, N, V, Dd)
+    return ca.Function("project", [x], [model.pack(N, V, time)], ["x"], ["projected"])
+
+
+def _newton(mech: Mechanism, N: Any, D: Any) -> Any:
+    """One Newton step on ½(bᵀb − l²) = 0 and N P = D."""
+    B = ca.mtimes(N, sparse(mech.C_b.T))
+    excess = (ca.sum1(B * B) - ca.DM(mech.lengths**2).T) / 2
+    return without_residual(mech, N, B, excess, ca.mtimes(N, sparse(mech.P)) - D)
+
+
+def _rescale(mech: Mechanism, N: Any) -> Any:
+    """Bars that stand alone: b (1 + μ G_ii) has its length back at once."""
+    B = ca.mtimes(N, sparse(mech.C_b.T))
+    stretch = ca.DM(mech.lengths).T / ca.sqrt(ca.sum1(B * B)) - 1
+    return N + mech.with_inverse(dynamics.push(mech, B, stretch / ca.DM(mech.G[0].diagonal()).T, ca.DM.zeros(3, 0)))
+
+
+def _appendix_c(model: Model, weight: float) -> ca.Function:
+    mech = model.mechanism
+    x: Any = (ca.MX if mech.large else ca.SX).sym("x", model.nx)
+    N, V, time = model.unpack(x)
+    D, Dd, _ = model.targets(time)
+    B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
+    direction = _direction(B, Bd, ca.DM(mech.lengths).T, weight)
+    p = direction * ca.repmat(ca.DM(mech.lengths).T, 3, 1) - B  # Eq. 120
+    r = -direction * ca.repmat(ca.sum1(direction * Bd), 3, 1)
+    moved = [_rejoined(mech, Z, change, target) for Z, change, target in ((N, p, D), (V, r, Dd))]
+    return ca.Function("correct", [x], [model.pack(moved[0], moved[1], time)], ["x"], ["corrected"])
+
+
+def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:
+    """v (3×β) of Eq. 133 at the largest root x of Eq. 121, of unit length.
+
+    With c = q l and t = ‖ḃ‖² the condition vᵀv = 1 reads c² (‖b‖² (x + t)² − (bᵀḃ)² (2x + t)) = x² (x + t)². At the largest
+    root x ≥ 0; Newton starts above it, at c ‖b‖, and comes down to it, quadratically unless t vanishes, when the start is the root.
+    """
+    c, squared, t, mixed = weight * lengths, ca.sum1(B * B), ca.sum1(Bd * Bd), ca.sum1(B * Bd)
+    x = c * ca.sqrt(squared)
+    for _ in range(6):
+        # ‖x (x + t) v‖ − x (x + t) divided by c: well scaled for any unit
+        reach = ca.sqrt(ca.fmax(squared * (x + t) ** 2 - mixed**2 * (2 * x + t), 0))
+        slope = (squared * (x + t) - mixed**2) / ca.fmax(reach, 1e-300)
+        gap, gap_slope = c * reach - x * (x + t), c * slope - (2 * x + t)
+        x = x - gap / gap_slope
+    v = ca.repmat(x + t, 3, 1) * B - Bd * ca.repmat(mixed, 3, 1)  # Eq. 133 up to its length
+    return v / ca.repmat(ca.sqrt(ca.sum1(v * v)), 3, 1)
+
+
+def _rejoined(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
+    """Z with its bar vectors changed and its joints closed by the smallest movement of centres of mass and string nodes, Eqs. 134-149."""
+    ends = sp.csr_array(abs(mech.C_b))  # β×n, twice C_r
+    Z = Z + ca.mtimes(change, sparse(mech.C_b)) / 2
+    if not mech.joints:
+        return Z
+    strings = np.flatnonzero(np.asarray(ends.sum(axis=0)).ravel() == 0)
+    spread = sp.csr_array(sp.vstack([ends, sp.csr_array(sp.eye_array(Z.shape[1]))[strings]]))  # of centres and string nodes onto nodes
+    gap = (target - ca.mtimes(Z, sparse(mech.P))) * ca.DM(mech.active.astype(float))
+    return Z + ca.mtimes(ca.mtimes(gap, ca.DM(np.linalg.pinv((spread @ mech.P).toarray()))), sparse(spread))

@@ -1,0 +1,213 @@
+"""SUNDIALS' integrators with control of the error: CVODES on the ode, IDAS on the multiplier form; exact Jacobians by CasADi."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics import forces
+from tenscasadi.dynamics import mechanism as dynamics
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import Complex, check_ode, extent, relative_tolerance, with_work
+from tenscasadi.simulation.time_loop import Report, StepFailure, energy_function
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.validate import Array, instance, positive_number, whole_number
+
+GRID = 50  # grid steps a call; each call starts anew, at low order
+_LOOSE = 1e-5  # rtol above which a motion that takes no end of steps is more likely one that has broken down than one that is hard to follow
+
+
+@dataclass(frozen=True)
+class Sundials:
+    """Implicit multistep methods of variable order (1 to 5) and step, backward differentiation formulas, for stiff scenes.
+
+    rtol: error of a step relative to each entry of the state; atol: what is added to it, m and m/s; None: rtol times the structure's
+    extent. max_steps: between two times of the grid that `simulate` lays, before the run is given up.
+
+    Not compiled: most of the time goes by in SUNDIALS itself, and machine code of the equations and their Jacobian saves a quarter of it at
+    best. Events are not located: the control of the error finds them, and a restart at each, at order 1, ends up no more accurate.
+    (CasADi 3.8.2's own events stop these integrators at the first and let them run past the next without a word.)
+    """
+
+    rtol: float = 1e-8
+    atol: float | None = None
+    max_steps: int = 100_000
+    order: ClassVar[int] = 5
+    plugin: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        object.__setattr__(self, "rtol", relative_tolerance(f"{name}.rtol", self.rtol))
+        if self.atol is not None:
+            object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol))
+        whole_number(f"{name}.max_steps", self.max_steps, 1)
+
+    def step(self, ode: ca.Function) -> ca.Function:
+        """One step of x' = ode(x, u) with u held, by as many of the integrator's own as it takes: Function "step" (x, u, h) -> x_next."""
+        check_ode(ode)
+        x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
+        return self._step({"x": x, "u": u, "ode": ode(x, u)}, self.rtol if self.atol is None else self.atol, None)
+
+    def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
+        """One step of a model: see `Scheme.advance`."""
+        instance("model", model, Model, "a tenscasadi.Model")
+        return self._step(self.equations(model, power), self.absolute(model), self.algebraic_start(model))
+
+    def _step(self, equations: dict[str, Any], atol: float, start: ca.Function | None) -> ca.Function:
+        """Equations (x, u, and z where they are algebraic) over a step of any length h: in time t/h."""
+        h, u = ca.MX.sym("h"), equations["u"]
+        scaled = {key: value for key, value in equations.items() if key != "u"} | {"p": ca.vertcat(u, h), "ode": h * equations["ode"]}
+        integrate = self.integrator(scaled, [1.0], atol)
+        x = ca.MX.sym("x", equations["x"].shape[0])
+        guess = {} if start is None else {"z0": start(x, u)}
+        return ca.Function("step", [x, u, h], [integrate(x0=x, p=ca.vertcat(u, h), **guess)["xf"]], ["x", "u", "h"], ["x_next"])
+
+    def amplification(self, z: Complex) -> Complex:
+        """0: the integrator keeps its steps stable by itself."""
+        return np.zeros(np.shape(z), dtype=complex)
+
+    def equations(self, model: Model, power: ca.Function | None) -> dict[str, Any]:
+        """x, u, ode: what CasADi's integrator takes."""
+        ode = model.ode if power is None else with_work(model.ode, power)
+        x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", model.nu)
+        return {"x": x, "u": u, "ode": ode(x, u)}
+
+    def algebraic_start(self, model: Model) -> ca.Function | None:
+        """(z, u) -> the first guess of algebraic variables; None: there are none."""
+        return None
+
+    def integrator(self, equations: dict[str, Any], grid: list[float], atol: float) -> ca.Function:
+        """CasADi's integrator from 0 to the times of `grid`. ValueError where the multipliers are undetermined."""
+        try:
+            return ca.integrator("integrate", self.plugin, equations, 0.0, grid, self._options(atol))
+        except RuntimeError as error:
+            if "rank-deficient" not in str(error):
+                raise
+            raise ValueError(f"{type(self).__name__} cannot tell redundant constraints apart: use another scheme, such as Cvodes()") from None
+
+    def absolute(self, model: Model) -> float:
+        """atol, or what stands in for it."""
+        return self.rtol * extent(model) if self.atol is None else self.atol
+
+    def _options(self, atol: float) -> dict[str, Any]:
+        return {"reltol": self.rtol, "abstol": atol, "max_num_steps": self.max_steps, "show_eval_warnings": False, "disable_internal_warnings": True}
+
+
+@dataclass(frozen=True)
+class Cvodes(Sundials):
+    """CVODES: backward differentiation formulas for the ode of a model, for stiff scenes. See `Sundials` for the options."""
+
+    plugin: ClassVar[str] = "cvodes"
+
+
+@dataclass(frozen=True)
+class Idas(Sundials):
+    """IDAS: the same formulas for the index-reduced multiplier form: q'' with λ and Ω as unknowns, and the constraints' second derivatives.
+
+    See `Sundials` for the options. Redundant constraints leave the multipliers undetermined: such a run ends with a message.
+    """
+
+    plugin: ClassVar[str] = "idas"
+
+    def _options(self, atol: float) -> dict[str, Any]:
+        return super()._options(atol) | {"suppress_algebraic": True}  # λ jumps with the damping of a contact: that is no error of the motion
+
+    def equations(self, model: Model, power: ca.Function | None) -> dict[str, Any]:
+        """x, z, u, ode and alg: Eqs. 85-87 before the multipliers are eliminated."""
+        mech = model.mechanism
+        if not mech.constrained:
+            return super().equations(model, power)
+        kind: Any = ca.MX if mech.large else ca.SX
+        state, u = kind.sym("x", model.nx + (power is not None)), kind.sym("u", model.nu)
+        z = kind.sym("z", mech.bars + 3 * mech.joints)
+        N, V, time = model.unpack(state[: model.nx])
+        lam, Omega = z[: mech.bars].T, ca.reshape(z[mech.bars :], 3, mech.joints)
+        B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
+        total = sum(forces.terms(model.scene, mech, N, V, u, time).values(), start=ca.DM.zeros(*mech.N.shape))
+        moved = model.moved_acceleration(time)
+        if moved is not None:
+            total = total - ca.mtimes(moved, sparse(mech.M))
+        A = mech.with_inverse(total + dynamics.push(mech, B, lam, Omega))
+        if moved is not None:
+            A = A + moved
+        stretching = ca.sum1(Bd * Bd) + ca.sum1(B * ca.mtimes(A, sparse(mech.C_b.T)))  # Eq. 28
+        active = ca.DM(mech.active.astype(float))
+        gaping = active * (ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2]) + (1 - active) * Omega
+        xdot = [model.pack(V, A, 1)] + ([] if power is None else [power(state[: model.nx], u)])
+        rows = ca.densify(ca.vertcat(stretching.T, ca.vec(gaping)))
+        equations = ca.Function("equations", [state, z, u], [ca.vertcat(*xdot), rows])
+        symbols = [ca.MX.sym(name, value.shape[0]) for name, value in (("x", state), ("z", z), ("u", u))]
+        ode, alg = equations(*symbols)
+        return {"x": symbols[0], "z": symbols[1], "u": symbols[2], "ode": ode, "alg": alg}
+
+    def algebraic_start(self, model: Model) -> ca.Function | None:
+        """(x, u) -> (λ, Ω) of the model."""
+        mech = model.mechanism
+        if not mech.constrained:
+            return None
+        x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
+        lam, Omega = model.multiplier_function(x, u)
+        return ca.Function("start", [x, u], [ca.vertcat(lam, ca.vec(Omega)[: 3 * mech.joints])])
+
+
+class SundialsRunner:
+    """`steps` grid steps a call of CasADi's integrator on a grid of output times, then `project` if there is one."""
+
+    def __init__(
+        self, model: Model, scheme: Sundials, power: ca.Function | None, jumps: bool, project: ca.Function | None, step: float, steps: int
+    ) -> None:
+        self.steps = steps
+        self._model, self._scheme, self._project = model, scheme, project
+        self._energy = energy_function(model) if jumps else None
+        self._extra = jumps and power is None  # an entry for the energy supplied that the integrator does not know
+        if model.nx == 0:
+            raise ValueError(f"{type(scheme).__name__} needs something that can move: this scene has no free node")
+        equations = scheme.equations(model, power)
+        grid = (np.arange(1, steps + 1) * step).tolist()
+        self._integrate = scheme.integrator(equations, grid, scheme.absolute(model))
+        self._single = scheme.integrator(equations, grid[:1], scheme.absolute(model))
+        self._start = scheme.algebraic_start(model)
+        self._controls = np.zeros((steps + 1, model.nu))
+
+    def hold(self, controls: Array) -> None:
+        """Sets the control of each grid step of the next calls and of the one after: (steps + 1, nu)."""
+        self._controls = controls
+
+    def __call__(self, z: Array) -> Array:
+        """z after each grid step (steps, nz). Raises StepFailure."""
+        nx, u = self._model.nx, self._controls
+        start = z[: len(z) - self._extra]
+        try:
+            if (u[: self.steps] == u[0]).all():
+                rows = self._run(self._integrate, start, u[: self.steps])
+            else:  # CVODES steps over a change of the control: each grid step starts anew
+                parts = [start[None]]
+                for k in range(self.steps):
+                    parts.append(self._run(self._single, parts[-1][-1], u[k : k + 1]))
+                rows = np.vstack(parts[1:])
+        except RuntimeError as error:
+            found = re.search(r'(\w+) returned "(\w+)"', str(error))
+            words = f"{found[1]} returned {found[2]}" if found else str(error).strip().splitlines()[-1]
+            rtol = self._scheme.rtol
+            cure = "a smaller rtol or step" if rtol > _LOOSE else "a larger rtol, a smaller step or a larger max_steps"
+            raise StepFailure(f"{type(self._scheme).__name__} gave up, {words}: rtol is {rtol:g}, try {cure}") from None
+        rows = np.hstack([rows, np.full((self.steps, 1), z[-1])]) if self._extra else rows.copy()
+        if self._project is not None:
+            rows[-1, :nx] = self._project(rows[-1, :nx]).full().ravel()
+        if self._energy is not None:
+            changed = np.flatnonzero(np.any(u[1:] != u[:-1], axis=1))
+            for k in changed.tolist():
+                rows[k:, nx] += float(self._energy(rows[k, :nx], u[k + 1])) - float(self._energy(rows[k, :nx], u[k]))
+        return rows
+
+    def _run(self, integrate: ca.Function, start: Array, controls: Array) -> Array:
+        guess = {} if self._start is None else {"z0": self._start(start[: self._model.nx], controls[0])}
+        return np.asarray(integrate(x0=start, u=controls.T, **guess)["xf"].full()).T
+
+    def report(self, taken: int, step: float) -> Report:
+        """See `runners.Runner`."""
+        return Report(f"{taken} times {step:g} s apart, by {type(self._scheme).__name__}", step, taken)

@@ -1,0 +1,7 @@
+"""Pictures as matplotlib Figures, made without pyplot. The one package that loads matplotlib: import it by name."""
+
+from __future__ import annotations
+
+from tenscasadi.plots.figures import ForceHistory, errors, force_densities, node_histories, structure, time_lapse
+
+__all__ = ["ForceHistory", "errors", "force_densities", "node_histories", "structure", "time_lapse"]

@@ -1,0 +1,60 @@
+"""A motion as an animated GIF."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from matplotlib.animation import PillowWriter
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from tenscasadi.plots.figures import drawable, members
+from tenscasadi.plots.scene3d import Layer, Stage, tension_colours, tension_scale
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.validate import positive_number, whole_number
+
+_MOST_FRAMES = 2000
+
+
+def animate(
+    trajectory: Trajectory,
+    path: str | os.PathLike[str],
+    *,
+    speed: float = 1.0,
+    frames_per_second: int = 20,
+    title: str = "",
+    progress: bool = False,
+) -> Path:
+    """Writes an animated GIF of `trajectory` to `path` (.gif), `speed` simulated seconds to each second shown, and returns `path`.
+
+    Strings are coloured by tension, in one scale over the whole motion. Each frame shows the kept row next to its time.
+    A GIF tells times in hundredths of a second: 10, 20, 25 and 50 frames per second play at exactly this speed.
+    Raises TypeError, ValueError; OSError when the file cannot be written.
+    """
+    drawable("trajectory", trajectory)
+    target = Path(path)
+    if target.suffix.lower() != ".gif":
+        raise ValueError(f"path is {os.fspath(path)!r}: give a file name that ends in .gif")
+    rate = whole_number("frames_per_second", frames_per_second, 1)
+    duration = float(trajectory.time[-1] - trajectory.time[0])
+    count = 1 + round(duration / positive_number("speed", speed) * rate)
+    if count > _MOST_FRAMES:
+        raise ValueError(f"speed is {speed:g}: {duration:g} s would take {count} frames, give a speed of at least {speed * count / _MOST_FRAMES:.2g}")
+    times = np.linspace(trajectory.time[0], trajectory.time[-1], count)
+    figure = Figure(figsize=(5.4, 4.6))
+    stage = Stage(figure, members(trajectory), trajectory.nodes)
+    scale = tension_scale(float(trajectory.tension.max(initial=0.0)))
+    if trajectory.tension.max(initial=0.0) > 0:
+        stage.colour_bar(scale, "tension (N)")
+    stage.fit()
+    writer = PillowWriter(fps=rate)
+    with writer.saving(figure, str(target), dpi=100):
+        for time in tqdm(times, unit=" frames", disable=not progress):
+            row = int(np.argmin(np.abs(trajectory.time - time)))
+            colours = tension_colours(scale, trajectory.tension[row])
+            stage.draw(Layer(trajectory.nodes[row], string_colour=colours))
+            figure.suptitle(f"{title}{', ' if title else ''}t = {trajectory.time[row]:.2f} s")
+            writer.grab_frame()
+    return target

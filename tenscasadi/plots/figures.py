@@ -1,0 +1,279 @@
+"""Pictures of structures and motions as matplotlib Figures; each function saves its figure too where `path` is given.
+
+The file's suffix (.png, .pdf, .svg …) says its format. No window opens and no global state of matplotlib changes: pyplot is not used.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from tenscasadi.plots.scene3d import Layer, Members, Stage, part_of, tension_colours, tension_scale
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array, Indices, finite_array, instance, node_index, per_item, positive_number, whole_number
+
+__all__ = ["ForceHistory", "errors", "force_densities", "node_histories", "structure", "time_lapse"]
+
+FilePath = str | os.PathLike[str]
+_NAMED = 12  # curves that a legend names
+
+
+class ForceHistory(Protocol):
+    """Force densities over time: a `Trajectory`, with a row for each time, or a plan, with a row for each interval between times."""
+
+    @property
+    def time(self) -> Array:
+        """(T,) s."""
+
+    @property
+    def force_density(self) -> Array:
+        """(T, α) or (T − 1, α), N/m."""
+
+
+def structure(
+    what: Structure | Trajectory,
+    tension: ArrayLike | None = None,
+    *,
+    time: float | None = None,
+    labels: bool = False,
+    title: str = "",
+    path: FilePath | None = None,
+) -> Figure:
+    """Bars thick, strings thin and coloured by tension, pinned nodes as triangles; in 3-D with one scale for all axes.
+
+    what: a structure, whose tensions are those of its rest lengths unless `tension` (α,), N, is given; or a trajectory at the
+    kept time next to `time`, s (None: its end). labels: numbers the nodes. Raises TypeError, ValueError.
+    """
+    drawable("what", what, (Structure, Trajectory), "a tenscasadi.Structure or Trajectory")
+    if isinstance(what, Trajectory):
+        row = len(what.time) - 1 if time is None else _row(what, time)
+        nodes, pull = what.nodes[row], what.tension[row]
+        title = title or f"t = {what.time[row]:.4g} s"
+    else:
+        nodes, pull = what.nodes, what.stiffness * np.maximum(0.0, what.string_lengths - what.rest_length)  # γ s, Eq. 99
+    if tension is not None:
+        pull = per_item("tension", tension, len(what.strings), "string")
+    figure = Figure(figsize=(6.4, 5.2))
+    stage = Stage(figure, members(what), nodes)
+    scale = tension_scale(float(pull.max(initial=0.0)))
+    stage.draw(Layer(nodes, string_colour=tension_colours(scale, pull)))
+    if np.any(pull > 0):
+        slack = "; grey: slack" if np.any(pull <= 0) else ""
+        stage.colour_bar(scale, f"tension (N){slack}")
+    elif len(pull):
+        figure.supxlabel("all strings slack", fontsize=9, color="0.35")
+    if labels:
+        stage.number(nodes)
+    figure.suptitle(title)
+    stage.fit()
+    return _saved(figure, path)
+
+
+def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", path: FilePath | None = None) -> Figure:
+    """The structure at `instants` times spread evenly over the motion, in one picture: pale at the start, dark at the end.
+
+    Raises TypeError, ValueError.
+    """
+    drawable("trajectory", trajectory)
+    count = whole_number("instants", instants, 2)
+    rows = np.unique([_row(trajectory, t) for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)])
+    figure = Figure(figsize=(7.0, 5.4))
+    stage = Stage(figure, members(trajectory), trajectory.nodes[rows])
+    ramp = part_of("viridis_r", 0.05, 1.0)
+    scale = ScalarMappable(BoundaryNorm(np.arange(len(rows) + 1) - 0.5, ramp.N), ramp)
+    colours = np.asarray(scale.to_rgba(np.arange(len(rows))))
+    pale = 0.55 * colours + 0.45  # not transparent: nothing shines through
+    widths = np.linspace(0.6, 1.0, len(rows))
+    stage.draw(*(Layer(trajectory.nodes[row], colours[k], pale[k], widths[k]) for k, row in enumerate(rows)))
+    bar = stage.colour_bar(scale, "time (s)", ticks=np.arange(len(rows)))
+    bar.ax.set_yticklabels([f"{t:.3g}" for t in trajectory.time[rows]])
+    figure.suptitle(title)
+    stage.fit()
+    return _saved(figure, path)
+
+
+def node_histories(trajectory: Trajectory, nodes: Sequence[int] | None = None, *, title: str = "", path: FilePath | None = None) -> Figure:
+    """x, y and z of `nodes` over time (None: of all that move, at most 12: those that move furthest). Raises TypeError, ValueError."""
+    drawable("trajectory", trajectory)
+    chosen = _furthest(trajectory) if nodes is None else [node_index("nodes", node, trajectory.nodes.shape[1]) for node in nodes]
+    figure, axes = _panels(3, title)
+    for axis, (ax, name) in enumerate(zip(axes, "xyz", strict=True)):
+        for k, node in enumerate(chosen):
+            ax.plot(trajectory.time, trajectory.nodes[:, node, axis], color=_colour(k), label=f"node {node}", lw=_width(k, len(chosen)))
+        ax.set_ylabel(f"{name} (m)")
+        _widen(ax)
+    _name_curves(figure, axes[0], len(chosen))
+    return _saved(figure, path)
+
+
+def force_densities(
+    history: ForceHistory,
+    *,
+    strings: Sequence[int] | None = None,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    title: str = "",
+    path: FilePath | None = None,
+) -> Figure:
+    """Force densities of `strings` (None: all) over time, of a trajectory or (in steps) of a plan.
+
+    lower, upper: bounds, N/m, one number or (α,), drawn as dashed lines unless far off. Raises TypeError, ValueError.
+    """
+    if not (hasattr(history, "time") and hasattr(history, "force_density")):
+        drawable("history", history, Trajectory, "a tenscasadi.Trajectory or an ocp.Plan")
+    time = finite_array("history.time", history.time, (None,))
+    gamma = finite_array("history.force_density", history.force_density, (None, None))
+    rows, alpha = gamma.shape
+    if rows not in (len(time), len(time) - 1):
+        raise ValueError(f"history.force_density has {rows} rows: give one for each of the {len(time)} times, or for each of the intervals between")
+    chosen = list(range(alpha)) if strings is None else [_string(index, alpha) for index in strings]
+    figure, (ax,) = _panels(1, title)
+    for k, i in enumerate(chosen):
+        if rows == len(time):
+            ax.plot(time, gamma[:, i], color=_colour(k), label=f"string {i}", lw=_width(k, len(chosen)))
+        else:
+            ax.stairs(gamma[:, i], time, baseline=None, color=_colour(k), label=f"string {i}", lw=_width(k, len(chosen)))
+    for field, bound in (("lower", lower), ("upper", upper)):
+        if bound is not None:
+            per_item(field, _without_infinity(bound), alpha, "string")
+            _draw_bound(ax, field, np.broadcast_to(np.asarray(bound, dtype=float), (alpha,)), chosen, gamma)
+    ax.set_ylabel("force density (N/m)")
+    _widen(ax)
+    _name_curves(figure, ax, len(chosen))
+    return _saved(figure, path)
+
+
+def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = None) -> Figure:
+    """Errors of bar lengths, joints and energy over time on a logarithmic scale; those below 1e-18, and exact zeros, lie on the bottom edge.
+
+    An error that was not computed (NaN) has no curve. Raises TypeError.
+    """
+    drawable("trajectory", trajectory)
+    curves: list[tuple[str, Any]] = [("energy (J)", np.abs(trajectory.energy_error))]
+    if len(trajectory.bars):
+        curves += [("bar length, relative", trajectory.bar_length_error), ("joint gap (m)", trajectory.joint_error)]
+    known = np.concatenate([values[np.isfinite(values)] for _, values in curves])
+    positive = known[known > 0]
+    bottom = max(1e-18, 10.0 ** np.floor(np.log10(positive.min())) / 3) if positive.size else 1e-18
+    top = max(3 * positive.max(initial=0.0), 100 * bottom)
+    figure, (ax,) = _panels(1, title)
+    for k, (name, values) in enumerate(curves):
+        drawn = np.maximum(values, bottom)  # NaN stays NaN
+        note = ": not computed" if not np.isfinite(values).any() else "" if np.nanmax(values) > 0 else ": exactly 0"
+        ax.plot(trajectory.time, drawn, color=_colour(k), label=name + note, lw=1.3, clip_on=False)
+    ax.set_yscale("log")
+    ax.set_ylim(bottom, top)
+    ax.set_ylabel("error")
+    _name_curves(figure, ax, len(curves))
+    return _saved(figure, path)
+
+
+def members(what: Structure | Trajectory) -> Members:
+    """The members of a structure or trajectory, as a `Stage` draws them."""
+    pinned: Indices = what.pinned if isinstance(what, Trajectory) else np.array(sorted(what.pinned), dtype=np.intp)
+    return Members(what.bars, what.strings, pinned)
+
+
+def drawable(field: str, value: Any, kinds: type | tuple[type, ...] = Trajectory, example: str = "a tenscasadi.Trajectory") -> None:
+    """TypeError unless `value` is one of `kinds`; of what has a part that is, such as a plan, it names the part."""
+    parts = [name for name in ("trajectory", "structure") if isinstance(getattr(value, name, None), kinds)]
+    if "trajectory" in parts and hasattr(value, "replay"):
+        parts.insert(0, "replay()")
+    instance(field, value, kinds, f"its {' or '.join(parts)}" if parts else example)
+
+
+def _row(trajectory: Trajectory, time: float) -> int:
+    """The kept row next to `time`."""
+    wanted = positive_number("time", time, zero=True)
+    return int(np.argmin(np.abs(trajectory.time - wanted)))
+
+
+def _string(index: Any, count: int) -> int:
+    if whole_number("strings", index, 0) >= count:
+        raise ValueError(f"strings names string {index}: strings run from 0 to {count - 1}")
+    return int(index)
+
+
+def _furthest(trajectory: Trajectory) -> list[int]:
+    """Nodes that move, the furthest-moving 12 of them, in their order."""
+    way = np.ptp(trajectory.nodes, axis=0).max(axis=1)
+    order = np.argsort(-way, kind="stable")[:_NAMED]
+    return sorted(int(node) for node in order if way[node] > 0) or [int(order[0])]
+
+
+def _without_infinity(bound: ArrayLike) -> Any:
+    try:
+        array = np.array(bound, dtype=float)
+    except (TypeError, ValueError):
+        return bound  # refused next, by name
+    return np.where(np.isinf(array), 0.0, array)
+
+
+def _draw_bound(ax: Axes, field: str, bound: Array, chosen: list[int], gamma: Array) -> None:
+    """Dashed lines; a single black one where all strings have the same bound. One far off is only told: it would flatten the curves."""
+    low, high = float(gamma[:, chosen].min(initial=np.inf)), float(gamma[:, chosen].max(initial=-np.inf))
+    reach = max(high - low, 0.1 * abs(high))
+    finite = [(k, float(bound[i])) for k, i in enumerate(chosen) if np.isfinite(bound[i])]
+    common = len({value for _, value in finite}) == 1
+    if common and not low - reach <= finite[0][1] <= high + reach:
+        ax.plot([], [], " ", label=f"{field} bound {finite[0][1]:g}")
+    elif common:
+        ax.axhline(finite[0][1], color="black", ls=(0, (5, 3)), lw=0.9, label=f"{field} bound")
+    else:
+        for k, value in finite:
+            if low - reach <= value <= high + reach:
+                ax.axhline(value, color=_colour(k), ls=(0, (5, 3)), lw=0.9)
+
+
+def _panels(count: int, title: str) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(7.2, 3.6 if count == 1 else 1.0 + 1.8 * count), layout="constrained")
+    axes = list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+    for ax in axes:
+        ax.grid(visible=True, color="0.9")
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.margins(x=0)
+    axes[-1].set_xlabel("time (s)")
+    if title:
+        axes[0].set_title(title)
+    return figure, axes
+
+
+def _widen(ax: Axes) -> None:
+    """Rounding around a constant is not shown as motion."""
+    low, high = ax.get_ylim()
+    if high - low < 1e-6 * max(abs(low), abs(high), 1e-6):
+        middle = (low + high) / 2
+        reach = 0.05 * abs(middle) or 0.05
+        ax.set_ylim(middle - reach, middle + reach)
+
+
+def _colour(k: int) -> Any:
+    return f"C{k % 10}"
+
+
+def _width(k: int, count: int) -> float:
+    """Later curves are thinner: earlier ones that they cover stay visible."""
+    return 2.6 - 1.6 * k / max(1, count - 1)
+
+
+def _name_curves(figure: Figure, ax: Axes, count: int) -> None:
+    """A legend beside the panels; too many curves for one are told as a number."""
+    if count > 2 * _NAMED:
+        ax.annotate(f"{count} curves", (1, 1), xycoords="axes fraction", ha="right", va="top", fontsize=8, color="0.35")
+    elif count:
+        figure.legend(*ax.get_legend_handles_labels(), loc="outside right upper", fontsize=8, frameon=False, ncols=1 + (count > _NAMED))
+
+
+def _saved(figure: Figure, path: FilePath | None) -> Figure:
+    if path is not None:
+        figure.savefig(path, dpi=150)
+    return figure

@@ -1,0 +1,1 @@
+"""What is modelled: a structure, how its strings are driven, its loads and its supports."""

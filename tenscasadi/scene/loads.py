@@ -1,0 +1,206 @@
+"""Loads on nodes: each value builds its columns of W (3×n) and, where it has one, its potential energy."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.util.validate import Array, Indices, finite_array, node_index, positive_number
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """Uniform gravity: `acceleration` (3,), m/s²."""
+
+    acceleration: Sequence[float] = (0.0, 0.0, -9.81)
+
+    def __post_init__(self) -> None:
+        vector = finite_array("Gravity.acceleration", self.acceleration, (3,))
+        object.__setattr__(self, "acceleration", tuple(float(v) for v in vector))
+
+    def forces(self, node_weight: Array) -> ca.DM:
+        """W (3×n) on nodes that carry `node_weight` (n,), kg: the row sums of the mass matrix."""
+        return ca.DM(np.outer(self.acceleration, node_weight))
+
+    def energy(self, N: Any, node_weight: Array) -> Any:
+        """Potential energy −Σ mᵢ gᵀnᵢ, J, zero at the origin."""
+        return -ca.sum1(ca.sum2(N * self.forces(node_weight)))
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A plane that pushes on every node below it: force k d − c v along the normal, never a pull (paper §7.4).
+
+    d is the depth (m) and v the speed along the normal (m/s); `stiffness` N/m, `damping` N·s/m, the plane is normalᵀx = `height` (m).
+    `friction` is Coulomb's coefficient μ, or None for a frictionless plane. It is regularised: the tangential force is
+    μ f v_t/√(v_t² + v_s²) with `slip_speed` v_s (m/s), so a body that should stick creeps, at v_s r/√(1 − r²) where it
+    needs the share r of the friction that there is.
+    """
+
+    stiffness: float = 1e4
+    damping: float = 0.0
+    friction: float | None = None
+    height: float = 0.0
+    normal: Sequence[float] = (0.0, 0.0, 1.0)
+    slip_speed: float = 1e-3
+
+    def __post_init__(self) -> None:
+        normal = finite_array("Ground.normal", self.normal, (3,))
+        size = float(np.linalg.norm(normal))
+        if size == 0:
+            raise ValueError("Ground.normal is (0, 0, 0): give the direction away from the ground, such as (0, 0, 1)")
+        checked = {
+            "stiffness": positive_number("Ground.stiffness", self.stiffness),
+            "damping": positive_number("Ground.damping", self.damping, zero=True),
+            "friction": None if self.friction is None else positive_number("Ground.friction", self.friction),
+            "height": float(finite_array("Ground.height", self.height, ())),
+            "normal": tuple(float(v) for v in (normal if abs(size - 1) < 1e-15 else normal / size)),  # once normalised it stays as it is
+            "slip_speed": positive_number("Ground.slip_speed", self.slip_speed),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def conservative(self) -> bool:
+        """Whether the plane neither damps nor rubs."""
+        return self.damping == 0 and self.friction is None
+
+    def forces(self, N: Any, V: Any) -> Any:
+        """W (3×n) of nodes at N with velocities V (3×n)."""
+        normal = ca.DM(self.normal)
+        depth = self._depth(N)
+        push = self.stiffness * depth
+        if self.damping:
+            push = ca.fmax(push - self.damping * ca.mtimes(normal.T, V), 0)
+        push = ca.if_else(depth > 0, push, 0)  # 1×n
+        W = ca.mtimes(normal, push)
+        if self.friction is not None:
+            slip = V - ca.mtimes(normal, ca.mtimes(normal.T, V))
+            drag = self.friction * push / ca.sqrt(ca.sum1(slip * slip) + self.slip_speed**2)
+            W = W - slip * ca.repmat(drag, 3, 1)
+        return W
+
+    def energy(self, N: Any) -> Any:
+        """Energy stored in the plane's springs, J."""
+        depth = ca.fmax(self._depth(N), 0)
+        return self.stiffness * ca.sum2(depth * depth) / 2
+
+    def _depth(self, N: Any) -> Any:
+        return self.height - ca.mtimes(ca.DM(self.normal).T, N)
+
+
+@dataclass(frozen=True)
+class Pressure:
+    """A pressure `difference` (Pa) across triangles, a follower force: p/6 (b − a)×(c − a) on each of a face's nodes a, b, c.
+
+    `faces` (f, 3) node indices; the force points to the side from which a, b, c run counter-clockwise (outwards, for a closed
+    surface under inner pressure).
+    """
+
+    faces: Sequence[Sequence[int]] | Indices
+    difference: float
+
+    def __post_init__(self) -> None:
+        try:
+            faces = tuple(tuple(face) for face in self.faces)
+        except TypeError:
+            raise TypeError(f"Pressure.faces is {self.faces!r}: give triangles of node indices, such as [(0, 1, 2)]") from None
+        for k, face in enumerate(faces):
+            if len(face) != 3 or len(set(face)) != 3:
+                raise ValueError(f"Pressure.faces[{k}] is {face}: give three different node indices")
+        object.__setattr__(self, "faces", faces)
+        object.__setattr__(self, "difference", float(finite_array("Pressure.difference", self.difference, ())))
+
+    def check(self, nodes: int) -> None:
+        """Raise unless every face refers to one of `nodes` nodes."""
+        for k, face in enumerate(self.faces):
+            for node in face:
+                node_index(f"Pressure.faces[{k}]", node, nodes)
+
+    def forces(self, N: Any) -> Any:
+        """W (3×n) of nodes at N."""
+        a, b, c = ([face[k] for face in self.faces] for k in range(3))
+        push = self.difference / 6 * _cross(N[:, b] - N[:, a], N[:, c] - N[:, a])  # 3×f
+        rows = list(range(len(a)))
+        spread = ca.DM.triplet(rows * 3, a + b + c, ca.DM.ones(3 * len(a)), len(a), N.shape[1])
+        return ca.mtimes(push, spread)
+
+
+@dataclass(frozen=True, eq=False)
+class NodalForce:
+    """Forces on nodes, N: `values` (n, 3), a function of time t (s) that returns them, or a table (K, n, 3) at `times` (K,).
+
+    The function is called once with a CasADi symbol, so write it with NumPy's or CasADi's mathematics, without `if` on t.
+    A table is linear between its `times` (increasing, s) and constant before and after them.
+    """
+
+    values: Any
+    times: Any = None
+
+    def __post_init__(self) -> None:
+        if self.times is not None:
+            times = finite_array("NodalForce.times", self.times, (None,))
+            if len(times) < 2 or np.any(np.diff(times) <= 0):
+                raise ValueError(f"NodalForce.times is {times}: give two or more increasing times")
+            object.__setattr__(self, "times", times)
+            object.__setattr__(self, "values", finite_array("NodalForce.values", self.values, (len(times), None, 3)))
+        elif not callable(self.values):
+            object.__setattr__(self, "values", finite_array("NodalForce.values", self.values, (None, 3)))
+
+    @property
+    def varies(self) -> bool:
+        """Whether the forces are a function of time."""
+        return self.times is not None or callable(self.values)
+
+    def check(self, nodes: int) -> None:
+        """Raise unless there is one row of finite numbers for each of `nodes` nodes (at t = 0 for a function)."""
+        if callable(self.values):
+            try:
+                sample = self.values(0.0)
+            except Exception as error:  # whatever the caller's function raises
+                raise ValueError(f"NodalForce.values raised {error!r} at t = 0: give a function of time that returns ({nodes}, 3)") from error
+            finite_array("NodalForce.values(0.0)", sample, (nodes, 3))
+        elif self.values.shape[-2] != nodes:
+            raise ValueError(f"NodalForce.values has {self.values.shape[-2]} rows: give one row for each of the {nodes} nodes")
+
+    def forces(self, time: Any) -> Any:
+        """W (3×n) at `time` (a CasADi symbol; unused when the forces are constant)."""
+        if self.times is not None:
+            return _interpolated(time, self.times, self.values)
+        if not callable(self.values):
+            return ca.DM(self.values.T)
+        function: Callable[[Any], Any] = self.values
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
+                rows = function(time)
+            if not isinstance(rows, (ca.SX, ca.MX, ca.DM)):
+                rows = ca.vertcat(*(ca.horzcat(*(entry for entry in row)) for row in rows))
+        except Exception as error:  # whatever the caller's function raises
+            raise ValueError(f"NodalForce.values raised {error!r} on a CasADi time: write it with NumPy's or CasADi's mathematics") from error
+        return rows.T
+
+
+def _interpolated(time: Any, times: Array, table: Array) -> Any:
+    """Piecewise linear W (3×n) from a table (K, n, 3), held constant outside its times: nodes without force cost nothing."""
+    t = ca.SX.sym("t")  # pw_lin knows no MX
+    inside = ca.fmin(ca.fmax(t, times[0]), times[-1])
+    rows = []
+    for node in range(table.shape[1]):
+        moving = [ca.pw_lin(inside, ca.DM(times), ca.DM(table[:, node, axis])) if table[:, node, axis].any() else 0 for axis in range(3)]
+        rows.append(ca.vertcat(*moving))
+    return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*rows)))])(time)
+
+
+def _cross(a: Any, b: Any) -> Any:
+    """Columnwise cross product of 3×f expressions."""
+    return ca.vertcat(
+        a[1, :] * b[2, :] - a[2, :] * b[1, :],
+        a[2, :] * b[0, :] - a[0, :] * b[2, :],
+        a[0, :] * b[1, :] - a[1, :] * b[0, :],
+    )

@@ -1,0 +1,72 @@
+"""Pinned nodes that are moved: a shaking base, a driven hinge."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import finite_array, node_index
+
+
+@dataclass(frozen=True, eq=False)
+class SupportMotion:
+    """Positions of pinned nodes as functions of time: {node: t -> (x, y, z)}, m and s.
+
+    Each function is called with a CasADi symbol, so write it with NumPy's or CasADi's mathematics, without `if` on t; velocity
+    and acceleration are its exact derivatives. At t = 0 it must be where the structure has the node.
+    """
+
+    positions: Mapping[int, Callable[[Any], Any]]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.positions, Mapping) or not self.positions:
+            raise TypeError(f"SupportMotion.positions is {self.positions!r}: give a mapping of nodes to functions of time")
+        for node, function in self.positions.items():
+            if not callable(function):
+                raise TypeError(f"SupportMotion.positions[{node}] is {function!r}: give a function of time that returns (x, y, z)")
+        object.__setattr__(self, "positions", dict(self.positions))
+
+    @property
+    def nodes(self) -> list[int]:
+        """The nodes that are moved."""
+        return list(self.positions)
+
+    def check(self, structure: Structure) -> None:
+        """Raise unless every node is pinned along all axes and starts where the structure has it."""
+        start = self.rates()(0.0)[0].full().T
+        size = float(np.ptp(structure.nodes, axis=0).max(initial=0.0))
+        for node, place in zip(self.nodes, start, strict=True):
+            name = f"SupportMotion.positions[{node}]"
+            node_index(f"SupportMotion.positions, node {node}", node, len(structure.nodes))
+            if structure.pinned.get(node) != "xyz":
+                raise ValueError(f"{name}: node {node} is not pinned along all axes, add it to Structure.pinned")
+            finite_array(f"{name}(0.0)", place, (3,))
+            if abs(place - structure.nodes[node]).max() > 1e-9 * size:
+                raise ValueError(f"{name}(0.0) is {place}: the structure has node {node} at {structure.nodes[node]}, start there")
+
+    def rates(self) -> ca.Function:
+        """(t) → positions, velocities and accelerations (3×k) of `nodes`."""
+        t = ca.SX.sym("t")
+        columns = []
+        for node, function in self.positions.items():
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
+                    entries = function(t)
+                    column = entries if isinstance(entries, (ca.SX, ca.DM)) else ca.vertcat(*(entry for entry in entries))
+            except Exception as error:
+                name = f"SupportMotion.positions[{node}]"
+                raise ValueError(f"{name} raised {error!r} on a CasADi time: write it with NumPy's or CasADi's mathematics") from error
+            if column.shape not in ((3, 1), (1, 3)):
+                raise ValueError(f"SupportMotion.positions[{node}] returns shape {column.shape}: give (x, y, z)")
+            columns.append(ca.vec(ca.SX(column)))
+        p = ca.horzcat(*columns)
+        v = ca.reshape(ca.jacobian(ca.vec(p), t), p.shape)
+        a = ca.reshape(ca.jacobian(ca.vec(v), t), p.shape)
+        return ca.Function("supports", [t], [ca.densify(value) for value in (p, v, a)], ["t"], ["position", "velocity", "acceleration"])

@@ -1,0 +1,102 @@
+"""What a run's message says beside its length: why it broke down, what in one that finished is not to be trusted, and the cure."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import ExplicitRungeKutta, Scheme
+from tenscasadi.integrators.stability import fastest_rate, stable_step
+from tenscasadi.integrators.stabilization import projection
+from tenscasadi.simulation.steppers import own_steps
+from tenscasadi.util.precision import Compiled, Single
+from tenscasadi.util.validate import Array
+
+_BROKEN_BARS = 0.1  # relative length error at which a run has diverged
+_BEYOND = 1e12  # entries of a state above this are not physical in any unit
+_DRIFTED_BARS = 0.01  # relative length error at which the message speaks of it
+_LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
+_ROUNDING = {False: 1e-9, True: 1e-5}  # of the energies, what a run may lose by rounding, in double and in single precision
+_OFF = 1e-6  # of the largest entry of a start: what the constraints may move it by without a word
+
+
+def first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
+    """How many rows are good, and what is wrong with the next; "" when all are good. states (T, nx), bar_length_error (T, 1)."""
+    faults = {
+        "the state is not finite": ~np.all(np.isfinite(states), axis=1),
+        "the state is beyond any physical size": np.any(np.abs(states) > _BEYOND, axis=1),
+        f"a bar is off by more than {_BROKEN_BARS:.0%} of its length": bar_length_error[:, 0] > _BROKEN_BARS + bar_length_error[0, 0],
+    }
+    bad = np.any(list(faults.values()), axis=0)
+    bad[0] = False  # the start is the caller's
+    if not bad.any():
+        return len(states), ""
+    row = int(np.argmax(bad))
+    return row, next(name for name, where in faults.items() if where[row])
+
+
+def cause(model: Model, scheme: Scheme, step: float, time: Array, states: Array, controls: Array) -> str:
+    """Why a run with steps of `step` s diverged, as far as the start and the linearised motion tell, and what to do.
+
+    time (K,), states (K, nx) and controls (K, nu): the start, then others that may tell.
+    """
+    name = type(scheme).__name__
+    if off := _off(model, states[0]):
+        return off
+    if own_steps(scheme):
+        return f"the error of each step was kept, so the motion itself breaks down or was not resolved: try a smaller {name}(rtol)"
+    limits = []
+    for t, x, u in zip(time, states, controls, strict=True):  # the start first: a state that is about to break has limits of its own
+        limits.append(stable_step(model, x, u, scheme, safety=1.0))
+        if step > limits[-1]:
+            return (
+                f"the step {step:g} s is above the stability limit {limits[-1]:.3g} s of {name} at t = {t:g} s "
+                f"(fastest rate ω_max = {fastest_rate(model, x, u):.4g} rad/s): try step={0.9 * limits[-1]:.2g}"
+            )
+    limit = min(limits)
+    stable = f"is below the stability limit {limit:.3g} s of the linearised motion" if np.isfinite(limit) else f"is stable, as any of {name}"
+    unsolved = "" if isinstance(scheme, ExplicitRungeKutta) else ", equations of a step that have no solution"
+    return (
+        f"the step {step:g} s {stable}, so accuracy was lost elsewhere "
+        f"(fast rotation, impact, bars drifting from their length{unsolved}): try step={step / 5:.2g} or correction=Projection()"
+    )
+
+
+def doubts(
+    model: Model, scheme: Scheme, step: float, start: tuple[Array, Array], observed: dict[str, Array], energy_error: Array, compiled: Compiled
+) -> str:
+    """What is not to be trusted in a run that finished, each after a semicolon, and the cure: its start, its bars, its energy (as when a
+    correction hides what the step destroys).
+
+    step, s; start: state (nx,) and control (nu,); observed: see `record.observe`; energy_error (T,); compiled: see `simulate`.
+    """
+    if off := _off(model, start[0]):
+        return f"; {off}"
+    drift = float(observed["bar_length_error"].max())
+    found = [f"bars are off by up to {drift:.2g} of their length (correction=Projection() holds them)"] if drift > _DRIFTED_BARS else []
+    parts, nodes = observed["energy"], observed["nodes"]
+    scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
+    rounding = _ROUNDING[isinstance(compiled, Single)] * float(np.abs(parts).max() + observed["tension"].sum(axis=1).max() * np.ptp(nodes))
+    largest = float(np.abs(energy_error).max())
+    if largest > max(_LOST_ENERGY * scale, rounding):  # not for NaN: not known
+        found.append(f"energy is off by {largest:.2g} J where {scale:.2g} J move")
+    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, step, *start)}" if found else "")
+
+
+def _finer(model: Model, scheme: Scheme, step: float, x: Array, u: Array) -> str:
+    """The cure for a run that is not accurate."""
+    if own_steps(scheme):
+        return f"try a smaller {type(scheme).__name__}(rtol)"
+    limit = stable_step(model, x, u, scheme, safety=1.0)
+    return f"the step is above the stability limit, try step={0.9 * limit:.2g}" if step > limit else "try a smaller step"
+
+
+def _off(model: Model, start: Array) -> str:
+    """Says so when the constraints move a start (nx,)."""
+    moved = float(np.abs(projection(model)(start).full().ravel() - start).max(initial=0.0))
+    if not moved > _OFF * np.abs(start).max(initial=0.0):
+        return ""
+    return (
+        f"the start is off the lengths of its bars or its joints, or about to leave them, by {moved:.2g}: "
+        "start from tenscasadi.projection(model)(state)"
+    )

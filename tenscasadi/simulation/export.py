@@ -1,0 +1,145 @@
+"""A model as C that needs nothing but the C library: equations, derivatives, one step, and a program that runs them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import RungeKutta4, Scheme, check_scheme
+from tenscasadi.integrators.stabilization import Projection
+from tenscasadi.simulation.steppers import check_single, own_steps
+from tenscasadi.util.precision import Single
+from tenscasadi.util.validate import Array, instance
+
+
+def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), precision: Single | None = None) -> list[Path]:
+    """Writes `tensegrity.c`, `tensegrity.h`, `start.h` and `main.c` into `folder` (made if need be); returns their paths.
+
+    Functions, in CasADi's calling convention (`int name(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)`):
+    `ode` (x, u) → xdot; `ode_jacobian` (x, u) → its dense derivatives by x and u, column by column; `step` (x, u, h) → x, one step of
+    `scheme`, which takes fixed steps, followed by the projection onto bars and joints; `observe` (x, u) → see `Model.observe`.
+    `main.c` integrates from the model's initial state: `cc -O2 tensegrity.c main.c -lm -o run && ./run t_end step rows`.
+    precision: None, in double; `Single()`, in float.
+    Raises TypeError, ValueError, OSError.
+    """
+    instance("model", model, Model, "a tenscasadi.Model")
+    instance("precision", precision, (Single, type(None)), "Single() for float, or None for double")
+    check_scheme(scheme)
+    if own_steps(scheme):
+        raise ValueError(f"scheme is {scheme}, which chooses its steps: give one of fixed steps for C, such as RungeKutta4()")
+    if precision is not None:
+        check_single(scheme)
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    real = "double" if precision is None else "float"
+    generator = ca.CodeGenerator("tensegrity.c", {"with_header": True, "casadi_real": real})
+    for function in (model.ode, _jacobian(model), _step(model, scheme), model.observe):
+        generator.add(function)
+    generator.generate(str(target) + "/")
+    (target / "start.h").write_text(_start(model), encoding="ascii")
+    (target / "main.c").write_text(_MAIN, encoding="ascii")
+    return [target / name for name in ("tensegrity.c", "tensegrity.h", "start.h", "main.c")]
+
+
+def _jacobian(model: Model) -> ca.Function:
+    """Dense derivatives: one directional derivative in C, looped over the directions, so that code and compile time stay small."""
+    x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
+    dx, du = ca.MX.sym("dx", model.nx), ca.MX.sym("du", model.nu)
+    slope = model.ode.forward(1)(x, u, ca.MX(model.nx, 1), dx, du)  # the third input, xdot, is not needed
+    used = [0, 1, 2, 3] if model.nu else [0, 2]  # an empty input of a loop makes C that compilers warn of
+    directional = ca.Function("directional", [(x, u, dx, du)[k] for k in used], [ca.densify(slope)])
+    blocks: list[Any] = []
+    along_x = ca.DM.eye(model.nx), ca.DM.zeros(model.nu, model.nx)
+    along_u = ca.DM.zeros(model.nx, model.nu), ca.DM.eye(model.nu)
+    for size, seeds in ((model.nx, along_x), (model.nu, along_u)):
+        inputs = (ca.repmat(x, 1, size), ca.repmat(u, 1, size), *map(ca.densify, seeds))
+        blocks.append(directional.map(size)(*(inputs[k] for k in used)) if size else ca.MX(model.nx, 0))
+    return ca.Function("ode_jacobian", [x, u], blocks, ["x", "u"], ["xdot_x", "xdot_u"])
+
+
+def _step(model: Model, scheme: Scheme) -> ca.Function:
+    x, u, h = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("h")
+    after: Any = scheme.advance(model)(x, u, h)
+    project = Projection().step(model)
+    return ca.Function("step", [x, u, h], [after if project is None else project(after)], ["x", "u", "h"], ["x_next"])
+
+
+def _start(model: Model) -> str:
+    lines = [
+        "/* Sizes, initial state and initial control. Positions first, then velocities, node by node. */",
+        f"#define NX {model.nx}",
+        f"#define NU {model.nu}",
+        f"#define NODES {len(model.structure.nodes)}",
+        f"static const casadi_real x_start[{max(model.nx, 1)}] = {_literal(model.initial_state)};",
+        f"static const casadi_real u_start[{max(model.nu, 1)}] = {_literal(model.initial_control)};",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _literal(values: Array) -> str:
+    return "{" + ", ".join(repr(float(value)) for value in (values if values.size else np.zeros(1))) + "}"
+
+
+_MAIN = """/* Integrates the model from its initial state and prints time, node coordinates, energy and bar length error as CSV. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include "tensegrity.h"
+#include "start.h"
+
+static casadi_real x[NX + 1], next[NX + 1], nodes[3 * NODES], energy[3], bar_error[1];
+
+static void *room(size_t count, size_t size) {
+  void *memory = malloc((count + 1) * size);
+  if (!memory) { fprintf(stderr, "out of memory\\n"); exit(1); }
+  return memory;
+}
+
+int main(int argc, char **argv) {
+  double t_end = argc > 1 ? atof(argv[1]) : 1.0, h = argc > 2 ? atof(argv[2]) : 1e-3;
+  long rows = argc > 3 ? atol(argv[3]) : 10, steps, k, printed = 0;
+  if (!(t_end > 0) || !(h > 0) || rows < 1 || t_end / h > 1e12) {
+    fprintf(stderr, "usage: %s t_end step rows, all positive\\n", argv[0]);
+    return 2;
+  }
+  steps = (long)(t_end / h + 0.999999);
+  steps = steps < 1 ? 1 : steps;
+  h = t_end / (double)steps;
+
+  casadi_int arg = 0, res = 0, iw = 0, w = 0, a, r, i, v;
+  step_work(&arg, &res, &iw, &w);
+  observe_work(&a, &r, &i, &v);
+  arg = a > arg ? a : arg; res = r > res ? r : res; iw = i > iw ? i : iw; w = v > w ? v : w;
+  const casadi_real **in = room((size_t)arg, sizeof *in);
+  casadi_real **out = room((size_t)res, sizeof *out), *work = room((size_t)w, sizeof *work);
+  casadi_int *iwork = room((size_t)iw, sizeof *iwork);
+  casadi_real length = (casadi_real)h;
+
+  memcpy(x, x_start, NX * sizeof *x);
+  for (k = 0; k <= steps; ++k) {
+    if (k * rows >= printed * steps) {
+      memset(out, 0, (size_t)res * sizeof *out);
+      in[0] = x; in[1] = u_start;
+      out[0] = nodes; out[4] = energy; out[5] = bar_error;
+      if (observe(in, out, iwork, work, 0)) return 1;
+      printf("%.9g", (double)k * h);
+      for (i = 0; i < 3 * NODES; ++i) printf(",%.17g", (double)nodes[i]);
+      printf(",%.17g,%.3g\\n", (double)(energy[0] + energy[1] + energy[2]), (double)bar_error[0]);
+      ++printed;
+    }
+    if (k == steps) break;
+    in[0] = x; in[1] = u_start; in[2] = &length;
+    out[0] = next;
+    if (step(in, out, iwork, work, 0)) { fprintf(stderr, "the step at t = %g failed\\n", (double)k * h); return 1; }
+    memcpy(x, next, NX * sizeof *x);
+    for (i = 0; i < NX; ++i) {
+      if (!(x[i] - x[i] == 0)) { fprintf(stderr, "the state is not finite at t = %g: give a smaller step\\n", (double)(k + 1) * h); return 1; }
+    }
+  }
+  return 0;
+}
+"""

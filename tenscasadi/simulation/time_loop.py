@@ -1,0 +1,136 @@
+"""The time loop as one CasADi Function: many steps a call, the state after each of them returned."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics.model import Model, instructions
+from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.util.validate import Array
+
+_BASE = 32  # calls in a row at each level of nesting: code and work space grow like the logarithm of the steps
+_LONGEST = 1024  # steps a call; beyond this the cost of a call no longer shows
+_WORK = 5e7  # instructions a call, some 0.05 s compiled: checks, progress bar and Ctrl-C wait no longer than this
+
+
+def chunk_steps(model: Model, every: int) -> int:
+    """Steps of one call: a multiple of `every` that depends on the model alone, so that one compiled loop serves runs of any length."""
+    work = 4 * max(instructions(model.ode), 20 * model.nx) + 1  # mapped functions count once: 20 a state is what members cost
+    steps = 2 ** int(np.log2(np.clip(_WORK / work, 1, _LONGEST)))
+    return int(every * max(1, steps // every))
+
+
+def chunk_function(model: Model, scheme: Scheme, correction: Correction | None, power: bool, jumps: bool, steps: int) -> ca.Function:
+    """`steps` steps: Function "chunk" (z, h (1, steps), u (nu, steps)[, u_next (nu, steps)]) -> z after each step (nz, steps).
+
+    z is the state x; with `power` or `jumps`, one entry more: the energy in joule supplied to the model up to then by forces outside
+    `model.energy` (`power`), and by changes of the control from u to u_next at the end of a step (`jumps`). With `jumps` there is
+    a fourth input u_next.
+    """
+    project = None if correction is None else correction.step(model)
+    plain = _advance(model, scheme, None, power, jumps)
+    if correction is None or project is None:
+        return _repeat("chunk", plain, steps)
+    corrected = _advance(model, scheme, project, power, jumps)
+    if correction.every == 1:
+        return _repeat("chunk", corrected, steps)
+    return _repeat("chunk", _chain("corrected", [_repeat("plain", plain, correction.every - 1), corrected]), steps // correction.every)
+
+
+def _advance(model: Model, scheme: Scheme, project: ca.Function | None, power: bool, jumps: bool) -> ca.Function:
+    """One step, then the projection, then the account of the energy supplied."""
+    nz = model.nx + (power or jumps)
+    z, h, u, u_next = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("u", model.nu), ca.MX.sym("u_next", model.nu)
+    if power and model.power is not None:
+        end = scheme.advance(model, model.power)(z, u, h)
+    else:
+        end = ca.vertcat(scheme.advance(model)(z[: model.nx], u, h), z[model.nx :])
+    x, supplied = end[: model.nx], end[model.nx :]
+    if project is not None:
+        x = project(x)
+    if jumps:
+        energy = energy_function(model)
+        supplied = supplied + energy(x, u_next) - energy(x, u)
+    inputs = {"z": z, "h": h, "u": u} | ({"u_next": u_next} if jumps else {})
+    return ca.Function("advance", list(inputs.values()), [ca.densify(ca.vertcat(x, supplied))], list(inputs), ["z_next"])
+
+
+def energy_function(model: Model) -> ca.Function:
+    """(x, u) -> total energy in joule, without the rest of what `model.observe` computes."""
+    kind: Any = ca.SX if model.observe.is_a("SXFunction") else ca.MX
+    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
+    return ca.Function("energy", [x, u], [ca.sum1(model.observe(x, u)[model.observe.index_out("energy")])], ["x", "u"], ["energy"])
+
+
+def _repeat(name: str, step: ca.Function, times: int) -> ca.Function:
+    """`step` chained to itself: nested blocks of calls, so that the code stays small."""
+    calls: list[ca.Function] = [step] * times
+    rest: list[ca.Function] = []
+    while len(calls) > _BASE:
+        blocks, left = divmod(len(calls), _BASE)
+        rest = calls[:left] + rest
+        calls = [_chain("block", calls[:_BASE])] * blocks
+    return _chain(name, calls + rest)
+
+
+def _chain(name: str, steps: list[ca.Function]) -> ca.Function:
+    """Functions (z, inputs column by column) -> z after each column, one after the other, as one of the same kind."""
+    offsets = np.cumsum([0, *(step.size2_in(1) for step in steps)]).tolist()
+    first = steps[0]
+    start = z = ca.MX.sym("z", first.size1_in(0))
+    inputs = [ca.MX.sym(first.name_in(i), first.size1_in(i), offsets[-1]) for i in range(1, first.n_in())]
+    results = []
+    for step, *columns in zip(steps, *(ca.horzsplit(values, offsets) for values in inputs), strict=True):
+        results.append(step(z, *columns))
+        z = results[-1][:, -1]
+    return ca.Function(name, [start, *inputs], [ca.horzcat(*results)], first.name_in(), first.name_out())
+
+
+class Report(NamedTuple):
+    """What a run did: in words, the mean length of a step, s, and how many steps were computed, in vain or not."""
+
+    text: str
+    step: float
+    attempts: int
+
+
+class StepFailure(RuntimeError):
+    """A scheme cannot go on; the message says why and what to do."""
+
+
+class LoopRunner:
+    """Calls of `chunk_function`'s Function on NumPy memory, without conversions."""
+
+    def __init__(self, function: ca.Function, step: float) -> None:
+        self._z = np.zeros(function.size1_in(0))
+        self._h = np.full(function.size2_in(1), step)
+        self.steps = len(self._h)
+        self._u = np.zeros((self.steps + 1, function.size1_in(2)))
+        self._out = np.zeros((self.steps, len(self._z)))
+        self._buffer: Any
+        self._buffer, self._trigger = function.buffer()
+        inputs = [self._z, self._h, self._u[:-1], self._u[1:]][: function.n_in()]
+        for i, values in enumerate(inputs):
+            if values.size:
+                self._buffer.set_arg(i, values.reshape(-1).data)
+        self._buffer.set_res(0, self._out.reshape(-1).data)
+
+    def hold(self, controls: Array) -> None:
+        """Sets the control of each step of the next calls and of the one after: (steps + 1, nu)."""
+        self._u[:] = controls
+
+    def __call__(self, z: Array) -> Array:
+        """z after each step (steps, nz), valid until the next call."""
+        self._z[:] = z
+        self._trigger()
+        if self._buffer.ret():
+            raise StepFailure("CasADi could not evaluate a step: try a smaller step")
+        return self._out
+
+    def report(self, taken: int, step: float) -> Report:
+        """What was done in `taken` steps of `step` s."""
+        return Report(f"{taken} steps of {step:g} s", step, taken)

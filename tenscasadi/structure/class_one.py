@@ -1,0 +1,222 @@
+"""The paper's class-1 split: one column of N for each bar end, joints and pins as N P = D (Eqs. 61-66, 81, 84)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import csr_array, diags_array, issparse
+
+from tenscasadi.util.validate import Array, Indices, finite_array, per_item
+
+Matrix = Any  # ndarray, or scipy csr_array where the caller asks for sparse matrices
+
+
+class ClassOne(NamedTuple):
+    """The matrices of the paper, β bars, α strings, σ string nodes, n' = 2β + σ columns, c joint and pin columns.
+
+    N C_nbᵀ C_bᵀ = B (Eq. 65), N C_nbᵀ C_rᵀ = R_b (Eq. 63), N C_nsᵀ = R_s (Eq. 64), N C_sᵀ = S (Eq. 66), N P = D (Eq. 84).
+    `M_s` is Eq. 81 plus the point masses that sit on bar ends. A pinned string node without mass has a zero on the diagonal of
+    M_s; any positive number there gives the same motion, as P holds that node.
+    """
+
+    N: Array  # 3×n', metres
+    C_b: Matrix  # β×2β
+    C_s: Matrix  # α×n'
+    C_r: Matrix  # β×2β, ½|C_b|
+    C_nb: Matrix  # 2β×n'
+    C_ns: Matrix  # σ×n'
+    P: Matrix  # n'×c
+    D: Array  # 3×c, metres
+    M_s: Matrix  # n'×n', kg
+    physical: Indices  # (n',) the physical node of each column
+
+
+class Layout(NamedTuple):
+    """Where the physical nodes and members of a structure stand in the columns of the class-1 split."""
+
+    physical: Indices  # (n',) physical node of each column
+    bar_columns: Indices  # (β, 2) first and second end
+    string_columns: Indices  # (α, 2)
+    mass_share: Array  # (n',) share of the physical node's point mass that the column carries
+    P: csr_array  # n'×c
+
+
+class MatrixInput(NamedTuple):
+    """What the paper's matrices say of the physical structure; `layout` is None when bars share columns."""
+
+    nodes: Array  # (n, 3)
+    bars: Indices
+    strings: Indices
+    pinned: list[int]
+    node_mass: Array  # (n,)
+    layout: Layout | None
+
+
+def connectivity(pairs: Indices, count: int) -> csr_array:
+    """Connectivity matrix (members × `count`) of `pairs` (members, 2): −1 at the first node, +1 at the second."""
+    members = len(pairs)
+    rows = np.repeat(np.arange(members), 2)
+    return csr_array((np.tile([-1.0, 1.0], members), (rows, pairs.ravel())), shape=(members, count))
+
+
+def selection(columns: Indices, count: int) -> csr_array:
+    """Rows of the identity of size `count`: picks `columns`, in order."""
+    return csr_array((np.ones(len(columns)), (np.arange(len(columns)), columns)), shape=(len(columns), count))
+
+
+def bar_mass_matrix(bars: Indices, inertia: Array, mass: Array, count: int) -> csr_array:
+    """C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r with C_r = ½|C_b| (Eq. 59), count×count; `bars` may share nodes."""
+    C_b = connectivity(bars, count)
+    C_r = 0.5 * abs(C_b)
+    return csr_array(C_b.T @ diags_array(inertia) @ C_b + C_r.T @ diags_array(mass) @ C_r)
+
+
+def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices) -> Layout:
+    """First ends of all bars, then second ends (the paper's N = [N₁ N₂]), then string nodes; ties in node order, then pins."""
+    physical = np.concatenate([bars[:, 0], bars[:, 1], np.setdiff1d(np.arange(count), bars)])
+    first = np.unique(physical, return_index=True)[1]  # first copy of each node: strings, masses and pins attach to it
+    share = np.zeros(len(physical))
+    share[first] = 1.0
+    copies = np.flatnonzero(share == 0.0)
+    copies = copies[np.argsort(physical[copies], kind="stable")]
+    ties, pins = len(copies), len(pinned)
+    rows = np.concatenate([first[physical[copies]], copies, first[pinned]])
+    columns = np.concatenate([np.arange(ties), np.arange(ties), ties + np.arange(pins)])
+    values = np.concatenate([np.ones(ties), -np.ones(ties), np.ones(pins)])
+    P = csr_array((values, (rows, columns)), shape=(len(physical), ties + pins))
+    ends = np.arange(len(bars))
+    return Layout(physical, np.column_stack([ends, ends + len(bars)]), first[strings], share, P)
+
+
+def extended(layout: Layout, count: int, strings: Indices, parent: Indices) -> Layout:
+    """`layout` of `count` nodes once its strings are cut into `strings` (segments, 2): new nodes get columns after the others.
+
+    An end at an old node stays in the column where the string that was cut, `parent`, has it.
+    """
+    columns = len(layout.physical)
+    new = max(int(strings.max(initial=-1)) + 1 - count, 0)
+    P = layout.P.tocoo()
+    return Layout(
+        np.concatenate([layout.physical, count + np.arange(new)]),
+        layout.bar_columns,
+        np.where(strings < count, layout.string_columns[parent], columns + strings - count),
+        np.concatenate([layout.mass_share, np.ones(new)]),
+        csr_array((P.data, (P.row, P.col)), shape=(columns + new, P.shape[1])),
+    )
+
+
+def split(layout: Layout, nodes: Array, inertia: Array, mass: Array, node_mass: Array, sparse: bool) -> ClassOne:
+    """The matrices of `layout` for nodes (n, 3), bar inertia J and mass m (β,) and point masses (n,)."""
+    count = len(layout.physical)
+    N = nodes[layout.physical].T
+    bar_ends = np.unique(layout.bar_columns)
+    C_nb = selection(bar_ends, count)
+    C_ns = selection(np.setdiff1d(np.arange(count), bar_ends), count)
+    bars = np.searchsorted(bar_ends, layout.bar_columns)
+    C_b = connectivity(bars, len(bar_ends))
+    M_b = bar_mass_matrix(bars, inertia, mass, len(bar_ends))
+    points = diags_array(layout.mass_share * node_mass[layout.physical])
+    matrices = {
+        "C_b": C_b,
+        "C_s": connectivity(layout.string_columns, count),
+        "C_r": 0.5 * abs(C_b),
+        "C_nb": C_nb,
+        "C_ns": C_ns,
+        "P": layout.P,
+        "M_s": C_nb.T @ M_b @ C_nb + points,
+    }
+    shown = {name: csr_array(matrix) if sparse else matrix.toarray() for name, matrix in matrices.items()}
+    return ClassOne(N=N, D=N @ layout.P, physical=layout.physical, **shown)
+
+
+def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: Any) -> MatrixInput:
+    """The physical structure behind the paper's matrices (see `Structure.from_matrices`). Raises TypeError, ValueError."""
+    columns = finite_array("N", N, (3, None)).T
+    count = len(columns)
+    if count == 0:
+        raise ValueError("N has no columns: give one column for each node")
+    bars = _member_columns("C_b", C_b, count, "bar")
+    strings = _member_columns("C_s", C_s, count, "string")
+    mass = per_item("node_mass", node_mass, count, "column")
+    ties, pins, P_matrix = _read_joints(columns, P, D)
+    root = np.arange(count)
+    for tie in ties:
+        _link(root, *tie)
+    first, physical = np.unique(root, return_inverse=True)
+    physical = physical.astype(np.intp)
+    total = np.zeros(len(first))
+    np.add.at(total, physical, mass)
+    pinned = sorted({int(physical[pin]) for pin in pins})
+    layout = None
+    if len(np.unique(bars)) == bars.size:  # bars that share a column are not split yet: the default layout splits them
+        on_bar = np.zeros(count, dtype=bool)
+        on_bar[bars] = True
+        for column in (end for tie in ties for end in tie):
+            if not on_bar[column] and mass[column] == 0.0:
+                raise ValueError(
+                    f"node_mass of column {column} is 0: it is no bar end and P ties it to another column, so M_s is singular; "
+                    "give it a mass, or attach its strings to the column it is tied to"
+                )
+        share = np.divide(mass, total[physical], out=np.zeros(count), where=total[physical] > 0.0)
+        share[first[total == 0.0]] = 1.0  # should the node be given a mass later, its first column carries it
+        layout = Layout(physical, bars, strings, share, P_matrix)
+    return MatrixInput(columns[first], physical[bars], physical[strings], pinned, total, layout)
+
+
+def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> Array:
+    """`value` (dense, scipy sparse, None or empty) as a finite array of `shape`, its free side 0 when there is nothing."""
+    dense = value.toarray() if issparse(value) else value
+    if dense is None or (isinstance(dense, np.ndarray) and dense.size == 0) or (isinstance(dense, (list, tuple)) and not dense):
+        return np.zeros([size or 0 for size in shape])
+    return finite_array(field, dense, shape)
+
+
+def _member_columns(field: str, value: Any, count: int, item: str) -> Indices:
+    """Rows of a connectivity matrix as (members, 2) columns."""
+    matrix = _dense(field, value, (None, count))
+    good = (np.sum(matrix == -1.0, axis=1) == 1) & (np.sum(matrix == 1.0, axis=1) == 1) & (np.sum(matrix != 0.0, axis=1) == 2)
+    if not good.all():
+        row = int(np.flatnonzero(~good)[0])
+        raise ValueError(f"{field}: row {row} ({item} {row}) is {matrix[row].tolist()}: give one −1, one +1 and zeros")
+    return np.column_stack([np.argmax(matrix == -1.0, axis=1), np.argmax(matrix == 1.0, axis=1)]).reshape(-1, 2)
+
+
+def _read_joints(columns: Array, P: Any, D: Any) -> tuple[list[tuple[int, int]], list[int], csr_array]:
+    """Ties and pins of N P = D, in column order, and P; every column must say something that those before it do not."""
+    count = len(columns)
+    P = _dense("P", P, (count, None))
+    joints = P.shape[1]
+    D = np.zeros((3, joints)) if D is None else _dense("D", D, (3, joints))
+    if D.shape[1] != joints:
+        raise ValueError(f"D has shape {D.shape}: give an array of shape (3, {joints}), one column for each of P")
+    ties: list[tuple[int, int]] = []
+    pins: list[int] = []
+    error = np.abs(columns.T @ P - D).max(axis=0, initial=0.0)
+    linked = np.arange(count + 1)
+    tolerance = 1e-9 * np.abs(columns).max(initial=0.0)
+    for c in range(joints):
+        ends = np.flatnonzero(P[:, c])
+        values = sorted(P[ends, c].tolist())
+        if values not in ([-1.0, 1.0], [1.0], [-1.0]):
+            raise ValueError(f"P: column {c} has entries {values}: give +1 and −1 to tie two nodes, or a single ±1 to pin one")
+        if len(ends) == 2 and np.any(D[:, c] != 0.0):
+            raise ValueError(f"D: column {c} is {D[:, c].tolist()}: it must be 0 where P ties nodes {ends[0]} and {ends[1]}")
+        if error[c] > tolerance:
+            raise ValueError(f"P: N P differs from D by {error[c]:g} in column {c}: move the nodes of N or correct D")
+        if len(ends) == 2:
+            ties.append((int(ends[0]), int(ends[1])))
+        else:
+            pins.append(int(ends[0]))
+        # the ground is one more item to be linked to: a column is redundant exactly if it links what is linked already
+        if not _link(linked, int(ends[0]), int(ends[-1]) if len(ends) == 2 else count):
+            raise ValueError(f"P: column {c} repeats what the columns before it say: leave it out")
+    return ties, pins, csr_array(P)
+
+
+def _link(root: Indices, a: int, b: int) -> bool:
+    """Links the groups of a and b in place, each known by its smallest member; False if they were one group already."""
+    low, high = sorted((root[a], root[b]))
+    root[root == high] = low
+    return bool(low != high)

@@ -1,0 +1,213 @@
+"""Compiled CasADi Functions: C code from CasADi, the C compiler found on the machine, a cache on disk."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import functools
+import hashlib
+import logging
+import os
+import platform
+import re
+import shlex
+import shutil
+import stat
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import casadi as ca
+
+from tenscasadi.util.precision import c_code
+from tenscasadi.util.validate import instance
+
+log = logging.getLogger(__name__)
+
+_LONG = 1_000_000  # characters of C above which optimisation is cut short: compile time would grow with their square
+_NO_CODE = re.compile(r"=\s*\{[^}]*\}|/\*.*?\*/", re.DOTALL)  # constants, and comments that repeat them
+# No fused multiply-add and no fast maths: compiled or not, the same formulas are rounded the same way.
+# Hidden but for what CasADi marks as exported: else gcc may not inline a library's own helpers, and each square is a call.
+_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-funroll-loops", "-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
+_LIMIT = 500_000_000  # bytes of all libraries in the cache
+_RECENT = 60.0  # s since a library was used in which it is not removed: another process may be about to load it
+_ABANDONED = 86_400.0  # s after which what a compilation left behind is nobody's any more
+_NATIVE = "-march=native"  # 10 to 20 % faster
+_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+_LIBRARY, _BUILD = re.compile(rf"-[0-9a-f]{{32}}{re.escape(_SUFFIX)}$"), "tenscasadi-build-"
+
+
+class CompileError(RuntimeError):
+    """There is no C compiler, or it refused the code; the message holds what it said."""
+
+
+def find_compiler() -> tuple[str, ...] | None:
+    """The C compiler as a command: what the environment variable CC names if that can be run, else cc, gcc or clang; None when there is none."""
+    try:
+        named = shlex.split(os.environ.get("CC", ""), posix=os.name != "nt")
+    except ValueError:  # unbalanced quotes
+        named = []
+    for command in (named, ["cc"], ["gcc"], ["clang"]):
+        program = shutil.which(command[0]) if command else None
+        if program:
+            return (program, *command[1:])
+    return None
+
+
+def compile_function(function: ca.Function, flags: Sequence[str] | None = None, single: bool = False) -> ca.Function:
+    """`function` as machine code, with the same inputs, outputs and values; derivatives are not included.
+
+    `flags` for the compiler, None: optimised for this machine and rounded as CasADi does. `single`: computes in float, see `Single`.
+    The library is kept in the user's cache folder (see `cache_folder`) under the hash of its source, the compiler, the flags, what these
+    mean on this machine, and CasADi's version, so it is compiled once. Any number of processes may do so at the same time. Libraries
+    beyond 500 MB are removed, those first that have not been used for longest; what a process has loaded, it keeps.
+    Raises TypeError for anything but a casadi.Function and strings, CompileError with the compiler's words when compilation fails.
+    """
+    instance("function", function, ca.Function, "a casadi.Function")
+    if flags is not None and (isinstance(flags, str) or not all(isinstance(flag, str) for flag in flags)):
+        raise TypeError(f'flags is {flags!r}: give a sequence of strings, such as ("-O2",), or None')
+    compiler = find_compiler()
+    if compiler is None:
+        raise CompileError("no C compiler found: install gcc or clang, or name one in the environment variable CC")
+    try:
+        source = c_code(function, single)
+    except RuntimeError as error:
+        raise CompileError(f"CasADi cannot write C code for {function}: {error}") from None
+    if flags is None:
+        flags = _default_flags(compiler) if len(_NO_CODE.sub("", source)) < _LONG else ("-O1", *_default_flags(compiler)[1:])
+    identity = (_identity(compiler, flags), platform.machine(), *flags, ca.CasadiMeta.version(), source)
+    key = hashlib.sha256("\0".join(identity).encode()).hexdigest()
+    library = cache_folder() / f"{function.name()}-{key[:32]}{_SUFFIX}"
+    reason: object = ""
+    for build in (False, True, True):  # twice: another process may remove the first before it is loaded
+        try:
+            if build:
+                _build(compiler, flags, source, library)
+                _trim(library.parent)
+            elif not library.exists() or _distrust(library):
+                continue
+            os.utime(library)  # used now
+            return ca.external(function.name(), str(library))
+        except (RuntimeError, OSError) as error:  # removed by another process, or damaged, for instance by a disk that was full
+            if isinstance(error, CompileError):
+                raise
+            log.info("%s cannot be loaded: %s", library, error)
+            reason = error
+    raise CompileError(f"{library} was compiled by {compiler[0]} but cannot be loaded: {reason}")
+
+
+def cache_folder() -> Path:
+    """The folder of compiled libraries, created if need be, which no other user can write to.
+
+    $TENSCASADI_CACHE, else a folder `tenscasadi` in $XDG_CACHE_HOME or ~/.cache (Linux), ~/Library/Caches (macOS), %LOCALAPPDATA% (Windows).
+    Libraries are code that will be run: where that folder belongs to another user, can be written by others, or cannot be made, this is a
+    private temporary folder that lasts as long as the process.
+    """
+    try:
+        folder = _preferred_folder()
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        reason = _distrust(folder)
+    except (OSError, RuntimeError) as error:  # RuntimeError: no home folder
+        reason = str(error)
+    if not reason:
+        return folder
+    temporary = _temporary_folder()
+    log.info("compiled code goes to %s for this process: %s", temporary, reason)
+    return temporary
+
+
+def _trim(folder: Path) -> None:
+    """Removes libraries of this module, least recently used first, down to `_LIMIT`, and what compilations that were killed left behind."""
+    now, found = time.time(), []
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):  # another process has removed it
+            status = path.stat()
+            if _LIBRARY.search(path.name):  # the folder is the user's choice: other files in it are not ours
+                found.append((status.st_mtime, status.st_size, path))
+            elif path.name.startswith(_BUILD) and now - status.st_mtime > _ABANDONED:
+                shutil.rmtree(path, ignore_errors=True)
+    excess = sum(size for _, size, _ in found) - _LIMIT
+    for used, size, path in sorted(found):
+        if excess <= 0 or now - used < _RECENT:
+            return
+        with contextlib.suppress(OSError):  # Windows: in use
+            path.unlink(missing_ok=True)
+            excess -= size
+
+
+def _preferred_folder() -> Path:
+    if named := os.environ.get("TENSCASADI_CACHE"):
+        return Path(named).absolute()
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base).absolute() / "tenscasadi"
+
+
+def _distrust(path: Path) -> str:
+    """Why a folder or library must not be used; empty when it may."""
+    if sys.platform == "win32":
+        return "" if os.access(path, os.W_OK) else f"{path} cannot be written"
+    status = path.stat()
+    if status.st_uid != os.getuid():
+        return f"{path} belongs to another user"
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return f"{path} can be written by other users"
+    return "" if os.access(path, os.W_OK | os.X_OK) else f"{path} cannot be written"
+
+
+@functools.cache
+def _temporary_folder() -> Path:
+    folder = tempfile.mkdtemp(prefix="tenscasadi-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
+
+
+@functools.cache
+def _default_flags(compiler: tuple[str, ...]) -> tuple[str, ...]:
+    try:
+        _identity(compiler, (_NATIVE,))
+    except CompileError:  # not every compiler knows its machine
+        return _FLAGS
+    return (*_FLAGS, _NATIVE)
+
+
+@functools.cache
+def _identity(compiler: tuple[str, ...], flags: tuple[str, ...]) -> str:
+    """What tells this compiler from another: its path, arguments, and predefined macros, which hold its version and the processor's features."""
+    macros = _run([*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull])
+    return "\n".join((os.path.realpath(compiler[0]), *compiler[1:], macros))
+
+
+def _run(command: list[str]) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False, env={**os.environ, "LC_ALL": "C"})
+    except OSError as error:
+        raise CompileError(f"{command[0]} cannot be run: {error}") from None
+    if done.returncode:
+        raise CompileError(f"{shlex.join(command)} failed with code {done.returncode}:\n{done.stderr.strip()}")
+    return done.stdout
+
+
+def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, library: Path) -> None:
+    """Compiles in a folder of its own, then moves the library into place in one operation: no process ever sees half a file."""
+    try:
+        with tempfile.TemporaryDirectory(prefix=_BUILD, dir=library.parent) as folder:
+            code, result = Path(folder) / "code.c", Path(folder) / library.name
+            code.write_text(source, encoding="utf-8")
+            position = [] if sys.platform == "win32" else ["-fPIC"]
+            _run([*compiler, *flags, *position, "-shared", "-o", str(result), str(code), "-lm"])
+            result.chmod(0o700)  # whatever the umask
+            try:
+                os.replace(result, library)
+            except PermissionError:  # Windows: another process has just put it there and uses it
+                if not library.exists():
+                    raise
+    except OSError as error:
+        raise CompileError(f"{library} cannot be written: {error}") from error

@@ -1,0 +1,201 @@
+"""Recommendations on scenes that nothing was tuned on: they meet the tolerance, at no more than twice the cost of the best of a fine grid."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tenscasadi as tc
+from tenscasadi.analysis.certify import distance
+from tenscasadi.analysis.recommend import SCHEMES
+from tenscasadi.analysis.tradeoff import is_implicit
+from tenscasadi.integrators.stabilization import projection
+from tenscasadi.simulation.steppers import own_steps
+
+
+def turning(structure, **scene):
+    """A model and its start: it turns about the origin as a rigid body."""
+    model = tc.Model(tc.Scene(structure, **scene))
+    return model, model.state(structure.nodes, np.cross((1.0, 2.0, 3.0), structure.nodes))
+
+
+def pendulum():
+    return turning(tc.shapes.pendulum(angle=2.0), gravity=tc.Gravity())
+
+
+def five_bars():
+    return turning(tc.shapes.prism(bars=5, prestress=30.0), control=tc.ForceDensity(), gravity=tc.Gravity())
+
+
+def t_bar():
+    """Goes slack, damped."""
+    structure = tc.shapes.t_bar(prestress=30.0, stiffness=300.0, pinned=[4], damping=1.0)
+    return turning(structure, gravity=tc.Gravity())
+
+
+def stiff():
+    return turning(tc.shapes.prism(prestress=100.0, stiffness=1e5))
+
+
+def slack_ball():
+    ball = tc.shapes.six_bar_ball(prestress=2.0, stiffness=300.0)
+    model = tc.Model(tc.Scene(ball))
+    wild = model.state(ball.nodes, 2 * np.random.default_rng(1).normal(size=ball.nodes.shape))
+    return model, projection(model)(wild).full().ravel()
+
+
+def damped(segments=1):
+    """Stiff and overdamped: explicit steps are bound by the damping of strings, which is over within microseconds."""
+    stiffness, damping = (1e7, 1e5) if segments == 1 else (1e7, 1e3)
+    structure = tc.shapes.prism(stiffness=stiffness, damping=damping, prestress=30.0, string_mass=0.1)
+    model = tc.Model(tc.Scene(structure, segments=segments, gravity=tc.Gravity()))
+    nodes = model.structure.nodes
+    return model, model.state(nodes, np.cross((0.5, 0.3, 1.0), nodes - nodes.mean(axis=0)))
+
+
+SLOW = [
+    (pendulum, 2.0, 1e-6),
+    (five_bars, 1.0, 1e-4),
+    (five_bars, 1.0, 1e-9),
+    (t_bar, 1.0, 1e-3),
+    (t_bar, 1.0, 1e-6),
+    (stiff, 0.3, 1e-3),
+    (stiff, 0.3, 1e-7),
+    (slack_ball, 1.0, 1e-3),
+    (slack_ball, 1.0, 1e-6),
+]
+CASES = [
+    (pendulum, 2.0, 1e-6, (tc.DormandPrince853(), tc.RungeKutta4(), tc.DormandPrince54(rtol=1e-6))),
+    *(pytest.param(*case, SCHEMES, marks=pytest.mark.slow) for case in SLOW),
+]
+
+
+@pytest.mark.parametrize(("scene", "t_end", "tolerance", "schemes"), CASES)
+def test_meets_the_tolerance_at_no_more_than_twice_the_cost_of_the_best(scene, t_end, tolerance, schemes):
+    model, start = scene()
+    advice = tc.recommend(model, t_end, tolerance, start, schemes=schemes)
+    run = tc.simulate(model, t_end, state=start, **advice.options)
+    reference = tc.certify(model, t_end, start)
+    error = distance(run.nodes[-1], reference.nodes) + reference.error
+    assert error <= tolerance
+    assert error == pytest.approx(advice.error, abs=0.11 * tolerance)  # that of the reference it was measured against
+
+    explicit = [scheme for scheme in schemes if not is_implicit(scheme)]
+    fixed = [scheme for scheme in explicit if not own_steps(scheme)]
+    steps = t_end / np.unique(np.geomspace(4, 4000, 28).astype(int))
+    tables = [tc.tradeoff(model, t_end, fixed, steps, reference, start, corrections=(None, tc.Projection()), repeats=1)]
+    own = [replace(scheme, rtol=float(rtol)) for scheme in explicit if own_steps(scheme) for rtol in np.geomspace(1e-9, 1e-3, 5)]
+    tables.append(tc.tradeoff(model, t_end, own, [t_end / 20], reference, start, compiled=(False,), repeats=1))
+    rows = [row for table in tables for row in table.rows if row.success and row.position + reference.error <= tolerance]
+    assert len(rows) >= 3
+    assert advice.work <= 2 * min(row.work for row in rows)
+
+
+def test_where_stability_bounds_the_step_implicit_schemes_are_looked_at():
+    model, start = damped()
+    schemes = (tc.Collocation(2, "radau"), tc.Cvodes(), tc.DormandPrince853())
+    advice = tc.recommend(model, 0.02, 1e-5, start, schemes=schemes, compiled=False)
+    assert is_implicit(advice.scheme)
+    assert np.isnan(advice.work)
+    run = tc.simulate(model, 0.02, state=start, compiled=False, **advice.options)
+    assert run.success
+    assert distance(run.nodes[-1], tc.certify(model, 0.02, start, compiled=False).nodes) < 1e-5
+
+
+def test_where_accuracy_bounds_the_step_implicit_schemes_are_left_out():
+    model, start = pendulum()
+    advice = tc.recommend(model, 0.5, 1e-6, start, schemes=[tc.Idas(), tc.RungeKutta4()], compiled=False)
+    assert advice.scheme == tc.RungeKutta4()
+    assert advice.message.count("Idas left out: stability does not bound the steps of RungeKutta4") == 1
+
+
+@pytest.mark.parametrize("scheme", [tc.Cvodes(), tc.Collocation(2)])
+def test_implicit_schemes_serve_alone(scheme):
+    model, start = pendulum()
+    advice = tc.recommend(model, 0.5, 1e-6, start, schemes=[scheme], compiled=False)
+    assert type(advice.scheme) is type(scheme)
+    run = tc.simulate(model, 0.5, state=start, compiled=False, **advice.options)
+    assert distance(run.nodes[-1], tc.certify(model, 0.5, start, compiled=False).nodes) < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("segments", "tolerance"), [(1, 1e-4), (5, 1e-6)])
+def test_stiff_scenes_cost_no_more_than_twice_the_best_of_a_fine_grid(segments, tolerance):
+    """By the clock: iterations of implicit schemes are not counted."""
+    model, start = damped(segments)
+    t_end = 0.05
+    advice = tc.recommend(model, t_end, tolerance, start)
+    assert is_implicit(advice.scheme)
+    reference = tc.certify(model, t_end, start)
+    limits = [tc.stable_step(model, start, scheme=scheme) for scheme in (tc.RungeKutta4(), tc.DormandPrince853())]
+    tables = [tc.tradeoff(model, t_end, [tc.RungeKutta4(), tc.DormandPrince853()], limits, reference, start, repeats=1)]
+    own = [replace(scheme, rtol=float(rtol)) for scheme in (tc.Cvodes(), tc.Idas()) for rtol in np.geomspace(1e-10, 1e-4, 5)]
+    tables.append(tc.tradeoff(model, t_end, own, [t_end], reference, start, repeats=1))
+    tables.append(
+        tc.tradeoff(
+            model, t_end, [tc.Collocation(2, "radau"), tc.Collocation(3, "radau")], t_end / np.array([5, 10, 20]), reference, start, repeats=1
+        )
+    )
+    rows = [row for table in tables for row in table.rows if row.success and row.position + reference.error <= tolerance]
+    runs = [tc.simulate(model, t_end, state=start, energy_balance=False, **advice.options) for _ in range(5)]
+    assert distance(runs[0].nodes[-1, : len(reference.nodes)], reference.nodes) + reference.error <= tolerance
+    assert min(run.seconds for run in runs) <= 2 * t_end * min(row.seconds for row in rows)
+
+
+def test_single_precision_is_recommended_within_its_floor():
+    model, start = pendulum()
+    advice = tc.recommend(model, 0.5, 1e-4, start, schemes=[tc.RungeKutta4(), tc.DormandPrince54(rtol=1e-6)], compiled=tc.Single())
+    run = tc.simulate(model, 0.5, state=start, compiled=tc.Single(), **advice.options)
+    assert distance(run.nodes[-1], tc.certify(model, 0.5, start).nodes) < 1e-4
+    with pytest.raises(tc.NoScheme):
+        tc.recommend(model, 0.5, 1e-9, start, schemes=[tc.DormandPrince54(rtol=1e-6)], compiled=tc.Single())
+
+
+def test_a_scene_will_do():
+    advice = tc.recommend(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()), 0.5, 1e-4, schemes=[tc.RungeKutta4()], compiled=False)
+    assert advice.scheme == tc.RungeKutta4()
+    assert 0 < advice.error <= 1e-4
+    assert advice.seconds > 0
+    assert "compared with RungeKutta4; reference: DormandPrince853" in advice.message
+
+
+def hinged_twice():
+    """A mass on a string below a bar that is pinned at both ends: IDAS cannot tell its constraints apart."""
+    structure = tc.Structure([(0, 0, 0), (1, 0, 0), (0, 0, -1)], [(0, 1)], [(0, 2)], node_mass=[0, 0, 1.0], pinned=[0, 1])
+    return tc.Model(tc.Scene(structure, gravity=tc.Gravity()))
+
+
+def test_what_cannot_serve_is_left_out_and_told():
+    scene = tc.Scene(tc.shapes.double_pendulum(), gravity=tc.Gravity())
+    options = {"schemes": [tc.RungeKutta4()], "compiled": False}
+    advice = tc.recommend(scene, 0.2, 1e-4, corrections=(tc.BarLengthCorrection(), None), **options)
+    assert advice.correction is None
+    assert "RungeKutta4 left out: BarLengthCorrection moves bars one by one" in advice.message
+    with pytest.raises(tc.NoScheme, match=r"none of RungeKutta4 meets it.*BarLengthCorrection moves bars"):
+        tc.recommend(scene, 0.2, 1e-4, corrections=[tc.BarLengthCorrection()], **options)
+
+
+def test_a_tolerance_beyond_rounding_has_no_reference():
+    with pytest.raises(tc.NoReference, match=r"wanted 1e-21 m"):
+        tc.recommend(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()), 0.5, 1e-20, compiled=False)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"what": 3}, "what"),
+        ({"t_end": 0}, "t_end"),
+        ({"tolerance": -1}, "tolerance"),
+        ({"schemes": [tc.RungeKutta4]}, "scheme"),
+        ({"schemes": []}, "schemes"),
+        ({"corrections": []}, "corrections"),
+        ({"corrections": ["yes"]}, "corrections"),
+        ({"state": np.zeros(2)}, "state"),
+    ],
+)
+def test_wrong_input_is_named(change, named):
+    arguments = {"what": tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()), "t_end": 0.1, "tolerance": 1e-3, "compiled": False, **change}
+    with pytest.raises((TypeError, ValueError), match=named):
+        tc.recommend(**arguments)

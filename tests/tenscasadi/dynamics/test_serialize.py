@@ -1,0 +1,125 @@
+"""Models as arrays: each thing that a scene can hold comes back, and where one differs it is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from inspect import signature
+
+import numpy as np
+import pytest
+
+import tenscasadi as tc
+from tenscasadi.dynamics.serialize import differences, model_arrays, model_of, structure_of
+from tenscasadi.structure.structure import PARAMETERS, Structure
+
+CLOCK = np.array([0.0, 0.3, 0.7])
+NODES = [(0, 0, 0), (1, 0, 0.1), (0.2, 1, 0), (0, 0.3, 1), (0.5, 0.5, 0.5)]
+
+
+def structure(**changes):
+    given = {"nodes": NODES, "bars": [(0, 1), (1, 2)], "strings": [(0, 3), (2, 3), (3, 4)], "node_mass": [0, 0, 0, 1, 1], "string_mass": 0.1}
+    return Structure(**{**given, "pinned": {0: "xyz", 2: "z"}, **changes})
+
+
+def model(coordinates="full", bar_length="current", made=None, **scene):
+    return tc.Model(tc.Scene(structure() if made is None else made, **{"control": tc.ForceDensity(), **scene}), coordinates, bar_length)
+
+
+def twisted():
+    """The same structure with other columns for the ends of bars, as the paper's matrices may have them."""
+    plain = structure()
+    split = plain.class_one()
+    order = np.array([2, 0, 1, 3, 4, 5])
+    matrices = split.N[:, order], (split.C_b @ split.C_nb)[:, order], split.C_s[:, order], split.P[order], split.D
+    mass = np.array([0.0, 0, 0, 0, 1, 1])
+    return Structure.from_matrices(*matrices, node_mass=mass)
+
+
+def wind(rate):
+    return tc.NodalForce(lambda t: [[np.sin(rate * t), 0, 0]] + [[0, 0, 0]] * 4)
+
+
+OTHER: dict[str, Callable[[], tc.Model]] = {
+    "Structure.nodes": lambda: model(made=structure(nodes=[*NODES[:-1], (0.5, 0.5, 0.6)])),
+    "Structure.bars": lambda: model(made=structure(bars=[(0, 1), (2, 1)])),
+    "Structure.strings": lambda: model(made=structure(strings=[(0, 3), (2, 3), (4, 3)])),
+    "Structure.bar_mass": lambda: model(made=structure(bar_mass=2.0)),
+    "Structure.bar_radius": lambda: model(made=structure(bar_radius=0.01)),
+    "Structure.node_mass": lambda: model(made=structure(node_mass=[0, 0, 0, 1, 2])),
+    "Structure.fixed": lambda: model(made=structure(pinned={0: "xyz", 2: "x"})),
+    "Structure.stiffness": lambda: model(made=structure(stiffness=101.0)),
+    "Structure.damping": lambda: model(made=structure(damping=1.0)),
+    "Structure.rest_length": lambda: model(made=structure(rest_length=0.5)),
+    "Structure.string_mass": lambda: model(made=structure(string_mass=0.2)),
+    "Structure.string_parent": lambda: model(made=structure(string_mass=0.1).subdivide(2)),
+    "Structure.layout.physical": lambda: model(made=twisted()),
+    "Scene.segments": lambda: model(segments=2),
+    "Scene.ends": lambda: model(ends="lumped"),
+    "Scene.fractions": lambda: model(segments=2, fractions=(0.2, 0.8)),
+    "Scene.gravity": lambda: model(gravity=tc.Gravity()),
+    "Scene.ground.friction": lambda: model(ground=tc.Ground(normal=(0.1, 0.2, 1.0), friction=0.3)),
+    "Scene.pressure": lambda: model(pressure=tc.Pressure([(0, 1, 2)], 3.0)),
+    "Scene.forces": lambda: model(forces=tc.NodalForce(np.ones((5, 3)))),
+    "Scene.forces.times": lambda: model(forces=tc.NodalForce(np.arange(30.0).reshape(2, 5, 3), times=[0, 0.5])),
+    "Scene.slack": lambda: model(slack=tc.Smooth(0.01)),
+    "Model.coordinates": lambda: model("reduced"),
+    "Model.bar_length": lambda: model(bar_length="constant"),
+}
+FUNCTIONS: dict[str, Callable[[], tc.Model]] = {
+    "Scene.forces": lambda: model(forces=wind(2.0)),
+    "Scene.supports": lambda: model(supports=tc.SupportMotion({0: lambda t: (t**2, 0, 0)})),
+}
+
+
+def test_everything_that_a_model_has_is_covered():
+    named = {name.split(".")[1] for name in [*OTHER, *FUNCTIONS]} | {"pinned"}  # pinned: fixed
+    assert set(PARAMETERS) <= named
+    assert {field.name for field in fields(tc.Scene)} - {"structure", "control"} <= named
+    assert set(signature(tc.Model).parameters) - {"scene"} <= named
+
+
+@pytest.mark.parametrize("name", OTHER)
+def test_a_model_comes_back_and_is_told_from_others(name):
+    own = OTHER[name]()
+    content = model_arrays(own, CLOCK)
+    again = model_of(content)
+    assert not differences(content, again)
+    assert not differences(content, own)
+    assert name in differences(content, model())
+    state = own.initial_state + 1e-3 * np.random.default_rng(0).normal(size=own.nx)
+    control = np.arange(own.nu) + 10.0
+    for function in ("ode", "observe"):
+        for value, expected in zip(*(getattr(one, function).call([state, control]) for one in (again, own)), strict=True):
+            assert np.array_equal(value.full(), expected.full())
+    assert again.structure.pinned == own.structure.pinned
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions_of_time_are_told_by_what_they_give(name):
+    own = FUNCTIONS[name]()
+    content = model_arrays(own, CLOCK)
+    assert model_of(content) is None
+    assert not differences(content, own)
+    assert name in differences(content, model())
+    assert differences(model_arrays(model(forces=wind(2.0)), CLOCK), model(forces=wind(2.1))) == ["Scene.forces"]
+
+
+def test_rounding_is_no_difference():
+    own = model(made=structure(nodes=np.array(NODES) + 1e-14))
+    assert not differences(model_arrays(model(), CLOCK), own)
+
+
+def test_what_was_stored_before_there_were_layouts_is_compared_as_far_as_it_goes():
+    content = {name: value for name, value in model_arrays(model(), CLOCK).items() if not name.startswith(("scene", "model", "structure.layout"))}
+    assert model_of(content) is None
+    assert np.array_equal(structure_of(content).nodes, structure().nodes)
+    assert not differences(content, model("reduced"))
+
+
+@pytest.mark.parametrize("name", ["layout.physical", "layout.bar_columns", "layout.string_columns", "string_parent"])
+def test_indices_that_point_nowhere_are_refused(name):
+    content = model_arrays(model(), CLOCK)
+    content[f"structure.{name}"] = content[f"structure.{name}"] + 100
+    with pytest.raises(ValueError, match=f"field '{name}' does not hold indices below"):
+        model_of(content)

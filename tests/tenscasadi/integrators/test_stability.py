@@ -1,0 +1,58 @@
+"""The largest stable step: against frequencies known by hand, and against runs that break."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.stability import fastest_rate, stable_step
+from tenscasadi.scene.loads import Gravity
+from tenscasadi.scene.scene import Scene
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.structure import shapes
+from tenscasadi.structure.structure import Structure
+
+
+def prism() -> Model:
+    return Model(Scene(shapes.prism(stiffness=1000.0, prestress=30.0)))
+
+
+def test_the_fastest_rate_of_a_spring_is_its_frequency() -> None:
+    masses = Structure([[0, 0, 0], [2.0, 0, 0]], strings=[(0, 1)], node_mass=3.0, pinned=[0], stiffness=50.0, rest_length=1.0)
+    model = Model(Scene(masses))
+    assert fastest_rate(model) == pytest.approx(np.sqrt(50.0 / 3.0), rel=1e-6)
+    assert stable_step(model) == pytest.approx(0.9 * 2 * np.sqrt(2) / np.sqrt(50.0 / 3.0), rel=1e-6)
+    damped = Model(Scene(masses.replace(damping=1000.0)))  # the fast motion decays: the other limit
+    assert stable_step(damped) == pytest.approx(0.9 * 2.785 / fastest_rate(damped), rel=1e-3)
+    assert stable_step(Model(Scene(Structure([[0, 0, 0]], node_mass=1.0)))) == np.inf
+
+
+def test_large_models_have_the_rate_of_their_parts() -> None:
+    small = shapes.prism(stiffness=1000.0, prestress=30.0)
+    copies = 14
+    nodes = np.concatenate([small.nodes + np.array([3.0 * i, 0, 0]) for i in range(copies)])
+    bars, strings = (np.concatenate([pairs + 6 * i for i in range(copies)]) for pairs in (small.bars, small.strings))
+    large = Model(Scene(Structure(nodes, bars, strings, stiffness=1000.0, rest_length=np.tile(small.rest_length, copies))))
+    assert large.nx > 400
+    assert fastest_rate(large) == pytest.approx(fastest_rate(prism()), rel=1e-3)
+    assert stable_step(large) == pytest.approx(stable_step(prism()), rel=1e-2)
+
+
+def test_the_limit_is_where_runs_break() -> None:
+    masses = Structure([[0, 0, 0], [2.0, 0, 0]], strings=[(0, 1)], node_mass=3.0, pinned=[0], stiffness=50.0, rest_length=1.0)
+    model = Model(Scene(masses, gravity=Gravity((100.0, 0, 0))))  # taut all the time
+    limit = stable_step(model, safety=1.0)
+    start = model.state([[0, 0, 0], [1.0 + 300.0 / 50.0 + 1e-3, 0, 0]])
+    runs = [simulate(model, 500 * limit, factor * limit, state=start, compiled=False) for factor in (0.99, 1.01)]
+    amplitudes = [np.abs(run.nodes[-20:, 1, 0] - 7).max() for run in runs]
+    assert amplitudes[0] < 2e-3
+    assert amplitudes[1] > 1e-2
+
+
+@pytest.mark.parametrize(("argument", "value"), [("x", np.zeros(2)), ("u", np.zeros(2)), ("safety", 0), ("model", None), ("scheme", None)])
+def test_mistakes_about_the_step_are_named(argument: str, value: Any) -> None:
+    with pytest.raises((TypeError, ValueError), match=argument):
+        stable_step(**({"model": prism()} | {argument: value}))

@@ -1,0 +1,112 @@
+"""Stages by sweeps: the same steps as by Newton's method, stiff strings at large steps, slack and contact, and failure."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.redundancy import RedundantConstraints
+from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.scheme import RungeKutta4
+from tenscasadi.integrators.stability import stable_step
+from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.triangular import crout
+from tenscasadi.scene.loads import Gravity, Ground
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import ForceDensity, Smooth
+from tenscasadi.scene.supports import SupportMotion
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.structure import shapes
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.compile import find_compiler
+
+needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
+PRISM = shapes.prism(stiffness=1000.0, prestress=30.0, damping=5.0)
+SQUARE = Structure([(0.5, 0.5, 0), (-0.5, 0.5, 0), (-0.5, -0.5, 0), (0.5, -0.5, 0)], [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)])
+SUPPORTS = SupportMotion({0: lambda t: (0.1 * t**2, 0.05 * t, 0.0)})
+
+SCENES = {
+    "damped strings": Scene(PRISM, gravity=Gravity()),
+    "slack strings": Scene(PRISM.replace(rest_length=1.05 * PRISM.rest_length)),
+    "smooth slack": Scene(PRISM, slack=Smooth(1e-3)),
+    "contact": Scene(PRISM, gravity=Gravity(), ground=Ground(1e4, 50.0, friction=0.5, height=float(PRISM.nodes[:, 2].min()) + 1e-3)),
+    "joints": Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))),
+    "force densities": Scene(shapes.d_bar(pinned=(0,), prestress=10.0), control=ForceDensity()),
+    "moved support": Scene(shapes.pendulum(), gravity=Gravity((0, -9.81, 0)), supports=SUPPORTS),
+    "redundant bars": Scene(SQUARE),
+}
+
+
+def moving(model: Model, speed: float = 0.3) -> Any:
+    velocities = speed * np.random.default_rng(0).normal(size=model.structure.nodes.shape) * ~model.structure.fixed
+    return projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+@pytest.mark.parametrize("name", SCENES)
+def test_the_same_step_as_by_newton(name: str, coordinates: Any) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RedundantConstraints)
+        model = Model(SCENES[name], coordinates)
+    nodes = model.structure.nodes
+    start = model.state(nodes, np.cross([0, 0, 1.0], nodes)) if name == "redundant bars" else moving(model)
+    u = model.initial_control
+    for scheme in (Collocation(2, tolerance=1e-12), Collocation(3, "radau", tolerance=1e-12)):
+        expected = scheme.step(model.ode)(start, u, 4e-3).full().ravel()
+        assert abs(expected - start).max() > 1e-4
+        assert abs(scheme.advance(model)(start, u, 4e-3).full().ravel() - expected).max() < 1e-9
+
+
+def test_work_is_collocated_too() -> None:
+    model = Model(SCENES["damped strings"])
+    start = moving(model)
+    losses = [abs(simulate(model, 0.2, h, Collocation(2), start, compiled=False).energy_error).max() for h in (4e-3, 2e-3)]
+    assert losses[0] / losses[1] > 12
+
+
+def stiff_prism(damping: float) -> tuple[Model, Any]:
+    structure = shapes.prism(stiffness=1e7, prestress=30.0, damping=damping, string_mass=0.1)
+    model = Model(Scene(structure, segments=5, gravity=Gravity()))
+    nodes = model.structure.nodes
+    return model, model.state(nodes, np.cross([0.5, 0.3, 1.0], nodes - nodes.mean(axis=0)))
+
+
+@needs_compiler
+@pytest.mark.parametrize("damping", [0.0, 1e3])
+def test_stiff_strings_at_the_pace_of_the_visible_motion(damping: float) -> None:
+    """k = 1e7 N/m, five segments: to 1e-6 m in ten steps of 16 sweeps, where explicit schemes need thousands; damped or not."""
+    model, start = stiff_prism(damping)
+    exact = simulate(model, 0.1, stable_step(model, start), state=start, energy_balance=False).nodes[-1]
+    run = simulate(model, 0.1, 0.01, Collocation(2, tolerance=1e-8, iterations=16), start, compiled=False, energy_balance=False)
+    assert run.success, run.message
+    assert abs(run.nodes[-1] - exact).max() < 1e-6
+    evaluations = 10 * 16 * 2
+    assert evaluations < 0.03 * 4 * 0.1 / stable_step(model, start, scheme=RungeKutta4(), safety=1.0)
+
+
+def test_strings_that_let_go_and_catch_at_large_steps() -> None:
+    ball = shapes.six_bar_ball(stiffness=1e6, damping=10.0, prestress=50.0)
+    model = Model(Scene(ball, gravity=Gravity()))
+    start = moving(model)
+    after = Collocation(2, "radau").advance(model)(start, [], 0.02).full().ravel()
+    assert np.isfinite(after).all()
+    residual = after - Collocation(2, "radau", tolerance=1e-12, iterations=200).advance(model)(start, [], 0.02).full().ravel()
+    assert abs(residual).max() < 1e-6
+
+
+def test_a_step_too_large_for_sweeps_is_not_finite() -> None:
+    model = Model(Scene(Structure([(-0.5, 0, 0), (0.5, 0, 0)], [(0, 1)])))
+    start = model.state(model.structure.nodes, [(0, -10.0, 0), (0, 10.0, 0)])
+    assert np.isnan(Collocation(2).advance(model)(start, [], 0.5).full()).all()
+
+
+def test_crout() -> None:
+    A = np.random.default_rng(1).normal(size=(4, 4)) + 4 * np.eye(4)
+    L = crout(A)
+    U = np.linalg.solve(L, A)
+    assert np.triu(L, 1) == pytest.approx(np.zeros((4, 4)))
+    assert np.tril(U) == pytest.approx(np.eye(4), abs=1e-12)

@@ -1,0 +1,42 @@
+"""Solvers at work: the picture shows what was told, and is drawn as the solver goes on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ocp
+import tenscasadi as tc
+from tenscasadi.plots.convergence import Convergence
+
+
+def test_a_solver_is_drawn_as_it_works(tmp_path):
+    path, told = tmp_path / "solver.png", []
+    picture = Convergence(path, every=1e-9)
+
+    def watch(now):
+        picture(now)
+        told.append((now, path.stat().st_mtime_ns))
+
+    model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    limits = [ocp.ForceDensityLimits(1.0, 50.0)]
+    plan = ocp.solve(ocp.Problem(model, 0.5, bounds=limits, costs=[ocp.Effort()]), ocp.Variational(4), ocp.Ipopt(watch=watch))
+    assert plan.success
+    assert len({written for _, written in told}) == len(told) == plan.iterations + 1
+    above, below = (ax.lines[0].get_xydata() for ax in picture.figure().axes)
+    assert np.array_equal(above, [(now.iteration, now.objective) for now, _ in told])
+    assert np.array_equal(below, [(now.iteration, now.infeasibility) for now, _ in told])
+    assert above[-1, 1] == pytest.approx(plan.objective, rel=1e-6)
+
+
+def test_no_file_and_no_iteration_are_fine():
+    picture = Convergence()
+    assert len(picture.figure().axes) == 2
+    picture(ocp.Progress(0, 1.0, 0.0))
+    picture(ocp.Progress(1, 0.5, 1e-3))
+    assert picture.figure().axes[1].get_yscale() == "log"
+
+
+def test_a_time_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="every is 0"):
+        Convergence("solver.png", every=0)

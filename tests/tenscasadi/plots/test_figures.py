@@ -1,0 +1,241 @@
+"""Pictures: what they show, not how pretty they are."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgba
+from PIL import Image
+
+import ocp
+import tenscasadi as tc
+from tenscasadi import plots
+from tenscasadi.animation import animate
+from tenscasadi.plots.scene3d import BAR, SLACK
+
+
+@pytest.fixture(scope="module")
+def prism():
+    return tc.shapes.prism(prestress=50.0, stiffness=1000.0)
+
+
+@pytest.fixture(scope="module")
+def motion(prism):
+    model = tc.Model(tc.Scene(prism))
+    state = model.state(prism.nodes, np.cross((0.0, 0.0, 2.0), prism.nodes) + np.array([0.5, 0.0, 0.0]))
+    return tc.simulate(model, 0.5, step=0.005, state=state, compiled=False)
+
+
+@pytest.fixture(scope="module")
+def swing():
+    model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity((0.0, 0.0, -9.81))))
+    return tc.simulate(model, 0.5, step=0.005, compiled=False)
+
+
+def lines(figure):
+    return figure.axes[0].collections[0]
+
+
+def colours_of(figure):
+    return {tuple(np.round(colour, 6)) for colour in lines(figure).get_colors()}
+
+
+def test_structure_shows_bars_thicker_than_strings(prism):
+    shown = lines(plots.structure(prism))
+    bar = np.all(np.isclose(shown.get_colors(), to_rgba(BAR)), axis=1)
+    widths = np.broadcast_to(shown.get_linewidths(), len(bar))
+    assert bar.sum() / len(bar) == pytest.approx(3 / 12)
+    assert widths[bar].min() > 2 * widths[~bar].max()
+
+
+def test_structure_colours_strings_by_tension(prism):
+    tension = np.zeros(9)
+    tension[4] = 10.0
+    seen = colours_of(plots.structure(prism, tension))
+    assert tuple(np.round(to_rgba(SLACK), 6)) in seen
+    assert len(seen) == 3  # bars, slack strings, the taut one
+    figure = plots.structure(prism)
+    assert len(colours_of(figure)) == 3  # two tensions of the self-stress
+    assert figure.axes[1].get_ylim() == pytest.approx((0.0, (prism.stiffness * (prism.string_lengths - prism.rest_length)).max()))
+
+
+def test_structure_says_that_all_strings_are_slack():
+    figure = plots.structure(tc.shapes.prism())
+    assert len(figure.axes) == 1
+    assert "slack" in figure.get_supxlabel()
+
+
+def test_axes_have_one_scale(motion):
+    for figure in (plots.structure(motion), plots.time_lapse(motion)):
+        axes = figure.axes[0]
+        extents = np.ptp([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()], axis=1)
+        ratio = axes._box_aspect / extents
+        assert ratio == pytest.approx(np.full(3, ratio[0]))
+        assert axes.get_zlabel() == "z (m)"
+
+
+def test_nothing_is_cut_off(motion):
+    figure = plots.time_lapse(motion, title="title")
+    figure.draw_without_rendering()
+    inside = figure.bbox.padded(1.0)
+    for axis in (figure.axes[0].xaxis, figure.axes[0].yaxis, figure.axes[0].zaxis):
+        box = axis.get_tightbbox(figure.canvas.get_renderer())
+        assert inside.contains(box.x0, box.y0)
+        assert inside.contains(box.x1, box.y1)
+
+
+def test_time_lapse_shows_the_start_and_the_end(motion):
+    shown = np.array(lines(plots.time_lapse(motion, 3))._segments3d)
+    assert len(shown) == 3 * len(plots.structure(motion).axes[0].collections[0]._segments3d)
+    for nodes in (motion.nodes[0], motion.nodes[-1]):
+        assert np.linalg.norm(shown.reshape(-1, 3) - nodes[0], axis=1).min() < 1e-12
+
+
+def test_structure_of_a_trajectory_is_the_one_at_that_time(motion):
+    shown = np.array(lines(plots.structure(motion, time=0.1))._segments3d).reshape(-1, 3)
+    row = int(np.argmin(abs(motion.time - 0.1)))
+    assert np.linalg.norm(shown - motion.nodes[row, 0], axis=1).min() < 1e-12
+
+
+def test_pinned_nodes_are_marked(swing):
+    marks = plots.structure(swing).axes[0].collections[1]
+    assert np.ravel(marks._offsets3d) == pytest.approx(swing.nodes[-1, 0])
+
+
+def test_labels_number_the_nodes(prism):
+    assert [text.get_text() for text in plots.structure(prism, labels=True).axes[0].texts] == [str(k) for k in range(6)]
+
+
+def test_a_lone_mass_and_a_net_can_be_drawn():
+    assert len(plots.structure(tc.Structure([(0.0, 0.0, 0.0)], node_mass=1.0)).axes[0].collections) == 1
+    assert plots.structure(tc.shapes.membrane(4, 3)).axes
+
+
+def test_node_histories(motion, swing):
+    panels = plots.node_histories(motion, [2, 0]).axes
+    assert [line.get_label() for line in panels[0].lines] == ["node 2", "node 0"]
+    assert panels[1].lines[1].get_ydata() == pytest.approx(motion.nodes[:, 0, 1])
+    assert [line.get_label() for line in plots.node_histories(swing).axes[0].lines] == ["node 1"]  # node 0 does not move
+
+
+def test_force_densities_of_a_trajectory(motion):
+    ax = plots.force_densities(motion, upper=80.0).axes[0]
+    assert ax.lines[3].get_ydata() == pytest.approx(motion.force_density[:, 3])
+    assert list(ax.lines[9].get_ydata()) == [80.0, 80.0]
+
+
+def test_force_densities_of_a_plan_are_steps_with_their_bounds():
+    plan = SimpleNamespace(time=np.array([0.0, 1.0, 3.0]), force_density=np.array([[1.0, 2.0], [5.0, 6.0]]))
+    ax = plots.force_densities(plan, lower=0.0, upper=[8.0, np.inf]).axes[0]
+    assert [patch.get_data().values.tolist() for patch in ax.patches] == [[1.0, 5.0], [2.0, 6.0]]
+    assert sorted(line.get_ydata()[0] for line in ax.lines) == [0.0, 8.0]
+
+
+def test_errors_keep_exact_zeros_and_leave_out_the_unknown(motion):
+    unknown = dataclasses.replace(motion, energy_error=np.full(len(motion.time), np.nan))
+    ax = plots.errors(unknown).axes[0]
+    energy, bars, joints = ax.lines
+    assert np.isnan(energy.get_ydata()).all()
+    assert energy.get_label().endswith("not computed")
+    assert joints.get_label().endswith("exactly 0")
+    assert np.all(joints.get_ydata() == ax.get_ylim()[0])
+    assert bars.get_ydata()[1:] == pytest.approx(motion.bar_length_error[1:])
+    assert ax.get_yscale() == "log"
+
+
+def test_errors_that_are_all_zero_are_drawn(motion):
+    zero = np.zeros(len(motion.time))
+    plots.errors(dataclasses.replace(motion, energy_error=zero, bar_length_error=zero, joint_error=zero)).draw_without_rendering()
+
+
+def test_a_single_row_can_be_drawn(motion):
+    one = {name: getattr(motion, name)[:1] for name in ("time", "nodes", "velocities", "force_density", "tension", "energy")}
+    one |= {
+        name: getattr(motion, name)[:1]
+        for name in ("energy_parts", "energy_error", "bar_length_error", "joint_error", "correction_shift", "correction_energy", "states", "control")
+    }
+    start = dataclasses.replace(motion, **one)
+    for draw in (plots.structure, plots.time_lapse, plots.node_histories, plots.force_densities, plots.errors):
+        draw(start).draw_without_rendering()
+
+
+@pytest.mark.parametrize("draw", [plots.structure, plots.time_lapse, plots.node_histories, plots.force_densities, plots.errors])
+def test_pictures_are_saved(draw, motion, tmp_path):
+    file = tmp_path / "picture.png"
+    draw(motion, title="title", path=file)
+    with Image.open(file) as image:
+        assert min(image.size) > 400
+        assert len(image.convert("L").getcolors()) > 20
+
+
+def test_animation_shows_every_frame_at_the_right_speed(motion, tmp_path):
+    file = animate(motion, tmp_path / "motion.gif", speed=0.5, frames_per_second=10)
+    with Image.open(file) as image:
+        assert image.n_frames == 11
+        assert image.info["duration"] == 100
+        frames = []
+        for k in (0, 10):
+            image.seek(k)
+            frames.append(np.array(image.convert("L"), dtype=float))
+    assert abs(frames[1] - frames[0]).max() > 100
+
+
+def test_no_global_state(motion):
+    before = dict(mpl.rcParams)
+    plots.time_lapse(motion)
+    assert dict(mpl.rcParams) == before
+
+
+@pytest.mark.parametrize(
+    ("mistake", "error", "named"),
+    [
+        (lambda motion, path: plots.structure(motion.nodes), TypeError, "what"),
+        (lambda motion, path: plots.structure(motion, [1.0]), ValueError, "tension"),
+        (lambda motion, path: plots.structure(motion, time=-1.0), ValueError, "time"),
+        (lambda motion, path: plots.time_lapse(None), TypeError, "trajectory"),
+        (lambda motion, path: plots.time_lapse(motion, 1), ValueError, "instants"),
+        (lambda motion, path: plots.node_histories(motion, [6]), ValueError, "nodes"),
+        (lambda motion, path: plots.force_densities(motion, strings=[9]), ValueError, "strings"),
+        (lambda motion, path: plots.force_densities(motion, upper=[1.0, 2.0]), ValueError, "upper"),
+        (lambda motion, path: plots.force_densities(motion, lower="high"), TypeError, "lower"),
+        (lambda motion, path: plots.force_densities(SimpleNamespace(time=[0.0, 1.0], force_density=np.ones((4, 1)))), ValueError, "force_density"),
+        (lambda motion, path: plots.force_densities("x"), TypeError, "history is 'x'"),
+        (lambda motion, path: plots.errors(3), TypeError, "trajectory"),
+        (lambda motion, path: plots.errors(motion, path=path / "picture.xyz"), ValueError, "xyz"),
+        (lambda motion, path: animate(motion, path / "motion.mp4"), ValueError, "path"),
+        (lambda motion, path: animate(motion, path / "motion.gif", speed=1e-5), ValueError, "speed"),
+        (lambda motion, path: animate(motion, path / "motion.gif", frames_per_second=0), ValueError, "frames_per_second"),
+    ],
+)
+def test_mistakes_are_named(mistake, error, named, motion, tmp_path):
+    with pytest.raises(error, match=named):
+        mistake(motion, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_of_what_holds_a_motion_the_message_says_where(motion, prism, tmp_path):
+    duration = float(motion.time[-1])
+    model = tc.Model(tc.Scene(prism, control=tc.ForceDensity()))
+    plan = ocp.solve(ocp.Problem(model, duration, costs=[ocp.Effort()], bounds=[ocp.ForceDensityLimits(0.0, 100.0)]), ocp.MultipleShooting(2))
+    loop = ocp.ClosedLoop(motion, np.ones(1))
+    for draw in (plots.time_lapse, plots.node_histories, plots.errors, lambda what: animate(what, tmp_path / "motion.gif")):
+        with pytest.raises(TypeError, match=r"^trajectory is Plan\(.*\): give its replay\(\) or trajectory$"):
+            draw(plan)
+        with pytest.raises(TypeError, match=r"^trajectory is ClosedLoop\(.*\): give its trajectory$"):
+            draw(loop)
+        with pytest.raises(TypeError, match=r"^trajectory is .*: give a tenscasadi\.Trajectory$"):
+            draw(prism)
+    with pytest.raises(TypeError, match=r"^what is Plan\(.*\): give its replay\(\) or trajectory or structure$"):
+        plots.structure(plan)
+    with pytest.raises(TypeError, match=r"^what is .*: give its structure$"):
+        plots.structure(model)
+    with pytest.raises(TypeError, match=r"^history is ClosedLoop\(.*\): give its trajectory$"):
+        plots.force_densities(loop)
+    with pytest.raises(TypeError, match=r"^history is .*: give a tenscasadi\.Trajectory or an ocp\.Plan$"):
+        plots.force_densities(prism)
+    assert plots.force_densities(plan).axes
+    assert not list(tmp_path.iterdir())

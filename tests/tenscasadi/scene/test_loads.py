@@ -1,0 +1,103 @@
+"""Loads: weight, the ground's push and friction, pressure, forces on nodes."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tenscasadi.scene.loads import Gravity, Ground, NodalForce, Pressure
+
+TETRAHEDRON = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float).T
+OUTWARD = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
+
+
+def test_weight_and_its_energy() -> None:
+    gravity = Gravity((0, 0, -10))
+    weight = np.array([1.0, 2.0])
+    assert np.allclose(gravity.forces(weight).full(), [[0, 0], [0, 0], [-10, -20]])
+    assert float(gravity.energy(ca.DM([[0, 0], [0, 0], [1, 3]]), weight)) == pytest.approx(10 + 60)
+
+
+def test_ground_pushes_below_its_plane_and_never_pulls() -> None:
+    ground = Ground(stiffness=100.0, damping=10.0, height=0.5)
+    N = ca.DM([[0, 0, 0], [0, 0, 0], [0.6, 0.4, 0.4]])
+    V = ca.DM([[0, 1, 1], [0, 0, 0], [-1, -1, 5]])
+    W = ground.forces(N, V).full()
+    assert np.allclose(W, [[0, 0, 0], [0, 0, 0], [0, 20, 0]])  # apart; 100·0.1 + 10·1; leaving fast: no pull
+    assert float(ground.energy(N)) == pytest.approx(2 * 100 * 0.01 / 2)
+    assert not ground.conservative
+    assert Ground().conservative
+
+
+def test_friction_opposes_slip_and_is_bounded_by_coulomb() -> None:
+    ground = Ground(stiffness=100.0, friction=0.5, slip_speed=1e-3)
+    N = ca.DM([0, 0, -0.1])
+    sliding = ground.forces(N, ca.DM([3, 4, 0])).full().ravel()
+    assert np.allclose(sliding, [-3, -4, 10], rtol=1e-6)  # μ f = 5 N against the direction (3, 4)/5
+    creeping = ground.forces(N, ca.DM([1e-5, 0, 0])).full().ravel()
+    assert creeping[0] == pytest.approx(-5 * 1e-2, rel=1e-3)
+
+
+def test_a_tilted_ground_pushes_along_its_normal() -> None:
+    ground = Ground(stiffness=10.0, normal=(3, 0, 4))
+    W = ground.forces(ca.DM([-3, 0, -4]), ca.DM.zeros(3)).full().ravel()
+    assert np.allclose(W, 10 * 5 * np.array([0.6, 0, 0.8]))
+
+
+def test_pressure_on_a_closed_surface_has_no_resultant_and_pushes_outwards() -> None:
+    W = Pressure(OUTWARD, 6.0).forces(ca.DM(TETRAHEDRON)).full()
+    assert np.allclose(W.sum(axis=1), 0)
+    assert np.allclose(W[:, 0], [-1, -1, -1])  # three right triangles of ½ m² at 6 Pa, a third of each
+    moved = Pressure(OUTWARD, 6.0).forces(ca.DM(TETRAHEDRON * 2)).full()
+    assert np.allclose(moved, 4 * W)  # follows the area
+
+
+def test_forces_may_be_functions_of_time() -> None:
+    load = NodalForce(lambda t: [[np.cos(t), 0, 0], [0, t, 0]])
+    load.check(2)
+    W = ca.Function("W", [t := ca.SX.sym("t")], [load.forces(t)])(0.5).full()
+    assert np.allclose(W, [[np.cos(0.5), 0], [0, 0.5], [0, 0]])
+
+
+def test_forces_may_be_a_table_over_time() -> None:
+    table = np.zeros((3, 2, 3))
+    table[:, 1, 2] = [1.0, 3.0, -1.0]
+    load = NodalForce(table, times=[0.0, 1.0, 3.0])
+    load.check(2)
+    for kind in (ca.SX, ca.MX):
+        W = ca.Function("W", [t := kind.sym("t")], [load.forces(t)])
+        for time, force in ((-1, 1), (0, 1), (0.5, 2), (1, 3), (2, 1), (3, -1), (9, -1)):
+            assert np.allclose(W(time).full(), [[0, 0], [0, 0], [0, force]])
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: Gravity((0, 0)), r"Gravity\.acceleration"),
+        (lambda: Gravity((0, 0, float("inf"))), r"Gravity\.acceleration"),
+        (lambda: Gravity("down"), r"Gravity\.acceleration"),
+        (lambda: Ground(stiffness=0), r"Ground\.stiffness"),
+        (lambda: Ground(damping=-1), r"Ground\.damping"),
+        (lambda: Ground(friction=-0.1), r"Ground\.friction"),
+        (lambda: Ground(height=float("nan")), r"Ground\.height"),
+        (lambda: Ground(normal=(0, 0, 0)), r"Ground\.normal"),
+        (lambda: Ground(slip_speed=0), r"Ground\.slip_speed"),
+        (lambda: Pressure([(0, 1)], 1.0), r"Pressure\.faces\[0\]"),
+        (lambda: Pressure([(0, 1, 1)], 1.0), r"Pressure\.faces\[0\]"),
+        (lambda: Pressure(3, 1.0), r"Pressure\.faces"),
+        (lambda: Pressure([(0, 1, 2)], "high"), r"Pressure\.difference"),
+        (lambda: Pressure([(0, 1, 9)], 1.0).check(4), r"Pressure\.faces\[0\] is 9"),
+        (lambda: NodalForce(np.zeros((2, 3, 3)), times=[1, 1]), r"NodalForce\.times"),
+        (lambda: NodalForce(np.zeros((3, 3, 3)), times=[0, 1]), r"NodalForce\.values"),
+        (lambda: NodalForce(np.zeros((2, 3, 3)), times=[0, 1]).check(4), r"NodalForce\.values has 3 rows"),
+        (lambda: NodalForce(np.zeros((3, 2))), r"NodalForce\.values"),
+        (lambda: NodalForce(np.zeros((3, 3))).check(4), r"NodalForce\.values has 3 rows"),
+        (lambda: NodalForce(lambda t: [[0, 0, 0]]).check(2), r"NodalForce\.values"),
+        (lambda: NodalForce(lambda t: 1 / 0).check(2), r"NodalForce\.values raised"),
+        (lambda: NodalForce(lambda t: [[1 if t > 0 else 0, 0, 0]]).forces(ca.SX.sym("t")), r"NodalForce\.values raised"),
+    ],
+)
+def test_bad_loads_are_refused_by_name(make: object, field: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=field):
+        make()  # type: ignore[operator]

@@ -1,0 +1,302 @@
+"""Compiled Functions: the same numbers, one compilation, and safety of the cache."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tenscasadi.util import compile as compiled
+from tenscasadi.util.compile import CompileError, cache_folder, compile_function, find_compiler
+
+needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
+posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX permissions")
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "deep" / "cache"
+    monkeypatch.setenv("TENSCASADI_CACHE", str(folder))
+    return folder
+
+
+@pytest.fixture
+def count(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The commands that build a library, as they are run."""
+    commands: list[str] = []
+    original = compiled._run
+
+    def run(command: list[str]) -> str:
+        if "-shared" in command:
+            commands.append(" ".join(command))
+        return original(command)
+
+    monkeypatch.setattr(compiled, "_run", run)
+    return commands
+
+
+def function(name: str = "f", factor: float = 2.0) -> ca.Function:
+    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 0)
+    return ca.Function(name, [x, u], [factor * ca.sin(x) / ca.sqrt(x) + ca.fmax(x, 0.3) * x**3, ca.dot(x, x)], ["x", "u"], ["y", "z"])
+
+
+@needs_compiler
+def test_same_numbers_and_names() -> None:
+    f = function()
+    g = compile_function(f)
+    assert g.is_a("External")
+    assert (g.name_in(), g.name_out(), g.name()) == (f.name_in(), f.name_out(), f.name())
+    assert [g.size_in(i) for i in range(2)] == [(3, 1), (0, 1)]
+    x = np.random.default_rng(0).uniform(0.1, 9, size=3)
+    for ours, theirs in zip(g(x, []), f(x, []), strict=True):
+        assert np.allclose(np.array(ours), np.array(theirs), rtol=4e-16, atol=0)
+    assert np.isnan(float(g([np.nan, 1, 1], [])[1]))
+
+
+@needs_compiler
+def test_compiled_once(cache: Path, count: list[str]) -> None:
+    compile_function(function())
+    compile_function(function())
+    assert len(count) == 1
+    assert len(list(cache.iterdir())) == 1  # nothing but the library is left behind
+    compile_function(function(factor=3.0))
+    compile_function(function(), flags=("-O0",))
+    compile_function(function(), flags=("-O0", "-fno-tree-vectorize"))  # a flag that no macro tells of
+    assert len(count) == 4
+    assert float(compile_function(function(factor=3.0))([1, 1, 1], [])[0][0]) == pytest.approx(3 * np.sin(1) + 1)
+
+
+@needs_compiler
+@posix
+def test_cache_is_private(cache: Path) -> None:
+    before = os.umask(0)
+    try:
+        compile_function(function())
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+    assert all(not stat.S_IMODE(path.stat().st_mode) & 0o022 for path in cache.iterdir())
+
+
+@needs_compiler
+@posix
+def test_a_folder_that_others_can_write_is_not_used(cache: Path) -> None:
+    cache.mkdir(parents=True)
+    cache.chmod(0o777)
+    assert float(compile_function(function())([1, 1, 1], [])[1]) == 3
+    assert list(cache.iterdir()) == []
+    assert stat.S_IMODE(cache_folder().stat().st_mode) == 0o700
+
+
+@posix
+def test_a_folder_of_another_user_is_not_used(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache.mkdir(parents=True, mode=0o700)
+    assert cache_folder() == cache
+    monkeypatch.setattr(os, "getuid", lambda: cache.stat().st_uid + 1)
+    assert cache_folder() != cache
+
+
+def test_a_folder_that_cannot_be_made_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path / "file" / "cache"))
+    folder = cache_folder()
+    assert folder.is_dir()
+    assert tmp_path not in folder.parents
+
+
+def test_the_users_cache_is_the_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("TENSCASADI_CACHE")
+    name = {"win32": "LOCALAPPDATA", "darwin": "HOME"}.get(sys.platform, "XDG_CACHE_HOME")
+    monkeypatch.setenv(name, str(tmp_path))
+    assert cache_folder().name == "tenscasadi"
+    assert tmp_path in cache_folder().parents
+
+
+@needs_compiler
+@posix
+def test_damaged_and_planted_libraries_are_replaced(cache: Path, count: list[str]) -> None:
+    compile_function(function("g"))
+    (library,) = cache.iterdir()
+    library.unlink()  # loaded code stays: the new file is another one
+    library.write_bytes(b"not a library")
+    library.chmod(0o700)
+    assert float(compile_function(function("g"))([1, 1, 1], [])[1]) == 3
+    library.chmod(0o777)
+    assert float(compile_function(function("g"))([1, 1, 1], [])[1]) == 3
+    assert len(count) == 3
+    assert stat.S_IMODE(library.stat().st_mode) == 0o700
+
+
+# --- its size ---
+
+
+def library(cache: Path, name: str, age: float, size: int = 100) -> Path:
+    """A file of the cache last used `age` s ago."""
+    path = cache / name
+    path.write_bytes(b"x" * size)
+    os.utime(path, (time.time() - age,) * 2)
+    return path
+
+
+@needs_compiler
+@pytest.mark.parametrize(("limit", "kept"), [(10**6, "old older newer recent"), (450_000, "newer recent"), (100_000, "recent")])
+def test_the_cache_has_a_limit(cache: Path, monkeypatch: pytest.MonkeyPatch, limit: int, kept: str) -> None:
+    monkeypatch.setattr(compiled, "_LIMIT", limit)
+    cache_folder()
+    ages = {"newer": 2000, "old": 4000, "recent": 1, "older": 3000}  # what is recent, another process may be loading
+    files = {name: library(cache, f"{name}-{'a' * 32}{compiled._SUFFIX}", age, 200_000) for name, age in ages.items()}
+    others = [library(cache, f"lib{name}", 9000, 10**6) for name in ("-mine", f"-{'g' * 32}{compiled._SUFFIX}", f"{compiled._SUFFIX}")]
+    f = compile_function(function())
+    assert float(f([1, 1, 1], [])[1]) == 3
+    assert {name for name, path in files.items() if path.exists()} == set(kept.split())
+    assert all(path.exists() for path in others)
+
+
+@needs_compiler
+def test_use_keeps_a_library_in_the_cache(cache: Path, monkeypatch: pytest.MonkeyPatch, count: list[str]) -> None:
+    cache_folder()
+    compile_function(function("g"))
+    (used,) = cache.iterdir()
+    os.utime(used, (0, 0))
+    unused = library(cache, f"f-{'0' * 32}{compiled._SUFFIX}", 1000)
+    compile_function(function("g"))
+    monkeypatch.setattr(compiled, "_LIMIT", 50)
+    compile_function(function("h"))
+    assert used.exists()
+    assert not unused.exists()
+    assert len(count) == 2
+
+
+@needs_compiler
+@posix
+def test_a_library_that_is_removed_still_serves_and_is_compiled_again(cache: Path, monkeypatch: pytest.MonkeyPatch, count: list[str]) -> None:
+    loaded = compile_function(function())
+    (path,) = cache.iterdir()
+    path.unlink()
+    assert float(loaded([1, 1, 1], [])[1]) == 3
+    original = compiled._trim
+
+    def by_another_process(folder: Path) -> None:
+        original(folder)
+        if len(count) < 3:
+            path.unlink()
+
+    monkeypatch.setattr(compiled, "_trim", by_another_process)
+    assert float(compile_function(function())([1, 1, 1], [])[1]) == 3
+    assert len(count) == 3
+    monkeypatch.setattr(compiled, "_trim", lambda folder: path.unlink())
+    path.unlink()
+    with pytest.raises(CompileError, match="cannot be loaded"):
+        compile_function(function())
+
+
+@needs_compiler
+def test_what_killed_compilations_left_is_removed(cache: Path) -> None:
+    cache_folder()
+    left, busy = cache / "tenscasadi-build-1", cache / "tenscasadi-build-2"
+    for folder, age in ((left, 2 * 86_400), (busy, 60)):
+        folder.mkdir()
+        library(folder, "code.c", age)
+        os.utime(folder, (time.time() - age,) * 2)
+    compile_function(function())
+    assert not left.exists()
+    assert busy.exists()
+
+
+PROCESS = """
+import sys, time, casadi as ca
+from tenscasadi.util.compile import compile_function
+x = ca.SX.sym("x", 40)
+y = x
+for k in range(15):
+    y = ca.sin(y) + k * x
+f = ca.Function("busy", [x], [y])
+while time.time() < float(sys.argv[1]):
+    time.sleep(0.001)
+g = compile_function(f)
+assert abs(float(ca.norm_inf(g(0.1) - f(0.1)))) < 1e-12
+"""
+
+
+@needs_compiler
+def test_processes_may_compile_at_the_same_time(cache: Path) -> None:
+    start = str(time.time() + 1.5)
+    root = str(Path(compiled.__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": root}
+    processes = [subprocess.Popen([sys.executable, "-c", PROCESS, start], env=environment, stderr=subprocess.PIPE, text=True) for _ in range(3)]
+    for process in processes:
+        _, errors = process.communicate(timeout=120)
+        assert process.returncode == 0, errors
+    assert len(list(cache.iterdir())) == 1
+
+
+@posix
+def test_cc_names_the_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    assert find_compiler() is None
+    with pytest.raises(CompileError, match="no C compiler found"):
+        compile_function(function())
+    own = tmp_path / "owncc"
+    own.write_text("#!/bin/sh\necho broken as it is >&2\nexit 3\n")
+    own.chmod(0o700)
+    monkeypatch.setenv("CC", "owncc -extra")
+    assert find_compiler() == (str(own), "-extra")
+    with pytest.raises(CompileError, match=r"owncc .*code 3:\nbroken as it is"):
+        compile_function(function())
+    for unusable in ("nowhere", 'unbalanced "', ""):
+        monkeypatch.setenv("CC", unusable)
+        assert find_compiler() is None
+    (tmp_path / "gcc").write_text("#!/nowhere/at/all\n")
+    (tmp_path / "gcc").chmod(0o700)
+    with pytest.raises(CompileError, match="gcc cannot be run"):
+        compile_function(function())
+
+
+@needs_compiler
+def test_what_the_compiler_says_is_passed_on(cache: Path) -> None:
+    with pytest.raises(CompileError, match="no-such-flag"):
+        compile_function(function(), flags=("-fno-such-flag",))
+    assert list(cache.iterdir()) == [] if cache.exists() else True
+
+
+@needs_compiler
+def test_what_has_no_c_code_is_refused() -> None:
+    x = ca.MX.sym("x")
+    finder = ca.rootfinder("finder", "newton", {"x": x, "g": x * x - 2}, {"linear_solver": "lapacklu"})
+    with pytest.raises(CompileError, match="finder"):
+        compile_function(finder)
+
+
+@pytest.mark.parametrize(("argument", "value"), [("function", 3), ("flags", "-O2"), ("flags", (2,))])
+def test_wrong_types_are_refused(argument: str, value: object) -> None:
+    arguments = {"function": function(), "flags": ("-O0",)} | {argument: value}
+    with pytest.raises(TypeError, match=argument):
+        compile_function(**arguments)  # type: ignore[arg-type]
+
+
+def test_large_constants_do_not_cost_optimisation(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    levels: list[str] = []
+
+    def stop(command: tuple[str, ...], flags: tuple[str, ...], source: str, library: Path) -> None:
+        levels.append(flags[0])
+        raise CompileError("not built")
+
+    monkeypatch.setattr(compiled, "_build", stop)
+    x, a = ca.MX.sym("x", 200_000), ca.SX.sym("a")
+    long = a
+    for k in range(20_000):
+        long = ca.sin(long) * (a + k)
+    order = np.random.default_rng(0).permutation(200_000)  # printed as a constant and, once more, in a comment
+    constants = [x * np.linspace(0.1, 0.7, len(order)), x[order.tolist()]]
+    for function in (ca.Function("constants", [x], constants), ca.Function("code", [a], [long])):
+        with pytest.raises(CompileError, match="not built"):
+            compile_function(function)
+    assert levels == ["-O3", "-O1"]
