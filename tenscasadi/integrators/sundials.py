@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -13,12 +12,8 @@ from tenscasadi.dynamics import forces
 from tenscasadi.dynamics import mechanism as dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex, check_ode, extent, relative_tolerance, with_work
-from tenscasadi.simulation.time_loop import Report, StepFailure, energy_function
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import Array, instance, positive_number, whole_number
-
-GRID = 50  # grid steps a call; each call starts anew, at low order
-_LOOSE = 1e-5  # rtol above which a motion that takes no end of steps is more likely one that has broken down than one that is hard to follow
+from tenscasadi.util.validate import instance, positive_number, whole_number
 
 
 @dataclass(frozen=True)
@@ -152,62 +147,3 @@ class Idas(Sundials):
         x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
         lam, Omega = model.multiplier_function(x, u)
         return ca.Function("start", [x, u], [ca.vertcat(lam, ca.vec(Omega)[: 3 * mech.joints])])
-
-
-class SundialsRunner:
-    """`steps` grid steps a call of CasADi's integrator on a grid of output times, then `project` if there is one."""
-
-    def __init__(
-        self, model: Model, scheme: Sundials, power: ca.Function | None, jumps: bool, project: ca.Function | None, step: float, steps: int
-    ) -> None:
-        self.steps = steps
-        self._model, self._scheme, self._project = model, scheme, project
-        self._energy = energy_function(model) if jumps else None
-        self._extra = jumps and power is None  # an entry for the energy supplied that the integrator does not know
-        if model.nx == 0:
-            raise ValueError(f"{type(scheme).__name__} needs something that can move: this scene has no free node")
-        equations = scheme.equations(model, power)
-        grid = (np.arange(1, steps + 1) * step).tolist()
-        self._integrate = scheme.integrator(equations, grid, scheme.absolute(model))
-        self._single = scheme.integrator(equations, grid[:1], scheme.absolute(model))
-        self._start = scheme.algebraic_start(model)
-        self._controls = np.zeros((steps + 1, model.nu))
-
-    def hold(self, controls: Array) -> None:
-        """Sets the control of each grid step of the next calls and of the one after: (steps + 1, nu)."""
-        self._controls = controls
-
-    def __call__(self, z: Array) -> Array:
-        """z after each grid step (steps, nz). Raises StepFailure."""
-        nx, u = self._model.nx, self._controls
-        start = z[: len(z) - self._extra]
-        try:
-            if (u[: self.steps] == u[0]).all():
-                rows = self._run(self._integrate, start, u[: self.steps])
-            else:  # CVODES steps over a change of the control: each grid step starts anew
-                parts = [start[None]]
-                for k in range(self.steps):
-                    parts.append(self._run(self._single, parts[-1][-1], u[k : k + 1]))
-                rows = np.vstack(parts[1:])
-        except RuntimeError as error:
-            found = re.search(r'(\w+) returned "(\w+)"', str(error))
-            words = f"{found[1]} returned {found[2]}" if found else str(error).strip().splitlines()[-1]
-            rtol = self._scheme.rtol
-            cure = "a smaller rtol or step" if rtol > _LOOSE else "a larger rtol, a smaller step or a larger max_steps"
-            raise StepFailure(f"{type(self._scheme).__name__} gave up, {words}: rtol is {rtol:g}, try {cure}") from None
-        rows = np.hstack([rows, np.full((self.steps, 1), z[-1])]) if self._extra else rows.copy()
-        if self._project is not None:
-            rows[-1, :nx] = self._project(rows[-1, :nx]).full().ravel()
-        if self._energy is not None:
-            changed = np.flatnonzero(np.any(u[1:] != u[:-1], axis=1))
-            for k in changed.tolist():
-                rows[k:, nx] += float(self._energy(rows[k, :nx], u[k + 1])) - float(self._energy(rows[k, :nx], u[k]))
-        return rows
-
-    def _run(self, integrate: ca.Function, start: Array, controls: Array) -> Array:
-        guess = {} if self._start is None else {"z0": self._start(start[: self._model.nx], controls[0])}
-        return np.asarray(integrate(x0=start, u=controls.T, **guess)["xf"].full()).T
-
-    def report(self, taken: int, step: float) -> Report:
-        """See `runners.Runner`."""
-        return Report(f"{taken} times {step:g} s apart, by {type(self._scheme).__name__}", step, taken)

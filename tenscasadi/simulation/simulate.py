@@ -21,8 +21,7 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction
 from tenscasadi.simulation.control_input import ControlInput, Signal, signal
 from tenscasadi.simulation.diagnosis import cause, doubts, first_fault
 from tenscasadi.simulation.record import observe, record
-from tenscasadi.simulation.steppers import Runner, Task, make_runner, own_steps
-from tenscasadi.simulation.time_loop import Report, StepFailure
+from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper, own_steps
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.precision import Compiled, Single
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
@@ -83,8 +82,8 @@ def simulate(
 
     power = energy_balance and model.power is not None
     jumps = energy_balance and inputs.varies
-    built = make_runner(Task(model, scheme, correction, power, jumps), float(t_end) / inputs.steps, inputs.steps, compiled)
-    run = _run(model, built.runner, inputs, np.append(start, np.zeros(int(power or jumps))), float(t_end), every, progress)
+    built = make_stepper(Task(model, scheme, correction, power, jumps), float(t_end) / inputs.steps, inputs.steps, compiled)
+    run = _run(model, built.stepper, inputs, np.append(start, np.zeros(int(power or jumps))), float(t_end), every, progress)
 
     states, controls = run.rows[:, : model.nx], run.controls
     # Rows after a fault overflow: they are cut below.
@@ -155,8 +154,8 @@ def _check_clock(latest: float, step: float) -> None:
         raise ValueError(f"state: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0")
 
 
-def _run(model: Model, runner: Runner, inputs: Signal, start: Array, t_end: float, every: int, progress: bool) -> _Run:
-    """Calls `runner` until the end of the run or its failure; keeps each `every`-th state and the last."""
+def _run(model: Model, stepper: Stepper, inputs: Signal, start: Array, t_end: float, every: int, progress: bool) -> _Run:
+    """Calls `stepper` until the end of the run or its failure; keeps each `every`-th state and the last."""
     n, h = inputs.steps, t_end / inputs.steps
     z = start.copy()
     try:
@@ -170,17 +169,17 @@ def _run(model: Model, runner: Runner, inputs: Signal, start: Array, t_end: floa
     began = looked = time.perf_counter()
     try:
         with _keyboard() as pressed, tqdm(total=n, unit=" steps", unit_scale=True, disable=not progress) as bar:
-            for first in range(0, n, runner.steps):
+            for first in range(0, n, stepper.steps):
                 if inputs.varies or first == 0:
-                    u = np.concatenate([u[-1:], inputs.window(first + 1, runner.steps)])
-                    runner.hold(u)
-                after = runner(z)
+                    u = np.concatenate([u[-1:], inputs.window(first + 1, stepper.steps)])
+                    stepper.hold(u)
+                after = stepper(z)
                 z = after[-1].copy()
-                end = int(np.searchsorted(kept, first + runner.steps, side="right"))
+                end = int(np.searchsorted(kept, first + stepper.steps, side="right"))
                 local = kept[count:end] - first
                 rows[count:end], controls[count:end] = after[local - 1], u[local]
                 count = end
-                bar.update(min(runner.steps, n - first))
+                bar.update(min(stepper.steps, n - first))
                 if not np.all(np.isfinite(z)):
                     if count < len(kept):  # what is not finite stays so up to the next row
                         rows[count], controls[count], count = z, u[-1], count + 1
@@ -195,7 +194,7 @@ def _run(model: Model, runner: Runner, inputs: Signal, start: Array, t_end: floa
         failure = "" if pressed else str(error)
     except KeyboardInterrupt:
         interrupted = True
-    report = runner.report(int(kept[count - 1]), h)
+    report = stepper.report(int(kept[count - 1]), h)
     times = kept[:count] * h
     if count == len(kept):
         times[-1] = t_end

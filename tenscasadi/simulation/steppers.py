@@ -1,7 +1,8 @@
-"""Runners: what takes a run from one time of its grid to the next, as machine code where there is a compiler."""
+"""Steppers: what takes a run from one time of its grid to the next, as machine code where there is a compiler."""
 
 from __future__ import annotations
 
+import re
 from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
@@ -12,17 +13,32 @@ from tenscasadi.integrators.adaptive import ATTEMPTS, Limits, Memory, attempts_f
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.scheme import EmbeddedRungeKutta, Scheme
 from tenscasadi.integrators.stabilization import Correction
-from tenscasadi.integrators.sundials import GRID, Sundials, SundialsRunner
-from tenscasadi.simulation.time_loop import LoopRunner, Report, StepFailure, chunk_function, chunk_steps, energy_function
+from tenscasadi.integrators.sundials import Sundials
+from tenscasadi.simulation.time_loop import chunk_function, chunk_steps, energy_function
 from tenscasadi.util.compile import CompileError, compile_function, find_compiler
 from tenscasadi.util.precision import Compiled, Single
 from tenscasadi.util.validate import Array
 
 _SINGLE = 1e-6  # some ten times the rounding of float, as 1e-15 is of double
+_SUNDIALS_STEPS = 50  # grid steps a call; each call starts anew, at low order
+_LOOSE = 1e-5  # rtol above which a motion that takes no end of steps is more likely one that has broken down than one that is hard to follow
+_REST, _STEP = Memory._fields.index("rest"), Memory._fields.index("step")
 _STUCK = 1e-13  # of the grid's spacing: a step as short as this makes no headway
 
 
-class Runner(Protocol):
+class Report(NamedTuple):
+    """What a run did: in words, the mean length of a step, s, and how many steps were computed, in vain or not."""
+
+    text: str
+    step: float
+    attempts: int
+
+
+class StepFailure(RuntimeError):
+    """A scheme cannot go on; the message says why and what to do."""
+
+
+class Stepper(Protocol):
     """Advances z (nz,), the state and one entry for the energy supplied where that is asked for, `steps` grid steps a call."""
 
     steps: int
@@ -38,9 +54,9 @@ class Runner(Protocol):
 
 
 class Built(NamedTuple):
-    """A runner, whether it is machine code, and why not."""
+    """A stepper, whether it is machine code, and why not."""
 
-    runner: Runner
+    stepper: Stepper
     compiled: bool
     note: str
 
@@ -68,17 +84,14 @@ def check_single(scheme: Scheme) -> None:
         raise ValueError(f"{type(scheme).__name__}.{name} is {asked:g}: give {_SINGLE:g} or more in single precision, less is rounding")
 
 
-def make_runner(task: Task, step: float, steps: int, compiled: Compiled) -> Built:
-    """The runner of a task on a grid of `steps` steps of `step` s; `compiled` as for `simulate`. Raises CompileError, ValueError."""
+def make_stepper(task: Task, step: float, steps: int, compiled: Compiled) -> Built:
+    """The stepper of a task on a grid of `steps` steps of `step` s; `compiled` as for `simulate`. Raises CompileError, ValueError."""
     model, scheme, correction = task.model, task.scheme, task.correction
     every = 1 if correction is None else correction.every
     if isinstance(scheme, Sundials):
         if compiled:
             raise CompileError(f"{type(scheme).__name__} is an integrator of SUNDIALS, which makes no C code: give compiled=None or another scheme")
-        project = None if correction is None else correction.step(model)
-        power = model.power if task.power else None
-        calls = GRID if correction is None else every
-        return Built(SundialsRunner(model, scheme, power, task.jumps, project, step, calls), False, "")
+        return Built(SundialsStepper(task, scheme, step), False, "")
     if own_steps(scheme) and every != 1:
         raise ValueError(f"correction.every is {every}: {type(scheme).__name__} with rtol corrects after each of its own steps, give every=1")
     single = isinstance(compiled, Single)
@@ -105,13 +118,47 @@ def _function(task: Task, steps: int) -> ca.Function:
     return chunk_function(*task, steps)
 
 
-def _wrapped(task: Task, function: ca.Function, step: float) -> Runner:
+def _wrapped(task: Task, function: ca.Function, step: float) -> Stepper:
     if isinstance(task.scheme, EmbeddedRungeKutta) and task.scheme.adaptive:
-        return AdaptiveRunner(task, function, task.scheme, step)
-    return LoopRunner(function, step)
+        return AdaptiveStepper(task, function, task.scheme, step)
+    return LoopStepper(function, step)
 
 
-class AdaptiveRunner:
+class LoopStepper:
+    """Calls of `chunk_function`'s Function on NumPy memory, without conversions."""
+
+    def __init__(self, function: ca.Function, step: float) -> None:
+        self._z = np.zeros(function.size1_in(0))
+        self._h = np.full(function.size2_in(1), step)
+        self.steps = len(self._h)
+        self._u = np.zeros((self.steps + 1, function.size1_in(2)))
+        self._out = np.zeros((self.steps, len(self._z)))
+        self._buffer: Any
+        self._buffer, self._trigger = function.buffer()
+        inputs = [self._z, self._h, self._u[:-1], self._u[1:]][: function.n_in()]
+        for i, values in enumerate(inputs):
+            if values.size:
+                self._buffer.set_arg(i, values.reshape(-1).data)
+        self._buffer.set_res(0, self._out.reshape(-1).data)
+
+    def hold(self, controls: Array) -> None:
+        """Sets the control of each step of the next calls and of the one after: (steps + 1, nu)."""
+        self._u[:] = controls
+
+    def __call__(self, z: Array) -> Array:
+        """z after each step (steps, nz), valid until the next call."""
+        self._z[:] = z
+        self._trigger()
+        if self._buffer.ret():
+            raise StepFailure("CasADi could not evaluate a step: try a smaller step")
+        return self._out
+
+    def report(self, taken: int, step: float) -> Report:
+        """What was done in `taken` steps of `step` s."""
+        return Report(f"{taken} steps of {step:g} s", step, taken)
+
+
+class AdaptiveStepper:
     """One grid step a call, by as many attempts of `attempts_function` as the scheme's error control asks for."""
 
     steps = 1
@@ -169,7 +216,7 @@ class AdaptiveRunner:
         return self._out
 
     def report(self, taken: int, step: float) -> Report:
-        """See `Runner.report`."""
+        """See `Stepper.report`."""
         m = Memory(*self._memory)
         mean = (self._calls * self._step - m.rest) / m.accepted if m.accepted else step
         text = f"{m.accepted:.0f} steps of {mean:.3g} s in the mean, {m.rejected:.0f} more rejected"
@@ -177,4 +224,61 @@ class AdaptiveRunner:
         return Report(text, mean, round(m.accepted + m.rejected + m.located))
 
 
-_REST, _STEP = Memory._fields.index("rest"), Memory._fields.index("step")
+class SundialsStepper:
+    """`steps` grid steps a call of CasADi's integrator on a grid of output times, then `project` if there is one."""
+
+    def __init__(self, task: Task, scheme: Sundials, step: float) -> None:
+        model, correction = task.model, task.correction
+        if model.nx == 0:
+            raise ValueError(f"{type(scheme).__name__} needs something that can move: this scene has no free node")
+        power = model.power if task.power else None
+        self.steps = _SUNDIALS_STEPS if correction is None else correction.every
+        self._model, self._scheme = model, scheme
+        self._project = None if correction is None else correction.step(model)
+        self._energy = energy_function(model) if task.jumps else None
+        self._extra = task.jumps and power is None  # an entry for the energy supplied that the integrator does not know
+        equations = scheme.equations(model, power)
+        grid = (np.arange(1, self.steps + 1) * step).tolist()
+        self._integrate = scheme.integrator(equations, grid, scheme.absolute(model))
+        self._single = scheme.integrator(equations, grid[:1], scheme.absolute(model))
+        self._start = scheme.algebraic_start(model)
+        self._controls = np.zeros((self.steps + 1, model.nu))
+
+    def hold(self, controls: Array) -> None:
+        """Sets the control of each grid step of the next calls and of the one after: (steps + 1, nu)."""
+        self._controls = controls
+
+    def __call__(self, z: Array) -> Array:
+        """z after each grid step (steps, nz). Raises StepFailure."""
+        nx, u = self._model.nx, self._controls
+        start = z[: len(z) - self._extra]
+        try:
+            if (u[: self.steps] == u[0]).all():
+                rows = self._run(self._integrate, start, u[: self.steps])
+            else:  # CVODES steps over a change of the control: each grid step starts anew
+                parts = [start[None]]
+                for k in range(self.steps):
+                    parts.append(self._run(self._single, parts[-1][-1], u[k : k + 1]))
+                rows = np.vstack(parts[1:])
+        except RuntimeError as error:
+            found = re.search(r'(\w+) returned "(\w+)"', str(error))
+            words = f"{found[1]} returned {found[2]}" if found else str(error).strip().splitlines()[-1]
+            rtol = self._scheme.rtol
+            cure = "a smaller rtol or step" if rtol > _LOOSE else "a larger rtol, a smaller step or a larger max_steps"
+            raise StepFailure(f"{type(self._scheme).__name__} gave up, {words}: rtol is {rtol:g}, try {cure}") from None
+        rows = np.hstack([rows, np.full((self.steps, 1), z[-1])]) if self._extra else rows.copy()
+        if self._project is not None:
+            rows[-1, :nx] = self._project(rows[-1, :nx]).full().ravel()
+        if self._energy is not None:
+            changed = np.flatnonzero(np.any(u[1:] != u[:-1], axis=1))
+            for k in changed.tolist():
+                rows[k:, nx] += float(self._energy(rows[k, :nx], u[k + 1])) - float(self._energy(rows[k, :nx], u[k]))
+        return rows
+
+    def _run(self, integrate: ca.Function, start: Array, controls: Array) -> Array:
+        guess = {} if self._start is None else {"z0": self._start(start[: self._model.nx], controls[0])}
+        return np.asarray(integrate(x0=start, u=controls.T, **guess)["xf"].full()).T
+
+    def report(self, taken: int, step: float) -> Report:
+        """See `Stepper`."""
+        return Report(f"{taken} times {step:g} s apart, by {type(self._scheme).__name__}", step, taken)

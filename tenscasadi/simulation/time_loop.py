@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from tenscasadi.dynamics.model import Model, instructions
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
-from tenscasadi.util.validate import Array
 
 _BASE = 32  # calls in a row at each level of nesting: code and work space grow like the logarithm of the steps
 _LONGEST = 1024  # steps a call; beyond this the cost of a call no longer shows
@@ -88,49 +87,3 @@ def _chain(name: str, steps: list[ca.Function]) -> ca.Function:
         results.append(step(z, *columns))
         z = results[-1][:, -1]
     return ca.Function(name, [start, *inputs], [ca.horzcat(*results)], first.name_in(), first.name_out())
-
-
-class Report(NamedTuple):
-    """What a run did: in words, the mean length of a step, s, and how many steps were computed, in vain or not."""
-
-    text: str
-    step: float
-    attempts: int
-
-
-class StepFailure(RuntimeError):
-    """A scheme cannot go on; the message says why and what to do."""
-
-
-class LoopRunner:
-    """Calls of `chunk_function`'s Function on NumPy memory, without conversions."""
-
-    def __init__(self, function: ca.Function, step: float) -> None:
-        self._z = np.zeros(function.size1_in(0))
-        self._h = np.full(function.size2_in(1), step)
-        self.steps = len(self._h)
-        self._u = np.zeros((self.steps + 1, function.size1_in(2)))
-        self._out = np.zeros((self.steps, len(self._z)))
-        self._buffer: Any
-        self._buffer, self._trigger = function.buffer()
-        inputs = [self._z, self._h, self._u[:-1], self._u[1:]][: function.n_in()]
-        for i, values in enumerate(inputs):
-            if values.size:
-                self._buffer.set_arg(i, values.reshape(-1).data)
-        self._buffer.set_res(0, self._out.reshape(-1).data)
-
-    def hold(self, controls: Array) -> None:
-        """Sets the control of each step of the next calls and of the one after: (steps + 1, nu)."""
-        self._u[:] = controls
-
-    def __call__(self, z: Array) -> Array:
-        """z after each step (steps, nz), valid until the next call."""
-        self._z[:] = z
-        self._trigger()
-        if self._buffer.ret():
-            raise StepFailure("CasADi could not evaluate a step: try a smaller step")
-        return self._out
-
-    def report(self, taken: int, step: float) -> Report:
-        """What was done in `taken` steps of `step` s."""
-        return Report(f"{taken} steps of {step:g} s", step, taken)

@@ -20,12 +20,13 @@ from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.scheme import DormandPrince54, RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import Projection, projection
-from tenscasadi.integrators.sundials import Cvodes, Idas, SundialsRunner
+from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.simulation.record import observe
 from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.steppers import SundialsStepper
 from tenscasadi.simulation.time_loop import chunk_steps
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
@@ -382,7 +383,7 @@ def test_the_keyboard_interrupts_integrators_of_casadi(monkeypatch: pytest.Monke
     """They tell of a failure where Python raises KeyboardInterrupt."""
     model = prism(ForceDensity())
     usual = signal.getsignal(signal.SIGINT)
-    original = SundialsRunner._run
+    original = SundialsStepper._run
 
     def pressed(self: Any, *arguments: Any) -> Any:
         rows = original(self, *arguments)
@@ -395,7 +396,7 @@ def test_the_keyboard_interrupts_integrators_of_casadi(monkeypatch: pytest.Monke
         return rows
 
     calls: list[Any] = []
-    monkeypatch.setattr(SundialsRunner, "_run", pressed)
+    monkeypatch.setattr(SundialsStepper, "_run", pressed)
     run = simulate(model, 10.0, 1e-3, scheme)
     assert run.interrupted
     assert not run.success
