@@ -1,9 +1,8 @@
-"""What every test runs under: no screen, one thread per linear-algebra call, and a compiled-code cache of its own."""
+"""What every test runs under: no screen, one thread per linear-algebra call, and a cache of compiled code that no older build has filled."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from tempfile import TemporaryDirectory
 
 import pytest
@@ -11,16 +10,18 @@ import pytest
 # before NumPy and matplotlib are imported: they read these once
 os.environ["MPLBACKEND"] = "Agg"
 os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+SHARED = "TENSCASADI_TEST_CACHE"  # a folder that several runs of the tests share; it has to be as new as the code
 
 
-@pytest.fixture(scope="session", autouse=True)
-def compiled_code_cache() -> Iterator[None]:
-    """Compiled models of the whole session share one cache, which starts empty: no test may pass thanks to an older build."""
-    with TemporaryDirectory(prefix="tenscasadi-tests-", ignore_cleanup_errors=True) as folder:
-        before = os.environ.get("TENSCASADI_CACHE")
-        os.environ["TENSCASADI_CACHE"] = folder
-        yield
-        if before is None:
-            del os.environ["TENSCASADI_CACHE"]
-        else:
-            os.environ["TENSCASADI_CACHE"] = before
+def pytest_configure(config: pytest.Config) -> None:
+    """One cache for all workers of a run: the first process makes it, those that it starts inherit it."""
+    if hasattr(config, "workerinput"):
+        return
+    if SHARED in os.environ:
+        os.environ["TENSCASADI_CACHE"] = os.environ[SHARED]
+        return
+    folder = TemporaryDirectory(prefix="tenscasadi-tests-", ignore_cleanup_errors=True)
+    config.add_cleanup(folder.cleanup)
+    os.environ["TENSCASADI_CACHE"] = folder.name
