@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.checks import dimensions
 from ocp.problem.instant import Instant
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, at_least, finite_array, per_item, positive_number
+from tenscasadi.util.validate import Array, at_least, number_or_vector, per_item, positive_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +70,8 @@ class Limits(Bound):
             value = getattr(self, name)
             if value is not None:
                 field = f"{type(self).__name__}.{name}"
-                array = finite_array(field, _finite(value) if name == "upper" else value, (None,) if dimensions(value) else ())
-                at_least(field, np.atleast_1d(array), 0.0, "string")
+                array = number_or_vector(field, _finite(value) if name == "upper" else value)
+                at_least(field, array, 0.0, "string")
 
     def check(self, structure: Structure) -> None:
         """Raise where the limits have the wrong number or cross each other."""
@@ -147,8 +146,8 @@ class RestLengthRateLimits(CornerBound):
     stiffness: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        array = finite_array("RestLengthRateLimits.speed", _finite(self.speed, 1.0), (None,) if dimensions(self.speed) else ())
-        at_least("RestLengthRateLimits.speed", np.atleast_1d(array), 0.0, "string", strict=True)
+        array = number_or_vector("RestLengthRateLimits.speed", _finite(self.speed, 1.0))
+        at_least("RestLengthRateLimits.speed", array, 0.0, "string", strict=True)
 
     def check(self, structure: Structure) -> None:
         """Raise where speed or stiffness do not fit the strings."""
@@ -177,8 +176,8 @@ class BarForceLimits(PathBound):
         for name in ("compression", "tension"):
             value = getattr(self, name)
             if value is not None:
-                array = finite_array(f"BarForceLimits.{name}", _finite(value), (None,) if dimensions(value) else ())
-                at_least(f"BarForceLimits.{name}", np.atleast_1d(array), 0.0, "bar")
+                array = number_or_vector(f"BarForceLimits.{name}", _finite(value))
+                at_least(f"BarForceLimits.{name}", array, 0.0, "bar")
 
     def check(self, structure: Structure) -> None:
         """Raise where there are no bars or the limits have the wrong number."""
@@ -208,8 +207,8 @@ class Buckling(PathBound):
     safety: float = 1.0
 
     def __post_init__(self) -> None:
-        array = finite_array("Buckling.modulus", self.modulus, (None,) if dimensions(self.modulus) else ())
-        at_least("Buckling.modulus", np.atleast_1d(array), 0.0, "bar", strict=True)
+        array = number_or_vector("Buckling.modulus", self.modulus)
+        at_least("Buckling.modulus", array, 0.0, "bar", strict=True)
         object.__setattr__(self, "safety", positive_number("Buckling.safety", self.safety))
 
     def check(self, structure: Structure) -> None:

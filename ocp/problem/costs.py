@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
-import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.checks import called, dimensions
 from ocp.problem.instant import Instant
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import at_least, finite_array, node_index, per_item, positive_number
+from tenscasadi.util.validate import at_least, call_user_function, coordinates, node_index, number, number_or_vector, per_item, positive_number
 
 Place = tuple[float | None, float | None, float | None]
+
+UNTRACKED = "an axis that does not matter"
 
 
 class Cost:
@@ -86,8 +86,8 @@ class Prestress(ControlCost):
 
     def __post_init__(self) -> None:
         _weighted(self)
-        array = finite_array("Prestress.level", self.level, (None,) if dimensions(self.level) else ())
-        at_least("Prestress.level", np.atleast_1d(array), 0.0, "string")
+        array = number_or_vector("Prestress.level", self.level)
+        at_least("Prestress.level", array, 0.0, "string")
 
     def check(self, structure: Structure) -> None:
         """Raise where there is not one level for each string."""
@@ -113,10 +113,11 @@ class Tracking(RunningCost):
         _weighted(self)
         if not isinstance(self.positions, Mapping) or not self.positions:
             raise ValueError(f"Tracking.positions is {self.positions!r}: give {{node: (x, y, z)}}")
-        object.__setattr__(self, "positions", dict(self.positions))
-        for node, place in self.positions.items():
-            if not callable(place):
-                _place(f"Tracking.positions[{node}]", place)
+        places = {
+            node: place if callable(place) else coordinates(f"Tracking.positions[{node}]", place, UNTRACKED, some=True)
+            for node, place in self.positions.items()
+        }
+        object.__setattr__(self, "positions", places)
 
     def check(self, structure: Structure) -> None:
         """Raise where a node does not exist."""
@@ -127,7 +128,7 @@ class Tracking(RunningCost):
         """weight · Σ ‖node − place‖²."""
         total: Any = 0
         for node, place in self.positions.items():
-            entries = _moving(f"Tracking.positions[{node}](time)", place, now.time) if callable(place) else tuple(place)
+            entries = _moving(f"Tracking.positions[{node}](time)", place, now.time) if callable(place) else place
             total = total + sum((now.nodes[axis, node] - entry) ** 2 for axis, entry in enumerate(entries) if entry is not None)
         return self.weight * total
 
@@ -172,30 +173,13 @@ def _weighted(cost: Any) -> None:
 
 def _moving(field: str, place: Callable[[Any], Any], time: Any) -> tuple[Any, ...]:
     """The coordinates of a place at a symbolic time: expressions of it, numbers, or None."""
-    entries = _entries(field, called(field, place, time, "give (x, y, z) of the time, s, a CasADi symbol"))
-    for entry in entries:
-        if isinstance(entry, (ca.SX, ca.MX)):
-            if not isinstance(entry, type(time)) or not entry.is_scalar():
-                raise TypeError(f"{field} has the entry {entry}: give a scalar expression of the time alone")
-        elif entry is not None:
-            finite_array(field, entry, ())
-    return entries
 
+    def read(field: str, entry: Any) -> Any:
+        if not isinstance(entry, (ca.SX, ca.MX)):
+            return number(field, entry)
+        if not isinstance(entry, type(time)) or not entry.is_scalar():
+            raise TypeError(f"{field} has the entry {entry}: give a scalar expression of the time alone")
+        return entry
 
-def _entries(field: str, place: Any) -> tuple[Any, ...]:
-    """The coordinates of a place, numbers or CasADi expressions."""
-    if isinstance(place, ca.DM):
-        place = place.full().ravel()
-    try:
-        entries = tuple(ca.vertsplit(ca.vec(place)) if isinstance(place, (ca.SX, ca.MX)) else place)
-    except TypeError:
-        raise TypeError(f"{field} is {place!r}: give a place (x, y, z) or a function of time that gives one") from None
-    if len(entries) != 3 or all(entry is None for entry in entries):
-        raise ValueError(f"{field} is {entries}: give three coordinates, None for an axis that does not matter")
-    return entries
-
-
-def _place(field: str, place: Any) -> None:
-    for entry in _entries(field, place):
-        if entry is not None:
-            finite_array(field, entry, ())
+    found = call_user_function(field, place, time, "give (x, y, z) of the time, s, a CasADi symbol")
+    return coordinates(field, ca.vertsplit(ca.vec(found)) if isinstance(found, (ca.SX, ca.MX)) else found, UNTRACKED, some=True, read=read)

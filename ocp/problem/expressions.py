@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ocp.problem.bounds import Bound, Limited, PathBound
-from ocp.problem.checks import called, dimensions
 from ocp.problem.costs import Cost, FinalCost, RunningCost
 from ocp.problem.instant import Instant, symbolic
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array, finite_array, positive_number
+from tenscasadi.util.validate import Array, call_user_function, number_or_vector, positive_number
 
 Expression = Callable[[Instant], Any]
 
@@ -42,7 +41,7 @@ class Constraint(PathBound):
         for field in ("lower", "upper"):
             value = getattr(self, field)
             if value is not None:
-                finite_array(f"Constraint {self.name!r}: {field}", value, (None,) if dimensions(value) else ())
+                number_or_vector(f"Constraint {self.name!r}: {field}", value)
 
     def limited(self, now: Instant) -> Limited:
         """The expression's entries. Raises ValueError where they and the limits differ in number, or limits cross."""
@@ -165,7 +164,7 @@ def _column(item: Any, now: Instant) -> Any:
     """The entries of an own expression, whose faults are told by its name."""
     nodes, strings = now.model.scene.structure.nodes, now.model.scene.structure.strings
     hint = f"an instant has nodes and velocities 3×{len(nodes)}, lengths, rates and control ({len(strings)},), tension, bar_force, state, time"
-    value = called(_label(item), item.expression, now, hint)
+    value = call_user_function(_label(item), item.expression, now, hint)
     if not isinstance(value, (ca.SX, ca.MX)) or value.is_empty():
         raise TypeError(
             f"{_label(item)} gives {'nothing' if hasattr(value, 'is_empty') else type(value).__name__}: give a CasADi expression of the instant"

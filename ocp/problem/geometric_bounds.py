@@ -13,7 +13,7 @@ import numpy as np
 from ocp.problem.bounds import Limited, PathBound
 from ocp.problem.instant import Instant, norms
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, node_index, positive_number, whole_number
+from tenscasadi.util.validate import Array, coordinates, finite_array, node_index, number, positive_number, whole_number
 
 Corner = Sequence[float | None]
 ROUNDING = 0.02  # of a bar: over which the nearest point of a segment is led past its end, to have smooth derivatives
@@ -32,7 +32,7 @@ class InsideBox(PathBound):
     def __post_init__(self) -> None:
         name = type(self).__name__
         for field in ("lower", "upper"):
-            object.__setattr__(self, field, _corner(f"{name}.{field}", getattr(self, field)))
+            object.__setattr__(self, field, coordinates(f"{name}.{field}", getattr(self, field), "an open side"))
         lower, upper = self.corners()
         if np.all(np.isinf(np.concatenate([lower, upper]))):
             raise ValueError(f"{name}.lower and .upper are open on all sides: give at least one")
@@ -72,7 +72,7 @@ class InsideBox(PathBound):
 
 def AboveGround(height: float = 0.0, nodes: Iterable[int] | None = None) -> InsideBox:
     """Nodes at z ≥ height, m; nodes: which, None: all."""
-    return InsideBox((None, None, float(finite_array("AboveGround.height", height, ()))), nodes=nodes)
+    return InsideBox((None, None, number("AboveGround.height", height)), nodes=nodes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,13 +192,3 @@ def _listed(field: str, value: Any, example: str) -> tuple[Any, ...] | None:
     if isinstance(value, str) or not isinstance(value, Iterable):
         raise TypeError(f"{field} is {value!r}: give a list, such as {example}")
     return tuple(value)
-
-
-def _corner(field: str, value: Any) -> tuple[float | None, ...]:
-    try:
-        entries = tuple(value)
-    except TypeError:
-        raise TypeError(f"{field} is {value!r}: give a corner (x, y, z), None for an open side") from None
-    if len(entries) != 3:
-        raise ValueError(f"{field} is {entries}: give three coordinates, None for an open side")
-    return tuple(None if entry is None else float(finite_array(field, entry, ())) for entry in entries)

@@ -11,9 +11,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.checks import dimensions
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import at_least, finite_array, node_index, per_item, whole_number
+from tenscasadi.util.validate import at_least, coordinates, finite_array, node_index, number_or_vector, per_item, whole_number
 
 OTHER_BAR = 1e-3  # relative: a shape with bars of other lengths is refused, rounded nodes are not
 
@@ -49,11 +48,11 @@ class StringLengths(Goal):
 
     def __post_init__(self) -> None:
         values = list(self.lengths.values()) if isinstance(self.lengths, Mapping) else self.lengths
-        array = np.atleast_1d(finite_array("StringLengths.lengths", values, (None,) if dimensions(values) else ()))
+        array = number_or_vector("StringLengths.lengths", values)
         if array.size == 0:
             raise ValueError("StringLengths.lengths is empty: give one length for each string, or {string: length}")
         at_least("StringLengths.lengths", array, 0.0, "entry", strict=True)
-        kept: Any = array if dimensions(values) else float(array[0])
+        kept: Any = array if array.ndim else float(array)
         object.__setattr__(self, "lengths", dict(zip(self.lengths, array.tolist(), strict=True)) if isinstance(self.lengths, Mapping) else kept)
 
     def check(self, structure: Structure) -> None:
@@ -93,16 +92,9 @@ class NodePositions(Goal):
             return
         if not self.positions:
             raise ValueError("NodePositions.positions is empty: give {node: (x, y, z)}")
-        places: dict[int, tuple[float | None, ...]] = {}
-        for node, place in self.positions.items():
-            field = f"NodePositions.positions[{node}]"
-            try:
-                entries = tuple(place)
-            except TypeError:
-                raise TypeError(f"{field} is {place!r}: give a place (x, y, z)") from None
-            if len(entries) != 3 or all(entry is None for entry in entries):
-                raise ValueError(f"{field} is {entries}: give three coordinates, None for an axis that is free")
-            places[node] = tuple(None if entry is None else float(finite_array(field, entry, ())) for entry in entries)
+        places = {
+            node: coordinates(f"NodePositions.positions[{node}]", place, "an axis that is free", some=True) for node, place in self.positions.items()
+        }
         object.__setattr__(self, "positions", places)
 
     def check(self, structure: Structure) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ocp.problem.goals import Goal, Rows
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import finite_array, positive_number
+from tenscasadi.util.validate import coordinates, finite_array, positive_number
 
 INSTANT = 1e-9  # of the duration: what lies nearer together is one instant
 
@@ -29,14 +29,7 @@ class Periodic(Goal):
     start: tuple[ArrayLike, ArrayLike] | None = None
 
     def __post_init__(self) -> None:
-        try:
-            entries = tuple(self.shift)
-        except TypeError:
-            raise TypeError(f"Periodic.shift is {self.shift!r}: give (x, y, z), None for an axis that is free") from None
-        if len(entries) != 3:
-            raise ValueError(f"Periodic.shift is {entries}: give three numbers, None for an axis that is free")
-        places = tuple(None if entry is None else float(finite_array("Periodic.shift", entry, ())) for entry in entries)
-        object.__setattr__(self, "shift", places)
+        object.__setattr__(self, "shift", coordinates("Periodic.shift", self.shift, "an axis that is free"))
         if self.start is not None and (not isinstance(self.start, (tuple, list)) or len(self.start) != 2):
             raise TypeError("Periodic.start is no pair: give (nodes, velocities), or None for the start of the problem")
 

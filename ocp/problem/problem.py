@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.bounds import Bound, ForceDensityLimits, Limits, TensionLimits
-from ocp.problem.checks import dimensions
 from ocp.problem.costs import Cost, Effort
 from ocp.problem.expressions import check_expressions
 from ocp.problem.goals import Goal
@@ -18,7 +17,7 @@ from ocp.problem.motions import INSTANT, Periodic, Waypoint
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity
-from tenscasadi.util.validate import Array, finite_array, instance, positive_number
+from tenscasadi.util.validate import Array, finite_array, instance, nesting, positive_number
 
 BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, a start with other bars is refused
 
@@ -158,7 +157,7 @@ class Problem:
         """The state (nx,) that is given as nodes or as a state, on the constraints."""
         if given is None:
             return self.model.initial_state
-        if dimensions(given) == 1:
+        if nesting(given) == 1:
             state = finite_array(field, given, (self.model.nx,))
         else:
             nodes = finite_array(field, given, (len(self.model.structure.nodes), 3))
@@ -211,7 +210,7 @@ def _listed(field: str, values: Any, kinds: type, example: str) -> tuple[Any, ..
 
 
 def _duration(value: Any) -> float | tuple[float, float]:
-    if dimensions(value) == 0:
+    if nesting(value) == 0:
         return positive_number("Problem.duration", value)
     pair = finite_array("Problem.duration", value, (2,))
     shortest = positive_number("Problem.duration[0]", pair[0])

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.util.validate import Array, Indices, finite_array, node_index, positive_number
+from tenscasadi.util.validate import Array, Indices, finite_array, node_index, number, positive_number
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Ground:
             "stiffness": positive_number("Ground.stiffness", self.stiffness),
             "damping": positive_number("Ground.damping", self.damping, zero=True),
             "friction": None if self.friction is None else positive_number("Ground.friction", self.friction),
-            "height": float(finite_array("Ground.height", self.height, ())),
+            "height": number("Ground.height", self.height),
             "normal": tuple(float(v) for v in (normal if abs(size - 1) < 1e-15 else normal / size)),  # once normalised it stays as it is
             "slip_speed": positive_number("Ground.slip_speed", self.slip_speed),
         }
@@ -114,7 +114,7 @@ class Pressure:
             if len(face) != 3 or len(set(face)) != 3:
                 raise ValueError(f"Pressure.faces[{k}] is {face}: give three different node indices")
         object.__setattr__(self, "faces", faces)
-        object.__setattr__(self, "difference", float(finite_array("Pressure.difference", self.difference, ())))
+        object.__setattr__(self, "difference", number("Pressure.difference", self.difference))
 
     def check(self, nodes: int) -> None:
         """Raise unless every face refers to one of `nodes` nodes."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices, finite_array, positive_number, whole_number
+from tenscasadi.util.validate import Array, Indices, finite_array, number, positive_number, whole_number
 
 
 def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> Structure:
@@ -27,7 +27,7 @@ def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> S
     No strings. Raises TypeError, ValueError for a length that is not positive.
     """
     length = positive_number("length", length)
-    angle = _number("angle", angle)
+    angle = number("angle", angle)
     return Structure(np.array([np.zeros(3), _hanging(length, angle)]), bars=[(0, 1)], **{"pinned": (0,), **options})
 
 
@@ -66,7 +66,7 @@ def prism(
     p = whole_number("bars", bars, 3)
     radius, height = positive_number("radius", radius), positive_number("height", height)
     balanced = np.pi / 2 + np.pi / p
-    turn = balanced if twist is None else _number("twist", twist)
+    turn = balanced if twist is None else number("twist", twist)
     if prestress is not None and not np.isclose(turn, balanced, rtol=0.0, atol=1e-12):
         raise ValueError(f"prestress needs the equilibrium twist, {balanced:g} rad, and twist is {turn:g}: leave one of them out")
     i = np.arange(p)
@@ -188,10 +188,6 @@ def _hanging(length: float, angle: float) -> Array:
 
 def _pairs(first: Indices, second: Indices) -> Indices:
     return np.column_stack([first, second])
-
-
-def _number(field: str, value: float) -> float:
-    return float(finite_array(field, value, ()))
 
 
 def _prestressed(structure: Structure, stress: Array, prestress: float | None, options: dict[str, Any]) -> Structure:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from numbers import Real
 from typing import Any
 
@@ -40,11 +41,43 @@ def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array
     return array
 
 
+def nesting(value: Any) -> int:
+    """How deep `value` is nested: 0 for a number, 1 for a list; 1 also for ragged lists, which array checks then refuse by name."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return 1
+
+
+def number(field: str, value: Any) -> float:
+    """`value` as a finite float. Raises TypeError, ValueError."""
+    return float(finite_array(field, value, ()))
+
+
+def number_or_vector(field: str, value: Any) -> Array:
+    """`value` as a finite array of shape (), for one number, or (any,). Raises TypeError, ValueError."""
+    return finite_array(field, value, (None,) if nesting(value) else ())
+
+
+def coordinates(field: str, place: Any, none: str, some: bool = False, read: Callable[[str, Any], Any] = number) -> tuple[Any, ...]:
+    """`place` (x, y, z) as three of what `read` makes of an entry, or None, which says `none`; `some`: all three None are refused.
+
+    Raises TypeError, ValueError.
+    """
+    try:
+        entries = tuple(place.full().ravel() if isinstance(place, ca.DM) else place)
+    except TypeError:
+        raise TypeError(f"{field} is {place!r}: give (x, y, z), None for {none}") from None
+    if len(entries) != 3 or (some and all(entry is None for entry in entries)):
+        raise ValueError(f"{field} is {entries}: give three coordinates, None for {none}")
+    return tuple(None if entry is None else read(field, entry) for entry in entries)
+
+
 def per_item(field: str, value: Any, count: int, item: str) -> Array:
     """`value` broadcast to one number for each of `count` items. Raises TypeError, ValueError."""
     if not isinstance(value, Real) and not (isinstance(value, np.ndarray) and value.ndim == 0):
         return finite_array(field, value, (count,))
-    array = np.full(count, finite_array(field, value, ()))
+    array = np.full(count, number(field, value))
     array.flags.writeable = False
     return array
 
@@ -60,10 +93,10 @@ def at_least(field: str, array: Array, bound: float, item: str, strict: bool = F
 
 def positive_number(field: str, value: Any, zero: bool = False) -> float:
     """`value` as a finite float > 0 (≥ 0 when `zero`). Raises TypeError, ValueError."""
-    number = float(finite_array(field, value, ()))
-    if number < SMALLEST and not (zero and number >= 0.0):
-        raise ValueError(f"{field} is {number:g}: it must be {'at least' if zero else 'greater than'} 0")
-    return number
+    found = number(field, value)
+    if found < SMALLEST and not (zero and found >= 0.0):
+        raise ValueError(f"{field} is {found:g}: it must be {'at least' if zero else 'greater than'} 0")
+    return found
 
 
 def whole_number(field: str, value: Any, minimum: int) -> int:
@@ -111,6 +144,16 @@ def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: st
     """TypeError unless `value` is one of `kinds`; `example` shows a right one."""
     if not isinstance(value, kinds):
         raise TypeError(f"{field} is {value!r}: give {example}")
+
+
+def call_user_function(field: str, function: Callable[[Any], Any], argument: Any, hint: str) -> Any:
+    """function(argument) of a user's function; whatever it raises becomes a ValueError that names the field and ends with a hint."""
+    try:
+        return function(argument)
+    except Exception as error:
+        fault = re.sub(r"^\S+:\d+: ", "", (str(error).strip().splitlines() or [""])[-1])  # CasADi begins with its own files and lines
+        cure = "give casadi.if_else(condition, a, b) in place of Python's if, max, and, or" if "truth value" in fault else hint
+        raise ValueError(f"{field} fails with {type(error).__name__}: {fault.rstrip('.')}: {cure}") from error
 
 
 def _wanted(shape: tuple[int | None, ...]) -> str:

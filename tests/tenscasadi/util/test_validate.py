@@ -211,3 +211,31 @@ def test_results_are_read_only_copies() -> None:
     assert array[0, 0] == 1.0
     for result in (array, validate.per_item("mass", 1.0, 3, "bar"), validate.node_pairs("bars", [(0, 1)], 2, "bar")):
         assert not result.flags.writeable
+
+
+def test_coordinates_are_three_numbers_or_none() -> None:
+    assert validate.coordinates("place", (1, None, Fraction(1, 2)), "a free axis") == (1.0, None, 0.5)
+    assert validate.coordinates("place", ca.DM([1, 2, 3]), "a free axis", some=True) == (1.0, 2.0, 3.0)
+    assert validate.coordinates("place", [None] * 3, "a free axis") == (None, None, None)
+    for kind, place in ((TypeError, 1.0), (TypeError, "abc"), (ValueError, (1, 2)), (ValueError, (1, 2, NAN))):
+        with pytest.raises(kind, match=r"^place is "):
+            validate.coordinates("place", place, "a free axis")
+    with pytest.raises(ValueError, match=r"^place is \(None, None, None\): give three coordinates, None for a free axis$"):
+        validate.coordinates("place", (None, None, None), "a free axis", some=True)
+
+
+def test_one_number_or_one_for_each() -> None:
+    assert validate.number_or_vector("level", 2).shape == ()
+    assert validate.number_or_vector("level", (2, 3)).tolist() == [2.0, 3.0]
+    with pytest.raises(TypeError, match=r"^level is not an array of real numbers .*: give an array of shape \(any,\)$"):
+        validate.number_or_vector("level", [(1, 2), 3])
+    with pytest.raises(ValueError, match=r"^level has shape \(1, 2\): give an array of shape \(any,\)$"):
+        validate.number_or_vector("level", [(1, 2)])
+
+
+def test_faults_of_a_user_function_are_told_by_name() -> None:
+    assert validate.call_user_function("law", abs, -1, "") == 1
+    with pytest.raises(ValueError, match=r"^law fails with ZeroDivisionError: .*: give a speed$"):
+        validate.call_user_function("law", lambda x: 1 / x, 0, "give a speed")
+    with pytest.raises(ValueError, match=r"^law fails with \w+: .*: give casadi\.if_else"):
+        validate.call_user_function("law", lambda x: max(x, 0), ca.SX.sym("x"), "")
