@@ -23,7 +23,7 @@ import ocp
 import tenscasadi as tc
 from ocp.solvers.base import Solution
 from ocp.transcription.base import OnGrid
-from ocp.transcription.variables import Program
+from ocp.transcription.sparse_nlp import Program
 
 BAR = 1.4  # m
 SAME = 60  # intervals at which the fast path and plain multiple shooting are compared

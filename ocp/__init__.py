@@ -24,14 +24,13 @@ from ocp.problem.motions import Periodic, Waypoint
 from ocp.problem.problem import FreeStart, Problem
 from ocp.solve import solve
 from ocp.solvers.best import Progress
-from ocp.solvers.duals import Duals
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
-from ocp.transcription.base import MultipleShooting
-from ocp.transcription.collocation import Collocation
-from ocp.transcription.guesses import Arrays, Equilibrium, InverseDynamics
-from ocp.transcription.implicit import ImplicitMidpoint
+from ocp.solvers.multipliers import Duals
+from ocp.transcription.collocation import Collocation, ImplicitMidpoint
+from ocp.transcription.initial_guess import Arrays, Equilibrium, InverseDynamics
 from ocp.transcription.mesh import PiecewiseConstant, PiecewiseLinear
+from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
 
 __all__ = [

@@ -14,11 +14,11 @@ from ocp.control.mpc import Mpc
 from ocp.problem.problem import Problem
 from ocp.solve import program_of
 from ocp.transcription.base import OnGrid
-from ocp.transcription.guesses import GuessValue
+from ocp.transcription.initial_guess import InitialGuess
 from tenscasadi.util.validate import instance
 
 
-def export_program(problem: Problem, transcription: OnGrid, folder: str | Path, guess: GuessValue | None = None) -> list[Path]:
+def export_program(problem: Problem, transcription: OnGrid, folder: str | Path, guess: InitialGuess | None = None) -> list[Path]:
     """Writes `program.c`, `program.h`, `unknowns.csv` and `rows.csv` into `folder` (made if need be); returns their paths.
 
     The program: minimise f(w) subject to lower ≤ g(w) ≤ upper and limits of w, all scaled. Functions: `nlp_f`, `nlp_g`, `nlp_grad_f`, `nlp_jac_g`

@@ -21,15 +21,14 @@ from ocp.problem.path_constraints import cubic, within
 from ocp.problem.problem import Problem
 from ocp.solvers.base import Solution, Solver
 from ocp.solvers.deferred_correction import corrected
-from ocp.solvers.duals import Duals
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
-from ocp.solvers.multipliers import duals_of, started
-from ocp.transcription.base import MultipleShooting, OnGrid
-from ocp.transcription.guesses import GuessValue, guess_of
-from ocp.transcription.initial_guess import Guess
+from ocp.solvers.multipliers import Duals, duals_of, started
+from ocp.transcription.base import OnGrid
+from ocp.transcription.initial_guess import Guess, InitialGuess, guess_of
 from ocp.transcription.mesh import held_values, spread
-from ocp.transcription.variables import Program
+from ocp.transcription.multiple_shooting import MultipleShooting
+from ocp.transcription.sparse_nlp import Program
 from tenscasadi.simulation.record import record
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, instance, positive_number
@@ -50,7 +49,7 @@ def solve(
     problem: Problem,
     transcription: OnGrid | None = None,
     solver: Solver | None = None,
-    guess: GuessValue | None = None,
+    guess: InitialGuess | None = None,
     tolerance: float | None = None,
 ) -> Plan:
     """The plan that a solver finds for `problem`; without arguments by MultipleShooting() and Ipopt().
@@ -87,7 +86,7 @@ def solve(
     return replace(plan, seconds=seconds, again=once_more)
 
 
-def program_of(problem: Problem, transcription: OnGrid, guess: GuessValue | None = None) -> Program:
+def program_of(problem: Problem, transcription: OnGrid, guess: InitialGuess | None = None) -> Program:
     """The program that `solve` gives to its solver. Raises as `solve`."""
     instance("problem", problem, Problem, "an ocp.Problem")
     instance("transcription", transcription, OnGrid, "a transcription, such as ocp.MultipleShooting()")
@@ -95,7 +94,7 @@ def program_of(problem: Problem, transcription: OnGrid, guess: GuessValue | None
     return transcription.program(problem, imposed, scales, first)
 
 
-def _prepared(problem: Problem, transcription: OnGrid, guess: GuessValue | None) -> tuple[Scales, Target, Target, Guess, Reach]:
+def _prepared(problem: Problem, transcription: OnGrid, guess: InitialGuess | None) -> tuple[Scales, Target, Target, Guess, Reach]:
     """What is asked, and of that what is to be imposed, with the guess and what tells which rows the strings move along it."""
     check_groups(problem, transcription.control)
     scales = Scales.of(problem)

@@ -29,7 +29,6 @@ OWED = {  # arrows that still run back; each goes when the two are merged or spl
     ("ocp.boundary.row_reduction", "ocp.transcription.direct"),
     ("ocp.boundary.sensitivities", "ocp.transcription.direct"),
     ("ocp.problem.path_constraints", "ocp.boundary.target"),
-    ("ocp.transcription.guesses", "ocp.plan.plan"),
 }
 
 

@@ -13,7 +13,7 @@ from ocp.control.mpc_constraints import horizon_rows
 from ocp.control.reference import Reference
 from ocp.plan.plan import Plan
 from ocp.problem.problem import Problem
-from ocp.solvers.interior_point_qp import least
+from ocp.solvers.interior_point_qp import solve_qp
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
@@ -152,7 +152,7 @@ class Mpc:
             rows, room = (ca.vertcat(*part) for part in zip(*(bound.symbolic(points, effects, time, begun) for bound in self._bounds), strict=True))
             a = ca.vertcat(ca.horzcat(rows, -ca.DM.ones(rows.shape[0], 1)), ca.diagcat(a, ca.DM(-1)))
             b, H, g = ca.vertcat(room, b, 0.0), ca.diagcat(H, OVERSTEP), ca.vertcat(g, OVERSTEP)
-        change = least(H, g, a, b, ca.DM.zeros(g.shape))[: count * nu]
+        change = solve_qp(H, g, a, b, ca.DM.zeros(g.shape))[: count * nu]
         return ca.reshape(ca.if_else(sane(change), change, ca.DM.zeros(count * nu)), nu, count)
 
     def _improved(self, state: Array, gamma: Array, wanted: Array, held: Array, time: float) -> Array:

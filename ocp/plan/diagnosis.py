@@ -13,7 +13,7 @@ from ocp.plan.misses import Misses
 from ocp.solvers.base import Solution
 from ocp.solvers.best import STOPPED
 from ocp.transcription.initial_guess import Guess
-from ocp.transcription.variables import Program
+from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.util.validate import Array

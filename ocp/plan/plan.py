@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ocp.boundary.target import Target
 from ocp.plan.mesh_refinement import finer
 from ocp.plan.replay import run_profile
 from ocp.plan.report import Report, report_of
 from ocp.problem.problem import Problem
-from ocp.solvers.duals import Duals
+from ocp.solvers.multipliers import Duals
+from ocp.transcription.initial_guess import Guess, resampled
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.serialize import differences, model_arrays, model_of, structure_arrays, structure_of
 from tenscasadi.integrators.scheme import RungeKutta4, Scheme, check_scheme
@@ -149,6 +151,13 @@ class Plan:
             missing = "which its file does not hold: it is of an older version, or the scene has functions of time"
             raise ValueError(f"{user} needs the model, {missing}; give Plan.load(path, problem=...)")
         return self.model
+
+    def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
+        """The plan as initial guess on equal intervals. Raises ValueError for a plan of another structure."""
+        if self.trajectory.states.shape[1] != problem.model.nx or self.force_density.shape[1] != problem.model.nu:
+            raise ValueError("guess is a plan for another structure: give one whose model has the same nodes and strings")
+        shares = self.time / self.time[-1]
+        return resampled(problem, target, self.trajectory.states, shares, self.force_density, shares, intervals, float(self.time[-1]))
 
     def report(self) -> Report:
         """The limits that hold the plan back, with what they cost, and those that it breaks, or its replay between the ends of its intervals.

@@ -11,7 +11,7 @@ import numpy as np
 from ocp.problem.bounds import CornerBound, Limited, PathBound
 from ocp.problem.limits import Along, limits_along
 from ocp.problem.problem import Problem
-from ocp.solvers.duals import Duals
+from ocp.solvers.multipliers import Duals
 from ocp.transcription.mesh import at
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
-from ocp.transcription.variables import Program
+from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.validate import Array, positive_number, whole_number
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from ocp.solvers.base import Solution, Solver
 from ocp.solvers.ipopt import Ipopt
-from ocp.transcription.base import ramped_step, shooting_step
-from ocp.transcription.variables import Program
+from ocp.transcription.multiple_shooting import ramped_step, shooting_step
+from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import DormandPrince853
 from tenscasadi.util.validate import Array

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from ocp.solvers.base import Solution, check_options
-from ocp.solvers.staged import staged
-from ocp.transcription.variables import Program
+from ocp.transcription.sparse_nlp import Block, Program, Separable, Unknowns
+from tenscasadi.util.validate import Array, Indices
 
 REFUSED = "option not supported", "generic_type.cpp"  # what CasADi says of options that Fatrop does not have, or of another type
 BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more problems
@@ -69,3 +69,173 @@ class Fatrop:
         status = "Solve_Succeeded" if success else failure
         multipliers = result["lam_g"].full().ravel()[parts.rows], result["lam_x"].full().ravel()[parts.original]
         return Solution(w[parts.original], success, status, int(stats["iter_count"]), multipliers)
+
+
+@dataclass(frozen=True, eq=False)
+class Staged:
+    """nlp and its derivatives in the stages' order, with what Fatrop needs to know.
+
+    Every unknown belongs to the stage in which it appears first; where a later stage needs it too, it is handed on from stage to
+    stage as a further state. states, controls, paths: how many each stage has. original, rows: where w and g of the program stand.
+    """
+
+    nlp: ca.Function
+    first: Array
+    w_lower: Array
+    w_upper: Array
+    lower: Array
+    upper: Array
+    equality: list[bool]
+    states: list[int]
+    controls: list[int]
+    paths: list[int]
+    original: Indices
+    rows: Indices
+
+
+def staged(program: Program) -> Staged:
+    """The program in stages."""
+    home = program.parts.unknowns.column(4).astype(int)
+    if "duration" in program.w_names:
+        home[program.w_names.index("duration")] = 0
+    last = int(home.max(initial=0))
+    rows = [_Placed(block, home) for block in program.parts.rows]
+    costs = [_Placed(block, home) for block in program.parts.costs]
+    closed = {int(v) for placed in rows if placed.closing for v in placed.block.closes.ravel()}  # type: ignore[union-attr]
+
+    until = home.copy()  # the last stage that sees an unknown
+    for placed in (*rows, *costs):
+        for index, stage in zip(placed.block.index, placed.stage, strict=True):
+            seen = index[index >= 0]
+            until[seen] = np.maximum(until[seen], stage)
+    # unknowns as (original, stage); states of a stage first: those that the motion leads to, then those handed on
+    order: list[list[tuple[int, int]]] = [[] for _ in range(last + 1)]
+    states = [0] * (last + 1)
+    for stage in range(last + 1):
+        arriving = [(v, stage) for v in np.flatnonzero(home == stage).tolist() if v in closed]
+        handed = [(v, stage) for v in np.flatnonzero((home < stage) & (until >= stage)).tolist()]
+        chosen = [(v, stage) for v in np.flatnonzero(home == stage).tolist() if v not in closed]
+        states[stage] = len(arriving) + len(handed)
+        order[stage] = [*arriving, *handed, *chosen]
+    place = {entry: k for k, entry in enumerate(entry for stage in order for entry in stage)}
+    entries = list(place)
+
+    unknowns = _reordered(program.parts.unknowns, entries, home)
+    moved_rows = [placed.moved(place, home) for placed in rows]
+    copies = [(place[v, s], place[v, s - 1]) for v, s in entries if s > home[v]]
+    if copies:
+        scale = unknowns.column(1)[[after for after, _ in copies]]
+        index = np.column_stack([np.array(copies, dtype=np.intp), unknowns.constant(1 / scale)])
+        z = ca.SX.sym("z", 3)
+        handing = ca.Function("hand", [z], [(z[0] - z[1]) * z[2]])
+        moved_rows.append(Block(handing, index, ("handed on",) * len(copies), closes=index[:, :1]))
+    moved_costs = [placed.moved(place, home) for placed in costs]
+
+    w, p = ca.MX.sym("w", len(entries)), ca.MX.sym("p", 0)
+    separable = Separable(unknowns, moved_rows, moved_costs, 1 / program.objective, w)
+    limits = [block.limits() for block in moved_rows]
+    lower, upper = (np.concatenate([np.zeros(0), *(pair[side] for pair in limits)]) for side in (0, 1))
+    permutation, gaps, paths = _row_order(moved_rows, [*(placed.stage for placed in rows), np.array([])], order, states, place)
+    lower, upper = lower[permutation], upper[permutation]
+    values = [np.asarray(unknowns.column(k)) for k in range(4)]
+    g = separable.g[permutation.tolist()]
+    nlp = ca.Function("nlp", [w, p], [separable.f, g], ["x", "p"], ["f", "g"], {"cache": _cache(separable, w, p, g, permutation)})
+    equality = (np.isin(np.arange(len(permutation)), gaps) | (lower == upper)).tolist()
+    original = np.array([place[v, int(home[v])] for v in range(len(home))], dtype=np.intp)
+    controls = [len(order[k]) - states[k] for k in range(last + 1)]
+    bounds = values[2] / values[1], values[3] / values[1]
+    source = np.array([v for v, _ in entries], dtype=np.intp)
+    row_places = np.argsort(permutation)[: len(program.lower)]
+    return Staged(nlp, program.first[source], *bounds, lower, upper, equality, states, controls, paths, original, row_places)
+
+
+class _Placed:
+    """A block and the stage of each of its instances: the first that knows all that they need."""
+
+    def __init__(self, block: Block, home: Indices) -> None:
+        self.block = block
+        known = np.where(block.index >= 0, home[np.maximum(block.index, 0)], 0)
+        self.stage = known.max(axis=1)
+        self.closing = False
+        if block.closes is not None:
+            ends = [np.isin(index, closes) for index, closes in zip(block.index, block.closes, strict=True)]
+            before = np.where(np.array(ends), 0, known).max(axis=1)
+            self.closing = bool(np.all(before + 1 == home[block.closes[:, 0]]))
+            if self.closing:
+                self.stage = before
+
+    def moved(self, place: dict[tuple[int, int], int], home: Indices) -> Block:
+        """The block with references to the unknowns of its instances' stages."""
+        index = self.block.index.copy()
+        for row, stage in zip(index, self.stage, strict=True):
+            for k in np.flatnonzero(row >= 0):
+                v = int(row[k])
+                row[k] = place[v, max(int(stage), int(home[v]))]
+        closes = None
+        if self.closing and self.block.closes is not None:
+            closes = np.array([[place[int(v), int(home[v])] for v in row] for row in self.block.closes], dtype=np.intp)
+        return replace(self.block, index=index, closes=closes)
+
+
+def _reordered(unknowns: Unknowns, entries: Sequence[tuple[int, int]], home: Indices) -> Unknowns:
+    """The unknowns in the stages' order; what is handed on has no limits of its own."""
+    result = Unknowns()
+    chosen = [v for v, _ in entries]
+    handed = np.array([stage > home[v] for v, stage in entries], dtype=bool)
+    first, scale, lower, upper, _ = (unknowns.column(k)[chosen] for k in range(5))
+    result.add(
+        [unknowns.names[v] for v in chosen],
+        first,
+        scale,
+        np.where(handed, -np.inf, lower),
+        np.where(handed, np.inf, upper),
+    )
+    result.constant(unknowns.constants)
+    return result
+
+
+def _row_order(
+    blocks: Sequence[Block],
+    stages: Sequence[Indices],
+    order: Sequence[Sequence[tuple[int, int]]],
+    states: Sequence[int],
+    place: dict[tuple[int, int], int],
+) -> tuple[Indices, Indices, list[int]]:
+    """Rows stage by stage: those that close its gap, in the order of the next stage's states, then all others."""
+    gap_of: dict[int, int] = {}
+    others: list[list[int]] = [[] for _ in order]
+    row = 0
+    for block, stage in zip(blocks, stages, strict=False):
+        for k in range(block.count):
+            for j in range(block.rows):
+                if block.closes is not None:
+                    gap_of[int(block.closes[k, j])] = row
+                else:
+                    others[int(stage[k])].append(row)
+                row += 1
+    result: list[int] = []
+    gaps: list[int] = []
+    for k in range(len(order)):
+        if k + 1 < len(order):
+            gaps += range(len(result), len(result) + states[k + 1])
+            result += [gap_of[place[entry]] for entry in order[k + 1][: states[k + 1]]]
+        result += others[k]
+    return np.array(result, dtype=np.intp), np.array(gaps, dtype=np.intp), [len(rows) for rows in others]
+
+
+def _cache(separable: Separable, w: Any, p: Any, g: Any, permutation: Indices) -> dict[str, ca.Function]:
+    """Exact derivatives under the names by which CasADi's Fatrop looks for them."""
+    exact = separable.functions
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(permutation))
+    inverse = np.argsort(permutation).tolist()
+    slope = exact["nlp_grad_f"](w, p)[1]
+    J = exact["nlp_jac_g"](w, p)[1][permutation.tolist(), :]
+    H = ca.triu2symm(exact["nlp_hess_l"](w, p, lam_f, lam_g[inverse]))
+    gradient = lam_f * slope + ca.mtimes(J.T, lam_g)
+    return {
+        "nlp_grad_f": ca.Function("nlp_grad_f", [w, p], [slope], ["x", "p"], ["grad_f_x"]),
+        "nlp_jac_g": ca.Function("nlp_jac_g", [w, p], [g, J], ["x", "p"], ["g", "jac_g_x"]),
+        "nlp_hess_l": ca.Function(
+            "nlp_hess_l", [w, p, lam_f, lam_g], [gradient, H], ["x", "p", "lam_f", "lam_g"], ["grad_gamma_x", "hess_gamma_x_x"]
+        ),
+    }

@@ -11,7 +11,7 @@ CLOSE = 1e-14  # mean complementarity at which the point is kept
 FAR = 0.99  # share of the way to the nearest limit
 
 
-def least(H: Any, g: Any, G: Any, b: Any, start: Any) -> Any:
+def solve_qp(H: Any, g: Any, G: Any, b: Any, start: Any) -> Any:
     """x (n,) with the least ½ xᵀH x + gᵀx among those with G x ≤ b (m,): Mehrotra's predictor and corrector, SIAM J. Optim. 1992, 2, 575.
 
     H is positive definite; entries of b are finite. start: x to begin with, which need not keep the limits.

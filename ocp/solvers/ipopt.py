@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp.solvers.base import Solution, check_options
 from ocp.solvers.best import Best, Watcher
-from ocp.transcription.variables import Program
+from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.validate import positive_number
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along

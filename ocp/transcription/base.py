@@ -1,9 +1,9 @@
-"""From a problem to a nonlinear program: multiple shooting."""
+"""The base of all transcriptions: a mesh of intervals and a profile of force densities; and the rows that keep bars at its nodes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,33 +12,12 @@ from ocp.boundary.target import Scales, Target
 from ocp.problem.problem import Problem
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import Intervals, PiecewiseConstant, PiecewiseLinear, Profile, check_intervals, fractions
-from ocp.transcription.sparse_nlp import Block
-from ocp.transcription.variables import Assembly, Program, interval_names, state_names
+from ocp.transcription.sparse_nlp import Program
+from ocp.transcription.variables import Assembly
+from tenscasadi.dynamics import mechanism as dynamics
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import RungeKutta4, Scheme, check_scheme
-from tenscasadi.integrators.stabilization import projection
-from tenscasadi.util.validate import Array, instance, positive_number, whole_number
-
-_UNIFORM = ca.Function("ode", [ca.SX.sym("x"), ca.SX.sym("u")], [ca.SX.ones(1)])  # x' = 1
-
-
-class Transcription(Protocol):
-    """A way to turn a problem into a program."""
-
-    @property
-    def count(self) -> int:
-        """Intervals."""
-
-    @property
-    def fractions(self) -> Array:
-        """The share of the duration that each interval takes."""
-
-    @property
-    def control(self) -> Profile:
-        """How force densities run over the intervals."""
-
-    def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
-        """The nonlinear program, scaled about the guess."""
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.validate import Array, Indices, instance, positive_number
 
 
 @dataclass(frozen=True)
@@ -79,79 +58,66 @@ class OnGrid:
         return Assembly(problem, target, scales, guess, self.fractions, self.control)
 
 
-@dataclass(frozen=True)
-class MultipleShooting(OnGrid):
-    """γ constant or linear on each interval; the states between intervals are unknowns too, and continuity is a constraint.
-
-    Each interval takes `substeps` steps of `scheme`, followed by a projection onto bars and joints: without it they drift, and imposed
-    as constraints they would repeat the dynamics.
-    """
-
-    scheme: Scheme = field(default_factory=RungeKutta4)
-    substeps: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        whole_number("MultipleShooting.substeps", self.substeps, 1)
-        check_scheme(self.scheme)
-        try:
-            self.scheme.step(_UNIFORM)
-        except TypeError:
-            name = type(self.scheme).__name__
-            text = f"MultipleShooting.scheme is {name}(), which steps whole models, not the equations with force densities of an interval"
-            raise ValueError(f"{text}: give RungeKutta4(), DormandPrince54(), DormandPrince853() or Collocation()") from None
-
-    def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
-        """The nonlinear program, scaled about the guess."""
-        a = self.assembly(problem, target, scales, guess)
-        model = problem.model
-        # Ordered interval by interval, so that the matrices of the solver are banded: u₀ x₁ u₁ x₂ …
-        for k in range(a.count):
-            a.add_control(k)
-            a.add_state(k + 1)
-        if self.control.linear:
-            a.add_control(a.count)
-        a.add_duration()
-        sizes = (model.nx, a.interval_controls.shape[1], model.nx, 1, 1)
-        z = ca.MX.sym("z", sum(sizes))
-        x, c, after, duration, share = ca.vertsplit(z, np.cumsum((0, *sizes)).tolist())
-        if self.control.linear:
-            end = ramped_step(model, self.scheme, self.substeps)(x, a.gamma(c, 0.0), a.gamma(c, 1.0), duration * share)
-        else:
-            end = shooting_step(model, self.scheme, self.substeps)(x, a.gamma(c, 0.0), duration * share)
-        gap = unrolled(model, ca.Function("gap", [z], [(after - end) / ca.DM(a.scales.state)]))
-        index = np.hstack([a.states[:-1], a.interval_controls, a.states[1:], a.repeated(a.duration), a.share])
-        a.rows.append(Block(gap, index, interval_names(a.count, state_names(model)), scale=a.scales.state, closes=a.states[1:]))
-        return a.finish()
-
-
-def shooting_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
-    """Steps of a scheme and a projection: Function (x, u, h) → x_next."""
-    advance = scheme.step(model.ode)
-    x, u, h = (ca.MX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("h", 1)))
-    end: Any = x
-    for _ in range(substeps):
-        end = advance(end, u, h / substeps)
-    if model.mechanism.constrained:
-        end = projection(model, 1)(end)
-    return ca.Function("interval", [x, u, h], [end], ["x", "u", "h"], ["x_next"])
-
-
-def ramped_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
-    """The same with a control that runs linearly from u to v, which the scheme integrates as part of the state: (x, u, v, h) → x_next."""
-    x, u, v, h = (ca.MX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("v", model.nu), ("h", 1)))
-    z, rate = ca.MX.sym("z", model.nx + model.nu), ca.MX.sym("rate", model.nu)
-    ode = ca.Function("ramped", [z, rate], [ca.vertcat(model.ode(z[: model.nx], z[model.nx :]), rate)])
-    advance = scheme.step(ode)
-    end: Any = ca.vertcat(x, u)
-    for _ in range(substeps):
-        end = advance(end, (v - u) / h, h / substeps)
-    end = end[: model.nx]
-    if model.mechanism.constrained:
-        end = projection(model, 1)(end)
-    return ca.Function("interval", [x, u, v, h], [end], ["x", "u", "v", "h"], ["x_next"])
-
-
 def unrolled(model: Model, function: ca.Function) -> ca.Function:
     """The function as scalar code, where the model's equations are: its derivatives are sparse and quickly built."""
     return function.expand() if model.ode.is_a("SXFunction") else function
+
+
+class Closing:
+    """Rows that say where an interval ends, up to multipliers along the bars which keep lengths and rates there."""
+
+    def __init__(self, a: Assembly) -> None:
+        self._a, self.bars = a, a.model.mechanism.bars
+        self.size = 2 * self.bars
+        self.index: Indices = np.zeros((a.count, self.size), dtype=np.intp)
+        self.names = bar_names(self.bars, "length") + bar_names(self.bars, "rate")
+
+    def add(self, k: int) -> None:
+        """The multipliers of interval k: kg, and kg/s."""
+        mass, time = self._a.scales.mass, self._a.scales.time
+        names = [f"{name}, interval {k}" for name in self.names]
+        self.index[k] = self._a.unknowns.add(names, 0.0, np.repeat([mass, mass / time], self.bars), stage=k)
+
+    def rows(self, end: Any, after: Any, multipliers: Any) -> Any:
+        """x⁺ − end − M⁻¹ (what the multipliers push), and the bars' lengths and rates at x⁺, all scaled."""
+        model, scales = self._a.model, self._a.scales
+        mech = model.mechanism
+        gap = after - end
+        if self.bars:
+            N, _, _ = model.unpack(after)
+            B = ca.mtimes(N, sparse(mech.C_b.T))
+            none = ca.DM.zeros(3, 0)
+            moves = [mech.with_inverse(dynamics.push(mech, B, m.T, none)) for m in ca.vertsplit(multipliers, self.bars)]
+            gap = gap - model.pack(moves[0], moves[1], 0)
+        return ca.vertcat(gap / ca.DM(scales.state), *bar_rows(model, after, scales, rates=True))
+
+
+def bar_rows(model: Model, x: Any, scales: Scales, rates: bool) -> list[Any]:
+    """(bᵀb/l² − 1)/2, and, where wanted, bᵀḃ in the same scale, of the bars at x."""
+    mech = model.mechanism
+    if not mech.bars:
+        return []
+    N, V, _ = model.unpack(x)
+    B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
+    squared = ca.DM(mech.lengths**2)
+    rows = [(ca.sum1(B * B).T / squared - 1) / 2]
+    return [*rows, ca.sum1(B * Bd).T / squared * scales.time] if rates else rows
+
+
+def bar_names(count: int, what: str) -> tuple[str, ...]:
+    """Names of rows or unknowns, one for each bar."""
+    return tuple(f"bar {k} {what}" for k in range(count))
+
+
+def parts(*sizes: int, kind: Any = ca.MX) -> tuple[Any, tuple[Any, ...]]:
+    """A symbol and its pieces of these sizes."""
+    z = kind.sym("z", sum(sizes))
+    return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
+
+
+def check_reduced(name: str, model: Model) -> None:
+    """ValueError unless bars are all that is to be kept: reduced coordinates, supports that stand still."""
+    if model.mechanism.joints:
+        raise ValueError(f'{name} keeps bars, not joints: give a problem with Model(scene, coordinates="reduced"), or MultipleShooting')
+    if model.scene.supports is not None:
+        raise ValueError(f"{name} does not know moved supports (Scene.supports): use MultipleShooting")

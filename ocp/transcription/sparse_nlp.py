@@ -146,6 +146,47 @@ class Separable:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class Program:
+    """minimise f(w) subject to lower ≤ g(w) ≤ upper and w_lower ≤ w ≤ w_upper, all in scaled numbers of order one.
+
+    problem: {"x": w, "f": f, "g": g} as `casadi.nlpsol` takes it. first: w to start from. names: one for each row of g, and w_names for each of w.
+    objective, scale, w_scale: what f, g and w are multiplied by to be costs, and in physical units (rows of goals have none). unpack: Function
+    w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration. parts: what w,
+    g and f consist of; g begins with `moving` rows of the motion. states: references to x (intervals + 1, nx). contact: whether nodes may meet a
+    ground. multipliers: those of g and of w's limits to start from, where they are known.
+    """
+
+    problem: dict[str, Any]
+    w_lower: Array
+    w_upper: Array
+    lower: Array
+    upper: Array
+    scale: Array
+    first: Array
+    names: tuple[str, ...]
+    w_names: tuple[str, ...]
+    w_scale: Array
+    objective: float
+    unpack: ca.Function
+    parts: Separable
+    moving: int
+    states: Indices
+    contact: bool = False
+    multipliers: tuple[Array, Array] | None = None
+
+    def derivatives(self) -> dict[str, ca.Function]:
+        """Gradient, Jacobian and Hessian as CasADi's solvers name and call them."""
+        return self.parts.functions
+
+    def with_states(self, w: Array, states: Array) -> Array:
+        """w with states (intervals + 1, nx) in place of its own."""
+        result = w.copy()
+        known = self.states >= 0
+        result[self.states[known]] = states[known] / self.w_scale[self.states[known]]
+        return result
+
+
 def _gathered(y: Any, places: Indices) -> Any:
     return ca.reshape(y[places.ravel().tolist()], places.shape[1], places.shape[0])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -16,52 +16,10 @@ from ocp.problem.problem import Problem
 from ocp.transcription.assemble import bound_blocks, cost_blocks, stop_block
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import Profile, at, between, constant_matrix, node_values, spread
-from ocp.transcription.sparse_nlp import Block, Separable, Unknowns, exact
+from ocp.transcription.sparse_nlp import Block, Program, Separable, Unknowns, exact
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.validate import Array, Indices
-
-
-@dataclass(frozen=True, eq=False)
-class Program:
-    """minimise f(w) subject to lower ≤ g(w) ≤ upper and w_lower ≤ w ≤ w_upper, all in scaled numbers of order one.
-
-    problem: {"x": w, "f": f, "g": g} as `casadi.nlpsol` takes it. first: w to start from. names: one for each row of g, and w_names for each of w.
-    objective, scale, w_scale: what f, g and w are multiplied by to be costs, and in physical units (rows of goals have none). unpack: Function
-    w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration. parts: what w,
-    g and f consist of; g begins with `moving` rows of the motion. states: references to x (intervals + 1, nx). contact: whether nodes may meet a
-    ground. multipliers: those of g and of w's limits to start from, where they are known.
-    """
-
-    problem: dict[str, Any]
-    w_lower: Array
-    w_upper: Array
-    lower: Array
-    upper: Array
-    scale: Array
-    first: Array
-    names: tuple[str, ...]
-    w_names: tuple[str, ...]
-    w_scale: Array
-    objective: float
-    unpack: ca.Function
-    parts: Separable
-    moving: int
-    states: Indices
-    contact: bool = False
-    multipliers: tuple[Array, Array] | None = None
-
-    def derivatives(self) -> dict[str, ca.Function]:
-        """Gradient, Jacobian and Hessian as CasADi's solvers name and call them."""
-        return self.parts.functions
-
-    def with_states(self, w: Array, states: Array) -> Array:
-        """w with states (intervals + 1, nx) in place of its own."""
-        result = w.copy()
-        known = self.states >= 0
-        result[self.states[known]] = states[known] / self.w_scale[self.states[known]]
-        return result
-
 
 States = Callable[[Callable[[Indices], Any]], Any]
 Missing = Callable[[Callable[[Indices], Array]], list[Block]]

@@ -12,11 +12,10 @@ import numpy as np
 from ocp.boundary.target import Scales, Target
 from ocp.problem.problem import Problem
 from ocp.transcription.assemble import symbols
-from ocp.transcription.base import OnGrid
-from ocp.transcription.implicit import bar_names, bar_rows, check_reduced, parts
+from ocp.transcription.base import OnGrid, bar_names, bar_rows, check_reduced, parts
 from ocp.transcription.initial_guess import Guess
-from ocp.transcription.sparse_nlp import Block
-from ocp.transcription.variables import Assembly, Program, interval_names, state_names
+from ocp.transcription.sparse_nlp import Block, Program
+from ocp.transcription.variables import Assembly, interval_names, state_names
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics import mechanism as dynamics
 from tenscasadi.integrators.stabilization import projection

@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ocp.solvers.interior_point_qp import least
+from ocp.solvers.interior_point_qp import solve_qp
 
 
 def solved(H, g, G, b):
-    return least(*(ca.MX(ca.DM(value)) for value in (H, g, G, b)), ca.MX(len(g), 1))
+    return solve_qp(*(ca.MX(ca.DM(value)) for value in (H, g, G, b)), ca.MX(len(g), 1))
 
 
 def value(expression):

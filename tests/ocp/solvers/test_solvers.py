@@ -12,7 +12,7 @@ import ocp
 import tenscasadi as tc
 from ocp.boundary.find_target import find_target
 from ocp.boundary.target import Scales
-from ocp.solvers.staged import staged
+from ocp.solvers.fatrop import staged
 from ocp.transcription.initial_guess import make_guess
 
 BAR = 1.4
