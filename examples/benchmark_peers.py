@@ -28,7 +28,7 @@ from scipy.integrate import solve_ivp
 
 import tenscasadi as tc
 from tenscasadi.analysis.certify import distance
-from tenscasadi.plots.work_precision import work_precision
+from tenscasadi.plots.diagrams import work_precision
 
 T_END = 1.0
 TURNING = np.array([1.0, 2.0, 3.0])  # rad/s

@@ -140,7 +140,7 @@ class Tradeoff:
 
     def plot(self, path: str | os.PathLike[str] | None = None, title: str = "") -> Any:
         """A work-precision diagram as a matplotlib Figure, saved where `path` is given: seconds per simulated second over position error."""
-        from tenscasadi.plots.work_precision import work_precision  # loads matplotlib
+        from tenscasadi.plots.diagrams import work_precision  # loads matplotlib
 
         curves: dict[str, list[tuple[float, float]]] = {}
         for row in self._good():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tenscasadi.plots.diagrams import Convergence, work_precision
 from tenscasadi.plots.figures import ForceHistory, errors, force_densities, node_histories, structure, time_lapse
 
-__all__ = ["ForceHistory", "errors", "force_densities", "node_histories", "structure", "time_lapse"]
+__all__ = ["Convergence", "ForceHistory", "errors", "force_densities", "node_histories", "structure", "time_lapse", "work_precision"]

@@ -10,8 +10,7 @@ from matplotlib.animation import PillowWriter
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from tenscasadi.plots.figures import drawable, members
-from tenscasadi.plots.scene3d import Layer, Stage, tension_colours, tension_scale
+from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, members_of, tension_colours, tension_scale
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import positive_number, whole_number
 
@@ -33,7 +32,7 @@ def animate(
     A GIF tells times in hundredths of a second: 10, 20, 25 and 50 frames per second play at exactly this speed.
     Raises TypeError, ValueError; OSError when the file cannot be written.
     """
-    drawable("trajectory", trajectory)
+    check_drawable("trajectory", trajectory)
     target = Path(path)
     if target.suffix.lower() != ".gif":
         raise ValueError(f"path is {os.fspath(path)!r}: give a file name that ends in .gif")
@@ -44,17 +43,17 @@ def animate(
         raise ValueError(f"speed is {speed:g}: {duration:g} s would take {count} frames, give a speed of at least {speed * count / _MOST_FRAMES:.2g}")
     times = np.linspace(trajectory.time[0], trajectory.time[-1], count)
     figure = Figure(figsize=(5.4, 4.6))
-    stage = Stage(figure, members(trajectory), trajectory.nodes)
+    canvas = Canvas(figure, members_of(trajectory), trajectory.nodes)
     scale = tension_scale(float(trajectory.tension.max(initial=0.0)))
     if trajectory.tension.max(initial=0.0) > 0:
-        stage.colour_bar(scale, "tension (N)")
-    stage.fit()
+        canvas.colour_bar(scale, "tension (N)")
+    canvas.fit()
     writer = PillowWriter(fps=rate)
     with writer.saving(figure, str(target), dpi=100):
         for time in tqdm(times, unit=" frames", disable=not progress):
             row = int(np.argmin(np.abs(trajectory.time - time)))
             colours = tension_colours(scale, trajectory.tension[row])
-            stage.draw(Layer(trajectory.nodes[row], string_colour=colours))
+            canvas.draw(Layer(trajectory.nodes[row], string_colour=colours))
             figure.suptitle(f"{title}{', ' if title else ''}t = {trajectory.time[row]:.2f} s")
             writer.grab_frame()
     return target

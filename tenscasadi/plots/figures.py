@@ -1,11 +1,10 @@
-"""Pictures of structures and motions as matplotlib Figures; each function saves its figure too where `path` is given.
+"""Pictures of structures and motions as matplotlib Figures.
 
-The file's suffix (.png, .pdf, .svg …) says its format. No window opens and no global state of matplotlib changes: pyplot is not used.
+No window opens and no global state of matplotlib changes: pyplot is not used.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -16,15 +15,11 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from tenscasadi.plots.scene3d import Layer, Members, Stage, part_of, tension_colours, tension_scale
+from tenscasadi.plots.panels import MOST_NAMED, FilePath, curve_colour, curve_width, make_panels, name_curves, save_figure
+from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, cut_colours, members_of, tension_colours, tension_scale
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices, finite_array, instance, node_index, per_item, positive_number, whole_number
-
-__all__ = ["ForceHistory", "errors", "force_densities", "node_histories", "structure", "time_lapse"]
-
-FilePath = str | os.PathLike[str]
-_NAMED = 12  # curves that a legend names
+from tenscasadi.util.validate import Array, finite_array, node_index, per_item, positive_number, whole_number
 
 
 class ForceHistory(Protocol):
@@ -53,7 +48,7 @@ def structure(
     what: a structure, whose tensions are those of its rest lengths unless `tension` (α,), N, is given; or a trajectory at the
     kept time next to `time`, s (None: its end). labels: numbers the nodes. Raises TypeError, ValueError.
     """
-    drawable("what", what, (Structure, Trajectory), "a tenscasadi.Structure or Trajectory")
+    check_drawable("what", what, (Structure, Trajectory), "a tenscasadi.Structure or Trajectory")
     if isinstance(what, Trajectory):
         row = len(what.time) - 1 if time is None else _row(what, time)
         nodes, pull = what.nodes[row], what.tension[row]
@@ -63,19 +58,19 @@ def structure(
     if tension is not None:
         pull = per_item("tension", tension, len(what.strings), "string")
     figure = Figure(figsize=(6.4, 5.2))
-    stage = Stage(figure, members(what), nodes)
+    canvas = Canvas(figure, members_of(what), nodes)
     scale = tension_scale(float(pull.max(initial=0.0)))
-    stage.draw(Layer(nodes, string_colour=tension_colours(scale, pull)))
+    canvas.draw(Layer(nodes, string_colour=tension_colours(scale, pull)))
     if np.any(pull > 0):
         slack = "; grey: slack" if np.any(pull <= 0) else ""
-        stage.colour_bar(scale, f"tension (N){slack}")
+        canvas.colour_bar(scale, f"tension (N){slack}")
     elif len(pull):
         figure.supxlabel("all strings slack", fontsize=9, color="0.35")
     if labels:
-        stage.number(nodes)
+        canvas.number(nodes)
     figure.suptitle(title)
-    stage.fit()
-    return _saved(figure, path)
+    canvas.fit()
+    return save_figure(figure, path)
 
 
 def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", path: FilePath | None = None) -> Figure:
@@ -83,36 +78,36 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
 
     Raises TypeError, ValueError.
     """
-    drawable("trajectory", trajectory)
+    check_drawable("trajectory", trajectory)
     count = whole_number("instants", instants, 2)
     rows = np.unique([_row(trajectory, t) for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)])
     figure = Figure(figsize=(7.0, 5.4))
-    stage = Stage(figure, members(trajectory), trajectory.nodes[rows])
-    ramp = part_of("viridis_r", 0.05, 1.0)
+    canvas = Canvas(figure, members_of(trajectory), trajectory.nodes[rows])
+    ramp = cut_colours("viridis_r", 0.05, 1.0)
     scale = ScalarMappable(BoundaryNorm(np.arange(len(rows) + 1) - 0.5, ramp.N), ramp)
     colours = np.asarray(scale.to_rgba(np.arange(len(rows))))
     pale = 0.55 * colours + 0.45  # not transparent: nothing shines through
     widths = np.linspace(0.6, 1.0, len(rows))
-    stage.draw(*(Layer(trajectory.nodes[row], colours[k], pale[k], widths[k]) for k, row in enumerate(rows)))
-    bar = stage.colour_bar(scale, "time (s)", ticks=np.arange(len(rows)))
+    canvas.draw(*(Layer(trajectory.nodes[row], colours[k], pale[k], widths[k]) for k, row in enumerate(rows)))
+    bar = canvas.colour_bar(scale, "time (s)", ticks=np.arange(len(rows)))
     bar.ax.set_yticklabels([f"{t:.3g}" for t in trajectory.time[rows]])
     figure.suptitle(title)
-    stage.fit()
-    return _saved(figure, path)
+    canvas.fit()
+    return save_figure(figure, path)
 
 
 def node_histories(trajectory: Trajectory, nodes: Sequence[int] | None = None, *, title: str = "", path: FilePath | None = None) -> Figure:
     """x, y and z of `nodes` over time (None: of all that move, at most 12: those that move furthest). Raises TypeError, ValueError."""
-    drawable("trajectory", trajectory)
+    check_drawable("trajectory", trajectory)
     chosen = _furthest(trajectory) if nodes is None else [node_index("nodes", node, trajectory.nodes.shape[1]) for node in nodes]
-    figure, axes = _panels(3, title)
+    figure, axes = make_panels(3, "time (s)", title)
     for axis, (ax, name) in enumerate(zip(axes, "xyz", strict=True)):
         for k, node in enumerate(chosen):
-            ax.plot(trajectory.time, trajectory.nodes[:, node, axis], color=_colour(k), label=f"node {node}", lw=_width(k, len(chosen)))
+            ax.plot(trajectory.time, trajectory.nodes[:, node, axis], color=curve_colour(k), label=f"node {node}", lw=curve_width(k, len(chosen)))
         ax.set_ylabel(f"{name} (m)")
         _widen(ax)
-    _name_curves(figure, axes[0], len(chosen))
-    return _saved(figure, path)
+    name_curves(figure, axes[0], len(chosen))
+    return save_figure(figure, path)
 
 
 def force_densities(
@@ -129,27 +124,27 @@ def force_densities(
     lower, upper: bounds, N/m, one number or (α,), drawn as dashed lines unless far off. Raises TypeError, ValueError.
     """
     if not (hasattr(history, "time") and hasattr(history, "force_density")):
-        drawable("history", history, Trajectory, "a tenscasadi.Trajectory or an ocp.Plan")
+        check_drawable("history", history, Trajectory, "a tenscasadi.Trajectory or an ocp.Plan")
     time = finite_array("history.time", history.time, (None,))
     gamma = finite_array("history.force_density", history.force_density, (None, None))
     rows, alpha = gamma.shape
     if rows not in (len(time), len(time) - 1):
         raise ValueError(f"history.force_density has {rows} rows: give one for each of the {len(time)} times, or for each of the intervals between")
     chosen = list(range(alpha)) if strings is None else [_string(index, alpha) for index in strings]
-    figure, (ax,) = _panels(1, title)
+    figure, (ax,) = make_panels(1, "time (s)", title)
     for k, i in enumerate(chosen):
         if rows == len(time):
-            ax.plot(time, gamma[:, i], color=_colour(k), label=f"string {i}", lw=_width(k, len(chosen)))
+            ax.plot(time, gamma[:, i], color=curve_colour(k), label=f"string {i}", lw=curve_width(k, len(chosen)))
         else:
-            ax.stairs(gamma[:, i], time, baseline=None, color=_colour(k), label=f"string {i}", lw=_width(k, len(chosen)))
+            ax.stairs(gamma[:, i], time, baseline=None, color=curve_colour(k), label=f"string {i}", lw=curve_width(k, len(chosen)))
     for field, bound in (("lower", lower), ("upper", upper)):
         if bound is not None:
             per_item(field, _without_infinity(bound), alpha, "string")
             _draw_bound(ax, field, np.broadcast_to(np.asarray(bound, dtype=float), (alpha,)), chosen, gamma)
     ax.set_ylabel("force density (N/m)")
     _widen(ax)
-    _name_curves(figure, ax, len(chosen))
-    return _saved(figure, path)
+    name_curves(figure, ax, len(chosen))
+    return save_figure(figure, path)
 
 
 def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = None) -> Figure:
@@ -157,7 +152,7 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
 
     An error that was not computed (NaN) has no curve. Raises TypeError.
     """
-    drawable("trajectory", trajectory)
+    check_drawable("trajectory", trajectory)
     curves: list[tuple[str, Any]] = [("energy (J)", np.abs(trajectory.energy_error))]
     if len(trajectory.bars):
         curves += [("bar length, relative", trajectory.bar_length_error), ("joint gap (m)", trajectory.joint_error)]
@@ -165,30 +160,16 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
     positive = known[known > 0]
     bottom = max(1e-18, 10.0 ** np.floor(np.log10(positive.min())) / 3) if positive.size else 1e-18
     top = max(3 * positive.max(initial=0.0), 100 * bottom)
-    figure, (ax,) = _panels(1, title)
+    figure, (ax,) = make_panels(1, "time (s)", title)
     for k, (name, values) in enumerate(curves):
         drawn = np.maximum(values, bottom)  # NaN stays NaN
         note = ": not computed" if not np.isfinite(values).any() else "" if np.nanmax(values) > 0 else ": exactly 0"
-        ax.plot(trajectory.time, drawn, color=_colour(k), label=name + note, lw=1.3, clip_on=False)
+        ax.plot(trajectory.time, drawn, color=curve_colour(k), label=name + note, lw=1.3, clip_on=False)
     ax.set_yscale("log")
     ax.set_ylim(bottom, top)
     ax.set_ylabel("error")
-    _name_curves(figure, ax, len(curves))
-    return _saved(figure, path)
-
-
-def members(what: Structure | Trajectory) -> Members:
-    """The members of a structure or trajectory, as a `Stage` draws them."""
-    pinned: Indices = what.pinned if isinstance(what, Trajectory) else np.array(sorted(what.pinned), dtype=np.intp)
-    return Members(what.bars, what.strings, pinned)
-
-
-def drawable(field: str, value: Any, kinds: type | tuple[type, ...] = Trajectory, example: str = "a tenscasadi.Trajectory") -> None:
-    """TypeError unless `value` is one of `kinds`; of what has a part that is, such as a plan, it names the part."""
-    parts = [name for name in ("trajectory", "structure") if isinstance(getattr(value, name, None), kinds)]
-    if "trajectory" in parts and hasattr(value, "replay"):
-        parts.insert(0, "replay()")
-    instance(field, value, kinds, f"its {' or '.join(parts)}" if parts else example)
+    name_curves(figure, ax, len(curves))
+    return save_figure(figure, path)
 
 
 def _row(trajectory: Trajectory, time: float) -> int:
@@ -206,7 +187,7 @@ def _string(index: Any, count: int) -> int:
 def _furthest(trajectory: Trajectory) -> list[int]:
     """Nodes that move, the furthest-moving 12 of them, in their order."""
     way = np.ptp(trajectory.nodes, axis=0).max(axis=1)
-    order = np.argsort(-way, kind="stable")[:_NAMED]
+    order = np.argsort(-way, kind="stable")[:MOST_NAMED]
     return sorted(int(node) for node in order if way[node] > 0) or [int(order[0])]
 
 
@@ -231,20 +212,7 @@ def _draw_bound(ax: Axes, field: str, bound: Array, chosen: list[int], gamma: Ar
     else:
         for k, value in finite:
             if low - reach <= value <= high + reach:
-                ax.axhline(value, color=_colour(k), ls=(0, (5, 3)), lw=0.9)
-
-
-def _panels(count: int, title: str) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(7.2, 3.6 if count == 1 else 1.0 + 1.8 * count), layout="constrained")
-    axes = list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
-    for ax in axes:
-        ax.grid(visible=True, color="0.9")
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.margins(x=0)
-    axes[-1].set_xlabel("time (s)")
-    if title:
-        axes[0].set_title(title)
-    return figure, axes
+                ax.axhline(value, color=curve_colour(k), ls=(0, (5, 3)), lw=0.9)
 
 
 def _widen(ax: Axes) -> None:
@@ -254,26 +222,3 @@ def _widen(ax: Axes) -> None:
         middle = (low + high) / 2
         reach = 0.05 * abs(middle) or 0.05
         ax.set_ylim(middle - reach, middle + reach)
-
-
-def _colour(k: int) -> Any:
-    return f"C{k % 10}"
-
-
-def _width(k: int, count: int) -> float:
-    """Later curves are thinner: earlier ones that they cover stay visible."""
-    return 2.6 - 1.6 * k / max(1, count - 1)
-
-
-def _name_curves(figure: Figure, ax: Axes, count: int) -> None:
-    """A legend beside the panels; too many curves for one are told as a number."""
-    if count > 2 * _NAMED:
-        ax.annotate(f"{count} curves", (1, 1), xycoords="axes fraction", ha="right", va="top", fontsize=8, color="0.35")
-    elif count:
-        figure.legend(*ax.get_legend_handles_labels(), loc="outside right upper", fontsize=8, frameon=False, ncols=1 + (count > _NAMED))
-
-
-def _saved(figure: Figure, path: FilePath | None) -> Figure:
-    if path is not None:
-        figure.savefig(path, dpi=150)
-    return figure

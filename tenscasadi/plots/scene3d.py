@@ -15,7 +15,9 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array, Indices, instance
 
 BAR = "#39424e"
 SLACK = "#b9bec5"
@@ -41,7 +43,7 @@ class Layer(NamedTuple):
     width: float = 1.0
 
 
-class Stage:
+class Canvas:
     """3-D axes in `figure` that hold all `points` (…, 3), m, in one scale; `draw` replaces what they show."""
 
     def __init__(self, figure: Figure, members: Members, points: Array) -> None:
@@ -81,11 +83,11 @@ class Stage:
 
     def fit(self) -> None:
         """Zooms and moves so that the axes with their labels just fill their place. Call it last, once."""
-        canvas: Any = FigureCanvasAgg(self.figure)
+        backend: Any = FigureCanvasAgg(self.figure)
         place, zoom, axes = self.axes.bbox.frozen(), 1.0, self.axes
         for _ in range(4):  # labels do not grow with the rest
-            canvas.draw()
-            extents = [axis.get_tightbbox(canvas.get_renderer()).extents for axis in (axes.xaxis, axes.yaxis, axes.zaxis)]
+            backend.draw()
+            extents = [axis.get_tightbbox(backend.get_renderer()).extents for axis in (axes.xaxis, axes.yaxis, axes.zaxis)]
             low, high = np.min(extents, axis=0)[:2], np.max(extents, axis=0)[2:]
             zoom *= min(place.width / (high[0] - low[0]), place.height / (high[1] - low[1]))
             off = (place.p0 + place.p1) / 2 - (low + high) / 2
@@ -143,14 +145,28 @@ class Stage:
         return ends, np.repeat(colours, _PIECES, axis=0), np.repeat(widths, _PIECES)
 
 
-def part_of(name: str, start: float, stop: float) -> Colormap:
+def members_of(what: Structure | Trajectory) -> Members:
+    """Return the members of a structure or trajectory, as a `Canvas` draws them."""
+    pinned: Indices = what.pinned if isinstance(what, Trajectory) else np.array(sorted(what.pinned), dtype=np.intp)
+    return Members(what.bars, what.strings, pinned)
+
+
+def check_drawable(field: str, value: Any, kinds: type | tuple[type, ...] = Trajectory, example: str = "a tenscasadi.Trajectory") -> None:
+    """Raise TypeError unless `value` is one of `kinds`; where a part of it is, as of a plan, the message names the part."""
+    parts = [name for name in ("trajectory", "structure") if isinstance(getattr(value, name, None), kinds)]
+    if "trajectory" in parts and hasattr(value, "replay"):
+        parts.insert(0, "replay()")
+    instance(field, value, kinds, f"its {' or '.join(parts)}" if parts else example)
+
+
+def cut_colours(name: str, start: float, stop: float) -> Colormap:
     """The colours of a named map from `start` to `stop`: the ends of many are hard to see on white."""
     return LinearSegmentedColormap.from_list(name, mpl.colormaps[name](np.linspace(start, stop, 64)))
 
 
 def tension_scale(largest: float) -> ScalarMappable:
     """Colours from cold, 0 N, to hot, `largest` N."""
-    return ScalarMappable(Normalize(0.0, largest if largest > 0 else 1.0), part_of("plasma", 0.0, 0.86))
+    return ScalarMappable(Normalize(0.0, largest if largest > 0 else 1.0), cut_colours("plasma", 0.0, 0.86))
 
 
 def tension_colours(scale: ScalarMappable, tension: Array) -> Array:

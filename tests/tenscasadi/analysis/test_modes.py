@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tenscasadi import plots
-from tenscasadi.analysis.mode_motion import mode_motion
-from tenscasadi.analysis.modes import linearize, modes
+from tenscasadi.analysis.modes import linearize, mode_motion, modes
 from tenscasadi.animation import animate
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.loads import Gravity

@@ -13,7 +13,6 @@ import pytest
 import tenscasadi as tc
 from tenscasadi.analysis.certify import distance
 from tenscasadi.dynamics.model import instructions
-from tenscasadi.plots.work_precision import work_precision
 from tenscasadi.util.compile import find_compiler
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -358,15 +357,6 @@ def test_plot(table, tmp_path):
     assert names == {row.curve for row in table.rows}
     line = next(line for line in axes.lines if line.get_label() == "RungeKutta4")
     assert sorted(line.get_xdata()) == pytest.approx(sorted(row.position for row in table.rows[:4]))
-
-
-def test_curves_follow_the_cost_and_the_reference_is_shown_where_it_is_near():
-    floor = [(1e-3, 1.0), (1e-5, 2.0), (4e-5, 4.0)]  # rounding grows with the steps
-    for reference_error, shaded in ((1e-14, 0), (1e-6, 1)):
-        (axes,) = work_precision({"scheme": floor}, reference_error=reference_error).axes
-        (line,) = axes.lines
-        assert line.get_ydata().tolist() == [1.0, 2.0, 4.0]
-        assert len(axes.patches) == shaded
 
 
 def test_summary_has_a_line_for_each_row(table):

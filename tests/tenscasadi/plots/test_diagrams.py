@@ -1,4 +1,4 @@
-"""Solvers at work: the picture shows what was told, and is drawn as the solver goes on."""
+"""Diagrams: curves keep the order of cost, and a solver is drawn as it goes on."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 import ocp
 import tenscasadi as tc
-from tenscasadi.plots.convergence import Convergence
+from tenscasadi.plots import Convergence, work_precision
 
 
 def test_a_solver_is_drawn_as_it_works(tmp_path):
@@ -40,3 +40,12 @@ def test_no_file_and_no_iteration_are_fine():
 def test_a_time_that_is_none_is_refused():
     with pytest.raises(ValueError, match="every is 0"):
         Convergence("solver.png", every=0)
+
+
+def test_curves_follow_the_cost_and_the_reference_is_shown_where_it_is_near():
+    floor = [(1e-3, 1.0), (1e-5, 2.0), (4e-5, 4.0)]  # rounding grows with the steps
+    for reference_error, shaded in ((1e-14, 0), (1e-6, 1)):
+        (axes,) = work_precision({"scheme": floor}, reference_error=reference_error).axes
+        (line,) = axes.lines
+        assert line.get_ydata().tolist() == [1.0, 2.0, 4.0]
+        assert len(axes.patches) == shaded

@@ -1,0 +1,53 @@
+"""Panels of curves: axes in one style, a legend beside them, and figures saved where a path is given."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+FilePath = str | os.PathLike[str]
+MOST_NAMED = 12  # curves that one column of the legend names; beyond two columns only their number is told
+
+
+def make_panels(count: int, xlabel: str, title: str = "", size: tuple[float, float] | None = None, margin: float = 0.0) -> tuple[Figure, list[Axes]]:
+    """Return a figure of `count` panels, one below the other, that share their horizontal axis.
+
+    `size` is in inches; `margin` is the share of the horizontal axis that is left free at both of its ends.
+    """
+    figure = Figure(figsize=size or (7.2, 3.6 if count == 1 else 1.0 + 1.8 * count), layout="constrained")
+    axes = list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+    for ax in axes:
+        ax.grid(visible=True, color="0.9")
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.margins(x=margin)
+    axes[-1].set_xlabel(xlabel)
+    axes[0].set_title(title)
+    return figure, axes
+
+
+def curve_colour(k: int) -> Any:
+    """Return the colour of curve `k`; after ten they repeat."""
+    return f"C{k % 10}"
+
+
+def curve_width(k: int, count: int) -> float:
+    """Return the width of curve `k` of `count`: later curves are thinner, so that earlier ones that they cover stay visible."""
+    return 2.6 - 1.6 * k / max(1, count - 1)
+
+
+def name_curves(figure: Figure, ax: Axes, count: int) -> None:
+    """Add a legend of the curves of `ax` beside the panels; too many curves for one are told as a number."""
+    if count > 2 * MOST_NAMED:
+        ax.annotate(f"{count} curves", (1, 1), xycoords="axes fraction", ha="right", va="top", fontsize=8, color="0.35")
+    elif count:
+        figure.legend(*ax.get_legend_handles_labels(), loc="outside right upper", fontsize=8, frameon=False, ncols=1 + (count > MOST_NAMED))
+
+
+def save_figure(figure: Figure, path: FilePath | None) -> Figure:
+    """Save `figure` where `path` is given, and return it."""
+    if path is not None:
+        figure.savefig(path, dpi=150)
+    return figure
