@@ -26,8 +26,6 @@ ENTRANCES = {"tenscasadi.__main__", "tenscasadi.animation"}  # documented paths 
 LINES = 400
 OWED = {  # arrows that still run back; each goes when the two are merged or split
     ("tenscasadi.integrators.correction_effect", "tenscasadi.simulation.time_loop"),
-    ("ocp.boundary.row_reduction", "ocp.transcription.direct"),
-    ("ocp.boundary.sensitivities", "ocp.transcription.direct"),
     ("ocp.problem.path_constraints", "ocp.boundary.target"),
 }
 

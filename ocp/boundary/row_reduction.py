@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.direct import Direct
+from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices
 
 RANK = 1e-3  # smallest singular value, relative to rows of norm one, that counts: below it a row has two solutions closer than a plan resolves
@@ -62,8 +62,8 @@ class _Code:
 
     def __init__(self, y: Any, scaled: Any) -> None:
         self._y, self._scaled, self.count = y, scaled, int(scaled.shape[0])
-        self.value = Direct(ca.Function("rows", [y], [ca.densify(scaled)]))
-        self.first = Direct(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
+        self.value = ArrayFunction(ca.Function("rows", [y], [ca.densify(scaled)]))
+        self.first = ArrayFunction(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
 
     @cached_property
     def second(self) -> tuple[ca.Function, Indices, Indices]:

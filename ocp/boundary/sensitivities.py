@@ -10,8 +10,8 @@ import numpy as np
 
 from ocp.boundary.invariants import invariants
 from ocp.problem.instant import norms
-from ocp.transcription.direct import Direct
 from tenscasadi.dynamics.model import Model
+from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array
 
 _A = ((), (0.5,), (0.0, 0.5), (0.0, 0.0, 1.0))  # Runge and Kutta's method of order 4
@@ -37,7 +37,7 @@ class Motion:
         rate = model.ode(sx, su)
         slopes = ca.jacobian(rate, ca.vertcat(sx, su))
         self._row, self._column = (np.array(entries, dtype=np.intp) for entries in slopes.sparsity().get_triplet())
-        self._slopes = Direct(ca.Function("slopes", [sx, su], [ca.densify(rate), ca.vec(slopes.nz[:])]).map(count * substeps))
+        self._slopes = ArrayFunction(ca.Function("slopes", [sx, su], [ca.densify(rate), ca.vec(slopes.nz[:])]).map(count * substeps))
 
     def states(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
         """States (count + 1, nx) under controls (count, nu) in intervals of `length` s, and the points (count · substeps, 4, nx) where the

@@ -13,9 +13,10 @@ from ocp.problem.costs import ControlCost, Cost, FinalCost, RunningCost, Smoothn
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import StageRows, StopRows, corner_rows, cubic, stage_rows
 from ocp.problem.problem import Problem
-from ocp.transcription.mesh import Profile, constant_matrix
+from ocp.transcription.mesh import Profile
 from ocp.transcription.sparse_nlp import Block, Unknowns
 from tenscasadi.dynamics.model import Model
+from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
 
 
@@ -87,7 +88,7 @@ def _at_start(block: Block, count: int) -> Block:
 
 def _at_corners(a: Layout, rows: StageRows) -> Block:
     nx, m, pairs = a.model.nx, a.controls.shape[1], len(a.controls) - 1
-    E = constant_matrix(a.spread)
+    E = sparse(a.spread)
     x, c, y, d, T, part = symbols(rows.function, nx, m, nx, m, 1, 1)
     value = rows.function(x, ca.mtimes(E, c), y, ca.mtimes(E, d), T * part)
     duration = a.repeated(a.duration, pairs)
@@ -118,7 +119,7 @@ def _differences(a: Layout, cost: Smoothness) -> tuple[Any, Any, Indices]:
     """Between neighbours: from middle to middle of intervals, or from end to end of linear profiles."""
     width = a.controls.shape[1]
     z = ca.SX.sym("z", 2 * width + 2)
-    pair = ca.mtimes(constant_matrix(a.spread), ca.reshape(z[: 2 * width], width, 2))
+    pair = ca.mtimes(sparse(a.spread), ca.reshape(z[: 2 * width], width, 2))
     spacing = a.fractions if a.profile.linear else (a.fractions[1:] + a.fractions[:-1]) / 2
     constants = [a.repeated(a.duration, len(spacing)), a.unknowns.constant(spacing[:, None])]
     return z, cost.expression(pair, z[-2] * z[-1]), np.hstack([a.controls[:-1], a.controls[1:], *constants])

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
-import casadi as ca
 import numpy as np
 
 from tenscasadi.util.validate import Array, finite_array, positive_number, whole_number
@@ -120,8 +119,3 @@ def at(values: Array, nodes: Array, time: Array) -> Array:
 def between(left: Any, right: Any, share: float) -> Any:
     """γ at a share of an interval from the values at its ends (equal for constant profiles)."""
     return left if left is right else (1 - share) * left + share * right
-
-
-def constant_matrix(matrix: Array) -> ca.DM:
-    """A sparse CasADi matrix."""
-    return ca.sparsify(ca.DM(matrix))

@@ -15,10 +15,11 @@ from ocp.problem.path_constraints import stop_rows, typical_cost
 from ocp.problem.problem import Problem
 from ocp.transcription.assemble import bound_blocks, cost_blocks, stop_block
 from ocp.transcription.initial_guess import Guess
-from ocp.transcription.mesh import Profile, at, between, constant_matrix, node_values, spread
+from ocp.transcription.mesh import Profile, at, between, node_values, spread
 from ocp.transcription.sparse_nlp import Block, Program, Separable, Unknowns, exact
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
+from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
 
 States = Callable[[Callable[[Indices], Any]], Any]
@@ -97,7 +98,7 @@ class Assembly:
         """Force densities (α,) at a share of an interval, from its entries of `interval_controls`."""
         m = self.spread.shape[1]
         left = local[:m]
-        return ca.mtimes(constant_matrix(self.spread), between(left, local[m:] if self.profile.linear else left, share))
+        return ca.mtimes(sparse(self.spread), between(left, local[m:] if self.profile.linear else left, share))
 
     def repeated(self, reference: Indices, count: int | None = None) -> Indices:
         """The same references (n,) for every instance."""
@@ -126,7 +127,7 @@ class Assembly:
         def seen(reference: Indices) -> Any:
             return ca.reshape(y[unknowns.place(reference).ravel().tolist()], reference.shape[-1], reference.size // reference.shape[-1])
 
-        controls = ca.mtimes(constant_matrix(self.spread), seen(self.controls))
+        controls = ca.mtimes(sparse(self.spread), seen(self.controls))
         motion = seen(self.states) if states is None else states(seen)
         least, most, row_scale = (np.concatenate(columns) for columns in zip(*(block.limits() for block in rows), strict=True))
         first, scale, lower, upper = (unknowns.column(k) for k in range(4))

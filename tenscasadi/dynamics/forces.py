@@ -13,7 +13,7 @@ import numpy as np
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
-from tenscasadi.util.casadi_tools import constant_row, sparse, spread
+from tenscasadi.util.casadi_tools import constant_row, sparse, weighted_product
 from tenscasadi.util.validate import Array
 
 
@@ -37,7 +37,7 @@ def is_damped(scene: Scene) -> bool:
 
 def pull(mech: Mechanism, gamma: Any, S: Any) -> Any:
     """−S γ̂ C_s (3×n, Eq. 56)."""
-    return spread(S, gamma, -mech.C_s)
+    return weighted_product(S, gamma, -mech.C_s)
 
 
 def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> dict[str, Any]:

@@ -21,7 +21,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.structure.structure import Structure, connectivity
-from tenscasadi.util.casadi_tools import block_inverse, clean, constant_row, fill, is_diagonal, solve_semidefinite, sparse, spread, staged
+from tenscasadi.util.casadi_tools import (
+    block_inverse,
+    call_as_sx,
+    constant_row,
+    drop_rounding,
+    is_diagonal,
+    matrix_with_pattern,
+    solve_semidefinite,
+    sparse,
+    weighted_product,
+)
 from tenscasadi.util.validate import Array, Indices
 
 UNROLL_MEMBERS = 300  # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
@@ -79,7 +89,7 @@ class Mechanism:
 
     def with_inverse(self, X: Any, then: Any = None) -> Any:
         """X M⁻ (3×n), or X M⁻ `then` (a constant matrix of n rows)."""
-        factors = [sparse(inverse if then is None else clean(inverse @ then)) for inverse in self.inverse]
+        factors = [sparse(inverse if then is None else drop_rounding(inverse @ then)) for inverse in self.inverse]
         if len(factors) == 1:
             return ca.mtimes(X, factors[0])
         return ca.vertcat(*(ca.mtimes(X[axis, :], factors[axis]) for axis in range(3)))
@@ -87,7 +97,7 @@ class Mechanism:
     @cached_property
     def G(self) -> tuple[sp.csr_array, ...]:
         """C_b M⁻ C_bᵀ (β×β) for each axis, or once."""
-        return tuple(clean(self.C_b @ inverse @ self.C_b.T) for inverse in self.inverse)
+        return tuple(drop_rounding(self.C_b @ inverse @ self.C_b.T) for inverse in self.inverse)
 
     @cached_property
     def system_size(self) -> int:
@@ -137,7 +147,7 @@ def system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
     if not mech.joints:
         return _reduced_matrix(mech, B), -r.T
     h = _bar_scale(mech, B)
-    K = clean(mech.P.T @ mech.inverse[0] @ mech.C_b.T)  # c×β
+    K = drop_rounding(mech.P.T @ mech.inverse[0] @ mech.C_b.T)  # c×β
     rhs = (ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(K.T)) - R) * ca.DM(mech.active.astype(float))  # 3×c
     return _joint_matrix(mech, B / ca.repmat(ca.sqrt(h), 3, 1), K), ca.vec(rhs)
 
@@ -146,7 +156,7 @@ def multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, An
     """λ (1×β) and Ω (3×c) from the solution of `system`, or bar by bar where nothing had to be solved."""
     if mech.joints:
         Omega = ca.reshape(solution, 3, mech.joints)
-        K = clean(mech.P.T @ mech.inverse[0] @ mech.C_b.T)
+        K = drop_rounding(mech.P.T @ mech.inverse[0] @ mech.C_b.T)
         return -(r + ca.sum1(B * ca.mtimes(Omega, sparse(K)))) / _bar_scale(mech, B), Omega
     Omega = ca.DM.zeros(3, 0)
     if mech.system_size:
@@ -156,7 +166,7 @@ def multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, An
 
 def push(mech: Mechanism, B: Any, lam: Any, Omega: Any) -> Any:
     """B λ̂ C_b + Ω Pᵀ (3×n): what bars and joints do to the nodes."""
-    force = spread(B, lam, mech.C_b)
+    force = weighted_product(B, lam, mech.C_b)
     return force + ca.mtimes(Omega, sparse(mech.P.T)) if mech.joints else force
 
 
@@ -171,8 +181,8 @@ def without_residual(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
 
     solution: Any = ca.DM.zeros(0, 1)
     if mech.system_size:
-        solution = solve_semidefinite(*staged(mech.large, linear, B, r, R))
-    return staged(mech.large, moved, Z, B, r, solution)[0]
+        solution = solve_semidefinite(*call_as_sx(mech.large, linear, B, r, R))
+    return call_as_sx(mech.large, moved, Z, B, r, solution)[0]
 
 
 def without_stretching(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
@@ -199,13 +209,13 @@ def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
         values = ca.sum1(products).T * weights[0]
     else:
         values = sum(products[axis, :].T * weights[axis] for axis in range(3))
-    return fill(ca.Sparsity.triplet(mech.bars, mech.bars, rows, columns), values)
+    return matrix_with_pattern(ca.Sparsity.triplet(mech.bars, mech.bars, rows, columns), values)
 
 
 def _joint_matrix(mech: Mechanism, unit: Any, K: sp.csr_array) -> Any:
     """(Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ) (3c×3c), with kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ: Eq. 103 with Eᵀ, columns combined to be symmetric."""
     c = mech.joints
-    E = clean(mech.P.T @ mech.inverse[0] @ mech.P)
+    E = drop_rounding(mech.P.T @ mech.inverse[0] @ mech.P)
     pattern = sp.coo_array(abs(E) + abs(K) @ abs(K.T) + sp.eye_array(c))
     n, j = pattern.row, pattern.col
     direct = np.asarray(E[n, j]).ravel()
@@ -227,4 +237,4 @@ def _joint_matrix(mech: Mechanism, unit: Any, K: sp.csr_array) -> Any:
     row, column = np.concatenate(rows), np.concatenate(columns)
     order = np.lexsort((row, column))
     sparsity = ca.Sparsity.triplet(3 * c, 3 * c, row[order].tolist(), column[order].tolist())
-    return fill(sparsity, ca.vertcat(*values)[order.tolist()])
+    return matrix_with_pattern(sparsity, ca.vertcat(*values)[order.tolist()])

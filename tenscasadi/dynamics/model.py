@@ -13,7 +13,7 @@ from tenscasadi.dynamics import mechanism as dynamics
 from tenscasadi.dynamics.mechanism import Multipliers
 from tenscasadi.dynamics.state_space import StateSpace
 from tenscasadi.scene.strings import ForceDensity
-from tenscasadi.util.casadi_tools import solve_semidefinite, sparse, spread, staged
+from tenscasadi.util.casadi_tools import call_as_sx, solve_semidefinite, sparse, weighted_product
 from tenscasadi.util.compile import compile_function
 
 
@@ -210,11 +210,11 @@ class Model(StateSpace):
             moved = self.moved_acceleration(time)
             return A if moved is None else A + moved, lam, omega
 
-        F, *rows = staged(mech.large, unconstrained, N, V, u, time)
+        F, *rows = call_as_sx(mech.large, unconstrained, N, V, u, time)
         if rows:
             B, r, *linear = rows
             rows = [B, r, solve_semidefinite(*linear) if linear else ca.DM.zeros(0, 1)]
-        A, lam, omega = staged(mech.large, constrained, F, time, *rows)
+        A, lam, omega = call_as_sx(mech.large, constrained, F, time, *rows)
         return A, lam, omega
 
     def _joint_forces(self, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
@@ -223,7 +223,7 @@ class Model(StateSpace):
         if not full.joints:
             return ca.DM.zeros(3, 0)
         N, V, A = (Z[:, full.physical.tolist()] for Z in (N, V, A))
-        push = spread(ca.mtimes(N, sparse(full.C_b.T)), lam, full.C_b)
+        push = weighted_product(ca.mtimes(N, sparse(full.C_b.T)), lam, full.C_b)
         left = ca.mtimes(A, sparse(full.M)) - _sum(forces.terms(self.scene, full, N, V, u, time), full) - push  # Ω Pᵀ
         return ca.mtimes(left, ca.DM(np.linalg.pinv(full.P.toarray().T)))
 

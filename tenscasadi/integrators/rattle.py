@@ -14,7 +14,7 @@ from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, Tableau
-from tenscasadi.util.casadi_tools import sparse, staged
+from tenscasadi.util.casadi_tools import call_as_sx, sparse
 from tenscasadi.util.validate import instance, whole_number
 
 _OUTER = 1 / (4 - 4 ** (1 / 3))  # Suzuki's five steps of order 4: Hairer, Lubich, Wanner, Geometric Numerical Integration, (II.4.5)
@@ -122,10 +122,10 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
         slopes: list[Any] = []
         for row in kick.a:
             stage = tangent(N, V + h * _weighted(row, slopes), time) if any(row) else V
-            slopes.append(staged(mech.large, acceleration, N, stage, u, time)[0])
+            slopes.append(call_as_sx(mech.large, acceleration, N, stage, u, time)[0])
         V = tangent(N, V + h * _weighted(kick.b, slopes), time)
     else:
-        V = tangent(N, V + h * staged(mech.large, acceleration, N, V, u, time)[0], time)
+        V = tangent(N, V + h * call_as_sx(mech.large, acceleration, N, V, u, time)[0], time)
     supplied = [] if power is None else [z[model.nx] + h * power(model.pack(N, (before + V) / 2, time), u)]
 
     N, V, time = drift(N, V, time)

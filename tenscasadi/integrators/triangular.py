@@ -24,7 +24,7 @@ from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import Held, counts, held_ode, held_scene, switching
 from tenscasadi.scene.scene import Scene
-from tenscasadi.util.casadi_tools import sparse, staged
+from tenscasadi.util.casadi_tools import call_as_sx, sparse
 from tenscasadi.util.validate import Array
 
 _RIGID = 1e5  # stiffness that stands in for bars and joints, relative to the stiffest entry: their share of a sweep is exact to its inverse
@@ -138,7 +138,7 @@ def _solver(model: Model) -> ca.Function:
         return W + rigid, ca.mtimes(M + rigid, r)
 
     symbols: list[Any] = [ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nu + strings + nodes), ca.MX.sym("g"), ca.MX.sym("r", nq)]
-    matrix, rhs = staged(mech.large, linear, *symbols)
+    matrix, rhs = call_as_sx(mech.large, linear, *symbols)
     return ca.Function("solver", symbols, [ca.solve(matrix, rhs, "ldl")], ["x", "w", "g", "r"], ["delta"])
 
 

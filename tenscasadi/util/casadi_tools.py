@@ -9,6 +9,8 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from tenscasadi.util.validate import Array
+
 REGULARISATION = 1e-10  # on a system of unit diagonal; two refinements remove it from all that is not redundant
 REFINEMENTS = 2
 
@@ -31,13 +33,13 @@ def solve_semidefinite(A: Any, b: Any) -> Any:
     return x * scale
 
 
-def staged(large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
+def call_as_sx(large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
     """`function` of the arguments; MX arguments of a structure that is not large go through an SX Function: scalar code, called once."""
     if large or not any(isinstance(argument, ca.MX) for argument in arguments):
         return function(*arguments)
     inputs = [ca.MX(argument) for argument in arguments]
     symbols = [ca.SX.sym(f"a{k}", value.sparsity()) for k, value in enumerate(inputs)]
-    return tuple(ca.Function("stage", symbols, ca.cse([ca.SX(value) for value in function(*symbols)])).call(inputs))
+    return tuple(ca.Function("scalar", symbols, ca.cse([ca.SX(value) for value in function(*symbols)])).call(inputs))
 
 
 def sparse(matrix: Any) -> ca.DM:
@@ -53,16 +55,16 @@ def constant_row(values: Any) -> ca.DM:
     return ca.DM(values[0]) if len(values) and np.ptp(values) == 0 else ca.DM(values).T
 
 
-def spread(Z: Any, weights: Any, C: Any) -> Any:
+def weighted_product(Z: Any, weights: Any, C: Any) -> Any:
     """Z ŵ C (3×n) of columns Z (3×k), their weights (1×k) and a constant matrix C (k×n)."""
     constant = sparse(C)
     if not isinstance(Z, ca.MX):
         return ca.mtimes(Z * ca.repmat(weights, 3, 1), constant)
     rows, _ = constant.sparsity().get_triplet()  # as vector operations: one pass over C is less than three over Z
-    return ca.mtimes(Z, fill(constant.sparsity(), ca.vec(weights.T[rows]) * ca.DM(constant.nonzeros())))
+    return ca.mtimes(Z, matrix_with_pattern(constant.sparsity(), ca.vec(weights.T[rows]) * ca.DM(constant.nonzeros())))
 
 
-def fill(sparsity: ca.Sparsity, values: Any) -> Any:
+def matrix_with_pattern(sparsity: ca.Sparsity, values: Any) -> Any:
     """A matrix of this sparsity with these values (nnz), of their CasADi type."""
     values = ca.densify(values)
     return ca.SX(sparsity, values) if isinstance(values, ca.SX) else ca.MX(sparsity, values) if isinstance(values, ca.MX) else ca.DM(sparsity, values)
@@ -71,7 +73,7 @@ def fill(sparsity: ca.Sparsity, values: Any) -> Any:
 def _on_pattern(A: Any, scale: Any) -> Any:
     """scaleᵢ scaleⱼ on the pattern of A."""
     rows, columns = A.sparsity().get_triplet()
-    return fill(A.sparsity(), scale[rows] * scale[columns])
+    return matrix_with_pattern(A.sparsity(), scale[rows] * scale[columns])
 
 
 def _unrolled_solver(A: Any) -> Callable[[Any], Any]:
@@ -79,7 +81,7 @@ def _unrolled_solver(A: Any) -> Callable[[Any], Any]:
     return lambda rhs: ca.ldl_solve(rhs, D, LT, permutation)
 
 
-def clean(matrix: Any) -> sp.csr_array:
+def drop_rounding(matrix: Any) -> sp.csr_array:
     """The matrix without entries that are zero but for rounding."""
     result = sp.csr_array(matrix)
     if result.nnz:
@@ -112,3 +114,25 @@ def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
     if not rows:
         return sp.csr_array((n, n))
     return sp.csr_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
+
+
+class ArrayFunction:
+    """A Function with dense outputs: arrays in, whose memory holds each input column by column, and an array (columns, rows) for each output out."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer: Any
+        self._buffer, self._evaluate = function.buffer()
+        self._shapes = [(function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())]
+
+    def __call__(self, *inputs: Array) -> list[Array]:
+        """The outputs."""
+        arrays = [np.ascontiguousarray(value, dtype=float) for value in inputs]
+        results = [np.empty(shape) for shape in self._shapes]
+        for k, array in enumerate(arrays):
+            if array.size:
+                self._buffer.set_arg(k, array.data)
+        for k, result in enumerate(results):
+            if result.size:
+                self._buffer.set_res(k, result.data)
+        self._evaluate()
+        return results
