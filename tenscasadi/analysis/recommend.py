@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.analysis.certify import certify, distance, end_nodes
-from tenscasadi.analysis.tradeoff import LONGEST, Case, check_ways, is_implicit
+from tenscasadi.analysis.tradeoff import LONGEST, Case, check_ways
 from tenscasadi.analysis.tradeoff_table import short
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
@@ -21,7 +21,6 @@ from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.control_input import ControlInput
-from tenscasadi.simulation.steppers import own_steps
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import CompileError
 from tenscasadi.util.precision import Compiled, Single
@@ -108,16 +107,16 @@ def recommend(
     best: _Choice | None = None
     told = []
     speed = 1.0  # instructions of the best explicit scheme in a second
-    for case in sorted(ways, key=lambda case: is_implicit(case.scheme)):
+    for case in sorted(ways, key=lambda case: case.scheme.implicit):
         name = short(case.scheme)
-        if is_implicit(case.scheme) and best is not None and not is_implicit(best.case.scheme):
+        if case.scheme.implicit and best is not None and not best.case.scheme.implicit:
             if best.steps > _BOUND * _coarsest(best.case, best.end):
                 told.append(f"{name} left out: stability does not bound the steps of {short(best.case.scheme)}")
                 continue
             speed = best.cost / best.seconds()
         most = np.inf if best is None else best.cost
         try:
-            if case.correction is not None and (own_steps(case.scheme) or case.correction.step(model) is None):
+            if case.correction is not None and (case.scheme.adaptive or case.correction.step(model) is None):
                 continue  # nothing to correct
             found = _found(case, speed, reference.nodes, wanted, most)
             best = found if found is not None and found.cost < most else best
@@ -133,7 +132,7 @@ def recommend(
     message = f"{outcome}; compared with {names}; reference: {reference.message}"
     work = float(best.steps * best.case.instructions()) or np.nan
     limit = stable_step(model, start, None, best.case.scheme, safety=1.0)
-    if best.step > limit and not own_steps(best.case.scheme):
+    if best.step > limit and not best.case.scheme.adaptive:
         told.append(f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved")
     return Recommendation(best.case.scheme, best.step, best.case.correction, expected, seconds, work, "; ".join(dict.fromkeys([message, *told])))
 
@@ -148,11 +147,11 @@ class _Price:
 
 def _found(case: Case, speed: float, nodes: Array, wanted: float, most: float) -> _Choice | None:
     """About the cheapest step or rtol that serves; `speed`: instructions in a second, where they are not counted. None: none for less than `most`."""
-    if not is_implicit(case.scheme):
-        price = _Price(case.instructions() * (_OVERHEAD if own_steps(case.scheme) else 1.0), 0.0)
-        return (_loosest if own_steps(case.scheme) else _fewest)(case, price, nodes, wanted, most)
+    if not case.scheme.implicit:
+        price = _Price(case.instructions() * (_OVERHEAD if case.scheme.adaptive else 1.0), 0.0)
+        return (_loosest if case.scheme.adaptive else _fewest)(case, price, nodes, wanted, most)
     clock = _Price(0.0, speed)
-    if not isinstance(case.scheme, Collocation):
+    if case.scheme.adaptive:
         return _loosest(case, clock, nodes, wanted, most)
     if case.compiled is False:
         return _fewest(case, clock, nodes, wanted, most)
@@ -173,7 +172,7 @@ class _Choice:
 
     def seconds(self) -> float:
         """Of the time loop, measured."""
-        if own_steps(self.case.scheme) or is_implicit(self.case.scheme):
+        if self.case.scheme.adaptive or self.case.scheme.implicit:
             return min(self.case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS))
         return self.case.seconds_per_step(self.step, _REPEATS) * self.steps
 
@@ -245,7 +244,7 @@ def _fewest(case: Case, price: _Price, nodes: Array, wanted: float, most: float)
 
 def _coarsest(case: Case, state: Array | None = None) -> int:
     """Steps at the limit of stability of the start, and of `state`."""
-    if is_implicit(case.scheme):
+    if case.scheme.implicit:
         return _FEW
     states = [case.state] if state is None else [case.state, state]
     limit = min(stable_step(case.model, x, None, case.scheme, safety=1.0) for x in states)

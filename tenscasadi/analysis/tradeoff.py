@@ -15,13 +15,10 @@ from tqdm import tqdm
 from tenscasadi.analysis.certify import Reference, certify, distance, end_nodes
 from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
 from tenscasadi.dynamics.model import Model, instructions
-from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
-from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.simulate import simulate
-from tenscasadi.simulation.steppers import own_steps
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import CompileError
 from tenscasadi.util.precision import Compiled, Single
@@ -71,7 +68,7 @@ def tradeoff(
     known: Reference | None = None
     end = "interrupted from the keyboard before the reference was found"
     plans = list(product(named.items(), schemes, corrections, ways))
-    total = sum(1 if own_steps(scheme) else len(lengths) for _, scheme, _, _ in plans)
+    total = sum(1 if scheme.adaptive else len(lengths) for _, scheme, _, _ in plans)
     try:
         with tqdm(total=total, unit=" runs", disable=not progress) as bar:
             known = _reference(named, t_end, reference, state, control, False if all(way is False for way in ways) else None)
@@ -109,7 +106,7 @@ class Case:
 
     def instructions(self) -> int:
         """Instructions of one step, with its share of the correction; 0: not known, for implicit schemes iterate as often as it takes."""
-        if is_implicit(self.scheme):
+        if self.scheme.implicit:
             return 0
         project = None if self.correction is None else self.correction.step(self.model)
         extra = 0 if self.correction is None or project is None else instructions(project) / self.correction.every
@@ -134,11 +131,6 @@ class Case:
         return None if callable(self.control) or (self.control is not None and np.ndim(self.control) != 1) else self.control
 
 
-def is_implicit(scheme: Scheme) -> bool:
-    """Whether each step of a scheme solves equations that hold forces, with no limit of stability."""
-    return isinstance(scheme, (Collocation, Sundials))
-
-
 def start_of(model: Model, state: State) -> Array | None:
     """The start that `state` means for this model. Raises TypeError, ValueError."""
     value = state(model) if callable(state) else state
@@ -147,7 +139,7 @@ def start_of(model: Model, state: State) -> Array | None:
 
 def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int) -> Iterable[Row]:
     """A row for each step; the time of a step and the set-up are measured once."""
-    chooses = own_steps(case.scheme)
+    chooses = case.scheme.adaptive
     empty = Row(case.scheme, np.nan, case.correction, name, compiled=case.compiled is not False, single=isinstance(case.compiled, Single))
     each = setup = np.nan
     for step in [LONGEST * case.t_end] if chooses else lengths:
@@ -163,7 +155,7 @@ def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference,
             empty = replace(empty, compiled=run.compiled, setup=setup)
         row = replace(empty, instructions=work, steps=run.attempts, success=run.success, message=run.message)
         if run.success:
-            if is_implicit(case.scheme) or chooses:  # a step costs what it takes to solve its equations
+            if case.scheme.implicit or chooses:  # a step costs what it takes to solve its equations
                 seconds = median(case.run(step, energy_balance=False).seconds for _ in range(repeats))
             else:
                 each = case.seconds_per_step(lengths[-1], repeats) if np.isnan(each) else each

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
@@ -35,6 +35,8 @@ class Collocation:
     points: Literal["gauss", "radau"] = "gauss"
     tolerance: float = 1e-10
     iterations: int = 60
+    adaptive: ClassVar[bool] = False
+    implicit: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if whole_number("Collocation.degree", self.degree, 1) > 9:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -42,6 +42,8 @@ class Rattle:
 
     order: int = 2
     iterations: int = 6
+    adaptive: ClassVar[bool] = False
+    implicit: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if self.order not in _FRACTIONS or isinstance(self.order, bool):

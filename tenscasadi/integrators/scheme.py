@@ -24,6 +24,14 @@ class Scheme(Protocol):
     def order(self) -> int:
         """Order p of convergence: the error after a fixed time falls like step^p."""
 
+    @property
+    def adaptive(self) -> bool:
+        """Whether the scheme takes steps of its own size between the times of the grid that `simulate` lays."""
+
+    @property
+    def implicit(self) -> bool:
+        """Whether each step solves equations that hold forces, by iterations of unknown number: stability bounds no step then."""
+
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
         """One step of a model with u held: Function "step" (z, u, h) -> z_next, z = x.
 
@@ -37,10 +45,19 @@ class Scheme(Protocol):
         """R(z): the factor by which one step multiplies y when y' = λ y and z = step · λ."""
 
 
+_MEMBERS = ("order", "adaptive", "implicit", "advance", "step", "amplification")
+
+
 class ExplicitRungeKutta:
     """What the explicit Runge-Kutta methods share: all is in their `tableau`."""
 
     tableau: ClassVar[Tableau]
+    implicit: ClassVar[bool] = False
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the scheme chooses its steps in `simulate`."""
+        return False
 
     def step(self, ode: ca.Function) -> ca.Function:
         """One step of x' = ode(x, u) with u held: Function "step" (x, u, h) -> x_next. TypeError, ValueError: not such an ode."""
@@ -165,7 +182,9 @@ def check_ode(ode: ca.Function) -> None:
 def check_scheme(scheme: Scheme) -> None:
     """TypeError unless `scheme` is a scheme (and not, for instance, the class without parentheses)."""
     if isinstance(scheme, type) or not isinstance(scheme, Scheme):
-        raise TypeError(f"scheme is {scheme!r}: give an integration scheme, such as RungeKutta4()")
+        lacks = [name for name in _MEMBERS if not hasattr(scheme, name)]
+        why = "" if isinstance(scheme, type) or len(lacks) == len(_MEMBERS) else f" and lacks {', '.join(lacks)}"
+        raise TypeError(f"scheme is {scheme!r}{why}: give an integration scheme, such as RungeKutta4()")
 
 
 def stability_limit(scheme: Scheme, direction: Complex, reach: float = 50.0) -> Array:

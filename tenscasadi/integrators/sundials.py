@@ -32,6 +32,8 @@ class Sundials:
     atol: float | None = None
     max_steps: int = 100_000
     order: ClassVar[int] = 5
+    adaptive: ClassVar[bool] = True
+    implicit: ClassVar[bool] = True
     plugin: ClassVar[str]
 
     def __post_init__(self) -> None:

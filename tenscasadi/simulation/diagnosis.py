@@ -8,7 +8,6 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import ExplicitRungeKutta, Scheme
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.simulation.steppers import own_steps
 from tenscasadi.util.precision import Compiled, Single
 from tenscasadi.util.validate import Array
 
@@ -43,7 +42,7 @@ def cause(model: Model, scheme: Scheme, step: float, time: Array, states: Array,
     name = type(scheme).__name__
     if off := _off(model, states[0]):
         return off
-    if own_steps(scheme):
+    if scheme.adaptive:
         return f"the error of each step was kept, so the motion itself breaks down or was not resolved: try a smaller {name}(rtol)"
     limits = []
     for t, x, u in zip(time, states, controls, strict=True):  # the start first: a state that is about to break has limits of its own
@@ -85,7 +84,7 @@ def doubts(
 
 def _finer(model: Model, scheme: Scheme, step: float, x: Array, u: Array) -> str:
     """The cure for a run that is not accurate."""
-    if own_steps(scheme):
+    if scheme.adaptive:
         return f"try a smaller {type(scheme).__name__}(rtol)"
     limit = stable_step(model, x, u, scheme, safety=1.0)
     return f"the step is above the stability limit, try step={0.9 * limit:.2g}" if step > limit else "try a smaller step"

@@ -11,7 +11,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import RungeKutta4, Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Projection
-from tenscasadi.simulation.steppers import check_single, own_steps
+from tenscasadi.simulation.steppers import check_single
 from tenscasadi.util.precision import Single
 from tenscasadi.util.validate import Array, instance
 
@@ -29,7 +29,7 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
     instance("model", model, Model, "a tenscasadi.Model")
     instance("precision", precision, (Single, type(None)), "Single() for float, or None for double")
     check_scheme(scheme)
-    if own_steps(scheme):
+    if scheme.adaptive:
         raise ValueError(f"scheme is {scheme}, which chooses its steps: give one of fixed steps for C, such as RungeKutta4()")
     if precision is not None:
         check_single(scheme)

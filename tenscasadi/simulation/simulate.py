@@ -21,7 +21,7 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction
 from tenscasadi.simulation.control_input import ControlInput, Signal, signal
 from tenscasadi.simulation.diagnosis import cause, doubts, first_fault
 from tenscasadi.simulation.record import observe, record
-from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper, own_steps
+from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.precision import Compiled, Single
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
@@ -73,7 +73,7 @@ def simulate(
             raise TypeError(f"{name} is {flag!r}: give True or False{', None or Single()' if name == 'compiled' else ''}")
     start = np.array(model.initial_state if state is None else finite_array("state", state, (model.nx,)))
     if step is None:
-        step = positive_number("t_end", t_end) / 100 if own_steps(scheme) else 1e-3
+        step = positive_number("t_end", t_end) / 100 if scheme.adaptive else 1e-3
     n_steps = _count(positive_number("t_end", t_end), positive_number("step", step))
     if model.scene.has_clock:
         _check_clock(abs(start[-1]) + t_end, t_end / n_steps)
@@ -105,7 +105,7 @@ def simulate(
     told: tuple[Array, Array] | None = None
     if correction is not None:
         unknown = np.full(good, np.nan)
-        told = (unknown, unknown) if own_steps(scheme) else correction_effect(model, scheme, correction, states[:good], controls[:good], run.step)
+        told = (unknown, unknown) if scheme.adaptive else correction_effect(model, scheme, correction, states[:good], controls[:good], run.step)
     recorded = record(
         model,
         run.time[:good],

@@ -10,7 +10,6 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.adaptive import ATTEMPTS, Limits, Memory, attempts_function
-from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.scheme import EmbeddedRungeKutta, Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.integrators.sundials import Sundials
@@ -71,11 +70,6 @@ class Task(NamedTuple):
     jumps: bool
 
 
-def own_steps(scheme: Scheme) -> bool:
-    """Whether a scheme takes steps of its own size between the times of the grid."""
-    return isinstance(scheme, Sundials) or (isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive)
-
-
 def check_single(scheme: Scheme) -> None:
     """ValueError where a scheme asks for more than single precision holds."""
     name = "rtol" if isinstance(scheme, EmbeddedRungeKutta) else "tolerance"
@@ -92,7 +86,7 @@ def make_stepper(task: Task, step: float, steps: int, compiled: Compiled) -> Bui
         if compiled:
             raise CompileError(f"{type(scheme).__name__} is an integrator of SUNDIALS, which makes no C code: give compiled=None or another scheme")
         return Built(SundialsStepper(task, scheme, step), False, "")
-    if own_steps(scheme) and every != 1:
+    if scheme.adaptive and every != 1:
         raise ValueError(f"correction.every is {every}: {type(scheme).__name__} with rtol corrects after each of its own steps, give every=1")
     single = isinstance(compiled, Single)
     if single:
@@ -100,7 +94,7 @@ def make_stepper(task: Task, step: float, steps: int, compiled: Compiled) -> Bui
     note = ""
     if compiled is not False:
         try:
-            chunk = every if isinstance(scheme, Collocation) else chunk_steps(model, every)  # Newton's method takes longer than a call
+            chunk = every if scheme.implicit else chunk_steps(model, every)  # Newton's method takes longer than a call
             function = compile_function(_function(task, chunk), single=single)
             return Built(_wrapped(task, function, step), True, "; in single precision" if single else "")
         except CompileError as error:

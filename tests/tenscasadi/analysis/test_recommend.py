@@ -10,9 +10,7 @@ import pytest
 import tenscasadi as tc
 from tenscasadi.analysis.certify import distance
 from tenscasadi.analysis.recommend import SCHEMES
-from tenscasadi.analysis.tradeoff import is_implicit
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.simulation.steppers import own_steps
 
 
 def turning(structure, **scene):
@@ -82,11 +80,11 @@ def test_meets_the_tolerance_at_no_more_than_twice_the_cost_of_the_best(scene, t
     assert error <= tolerance
     assert error == pytest.approx(advice.error, abs=0.11 * tolerance)  # that of the reference it was measured against
 
-    explicit = [scheme for scheme in schemes if not is_implicit(scheme)]
-    fixed = [scheme for scheme in explicit if not own_steps(scheme)]
+    explicit = [scheme for scheme in schemes if not scheme.implicit]
+    fixed = [scheme for scheme in explicit if not scheme.adaptive]
     steps = t_end / np.unique(np.geomspace(4, 4000, 28).astype(int))
     tables = [tc.tradeoff(model, t_end, fixed, steps, reference, start, corrections=(None, tc.Projection()), repeats=1)]
-    own = [replace(scheme, rtol=float(rtol)) for scheme in explicit if own_steps(scheme) for rtol in np.geomspace(1e-9, 1e-3, 5)]
+    own = [replace(scheme, rtol=float(rtol)) for scheme in explicit if scheme.adaptive for rtol in np.geomspace(1e-9, 1e-3, 5)]
     tables.append(tc.tradeoff(model, t_end, own, [t_end / 20], reference, start, compiled=(False,), repeats=1))
     rows = [row for table in tables for row in table.rows if row.success and row.position + reference.error <= tolerance]
     assert len(rows) >= 3
@@ -97,7 +95,7 @@ def test_where_stability_bounds_the_step_implicit_schemes_are_looked_at():
     model, start = damped()
     schemes = (tc.Collocation(2, "radau"), tc.Cvodes(), tc.DormandPrince853())
     advice = tc.recommend(model, 0.02, 1e-5, start, schemes=schemes, compiled=False)
-    assert is_implicit(advice.scheme)
+    assert advice.scheme.implicit
     assert np.isnan(advice.work)
     run = tc.simulate(model, 0.02, state=start, compiled=False, **advice.options)
     assert run.success
@@ -127,7 +125,7 @@ def test_stiff_scenes_cost_no_more_than_twice_the_best_of_a_fine_grid(segments, 
     model, start = damped(segments)
     t_end = 0.05
     advice = tc.recommend(model, t_end, tolerance, start)
-    assert is_implicit(advice.scheme)
+    assert advice.scheme.implicit
     reference = tc.certify(model, t_end, start)
     limits = [tc.stable_step(model, start, scheme=scheme) for scheme in (tc.RungeKutta4(), tc.DormandPrince853())]
     tables = [tc.tradeoff(model, t_end, [tc.RungeKutta4(), tc.DormandPrince853()], limits, reference, start, repeats=1)]

@@ -83,6 +83,8 @@ def test_stability_limits() -> None:
 def test_a_scheme_without_limit_has_an_infinite_step() -> None:
     class Midpoint:
         order = 2
+        adaptive = False
+        implicit = True
 
         def step(self, ode: ca.Function) -> ca.Function:
             raise NotImplementedError
@@ -106,6 +108,20 @@ def test_schemes_are_values() -> None:
 def test_what_is_no_scheme_is_refused(wrong: object) -> None:
     with pytest.raises(TypeError, match=r"scheme is .*RungeKutta4\(\)"):
         check_scheme(wrong)  # type: ignore[arg-type]
+
+
+def test_a_scheme_that_lacks_a_member_is_told_which() -> None:
+    class Euler:
+        order = 1
+
+        def step(self, ode: ca.Function) -> ca.Function:
+            raise NotImplementedError
+
+        def amplification(self, z: np.ndarray) -> np.ndarray:
+            return 1 + z
+
+    with pytest.raises(TypeError, match=r"Euler object .* and lacks adaptive, implicit, advance: give"):
+        check_scheme(Euler())  # type: ignore[arg-type]
 
 
 def test_what_is_no_ode_is_refused() -> None:
