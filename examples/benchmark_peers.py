@@ -3,7 +3,10 @@
 A free prism and a free six-bar ball with elastic strings, prestressed, turning at 3.7 rad/s, no gravity, one second. MuJoCo has each bar as
 a free body and each string as a tendon that pulls beyond its rest length; contacts and constraints are switched off. Two things differ and
 do not change the motion: its bars have an inertia about their own axis, about which they do not turn, and quaternions in place of ends.
-SciPy integrates the right-hand side as one writes it in NumPy. All are measured against the same certified reference.
+SciPy integrates the right-hand side as one writes it in NumPy. All are measured against the same certified reference, in whole runs:
+nothing is extrapolated. Three columns of seconds: the stepping alone; the whole call from a prepared model to the end of the run; and once,
+before the first run, the set-up: for tenscasadi building the equations, generating C and compiling it with an empty cache, for MuJoCo
+reading its XML.
 
 Run it with a folder for the picture: python examples/benchmark_peers.py pictures
 MuJoCo is optional: pip install 'tenscasadi[peers]'
@@ -21,6 +24,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,24 +42,26 @@ AXIAL = 1e-4  # kg m² about a bar's own axis, which MuJoCo wants to be positive
 
 
 class Point(NamedTuple):
-    """One run: its error, m, wall time per simulated second, s, and steps per second where steps are equal, else NaN."""
+    """One run: its error, m, and seconds per simulated second of the stepping alone and of the whole call; steps per second, NaN for own steps."""
 
     error: float
     seconds: float
+    whole: float
     rate: float
 
 
 class Result(NamedTuple):
-    """Of one shape: the error of the reference, m, and the points of each program and method."""
+    """Of one shape: the error of the reference, m, the points of each program and method, and seconds to set each up."""
 
     shape: str
     reference_error: float
     curves: dict[str, list[Point]]
+    setup: dict[str, float]
 
-    def cheapest(self, program: str, tolerance: float) -> tuple[float, str]:
+    def cheapest(self, program: str, tolerance: float, whole: bool = False) -> tuple[float, str]:
         """Seconds per simulated second and name of the fastest method of a program within a tolerance; infinite when there is none."""
         within = [
-            (point.seconds, name)
+            (point.whole if whole else point.seconds, name)
             for name, points in self.curves.items()
             for point in points
             if name.startswith(program) and point.error + self.reference_error <= tolerance
@@ -95,41 +101,76 @@ def measure(shape: str, s: tc.Structure, mujoco: Any, quick: bool) -> Result:
     start = model.state(s.nodes, velocities)
     reference = tc.certify(model, T_END, start)
     repeats = 1 if quick else 5
-    counts = np.unique(np.geomspace(100 if quick else 40, 4000, 4 if quick else 24).astype(int)).tolist()
+    counts = np.unique(np.geomspace(100 if quick else 40, 4000, 4 if quick else 16).astype(int)).tolist()
 
     curves: dict[str, list[Point]] = {}
+    setup: dict[str, float] = {}
     schemes: tuple[Any, ...] = (tc.RungeKutta4(), tc.DormandPrince853(), tc.DormandPrince54(), tc.Rattle())[: 2 if quick else 4]
-    steps, corrections = [T_END / count for count in counts], (None, tc.Projection())[: 1 if quick else 2]
-    table = tc.tradeoff(model, T_END, schemes, steps, reference, start, corrections=corrections, repeats=repeats)
-    for row in table.rows:
-        if row.success and not (row.correction and row.scheme == tc.Rattle()):  # Rattle keeps bars by itself
-            curves.setdefault(f"tenscasadi {row.name}", []).append(Point(row.position, row.seconds, row.steps / (row.seconds * T_END)))
+    for scheme in schemes:
+        for correction in (None, tc.Projection())[: 1 if quick or scheme == tc.Rattle() else 2]:  # Rattle keeps bars by itself
+            name = f"tenscasadi {type(scheme).__name__}" + ("" if correction is None else ", Projection")
+            setup[name] = our_setup(s, start, scheme, correction)
+            points = [our_run(model, start, scheme, correction, count, reference.nodes, repeats) for count in counts]
+            curves[name] = [point for point in points if np.isfinite(point.error)]
     if mujoco is not None:
         for integrator in ("RK4", "Euler", "implicitfast"):
             points = [mujoco_run(mujoco, s, integrator, count, reference.nodes, repeats) for count in counts]
             curves[f"MuJoCo {integrator}"] = [point for point in points if np.isfinite(point.error)]
+            setup[f"MuJoCo {integrator}"] = clock(lambda: mujoco.MjData(mujoco.MjModel.from_xml_string(mujoco_scene(mujoco, s, "RK4", 1e-3))))
     for method in ("DOP853", "RK45"):
         tolerances = np.geomspace(1e-3, 1e-12, 4 if quick else 19)
         curves[f"SciPy {method}"] = [scipy_run(s, start, method, float(rtol), reference.nodes, repeats) for rtol in tolerances]
-    return Result(shape, reference.error, curves)
+        setup[f"SciPy {method}"] = clock(lambda: numpy_rhs(s))
+    return Result(shape, reference.error, curves, setup)
 
 
 def report(result: Result) -> None:
-    """Prints who needs how long for which accuracy."""
+    """Prints who needs how long for which accuracy: the stepping, the whole call, and the set-up of the method that steps fastest."""
     programs = [name for name in ("tenscasadi", "MuJoCo", "SciPy") if any(curve.startswith(name) for curve in result.curves)]
     print(f"{result.shape}: seconds per simulated second of the fastest within a tolerance; reference error {result.reference_error:.1g} m")
-    print(f"{'m':>6}" + "".join(f"{name:>44}" for name in programs))
+    print(f"{'m':>6}  {'':<12}{'stepping':>10}{'whole call':>12}{'set-up, once':>14}  times ours: stepping, whole call")
     for tolerance in TOLERANCES:
-        cells = []
-        ours = result.cheapest("tenscasadi", tolerance)[0]
+        ours = [result.cheapest("tenscasadi", tolerance, whole)[0] for whole in (False, True)]
         for program in programs:
             seconds, name = result.cheapest(program, tolerance)
-            times = "" if program == "tenscasadi" else f", {seconds / ours:.0f} times ours"
-            cells.append(f"{seconds:.2g} ({name.removeprefix(program + ' ')}{times})")
-        print(f"{tolerance:6.0e}" + "".join(f"{cell:>44}" for cell in cells))
+            whole = result.cheapest(program, tolerance, True)[0]
+            setup = result.setup.get(name, np.nan)
+            times = "" if program == "tenscasadi" else f"  {seconds / ours[0]:.0f}, {whole / ours[1]:.2g}"
+            print(f"{tolerance:6.0e}  {program:<12}{seconds:>10.2g}{whole:>12.2g}{setup:>14.2g}{times:<14} {name.removeprefix(program + ' ')}")
     ours_rk4, theirs = result.rate("tenscasadi RungeKutta4"), result.rate("MuJoCo RK4")
     compared = "" if np.isnan(theirs) else f", MuJoCo's {theirs:,.0f}: {ours_rk4 / theirs:.0f} times"
     print(f"steps of RK4 per second: {ours_rk4:,.0f}{compared}\n")
+
+
+def clock(call: Callable[[], object]) -> float:
+    """Seconds that a call takes."""
+    began = time.perf_counter()
+    call()
+    return time.perf_counter() - began
+
+
+def our_setup(s: tc.Structure, start: np.ndarray, scheme: Any, correction: Any) -> float:
+    """Seconds to build a model, to generate its code and to compile it, where nothing was compiled before."""
+    before = os.environ.get("TENSCASADI_CACHE")
+    with TemporaryDirectory() as empty:
+        os.environ["TENSCASADI_CACHE"] = empty
+        try:
+            return clock(lambda: tc.simulate(tc.Model(tc.Scene(s)), 1e-3, 1e-3, scheme, state=start, correction=correction, energy_balance=False))
+        finally:
+            os.environ.pop("TENSCASADI_CACHE")
+            if before is not None:
+                os.environ["TENSCASADI_CACHE"] = before
+
+
+def our_run(model: tc.Model, start: np.ndarray, scheme: Any, correction: Any, count: int, reference: np.ndarray, repeats: int) -> Point:
+    """`count` equal steps by tenscasadi, in one call."""
+    runs = []
+    for _ in range(repeats + 1):  # the first one may compile
+        began = time.perf_counter()
+        run = tc.simulate(model, T_END, T_END / count, scheme, state=start, correction=correction, save_every=count, energy_balance=False)
+        runs.append((time.perf_counter() - began, run.seconds))
+    whole, seconds = (median(values) for values in zip(*runs[1:], strict=True))
+    return Point(distance(run.nodes[-1], reference) if run.success else np.inf, seconds / T_END, whole / T_END, count / seconds)
 
 
 def mujoco_run(mujoco: Any, s: tc.Structure, integrator: str, count: int, reference: np.ndarray, repeats: int) -> Point:
@@ -145,17 +186,20 @@ def mujoco_run(mujoco: Any, s: tc.Structure, integrator: str, count: int, refere
             own = data.xmat[b + 1].reshape(3, 3).T @ TURNING  # rotation is told in the body's own axes
             data.qvel[first : first + 6] = [*np.cross(TURNING, s.nodes[ends].mean(axis=0)), own[0], own[1], 0.0]
 
-    def run() -> float:
+    def run() -> tuple[float, float]:
+        called = time.perf_counter()
         start()
         began = time.perf_counter()
         mujoco.mj_step(model, data, count)
-        return time.perf_counter() - began
+        ended = time.perf_counter()
+        return ended - called, ended - began
 
-    seconds = median(run() for _ in range(repeats))
+    runs = [run() for _ in range(repeats)]
+    whole, seconds = (median(values) for values in zip(*runs, strict=True))
     mujoco.mj_kinematics(model, data)
     nodes = np.array([data.site(f"n{node}").xpos for node in range(len(s.nodes))])
     lost = data.time < 0.99 * T_END  # MuJoCo starts again where it diverges
-    return Point(np.inf if lost else distance(nodes, reference), seconds / T_END, count / seconds)
+    return Point(np.inf if lost else distance(nodes, reference), seconds / T_END, whole / T_END, count / seconds)
 
 
 def mujoco_scene(mujoco: Any, s: tc.Structure, integrator: str, step: float) -> str:
@@ -196,7 +240,8 @@ def scipy_run(s: tc.Structure, start: np.ndarray, method: str, rtol: float, refe
 
     runs = [run() for _ in range(repeats)]
     nodes = runs[0][1].y[: len(start) // 2, -1].reshape(-1, 3)
-    return Point(distance(nodes, reference), median(seconds for seconds, _ in runs) / T_END, np.nan)
+    seconds = median(seconds for seconds, _ in runs) / T_END
+    return Point(distance(nodes, reference), seconds, seconds, np.nan)
 
 
 def numpy_rhs(s: tc.Structure) -> Callable[[float, np.ndarray], np.ndarray]:
