@@ -19,7 +19,7 @@ import numpy as np
 import ocp
 import tenscasadi as tc
 from ocp.boundary.find_target import find_target
-from ocp.boundary.target import Scales
+from ocp.problem.scaling import Scales
 from ocp.transcription.base import OnGrid
 from ocp.transcription.initial_guess import make_guess
 

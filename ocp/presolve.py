@@ -7,7 +7,7 @@ import numpy as np
 import scipy.optimize
 
 from ocp.problem.bounds import PathBound
-from ocp.problem.limits import limits_along
+from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.transcription.mesh import Profile, spread
 
@@ -32,10 +32,10 @@ def check_start(problem: Problem) -> None:
     """Raises ValueError, naming the limit that is missed most, where no force densities meet all limits that are linear in them at the start."""
     lower, upper = problem.force_density_limits
     slopes, room, rows = [np.zeros((0, len(lower)))], [np.zeros(0)], []
-    for limited, symbols, _ in limits_along(problem, PathBound):
-        value, control = ca.densify(limited.value), symbols[1]
+    for limited in path_constraints(problem, PathBound):
+        value, control = ca.densify(limited.value), limited.symbols[1]
         linear = ~np.array(ca.which_depends(value, control, 2, True), dtype=bool)
-        function = ca.Function("linear", symbols, [value, ca.densify(ca.jacobian(value, control))])
+        function = ca.Function("linear", limited.symbols, [value, ca.densify(ca.jacobian(value, control))])
         at_none, slope = (np.asarray(part.full()) for part in function(np.asarray(problem.start), 0, 0))
         for side, sign, limit in (("at most", 1.0, limited.upper), ("at least", -1.0, limited.lower)):
             kept = np.flatnonzero(linear & np.isfinite(limit) & np.isfinite(at_none[:, 0]) & np.isfinite(slope).all(axis=1))

@@ -12,13 +12,13 @@ import numpy as np
 
 from ocp.boundary.find_target import find_target
 from ocp.boundary.reach import HARDLY_REACHED, REACHED, Reach, controlled
-from ocp.boundary.target import Scales, Target
+from ocp.boundary.target import Target
 from ocp.plan.diagnosis import explain_failure, long_steps
 from ocp.plan.misses import misses
 from ocp.plan.plan import Plan
 from ocp.presolve import check_groups, check_start
-from ocp.problem.path_constraints import cubic, within
 from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
 from ocp.solvers.base import Solution, Solver
 from ocp.solvers.deferred_correction import corrected
 from ocp.solvers.fatrop import Fatrop
@@ -26,7 +26,7 @@ from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals, duals_of, started
 from ocp.transcription.base import OnGrid
 from ocp.transcription.initial_guess import Guess, InitialGuess, guess_of
-from ocp.transcription.mesh import held_values, spread
+from ocp.transcription.mesh import cubic, held_values, spread, within
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.simulation.record import record
@@ -113,7 +113,7 @@ def _check_freedom(problem: Problem, target: Target, transcription: OnGrid) -> N
     lower, upper = problem.force_density_limits
     free = int(np.sum(lower < upper))
     name = f"{type(transcription).__name__}.intervals is {transcription.count}"
-    for share, part, label in [(1.0, target, ""), *((stop.share, stop.target, stop.label) for stop in target.stops)]:
+    for share, part, label in target.instants:
         intervals = within(transcription.fractions, share)[0] + 1
         if part.count > intervals * free:
             least = int(np.ceil(np.ceil(part.count / free) / share)) if free else 0
@@ -137,13 +137,13 @@ def _controlled(target: Target, reach: Reach, guess: Guess, least: float = REACH
         combined = part.combined._replace(combinations=kept @ part.combined.combinations)
         return replace(part, weights=kept @ part.weights, repeated={**part.repeated, "out of control": missing}, combined=combined)
 
-    stops = tuple(stop._replace(target=reduced(stop.target, stop.share)) for stop in target.stops)
-    return replace(reduced(target, 1.0), stops=stops)
+    waypoints = tuple(one._replace(target=reduced(one.target, one.share)) for one in target.waypoints)
+    return replace(reduced(target, 1.0), waypoints=waypoints)
 
 
 def _rows(target: Target) -> int:
     """Rows that are imposed at the end and on the way."""
-    return target.count + sum(stop.target.count for stop in target.stops)
+    return sum(part.count for _, part, _ in target.instants)
 
 
 def _loosened(problem: Problem, guess: Guess) -> Guess:
@@ -184,7 +184,7 @@ def _planned(problem: Problem, transcription: OnGrid, found: Guess) -> Callable[
 
 def _met(target: Target, state_at: Callable[[float], Array]) -> bool:
     """Whether the rows of all goals vanish, also those that were not imposed; how well bars and momenta are kept is not asked."""
-    for share, part in [(1.0, target), *((stop.share, stop.target) for stop in target.stops)]:
+    for share, part, _ in target.instants:
         residual = np.asarray(part.rows(state_at(share)).full()).ravel()
         if len(residual) and np.abs(np.linalg.lstsq(part.combined.combinations, residual)[0]).max() > MET:
             return False

@@ -13,9 +13,10 @@ from ocp.boundary.free_start import find_cycle
 from ocp.boundary.gauss_newton import NEARLY_SINGULAR, Search
 from ocp.boundary.invariants import UnreachableGoal, invariants
 from ocp.boundary.row_reduction import RANK, Combined, Reduction, RowFunction, reduce_rows, soft_directions
-from ocp.boundary.target import Scales, Stop, Target
+from ocp.boundary.target import Target, TargetOnTheWay
 from ocp.problem.goals import rows_of
 from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
@@ -26,14 +27,14 @@ RIGID = ("bar", "joint", "clock")
 
 def find_target(problem: Problem, scales: Scales) -> Target:
     """The target of a problem. Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much."""
-    stops = []
+    waypoints = []
     for share, part in problem.waypoints:
         try:
-            stop = _end(part, scales)
-            _check_time(problem, stop, part.longest)
+            met = _end(part, scales)
+            _check_time(problem, met, part.longest)
         except UnreachableGoal as error:
             raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
-        stops.append(Stop(share, stop, problem.model.nq))
+        waypoints.append(TargetOnTheWay(share, met))
     if problem.start_goals:
         closed = any(goal.shift == (0.0, 0.0, 0.0) for goal in problem.repeating)  # the start is the end
         try:
@@ -42,7 +43,7 @@ def find_target(problem: Problem, scales: Scales) -> Target:
             raise UnreachableGoal(f"free start: {error}") from None
     end = _end(problem, scales)
     _check_time(problem, end, problem.longest)
-    return replace(end, stops=tuple(stops), cycle=find_cycle(problem, scales.length, scales.time, scales.state))
+    return replace(end, waypoints=tuple(waypoints), cycle=find_cycle(problem, scales.length, scales.time, scales.state))
 
 
 def _check_time(problem: Problem, target: Target, seconds: float) -> None:

@@ -11,27 +11,7 @@ import scipy.linalg
 
 from ocp.boundary.free_start import Cycle
 from ocp.boundary.row_reduction import Combined
-from ocp.problem.problem import Problem
 from tenscasadi.util.validate import Array
-
-
-@dataclass(frozen=True, eq=False)
-class Scales:
-    """Sizes that make a problem's numbers of order one: length m, time s, mass kg, and one number for each entry of the state."""
-
-    length: float
-    time: float
-    mass: float
-    state: Array
-
-    @staticmethod
-    def of(problem: Problem) -> Scales:
-        """Of the structure's extent and mass, and the longest duration."""
-        model = problem.model
-        length = float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) or 1.0
-        time = problem.longest
-        parts = [np.full(model.nq, length), np.full(model.nq, length / time), np.full(model.nx - 2 * model.nq, time)]
-        return Scales(length, time, float(model.mechanism.M.sum()), np.concatenate(parts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +22,7 @@ class Target:
     combinations of the m rows of single, a Function x → rows, all zero at the goal; they are dense, and apart from the rows, whose derivatives are
     sparse. misfit: Function x → (metres, metres per second), the distance from the goals in each of
     `names` (first those in metres). given: rows of the goals; repeated: rows left out, by what repeats them; shape: rows added
-    because string lengths are singular at the target. combined: what `rows` consist of. stops: what is to be met on the way. cycle: rows
+    because string lengths are singular at the target. combined: what `rows` consist of. waypoints: what is to be met on the way. cycle: rows
     of a free start, near which `start` is then.
     """
 
@@ -57,13 +37,18 @@ class Target:
     shape: int
     adjusted: float
     combined: Combined
-    stops: tuple[Stop, ...] = ()
+    waypoints: tuple[TargetOnTheWay, ...] = ()
     cycle: Cycle | None = None
 
     @property
     def count(self) -> int:
         """Rows that are imposed."""
         return len(self.weights)
+
+    @property
+    def instants(self) -> list[tuple[float, Target, str]]:
+        """When something is to be met, as a share of the duration; what; and what names of its goals begin with: first the end."""
+        return [(1.0, self, ""), *((one.share, one.target, one.label) for one in self.waypoints)]
 
     @property
     def rows(self) -> ca.Function:
@@ -97,20 +82,19 @@ class Target:
     def describe(self) -> str:
         """The count of rows, such as "36 → 21 rows: 6 bar, 9 momentum"."""
         if not self.given:
-            return "; ".join(stop.label + stop.target.describe() for stop in self.stops) or "no goals"
+            return "; ".join(one.label + one.target.describe() for one in self.waypoints) or "no goals"
         text = f"{self.given} → {self.count} rows"
         parts = [f"{count} {kind}" for kind, count in self.repeated.items()] + ([f"{self.shape} added for the shape"] if self.shape else [])
         text += ": " + ", ".join(parts) if parts else ""
         text += f"; goals adjusted by {self.adjusted:.1e} m to fit the bars" if self.adjusted else ""
-        return "; ".join([text, *(stop.label + stop.target.describe() for stop in self.stops)])
+        return "; ".join([text, *(one.label + one.target.describe() for one in self.waypoints)])
 
 
-class Stop(NamedTuple):
-    """A target on the way, at a share of the duration."""
+class TargetOnTheWay(NamedTuple):
+    """What the goals of a waypoint lead to, at a share of the duration."""
 
     share: float
     target: Target
-    positions: int  # entries of the state before its velocities
 
     @property
     def label(self) -> str:

@@ -8,11 +8,11 @@ import casadi as ca
 import numpy as np
 
 from ocp.boundary.sensitivities import Motion, departures, linearized_step
-from ocp.boundary.target import Scales
 from ocp.control.mpc_constraints import horizon_rows
 from ocp.control.reference import Reference
 from ocp.plan.plan import Plan
 from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
 from ocp.solvers.interior_point_qp import solve_qp
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number

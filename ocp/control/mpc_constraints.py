@@ -8,9 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Scales
-from ocp.problem.path_constraints import StageRows, corner_rows, stage_rows
+from ocp.problem.bounds import PathBound, RateBound
+from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
 from tenscasadi.util.validate import Array
 
 # What rows of interval 0 depend on: which entry of (states, force densities). Both lists begin with those of the last decision; then come the
@@ -27,7 +28,7 @@ class HorizonRows:
     the last decision to now.
     """
 
-    def __init__(self, bound: StageRows, count: int, period: float, between: bool) -> None:
+    def __init__(self, bound: ScaledRows, count: int, period: float, between: bool) -> None:
         inputs = [ca.MX.sym("z", bound.function.size1_in(k)) for k in range(bound.function.n_in())]
         value = bound.function(*inputs)
         sides = [(sign, k, sign * limit[k]) for sign, limit in ((1.0, bound.upper), (-1.0, bound.lower)) for k in range(len(limit))]
@@ -79,5 +80,5 @@ class HorizonRows:
 
 def horizon_rows(problem: Problem, scales: Scales, strength: float, count: int, period: float) -> list[HorizonRows]:
     """All bounds of a problem but those of γ itself. strength: a typical γ, N/m."""
-    kinds = {False: stage_rows(problem, scales, strength), True: corner_rows(problem, scales, strength)}
-    return [HorizonRows(bound, count, period, between) for between, bounds in kinds.items() for bound in bounds]
+    kinds = {False: PathBound, True: RateBound}
+    return [HorizonRows(bound, count, period, between) for between, kind in kinds.items() for bound in scaled_rows(problem, kind, scales, strength)]

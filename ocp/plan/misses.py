@@ -29,7 +29,7 @@ class Misses(NamedTuple):
 def misses(target: Target, state_at: Callable[[float], Array]) -> Misses:
     """Of the motion whose state (nx,) at a share of the duration is state_at(share)."""
     found = Misses([], [])
-    for share, part, label in [(1.0, target, ""), *((stop.share, stop.target, stop.label) for stop in target.stops)]:
+    for share, part, label in target.instants:
         metres, speeds = (np.abs(np.asarray(value.full()).ravel()).tolist() for value in part.misfit(state_at(share)))
         names = [label + name for name in part.names]
         found.places.extend(zip(metres, names, strict=False))

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp.problem.bounds import CornerBound, Limited, PathBound
-from ocp.problem.limits import Along, limits_along
+from ocp.problem.bounds import PathBound, PathConstraint, RateBound
+from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.mesh import at
@@ -89,7 +89,7 @@ def _price(finding: Finding, duals: Duals | None) -> float:
 class _Course(NamedTuple):
     """How values (n, m) with limits run over time (n,)."""
 
-    limited: Limited
+    limited: PathConstraint
     time: Array
     values: Array
 
@@ -117,8 +117,8 @@ def _at_instants(problem: Problem, time: Array, states: Array, controls: Array) 
     """Force densities and what bounds limit of instants."""
     lower, upper = problem.force_density_limits
     names = tuple(f"force density of string {k}" for k in range(len(lower)))
-    own = _Course(Limited(None, lower, upper, names, "N/m"), time, controls)
-    return [own, *(_course(one, time, states.T, controls.T, time[None]) for one in limits_along(problem, PathBound))]
+    own = _Course(PathConstraint(None, lower, upper, names, "N/m", (), ()), time, controls)
+    return [own, *(_course(one, time, states.T, controls.T, time[None]) for one in path_constraints(problem, PathBound))]
 
 
 def _between_instants(problem: Problem, time: Array, states: Array, force_density: Array) -> list[_Course]:
@@ -126,11 +126,11 @@ def _between_instants(problem: Problem, time: Array, states: Array, force_densit
     x, u, t = states[: len(force_density)].T, force_density.T, time[: len(force_density)]
     if len(t) < 2:
         return []
-    return [_course(one, t[1:], x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], np.diff(t)[None]) for one in limits_along(problem, CornerBound)]
+    return [_course(one, t[1:], x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], np.diff(t)[None]) for one in path_constraints(problem, RateBound)]
 
 
-def _course(along: Along, time: Array, *arguments: Array) -> _Course:
-    return _Course(along.limited, time, np.asarray(along.function.map(len(time))(*arguments).full()).T)
+def _course(limited: PathConstraint, time: Array, *arguments: Array) -> _Course:
+    return _Course(limited, time, np.asarray(limited.function.map(len(time))(*arguments).full()).T)
 
 
 def _merged(findings: list[Finding], most: Callable[[Finding], float]) -> tuple[Finding, ...]:

@@ -2,33 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.instant import Instant
+from ocp.problem.instant import symbolic
+from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, at_least, number_or_vector, per_item, positive_number
 
 
 @dataclass(frozen=True, eq=False)
-class Limited:
-    """lower ≤ value ≤ upper: a column of CasADi expressions in `unit` ("N", "N/m", "m", "m/s" or ""), with a name for each entry."""
+class PathConstraint:
+    """lower ≤ value ≤ upper: a column of CasADi expressions in `unit` ("N", "N/m", "m", "m/s" or ""), with a name for each entry.
+
+    symbols: what `value` is made of, x, u, t of an instant, or x, u, x⁺, u⁺, h of two that are h apart. ends: at which ends
+    ("start", "end") of every interval it holds.
+    """
 
     value: Any
     lower: Array
     upper: Array
     names: tuple[str, ...]
     unit: str
+    symbols: tuple[Any, ...]
+    ends: tuple[str, ...]
 
-    def chosen(self) -> Limited:
-        """Without the entries that have no limit."""
+    @property
+    def function(self) -> ca.Function:
+        """From the symbols to the column of what is limited."""
+        return ca.Function("limited", self.symbols, [ca.densify(self.value)])
+
+    def without_open(self) -> PathConstraint:
+        """Return the constraint without the entries that have no limit."""
         keep = np.flatnonzero(np.isfinite(self.lower) | np.isfinite(self.upper))
         if len(keep) == len(self.names):
             return self
-        return Limited(self.value[keep.tolist()], self.lower[keep], self.upper[keep], tuple(self.names[k] for k in keep), self.unit)
+        names = tuple(self.names[k] for k in keep)
+        return replace(self, value=self.value[keep.tolist()], lower=self.lower[keep], upper=self.upper[keep], names=names)
 
 
 class Bound:
@@ -39,20 +53,22 @@ class Bound:
 
 
 class PathBound(Bound):
-    """Holds at each end of every interval; where `needs_control` is False, once for each state."""
+    """Holds at each end of every interval; what does not depend on force densities at the `ends` only, once for each state."""
 
-    needs_control = True
+    ends: ClassVar[tuple[str, ...]] = ("start", "end")
 
-    def limited(self, now: Instant) -> Limited:
-        """What is limited at one instant."""
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return what is limited, at one instant of symbols."""
         raise NotImplementedError
 
 
-class CornerBound(Bound):
+class RateBound(Bound):
     """Holds from the start of one interval to that of the next; of linear profiles also to the end of the last."""
 
-    def limited_between(self, before: Instant, after: Instant, interval: Any) -> Limited:
-        """What is limited between two instants, `interval` s apart."""
+    ends: ClassVar[tuple[str, ...]] = ("end",)
+
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return what is limited, between two instants of symbols."""
         raise NotImplementedError
 
 
@@ -101,12 +117,13 @@ class TensionLimits(Limits, PathBound):
     The limits of a string that is modelled in segments hold in each of them.
     """
 
-    def limited(self, now: Instant) -> Limited:
-        """The tension of each modelled string."""
-        parent = now.model.structure.string_parent
-        lower, upper = (limit[parent] for limit in self.limits(now.model.scene.structure))
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return the tension of each modelled string."""
+        now, parent = symbolic(model), model.structure.string_parent
+        lower, upper = (limit[parent] for limit in self.limits(model.scene.structure))
         lower = np.where(lower > 0, lower, -np.inf)  # γ ≥ 0 says so already
-        return Limited(now.tension, lower, upper, tuple(f"tension of string {k}" for k in parent), "N").chosen()
+        names = tuple(f"tension of string {k}" for k in parent)
+        return PathConstraint(now.tension, lower, upper, names, "N", now.symbols, self.ends).without_open()
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,16 +143,17 @@ class RestLengthLimits(Limits, PathBound):
         super().check(structure)
         stiffness_of("RestLengthLimits.stiffness", self.stiffness, structure)
 
-    def limited(self, now: Instant) -> Limited:
-        """The rest length of each string."""
-        structure = now.model.scene.structure
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return the rest length of each string."""
+        now, structure = symbolic(model), model.scene.structure
         rest = now.rest_lengths(stiffness_of("RestLengthLimits.stiffness", self.stiffness, structure))
         lower, upper = self.limits(structure)
-        return Limited(rest, lower, upper, tuple(f"rest length of string {k}" for k in range(len(lower))), "m").chosen()
+        names = tuple(f"rest length of string {k}" for k in range(len(lower)))
+        return PathConstraint(rest, lower, upper, names, "m", now.symbols, self.ends).without_open()
 
 
 @dataclass(frozen=True, eq=False)
-class RestLengthRateLimits(CornerBound):
+class RestLengthRateLimits(RateBound):
     """How fast a motor winds: |ρ at the start of an interval − ρ at the start of the one before| ≤ speed · h.
 
     Where force densities are linear, ρ at the end of the last interval is limited, too.
@@ -154,13 +172,16 @@ class RestLengthRateLimits(CornerBound):
         _broadcast("RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf)
         stiffness_of("RestLengthRateLimits.stiffness", self.stiffness, structure)
 
-    def limited_between(self, before: Instant, after: Instant, interval: Any) -> Limited:
-        """The mean rate of each rest length, m/s."""
-        structure = before.model.scene.structure
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return the mean rate of each rest length, m/s."""
+        before, after, structure = symbolic(model), symbolic(model), model.scene.structure
+        interval: Any = type(before.state).sym("h")
         k = stiffness_of("RestLengthRateLimits.stiffness", self.stiffness, structure)
         rate = (after.rest_lengths(k) - before.rest_lengths(k)) / interval
         speed = _broadcast("RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf)
-        return Limited(rate, -speed, speed, tuple(f"rest length rate of string {i}" for i in range(len(speed))), "m/s").chosen()
+        names = tuple(f"rest length rate of string {i}" for i in range(len(speed)))
+        symbols = (before.state, before.control, after.state, after.control, interval)
+        return PathConstraint(rate, -speed, speed, names, "m/s", symbols, self.ends).without_open()
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,10 +211,11 @@ class BarForceLimits(PathBound):
         compression = _broadcast("BarForceLimits.compression", self.compression, count, np.inf, "bar")
         return compression, _broadcast("BarForceLimits.tension", self.tension, count, np.inf, "bar")
 
-    def limited(self, now: Instant) -> Limited:
-        """The force in each bar, positive in compression."""
-        compression, tension = self.most(now.model.scene.structure)
-        return Limited(now.bar_force, -tension, compression, tuple(f"compression of bar {k}" for k in range(len(tension))), "N").chosen()
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return the force in each bar, positive in compression."""
+        now, (compression, tension) = symbolic(model), self.most(model.scene.structure)
+        names = tuple(f"compression of bar {k}" for k in range(len(tension)))
+        return PathConstraint(now.bar_force, -tension, compression, names, "N", now.symbols, self.ends).without_open()
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,10 +247,11 @@ class Buckling(PathBound):
         inertia = np.pi * structure.bar_radius**4 / 4
         return np.asarray(np.pi**2 * E * inertia / structure.bar_lengths**2 / self.safety)
 
-    def limited(self, now: Instant) -> Limited:
-        """The compression of each bar."""
-        loads = self.loads(now.model.scene.structure)
-        return Limited(now.bar_force, np.full(len(loads), -np.inf), loads, tuple(f"buckling of bar {k}" for k in range(len(loads))), "N")
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return the compression of each bar."""
+        now, loads = symbolic(model), self.loads(model.scene.structure)
+        names = tuple(f"buckling of bar {k}" for k in range(len(loads)))
+        return PathConstraint(now.bar_force, np.full(len(loads), -np.inf), loads, names, "N", now.symbols, self.ends)
 
 
 def stiffness_of(field: str, given: ArrayLike | None, structure: Structure) -> Array:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ocp.problem.bounds import Bound, Limited, PathBound
+from ocp.problem.bounds import Bound, PathBound, PathConstraint
 from ocp.problem.costs import Cost, FinalCost, RunningCost
 from ocp.problem.instant import Instant, symbolic
 from tenscasadi.dynamics.model import Model
@@ -43,15 +43,16 @@ class Constraint(PathBound):
             if value is not None:
                 number_or_vector(f"Constraint {self.name!r}: {field}", value)
 
-    def limited(self, now: Instant) -> Limited:
-        """The expression's entries. Raises ValueError where they and the limits differ in number, or limits cross."""
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return the expression's entries. Raises ValueError where they and the limits differ in number, or limits cross."""
+        now = symbolic(model)
         value = _column(self, now)
         count = value.shape[0]
         lower, upper = self._limit("lower", count, -np.inf), self._limit("upper", count, np.inf)
         if np.any(lower > upper):
             raise ValueError(f"Constraint {self.name!r}: lower is above upper: give lower ≤ upper")
         names = (self.name,) if count == 1 else tuple(f"{self.name} [{k}]" for k in range(count))
-        return Limited(value, lower, upper, names, "")
+        return PathConstraint(value, lower, upper, names, "", now.symbols, self.ends)
 
     def _limit(self, field: str, count: int, missing: float) -> Array:
         value = getattr(self, field)
@@ -105,28 +106,27 @@ def check_expressions(model: Model, bounds: Sequence[Bound], costs: Sequence[Cos
             raise ValueError(f"Problem.bounds has two constraints named {name!r}: give each its own name, reports tell them by it")
     for bound in bounds:
         if isinstance(bound, PathBound):
-            now = symbolic(model)
-            limited = bound.limited(now)
-            value, steered = _first(bound, now, limited.value, start)
+            limited = bound.constraint(model)
+            value, steered = _first(bound, limited.symbols, limited.value, start)
             undefined = np.isnan(value) & ~steered
             if undefined.any():
                 raise ValueError(f"Problem.bounds: {limited.names[int(np.argmax(undefined))]} {_NO_NUMBER}")
-            if not bound.needs_control and len(value):
+            if "start" not in bound.ends and len(value):
                 _check_within(limited, value, START_TOLERANCE * float(np.ptp(model.structure.nodes)))
     for cost in costs:
         now = symbolic(model)
         if isinstance(cost, RunningCost):
-            value, steered = _first(cost, now, cost.rate(now), start)
+            value, steered = _first(cost, now.symbols, cost.rate(now), start)
             if np.any(~np.isfinite(value) & ~steered):
                 raise ValueError(f"Problem.costs: {_label(cost)} {_NO_NUMBER}")
         elif isinstance(cost, FinalCost):
-            _first(cost, now, cost.final(now), None)
+            _first(cost, now.symbols, cost.final(now), None)
 
 
-def _first(item: Any, now: Instant, value: Any, start: Array | None) -> tuple[Array, NDArray[np.bool_]]:
+def _first(item: Any, symbols: tuple[Any, ...], value: Any, start: Array | None) -> tuple[Array, NDArray[np.bool_]]:
     """The entries of an expression at the start under no forces, none without a start; which of them force densities change."""
     column = ca.densify(ca.vec(value))
-    function = ca.Function("first", [now.state, now.control, now.time], [column], {"allow_free": True})
+    function = ca.Function("first", symbols, [column], {"allow_free": True})
     if function.get_free():
         raise ValueError(f"{_label(item)} has the symbol {function.get_free()[0]!r}, which nothing gives a value: use those of the instant alone")
     if start is None or column.is_empty():
@@ -135,7 +135,7 @@ def _first(item: Any, now: Instant, value: Any, start: Array | None) -> tuple[Ar
     return np.asarray(function(start, 0, 0).full()).ravel(), np.isin(np.arange(column.shape[0]), steered)
 
 
-def _check_within(limited: Limited, value: Array, tolerance: float) -> None:
+def _check_within(limited: PathConstraint, value: Array, tolerance: float) -> None:
     excess = np.maximum(limited.lower - value, value - limited.upper)
     worst = int(np.argmax(excess))
     if excess[worst] > tolerance:

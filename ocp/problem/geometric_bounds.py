@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds import Limited, PathBound
-from ocp.problem.instant import Instant, norms
+from ocp.problem.bounds import PathBound, PathConstraint
+from ocp.problem.instant import norms, symbolic
+from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, coordinates, finite_array, node_index, number, positive_number, whole_number
 
@@ -27,7 +28,7 @@ class InsideBox(PathBound):
     upper: Corner = (None, None, None)
     nodes: Iterable[int] | None = None
 
-    needs_control = False
+    ends: ClassVar[tuple[str, ...]] = ("end",)
 
     def __post_init__(self) -> None:
         name = type(self).__name__
@@ -56,15 +57,16 @@ class InsideBox(PathBound):
                 if not lower[axis] <= place <= upper[axis]:
                     raise ValueError(f"{type(self).__name__} leaves out node {node}, pinned at {'xyz'[axis]} = {place:g} m: widen it or name nodes")
 
-    def limited(self, now: Instant) -> Limited:
-        """The coordinates that have a limit and may move."""
-        structure = now.model.scene.structure
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return the coordinates that have a limit and may move."""
+        now, structure = symbolic(model), model.scene.structure
         lower, upper = self.corners()
         sides = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
         entries = [(node, axis) for node in self._chosen(structure) for axis in sides if not structure.fixed[node, axis]]
         axes = [axis for _, axis in entries]
         value = ca.vertcat(*(now.nodes[int(axis), int(node)] for node, axis in entries))
-        return Limited(value, lower[axes], upper[axes], tuple(f"{'xyz'[axis]} of node {node}" for node, axis in entries), "m")
+        names = tuple(f"{'xyz'[axis]} of node {node}" for node, axis in entries)
+        return PathConstraint(value, lower[axes], upper[axes], names, "m", now.symbols, self.ends)
 
     def _chosen(self, structure: Structure) -> list[int]:
         return list(range(len(structure.nodes)) if self.nodes is None else self.nodes)
@@ -85,7 +87,7 @@ class BarClearance(PathBound):
     distance: float
     pairs: Iterable[tuple[int, int]] | None = None
 
-    needs_control = False
+    ends: ClassVar[tuple[str, ...]] = ("end",)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distance", positive_number("BarClearance.distance", self.distance))
@@ -114,14 +116,14 @@ class BarClearance(PathBound):
         ends = [set(bar) for bar in structure.bars.tolist()]
         return [(i, j) for i, j in combinations(range(len(ends)), 2) if not ends[i] & ends[j]]
 
-    def limited(self, now: Instant) -> Limited:
-        """The distance of each pair."""
-        structure = now.model.scene.structure
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return the distance of each pair."""
+        now, structure = symbolic(model), model.scene.structure
         pairs = np.array(self.chosen(structure))
         sides = [[now.nodes[:, structure.bars[pairs[:, k], end].tolist()] for end in (0, 1)] for k in (0, 1)]
         value = segment_distance(*sides[0], *sides[1])
         names = tuple(f"clearance of bars {i} and {j}" for i, j in pairs)
-        return Limited(value, np.full(len(pairs), self.distance), np.full(len(pairs), np.inf), names, "m")
+        return PathConstraint(value, np.full(len(pairs), self.distance), np.full(len(pairs), np.inf), names, "m", now.symbols, self.ends)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +135,7 @@ class Obstacle(PathBound):
     bars: Iterable[int] | None = None
     nodes: Iterable[int] | None = None
 
-    needs_control = False
+    ends: ClassVar[tuple[str, ...]] = ("end",)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", finite_array("Obstacle.centre", self.centre, (3,)))
@@ -148,9 +150,9 @@ class Obstacle(PathBound):
                 if whole_number(f"Obstacle.{field}", index, 0) >= count:
                     raise ValueError(f"Obstacle.{field} is {index}: give indices from 0 to {count - 1}")
 
-    def limited(self, now: Instant) -> Limited:
-        """The distance of each bar and node from the centre."""
-        structure = now.model.scene.structure
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return the distance of each bar and node from the centre."""
+        now, structure = symbolic(model), model.scene.structure
         bars = list(range(len(structure.bars)) if self.bars is None else self.bars)
         on_bars = set(structure.bars[bars].ravel().tolist())
         given = range(len(structure.nodes)) if self.nodes is None else self.nodes
@@ -166,7 +168,8 @@ class Obstacle(PathBound):
         if nodes:
             values.append(norms(now.nodes[:, nodes] - ca.repmat(ca.DM(self.centre), 1, len(nodes))))
             names += [f"obstacle clear of node {k}" for k in nodes]
-        return Limited(ca.vertcat(*values), np.full(len(names), self.radius), np.full(len(names), np.inf), tuple(names), "m")
+        least, most = np.full(len(names), self.radius), np.full(len(names), np.inf)
+        return PathConstraint(ca.vertcat(*values), least, most, tuple(names), "m", now.symbols, self.ends)
 
 
 def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:

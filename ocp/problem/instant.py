@@ -17,6 +17,11 @@ class Instant:
     def __init__(self, model: Model, state: Any, control: Any, time: Any) -> None:
         self.model, self.state, self.control, self.time = model, state, control, time
 
+    @property
+    def symbols(self) -> tuple[Any, Any, Any]:
+        """State, control and time."""
+        return self.state, self.control, self.time
+
     @cached_property
     def nodes(self) -> Any:
         """Nodes 3×n of the scene's structure, m."""

@@ -80,7 +80,7 @@ class _Part(NamedTuple):
 
 def _parts(program: Program, target: Target) -> list[_Part]:
     """The targets of waypoints and of the end, and where their rows stand."""
-    found = [(stop.target, stop.label, f"goal of waypoint {k},") for k, stop in enumerate(target.stops)]
+    found = [(waypoint.target, waypoint.label, f"goal of waypoint {k},") for k, waypoint in enumerate(target.waypoints)]
     return [
         _Part(part, label, np.array([k for k, name in enumerate(program.names) if name.startswith(prefix)], dtype=np.intp))
         for part, label, prefix in [*found, (target, "", "goal,")]

@@ -8,12 +8,14 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Scales
+from ocp.boundary.target import Target
+from ocp.problem.bounds import PathBound, RateBound
 from ocp.problem.costs import ControlCost, Cost, FinalCost, RunningCost, Smoothness
 from ocp.problem.instant import Instant, symbolic
-from ocp.problem.path_constraints import StageRows, StopRows, corner_rows, cubic, stage_rows
+from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import Problem
-from ocp.transcription.mesh import Profile
+from ocp.problem.scaling import Scales
+from ocp.transcription.mesh import Profile, cubic, within
 from ocp.transcription.sparse_nlp import Block, Unknowns
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import sparse
@@ -51,12 +53,12 @@ class Layout(Protocol):
 
 def bound_blocks(a: Layout) -> list[Block]:
     """Limits of instants, at the ends of every interval, and from each time for which the profile has force densities to the next."""
-    limits = stage_rows(a.problem, a.scales, a.strength)
+    limits = scaled_rows(a.problem, PathBound, a.scales, a.strength)
     blocks = [_at_end(a, rows, end) for rows in limits for end in rows.ends]
     if a.problem.free_start:  # a given one has been checked
         blocks += [_at_start(_at_end(a, rows, "start"), len(rows.names)) for rows in limits if "start" not in rows.ends]
     if len(a.controls) > 1:
-        blocks += [_at_corners(a, rows) for rows in corner_rows(a.problem, a.scales, a.strength)]
+        blocks += [_between(a, rows) for rows in scaled_rows(a.problem, RateBound, a.scales, a.strength)]
     return blocks
 
 
@@ -65,28 +67,35 @@ def cost_blocks(a: Layout) -> list[Block]:
     return [_cost(a, cost) for cost in a.problem.costs if not (isinstance(cost, Smoothness) and len(a.controls) == 1)]
 
 
-def stop_block(a: Layout, rows: StopRows) -> Block:
-    """A waypoint, between the ends of an interval."""
-    k, nx = rows.interval, a.model.nx
-    x, y, T, part = (ca.MX.sym("z", size) for size in (nx, nx, 1, 1))
-    function = ca.Function("stop", [ca.vertcat(x, y, T, part)], [rows.function(x, y, T * part)])
-    return Block(function, np.concatenate([a.states[k], a.states[k + 1], a.duration, a.share[k]])[None], rows.names)
+def waypoint_blocks(a: Layout, target: Target) -> list[Block]:
+    """The rows of all waypoints, each of the ends of the interval that it lies in."""
+    blocks, nx = [], a.model.nx
+    for number, waypoint in enumerate(target.waypoints):
+        if not waypoint.target.count:
+            continue
+        k, share = within(a.fractions, waypoint.share)
+        x, y, T, part = (ca.MX.sym("z", size) for size in (nx, nx, 1, 1))
+        state = y if share == 1.0 else cubic(x, y, T * part, share, a.model.nq)
+        function = ca.Function("waypoint", [ca.vertcat(x, y, T, part)], [waypoint.target.rows(state)])
+        names = tuple(f"goal of waypoint {number}, combination {row}" for row in range(waypoint.target.count))
+        blocks.append(Block(function, np.concatenate([a.states[k], a.states[k + 1], a.duration, a.share[k]])[None], names, kind="waypoint"))
+    return blocks
 
 
-def _at_end(a: Layout, rows: StageRows, end: str) -> Block:
+def _at_end(a: Layout, rows: ScaledRows, end: str) -> Block:
     share, at_end = (0.0, slice(-1)) if end == "start" else (1.0, slice(1, None))
     x, c, T, part = symbols(rows.function, a.model.nx, a.interval_controls.shape[1], 1, 1)
     function = ca.Function("bound", [ca.vertcat(x, c, T, part)], [rows.function(x, a.gamma(c, share), T * part)])
     index = np.hstack([a.states[at_end], a.interval_controls, a.repeated(a.duration), a.time[at_end]])
     names = tuple(f"{name}, {end} of interval {k}" for k in range(a.count) for name in rows.names)
-    return Block(function, index, names, rows.lower, rows.upper, rows.scale)
+    return Block(function, index, names, rows.lower, rows.upper, rows.scale, kind="path")
 
 
 def _at_start(block: Block, count: int) -> Block:
     return replace(block, index=block.index[:1], names=block.names[:count])
 
 
-def _at_corners(a: Layout, rows: StageRows) -> Block:
+def _between(a: Layout, rows: ScaledRows) -> Block:
     nx, m, pairs = a.model.nx, a.controls.shape[1], len(a.controls) - 1
     E = sparse(a.spread)
     x, c, y, d, T, part = symbols(rows.function, nx, m, nx, m, 1, 1)
@@ -94,7 +103,7 @@ def _at_corners(a: Layout, rows: StageRows) -> Block:
     duration = a.repeated(a.duration, pairs)
     index = np.hstack([a.states[:pairs], a.controls[:-1], a.states[1 : pairs + 1], a.controls[1:], duration, a.share[:pairs]])
     names = tuple(f"{name}, end of interval {k}" for k in range(pairs) for name in rows.names)
-    return Block(ca.Function("corner", [ca.vertcat(x, c, y, d, T, part)], [value]), index, names, rows.lower, rows.upper, rows.scale)
+    return Block(ca.Function("between", [ca.vertcat(x, c, y, d, T, part)], [value]), index, names, rows.lower, rows.upper, rows.scale, kind="path")
 
 
 def _cost(a: Layout, cost: Cost) -> Block:
@@ -112,7 +121,7 @@ def _cost(a: Layout, cost: Cost) -> Block:
         index = np.concatenate([a.states[-1], a.interval_controls[-1], a.duration])[None]
     else:
         raise TypeError(f"Problem.costs has {cost!r}: give a ControlCost, RunningCost or FinalCost")
-    return Block(ca.Function("cost", [z], [value]), index, ("cost",) * len(index))
+    return Block(ca.Function("cost", [z], [value]), index, ("cost",) * len(index), kind="cost")
 
 
 def _differences(a: Layout, cost: Smoothness) -> tuple[Any, Any, Indices]:

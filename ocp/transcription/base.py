@@ -8,8 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Scales, Target
+from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import Intervals, PiecewiseConstant, PiecewiseLinear, Profile, check_intervals, fractions
 from ocp.transcription.sparse_nlp import Program

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Scales, Target
+from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
 from ocp.transcription.base import Closing, OnGrid, check_reduced, parts, unrolled
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.sparse_nlp import Block, Program

@@ -167,11 +167,11 @@ def _line(target: Target, nq: int, intervals: int, duration: float) -> Array:
     rise, fall = s**3 * (10 - 15 * s + 6 * s**2), -4 * s**3 + 7 * s**4 - 3 * s**5
     out = s - 6 * s**3 + 8 * s**4 - 3 * s**5  # leaves with the start's velocity; `fall` arrives with the target's
     q = start[:nq] + rise * (end - start)[:nq] + duration * (out * start[nq : 2 * nq] + fall * end[nq : 2 * nq])
-    stops = [(stop.share, stop.target.state) for stop in target.stops if stop.target.state is not None]
-    if stops:
-        places = [start[:nq], *(state[:nq] for _, state in stops), end[:nq]]
+    waypoints = [(one.share, one.target.state) for one in target.waypoints if one.target.state is not None]
+    if waypoints:
+        places = [start[:nq], *(state[:nq] for _, state in waypoints), end[:nq]]
         rates = [(1, duration * state[nq : 2 * nq]) for state in (start, end)]
-        q = scipy.interpolate.CubicSpline([0.0, *(share for share, _ in stops), 1.0], places, bc_type=tuple(rates))(s[:, 0])
+        q = scipy.interpolate.CubicSpline([0.0, *(share for share, _ in waypoints), 1.0], places, bc_type=tuple(rates))(s[:, 0])
     return np.asarray(q)
 
 

@@ -119,3 +119,20 @@ def at(values: Array, nodes: Array, time: Array) -> Array:
 def between(left: Any, right: Any, share: float) -> Any:
     """γ at a share of an interval from the values at its ends (equal for constant profiles)."""
     return left if left is right else (1 - share) * left + share * right
+
+
+def within(fractions: Array, share: float) -> tuple[int, float]:
+    """Return the interval in which a share of the duration lies, and the share of that interval: more than 0, up to 1."""
+    ends = np.cumsum(fractions)
+    k = min(int(np.searchsorted(ends, share - 1e-9)), len(ends) - 1)
+    part = float((share - ends[k] + fractions[k]) / fractions[k])
+    return k, 1.0 if part > 1 - 1e-9 else part
+
+
+def cubic(x: Any, y: Any, h: Any, share: float, positions: int) -> Any:
+    """Return the state at a share of an interval of length h between states x and y, along the cubic with their places and velocities."""
+    s, nq = share, positions
+    q = (1 + 2 * s) * (1 - s) ** 2 * x[:nq] + s**2 * (3 - 2 * s) * y[:nq] + h * s * (1 - s) * ((1 - s) * x[nq : 2 * nq] - s * y[nq : 2 * nq])
+    change = (y[:nq] - x[:nq]) / h
+    v = 6 * s * (1 - s) * change + (1 - s) * (1 - 3 * s) * x[nq : 2 * nq] + s * (3 * s - 2) * y[nq : 2 * nq]
+    return ca.vertcat(q, v, (1 - s) * x[2 * nq :] + s * y[2 * nq :])

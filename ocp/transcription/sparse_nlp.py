@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.util.validate import Array, Indices
+
+Kind = Literal["defect", "path", "start", "waypoint", "end", "periodic", "cost"]  # what rows are of
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +26,7 @@ class Block:
     function: z (nz) → rows (m); index (count, nz); lower, upper, scale (count, m) or broadcast to it; names: count·m, instance by instance.
     scale: what one stands for, in the unit of what is limited. closes: None, or for each row of an instance the unknown x⁺ of which it is
     x⁺ − F(…), in the same scale. combination: None, or a dense matrix (m, rows of function) with which the function's rows are multiplied.
+    kind: what the rows are of, by which others find them.
     """
 
     function: ca.Function
@@ -34,6 +37,7 @@ class Block:
     scale: Any = 1.0
     closes: Indices | None = None
     combination: Array | None = None
+    kind: Kind = "defect"
 
     @property
     def count(self) -> int:

@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 
 from ocp.boundary.free_start import Cycle
-from ocp.boundary.target import Scales, Target
-from ocp.problem.path_constraints import stop_rows, typical_cost
+from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
-from ocp.transcription.assemble import bound_blocks, cost_blocks, stop_block
+from ocp.problem.scaling import Scales, typical_cost
+from ocp.transcription.assemble import bound_blocks, cost_blocks, waypoint_blocks
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import Profile, at, between, node_values, spread
 from ocp.transcription.sparse_nlp import Block, Program, Separable, Unknowns, exact
@@ -69,7 +69,7 @@ class Assembly:
         self.states[0, :size] = self.unknowns.add(names, self.guess.states[0, :size], self.scales.state[:size])
         rows = tuple(f"start, combination {k} of bars and goals" for k in range(cycle.start.size1_out(0)))
         if rows:
-            self.rows.append(Block(cycle.start, self.states[:1], rows))
+            self.rows.append(Block(cycle.start, self.states[:1], rows, kind="start"))
 
     def add_control(self, k: int) -> None:
         """Force densities of interval k, or, where they are piecewise linear, at its start; k = K: at the end."""
@@ -155,16 +155,16 @@ class Assembly:
 
     def _goal(self) -> list[Block]:
         """The rows of waypoints, those of the end, and those of an end that repeats the start."""
-        blocks = [stop_block(self, rows) for rows in stop_rows(self.target, self.fractions)]
+        blocks = waypoint_blocks(self, self.target)
         if self.target.count:
             names = tuple(f"goal, combination {k}" for k in range(self.target.count))
-            blocks.append(Block(self.target.single, self.states[-1:], names, combination=self.target.weights))
+            blocks.append(Block(self.target.single, self.states[-1:], names, combination=self.target.weights, kind="end"))
         cycle = self.target.cycle
         if cycle is not None and cycle.names:
             names = tuple(f"goal of repeating, combination {k}" for k in range(cycle.repeats.size1_out(0)))
             z = ca.SX.sym("z", 2 * self.model.nx)
             function = ca.Function("repeats", [z], [cycle.repeats(*ca.vertsplit(z, self.model.nx))])
-            blocks.append(Block(function, np.hstack([self.states[:1], self.states[-1:]]), names))
+            blocks.append(Block(function, np.hstack([self.states[:1], self.states[-1:]]), names, kind="periodic"))
         return blocks
 
 

@@ -9,8 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Scales, Target
+from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
 from ocp.transcription.assemble import symbols
 from ocp.transcription.base import OnGrid, bar_names, bar_rows, check_reduced, parts
 from ocp.transcription.initial_guess import Guess

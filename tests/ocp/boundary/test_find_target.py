@@ -13,7 +13,7 @@ from ocp.boundary.invariants import invariants
 from ocp.boundary.momentum import bodies, free_motions
 from ocp.boundary.reach import Reach, controlled
 from ocp.boundary.row_reduction import RowFunction, null_space, soft_directions
-from ocp.boundary.target import Scales
+from ocp.problem.scaling import Scales
 
 PRISM = tc.shapes.prism()
 BALL = tc.shapes.six_bar_ball()

@@ -13,7 +13,7 @@ import tenscasadi as tc
 from ocp.problem.bounds import PathBound
 from ocp.problem.geometric_bounds import segment_distance
 from ocp.problem.instant import Instant, symbolic
-from ocp.problem.limits import limits_along
+from ocp.problem.path_constraints import path_constraints
 
 BAR = 1.4
 PRESTRESS = ocp.ForceDensityLimits(1.0, 100.0)
@@ -215,7 +215,7 @@ def test_bounds_of_one_kind_are_told_apart():
 def test_only_what_several_bounds_limit_is_numbered():
     boxes = [ocp.InsideBox((-9.0, None, None), nodes=[0, 1]), ocp.InsideBox(upper=(9.0, 9.0, None), nodes=[1])]
     asked = ocp.Problem(MODEL, bounds=[*boxes, ocp.TensionLimits(upper=90.0)])
-    found = [one.limited.names for one in limits_along(asked, PathBound)]
+    found = [one.names for one in path_constraints(asked, PathBound)]
     assert found[:2] == [("x of node 0", "x of node 1 (bounds[0])"), ("x of node 1 (bounds[1])", "y of node 1")]
     assert found[2][0] == "tension of string 0"
 

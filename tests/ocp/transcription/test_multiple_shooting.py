@@ -9,7 +9,7 @@ import pytest
 import ocp
 import tenscasadi as tc
 from ocp.boundary.find_target import find_target
-from ocp.boundary.target import Scales
+from ocp.problem.scaling import Scales
 from ocp.transcription.initial_guess import make_guess
 
 PRISM = tc.shapes.prism()

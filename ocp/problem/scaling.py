@@ -1,0 +1,60 @@
+"""Sizes that make the numbers of a problem of order one: of lengths, times, states, and of the objective."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from ocp.problem.costs import ControlCost, FinalCost, RunningCost
+from ocp.problem.instant import symbolic
+from ocp.problem.problem import Problem
+from tenscasadi.util.validate import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Sizes that make a problem's numbers of order one: length m, time s, mass kg, and one number for each entry of the state."""
+
+    length: float
+    time: float
+    mass: float
+    state: Array
+
+    @staticmethod
+    def of(problem: Problem) -> Scales:
+        """Return the sizes from the structure's extent and mass, and the longest duration."""
+        model = problem.model
+        length = float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) or 1.0
+        time = problem.longest
+        parts = [np.full(model.nq, length), np.full(model.nq, length / time), np.full(model.nx - 2 * model.nq, time)]
+        return Scales(length, time, float(model.mechanism.M.sum()), np.concatenate(parts))
+
+    @property
+    def units(self) -> dict[str, float]:
+        """What a number of order one stands for in each unit of length and time: m, m/s, m²/s, s."""
+        speed = self.length / self.time
+        return {"m": self.length, "m/s": speed, "m²/s": self.length * speed, "s": self.time}
+
+
+def typical_cost(problem: Problem, strength: float, states: Array, force_density: Array, duration: float) -> float:
+    """Return the costs of states (K + 1, nx) and force densities (K, α) that swing once about `strength`: what makes the objective of order one.
+
+    Were they to alternate from interval to interval, costs of their rates would grow with the square of the intervals, and the objective
+    become small beside the solver's tolerance.
+    """
+    count = len(force_density)
+    string, interval = np.indices(force_density.T.shape)
+    pattern = strength * (1 + np.sqrt(0.5) * (-1.0) ** string * np.sin(2 * np.pi * (interval + 0.5) / count))
+    total, x = 0.0, states.T
+    for cost in problem.costs:
+        now = symbolic(problem.model)
+        if isinstance(cost, ControlCost):
+            total += float(ca.DM(cost.expression(ca.DM(pattern), duration / count)))
+        elif isinstance(cost, RunningCost):
+            rate = ca.Function("rate", now.symbols, [cost.rate(now)]).map(count)
+            total += duration / count * float(ca.sum2(rate(x[:, 1:], pattern, np.linspace(0.0, duration, count + 1)[None, 1:])))
+        elif isinstance(cost, FinalCost):
+            total += float(ca.Function("final", now.symbols, [cost.final(now)])(x[:, -1], pattern[:, -1], duration))
+    return abs(total) if np.isfinite(total) and total else 1.0
