@@ -20,7 +20,7 @@ from ocp.presolve import check_groups, check_start
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.solvers.base import Solution, Solver
-from ocp.solvers.deferred_correction import corrected
+from ocp.solvers.deferred_correction import check_correctable, corrected
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals, duals_of, started
@@ -65,6 +65,7 @@ def solve(
     solver = Ipopt() if solver is None else solver
     instance("transcription", transcription, OnGrid, "a transcription, such as ocp.MultipleShooting()")
     instance("solver", solver, (Ipopt, Fatrop), "an ocp.Ipopt or ocp.Fatrop")
+    check_correctable(transcription, solver)
     limit = None if tolerance is None else positive_number("tolerance", tolerance)
     began = time.perf_counter()
     scales, target, imposed, first, reach = _prepared(problem, transcription, guess)
@@ -159,7 +160,7 @@ def _attempt(
 ) -> _Outcome:
     program = transcription.program(problem, target, scales, guess)
     known = program if duals is None else started(program, target, duals)
-    if transcription.accuracy is None:
+    if transcription.accuracy is None or not isinstance(solver, Ipopt):
         solution, states, gap = solver.solve(known), None, 0.0
     else:
         solution, states, gap = corrected(known, solver, problem.model, transcription.fractions, transcription.accuracy)

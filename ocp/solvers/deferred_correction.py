@@ -11,6 +11,7 @@ import numpy as np
 
 from ocp.solvers.base import Solution, Solver
 from ocp.solvers.ipopt import Ipopt
+from ocp.transcription.base import OnGrid
 from ocp.transcription.multiple_shooting import ramped_step, shooting_step
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
@@ -32,15 +33,22 @@ class Corrected(NamedTuple):
     gap: float
 
 
-def corrected(program: Program, solver: Solver, model: Model, fractions: Array, accuracy: float) -> Corrected:
+def check_correctable(transcription: OnGrid, solver: Solver) -> None:
+    """Raise ValueError where an accuracy is asked for, and the solver does not start from a solution and its multipliers."""
+    if transcription.accuracy is not None and not isinstance(solver, Ipopt):
+        name = f"{type(transcription).__name__}.accuracy is {transcription.accuracy:g}"
+        text = f"{name}, and solver is {type(solver).__name__}, which cannot start again from its own solution"
+        raise ValueError(f"{text}: give ocp.Ipopt(), or accuracy=None and more intervals")
+
+
+def corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, accuracy: float) -> Corrected:
     """Solves, and again from the solution with rows g(w) = τ of the motion in place of g(w) = 0, until states are as near to fine ones as `accuracy`.
 
     τ is what the rows leave at the states of fine steps under the planned force densities (Stetter, Numer. Math. 1978, 29, 425): where that is
     settled, the coarse rows hold exactly at the fine motion. Each round gains what the coarse scheme is worth: a factor of about its relative error.
     Only limits change, so nothing is built again. Optimal is the plan for the costs of the coarse rows, which are wrong by its order.
     """
-    ipopt = solver if isinstance(solver, Ipopt) else Ipopt(tolerance=solver.tolerance)
-    solution = (replace(ipopt, tolerance=max(ipopt.tolerance, ROUGH)) if solver is ipopt else solver).solve(program)
+    solution = replace(solver, tolerance=max(solver.tolerance, ROUGH)).solve(program)
     best, before, iterations = Corrected(solution, None, np.inf), np.inf, solution.iterations
     if not solution.success:
         return best
@@ -64,7 +72,7 @@ def corrected(program: Program, solver: Solver, model: Model, fractions: Array, 
         shift = np.asarray(rows(program.with_states(solution.w, fine)).full()).ravel()[: program.moving]
         lower, upper = (np.concatenate([shift, limit[program.moving :]]) for limit in (program.lower, program.upper))
         moved = replace(program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers)
-        again = again or replace(ipopt, warm=True).prepared(moved)
+        again = again or replace(solver, warm=True).prepared(moved)
         solution = again(moved)
         iterations += solution.iterations
         if not solution.success:

@@ -87,10 +87,10 @@ def test_more_than_corrections_can_do_is_said():
     assert "give more intervals" in plan.message
 
 
-def test_other_solvers_are_corrected_by_ipopt():
-    plan = ocp.solve(rising(), ocp.ImplicitMidpoint(20, accuracy=1e-8), ocp.Fatrop())
-    assert plan.success, plan.message
-    assert plan.replay_error < 1e-7
+def test_a_solver_that_cannot_start_again_is_refused():
+    words = r"ImplicitMidpoint\.accuracy is 1e-08, and solver is Fatrop, .*: give ocp\.Ipopt\(\), or accuracy=None and more intervals"
+    with pytest.raises(ValueError, match=words):
+        ocp.solve(rising(), ocp.ImplicitMidpoint(20, accuracy=1e-8), ocp.Fatrop(options={"mu_init": 0.1}))
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, "exact"])
