@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
+import casadi as ca
 import numpy as np
 
 from tenscasadi.util.validate import Array, finite_array, positive_number, whole_number
