@@ -1,6 +1,7 @@
 """Against rockit: same problem, same model expression, same grid and start, IPOPT for both; seconds and replay errors.
 
-Both are shown twice: with IPOPT's options as they come, and with those that this package chooses. rockit gets what it cannot know: the rows of the goals without those that repeat what bars and momenta keep (with all of them no solver
+Both are shown twice: with IPOPT's options as they come, and with those that this package chooses. rockit gets what it cannot
+know: the rows of the goals without those that repeat what bars and momenta keep (with all of them no solver
 converges), and the guess. (Its DirectCollocation cannot take a guess in version 0.6.7.) Install it by `pip install rockit-meco`;
 without it the example says so.
 """
