@@ -31,8 +31,7 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure import shapes
 from tenscasadi.structure.class_one import ClassOne
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.compile import CompileError
-from tenscasadi.util.precision import Single
+from tenscasadi.util.compile import CompileError, Single
 
 __all__ = [
     # what is modelled

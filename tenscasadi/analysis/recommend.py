@@ -22,8 +22,7 @@ from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.compile import CompileError
-from tenscasadi.util.precision import Compiled, Single
+from tenscasadi.util.compile import Compiled, CompileError, Single
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
 _REFERENCE = 0.1  # error of the reference in units of the tolerance

@@ -20,8 +20,7 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction
 from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.compile import CompileError
-from tenscasadi.util.precision import Compiled, Single
+from tenscasadi.util.compile import Compiled, CompileError, Single
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
 _TIMED = 0.02  # s of one timed run, about: short enough for many, long enough for the clock

@@ -27,8 +27,7 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.compile import find_compiler
-from tenscasadi.util.precision import Single
+from tenscasadi.util.compile import Single, find_compiler
 from tenscasadi.util.validate import positive_number
 
 FAILED, INTERRUPTED = 1, 130

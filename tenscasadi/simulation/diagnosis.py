@@ -8,7 +8,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import ExplicitRungeKutta, Scheme
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.util.precision import Compiled, Single
+from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.validate import Array
 
 _BROKEN_BARS = 0.1  # relative length error at which a run has diverged

@@ -12,7 +12,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import RungeKutta4, Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.simulation.steppers import check_single
-from tenscasadi.util.precision import Single
+from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, instance
 
 

@@ -23,7 +23,7 @@ from tenscasadi.simulation.diagnosis import cause, doubts, first_fault
 from tenscasadi.simulation.record import observe, record
 from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.precision import Compiled, Single
+from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
 _ROWS = 1000  # rows kept when save_every is None

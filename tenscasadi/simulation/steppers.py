@@ -14,8 +14,7 @@ from tenscasadi.integrators.scheme import EmbeddedRungeKutta, Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.simulation.time_loop import chunk_function, chunk_steps, energy_function
-from tenscasadi.util.compile import CompileError, compile_function, find_compiler
-from tenscasadi.util.precision import Compiled, Single
+from tenscasadi.util.compile import Compiled, CompileError, Single, compile_function, find_compiler
 from tenscasadi.util.validate import Array
 
 _SINGLE = 1e-6  # some ten times the rounding of float, as 1e-15 is of double

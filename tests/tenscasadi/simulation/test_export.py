@@ -25,7 +25,7 @@ from tenscasadi.simulation.export import export_c
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.precision import Single
+from tenscasadi.util.compile import Single
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.util.compile import compile_function, find_compiler
+from tenscasadi.util.compile import find_compiler
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 
@@ -19,27 +18,6 @@ def turning(control: tc.ForceDensity | None = None) -> tuple[tc.Model, np.ndarra
     prism = tc.shapes.prism(prestress=50.0, stiffness=500.0, damping=0.5)
     model = tc.Model(tc.Scene(prism, control=control, gravity=tc.Gravity()))
     return model, model.state(prism.nodes, np.cross((1.0, 2.0, 3.0), prism.nodes))
-
-
-@needs_compiler
-def test_a_function_is_computed_in_float_and_called_in_double() -> None:
-    x, k, m = ca.SX.sym("x", 3), ca.SX.sym("k"), ca.SX.sym("m", ca.Sparsity.upper(2))
-    function = ca.Function("f", [x, k, m], [x / k, ca.sum1(x) * m], ["x", "k", "m"], ["part", "more"])
-    single = compile_function(function, single=True)
-    assert (single.name_in(), single.name_out(), single.sparsity_out(1)) == (function.name_in(), function.name_out(), function.sparsity_out(1))
-    values = np.array([1.0, 2.0, 1e-3])
-    part, more = single(values, 3.0, ca.DM(ca.Sparsity.upper(2), [1.0, 0.1, -1.0]))
-    narrow = values.astype(np.float32)
-    assert np.array_equal(part.full().ravel(), (narrow / np.float32(3)).astype(float))
-    assert more[0, 1] == float((narrow[0] + narrow[1] + narrow[2]) * np.float32(0.1))
-    assert np.isinf(float(single(values, 1e-60, m.sparsity())[0][0]))  # no float is as small
-    buffer, run = single.buffer()  # as the loop does, which leaves out what it does not need
-    out = np.zeros(3)
-    buffer.set_arg(0, values.data)
-    buffer.set_arg(1, np.array([3.0]).data)
-    buffer.set_res(0, out.data)
-    run()
-    assert np.array_equal(out, part.full().ravel())
 
 
 @needs_compiler
