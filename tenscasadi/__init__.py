@@ -17,7 +17,7 @@ from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.dynamics.state_space import Constraints
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
-from tenscasadi.integrators.scheme import DormandPrince54, DormandPrince853, RungeKutta4
+from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas

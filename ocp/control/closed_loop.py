@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import RungeKutta4
+from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.record import record

@@ -7,7 +7,7 @@ import numpy as np
 
 from ocp.transcription.mesh import at
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import RungeKutta4
+from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.validate import Array
 

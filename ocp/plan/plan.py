@@ -20,7 +20,8 @@ from ocp.solvers.multipliers import Duals
 from ocp.transcription.initial_guess import Guess, resampled
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.serialize import differences, model_arrays, model_of, structure_arrays, structure_of
-from tenscasadi.integrators.scheme import RungeKutta4, Scheme, check_scheme
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.scene.strings import rest_length
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory

@@ -15,7 +15,7 @@ from ocp.transcription.base import OnGrid
 from ocp.transcription.multiple_shooting import ramped_step, shooting_step
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import DormandPrince853
+from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.util.validate import Array
 
 FINE = 1  # steps of DormandPrince853 in an interval: more exact than ten of RungeKutta4, at a third of the cost

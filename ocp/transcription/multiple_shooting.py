@@ -16,7 +16,8 @@ from ocp.transcription.initial_guess import Guess
 from ocp.transcription.sparse_nlp import Block, Program
 from ocp.transcription.variables import interval_names, state_names
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import RungeKutta4, Scheme, check_scheme
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.validate import whole_number
 

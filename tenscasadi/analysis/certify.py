@@ -10,7 +10,8 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model, instructions
 from tenscasadi.integrators.events import switching
-from tenscasadi.integrators.scheme import DormandPrince54, DormandPrince853, Scheme
+from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
+from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.simulate import simulate

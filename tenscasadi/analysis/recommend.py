@@ -15,7 +15,8 @@ from tenscasadi.analysis.tradeoff_table import short
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
-from tenscasadi.integrators.scheme import DormandPrince54, DormandPrince853, RungeKutta4, Scheme, extent
+from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
+from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas

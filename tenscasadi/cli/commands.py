@@ -17,7 +17,8 @@ from tenscasadi.cli.demos import demo
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.rattle import Rattle
-from tenscasadi.integrators.scheme import DormandPrince54, DormandPrince853, RungeKutta4, Scheme
+from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
+from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.plots.animation import animate

@@ -8,7 +8,8 @@ import casadi as ca
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import held_ode, potential, switching
-from tenscasadi.integrators.scheme import EmbeddedRungeKutta, with_work
+from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta, build_trial
+from tenscasadi.integrators.scheme import with_work
 from tenscasadi.integrators.stabilization import Correction
 
 ATTEMPTS = 64  # a call: those that are not needed cost next to nothing
@@ -89,7 +90,7 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
         gap = gaps(x, u)
         mode = gap > 0
         held = ca.vertcat(u, mode)
-    after, errors, slope, end_slope = scheme.tableau.trial(ode)(z, held, trial)
+    after, errors, slope, end_slope = build_trial(scheme.tableau, ode)(z, held, trial)
     if gaps is not None and power:
         stored = potential(model)
         after = ca.vertcat(after[: model.nx], after[model.nx :] + stored(after[: model.nx], u) - stored(x, u))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.tableaux import CLASSICAL, DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
-from tenscasadi.util.validate import Array, instance, positive_number, whole_number
+from tenscasadi.util.validate import Array, instance, positive_number
 
 Complex = NDArray[np.complex128]
 
@@ -48,110 +46,6 @@ class Scheme(Protocol):
 _MEMBERS = ("order", "adaptive", "implicit", "advance", "step", "amplification")
 
 
-class ExplicitRungeKutta:
-    """What the explicit Runge-Kutta methods share: all is in their `tableau`."""
-
-    tableau: ClassVar[Tableau]
-    implicit: ClassVar[bool] = False
-
-    @property
-    def adaptive(self) -> bool:
-        """Whether the scheme chooses its steps in `simulate`."""
-        return False
-
-    def step(self, ode: ca.Function) -> ca.Function:
-        """One step of x' = ode(x, u) with u held: Function "step" (x, u, h) -> x_next. TypeError, ValueError: not such an ode."""
-        check_ode(ode)
-        return self.tableau.step(ode)
-
-    def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """One step of a model: see `Scheme.advance`."""
-        instance("model", model, Model, "a tenscasadi.Model")
-        return self.step(model.ode if power is None else with_work(model.ode, power))
-
-    def amplification(self, z: Complex) -> Complex:
-        """R(z): the method's stability polynomial."""
-        return np.asarray(np.polynomial.polynomial.polyval(z, self.tableau.stability_polynomial()), dtype=complex)
-
-    @property
-    def imaginary_limit(self) -> float:
-        """Largest stable step · ω of an undamped vibration at ω rad/s."""
-        return float(stability_limit(self, np.array([1j]))[0])  # type: ignore[arg-type]
-
-    @property
-    def real_limit(self) -> float:
-        """Largest stable step · rate of an overdamped motion."""
-        return float(stability_limit(self, np.array([-1.0 + 0j]))[0])  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
-class RungeKutta4(ExplicitRungeKutta):
-    """The classical explicit Runge-Kutta method: order 4, four evaluations a step, stable for step · ω_max < 2.83."""
-
-    tableau: ClassVar[Tableau] = CLASSICAL
-    order: ClassVar[int] = 4
-
-
-@dataclass(frozen=True)
-class EmbeddedRungeKutta(ExplicitRungeKutta):
-    """Explicit methods with an estimate of their error: fixed steps, or steps of their own size when `rtol` is given.
-
-    rtol: largest error of a step relative to each entry of the state; None: fixed steps and no control of errors. atol: what is added
-    to it, m and m/s; None: rtol times the structure's extent. Errors are root mean squares over all coordinates and velocities; after
-    many steps the motion is off by more, by a factor that depends on the motion.
-    Steps end where strings go slack or taut and where nodes meet or leave the ground, so that the order is kept across such events.
-    max_attempts: steps and repetitions, between two times of the grid that `simulate` lays, before the run is given up.
-    """
-
-    rtol: float | None = None
-    atol: float | None = None
-    max_attempts: int = 100_000
-    order: ClassVar[int]
-
-    def __post_init__(self) -> None:
-        name = type(self).__name__
-        if self.rtol is not None:
-            object.__setattr__(self, "rtol", relative_tolerance(f"{name}.rtol", self.rtol))
-        if self.atol is not None:
-            if self.rtol is None:
-                raise ValueError(f"{name}.atol is {self.atol}, but rtol is None: give both for control of the error, or neither")
-            object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol, zero=True))
-        whole_number(f"{name}.max_attempts", self.max_attempts, 1)
-
-    @property
-    def adaptive(self) -> bool:
-        """Whether the scheme chooses its steps in `simulate`."""
-        return self.rtol is not None
-
-    def tolerances(self, model: Model) -> tuple[float, float]:
-        """rtol and atol for a model. ValueError for fixed steps."""
-        if self.rtol is None:
-            raise ValueError(f"{type(self).__name__}.rtol is None: give a tolerance for control of the error")
-        return self.rtol, extent(model) * self.rtol if self.atol is None else self.atol
-
-
-@dataclass(frozen=True)
-class DormandPrince54(EmbeddedRungeKutta):
-    """Dormand and Prince's explicit method of order 5: six evaluations a step, stable for step · ω_max < 1 (3.3 for overdamped motion).
-
-    `rtol`, `atol`, `max_attempts`: control of the error, see `EmbeddedRungeKutta`; None: fixed steps.
-    """
-
-    tableau: ClassVar[Tableau] = DORMAND_PRINCE_54
-    order: ClassVar[int] = 5
-
-
-@dataclass(frozen=True)
-class DormandPrince853(EmbeddedRungeKutta):
-    """Dormand and Prince's explicit method of order 8, as in DOP853: twelve evaluations a step, stable for step · ω_max < 5.96.
-
-    `rtol`, `atol`, `max_attempts`: control of the error, see `EmbeddedRungeKutta`; None: fixed steps.
-    """
-
-    tableau: ClassVar[Tableau] = DORMAND_PRINCE_853
-    order: ClassVar[int] = 8
-
-
 def relative_tolerance(field: str, value: Any) -> float:
     """`value` as a float ≥ 1e-15 and < 1. Raises TypeError, ValueError."""
     rtol = positive_number(field, value)
@@ -179,7 +73,7 @@ def check_ode(ode: ca.Function) -> None:
         raise ValueError(f"ode is {ode}: give a casadi.Function (x, u) -> xdot with columns x and xdot of the same length")
 
 
-def check_scheme(scheme: Scheme) -> None:
+def check_scheme(scheme: Any) -> None:
     """TypeError unless `scheme` is a scheme (and not, for instance, the class without parentheses)."""
     if isinstance(scheme, type) or not isinstance(scheme, Scheme):
         lacks = [name for name in _MEMBERS if not hasattr(scheme, name)]

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import Complex, RungeKutta4, Scheme, check_scheme, stability_limit
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stability_limit
 from tenscasadi.util.validate import finite_array, instance, positive_number
 
 _DENSE = 400  # states up to which all eigenvalues are computed

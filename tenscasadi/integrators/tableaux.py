@@ -1,17 +1,12 @@
-"""Explicit Runge-Kutta methods as coefficients, and the step that any such coefficients make."""
+"""Coefficients of explicit Runge-Kutta methods, as data."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 
-import casadi as ca
 import numpy as np
 
 from tenscasadi.util.validate import Array, finite_array
-
-SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
 
 
 @dataclass(frozen=True)
@@ -49,49 +44,6 @@ class Tableau:
             coefficients.append(float(np.dot(self.b, vector)))
             vector = a @ vector
         return np.array(coefficients)
-
-    def step(self, ode: ca.Function) -> ca.Function:
-        """One step of the method: Function "step" (x, u, h) -> x_next that calls `ode` once a stage that counts."""
-        x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
-        slopes = self._slopes(ode, x, u, h, _needed(self.a, (self.b,)))
-        return ca.Function("step", [x, u, h], [_advance(x, h, self.b, slopes)], ["x", "u", "h"], ["x_next"])
-
-    def trial(self, ode: ca.Function) -> ca.Function:
-        """One step and its estimated errors: Function "trial" (x, u, h) -> (x_next, errors (nx, rows of `errors`), slopes at x and x_next)."""
-        x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
-        slopes = self._slopes(ode, x, u, h, set(range(len(self.b))))
-        errors = ca.horzcat(*(_advance(ca.MX(x.shape[0], 1), h, row, slopes) for row in self.errors))
-        after = _advance(x, h, self.b, slopes)
-        same_as_last = self.a[-1] == self.b[:-1] and self.b[-1] == 0
-        outputs = [after, ca.densify(errors), slopes[0], slopes[-1] if same_as_last else ode(after, u)]
-        return ca.Function("trial", [x, u, h], outputs, ["x", "u", "h"], ["x_next", "errors", "slope", "slope_next"])
-
-    def _slopes(self, ode: ca.Function, x: ca.MX, u: ca.MX, h: ca.MX, needed: set[int]) -> list[ca.MX]:
-        # Calls instead of inlined copies: code stays as small as ode's, and compiles and runs faster than one unrolled graph.
-        slopes: list[ca.MX] = []
-        for i, row in enumerate(self.a):
-            slopes.append(ode(_advance(x, h, row, slopes), u) if i in needed else ca.MX(x.shape[0], 1))
-        return slopes
-
-
-def _needed(a: tuple[tuple[float, ...], ...], results: tuple[tuple[float, ...], ...]) -> set[int]:
-    """Stages on which a result depends: the last one of a pair with "first same as last" serves its error alone."""
-    needed: set[int] = set()
-    for i in reversed(range(len(a))):
-        later = [a[k] for k in needed]
-        if any(row[i] for row in (*results, *later)):
-            needed.add(i)
-    return needed
-
-
-def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
-    """x + h Σ weight · slope, with slopes of equal weight added first: each product is a pass over the state. Many are one product."""
-    used = {weight: [slope for slope, own in zip(slopes, weights, strict=True) if own == weight] for weight in weights if weight}
-    if len(used) > SEVERAL:
-        return x + ca.mtimes(ca.horzcat(*(reduce(add, equal) for equal in used.values())), h * ca.DM(list(used)))
-    for weight, equal in used.items():
-        x = x + (weight * h) * reduce(add, equal)
-    return x
 
 
 # The classical method: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, Table II.1.2.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import ExplicitRungeKutta, Scheme
+from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
+from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.compile import Compiled, Single

@@ -9,7 +9,8 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import RungeKutta4, Scheme, check_scheme
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.simulation.steppers import check_single
 from tenscasadi.util.compile import Single

@@ -16,7 +16,8 @@ from tqdm import tqdm
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.correction_effect import correction_effect
-from tenscasadi.integrators.scheme import RungeKutta4, Scheme, check_scheme
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
 from tenscasadi.simulation.control_input import ControlInput, Signal, signal
 from tenscasadi.simulation.diagnosis import cause, doubts, first_fault

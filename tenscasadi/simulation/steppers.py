@@ -10,7 +10,8 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.adaptive import ATTEMPTS, Limits, Memory, attempts_function
-from tenscasadi.integrators.scheme import EmbeddedRungeKutta, Scheme
+from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta
+from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.simulation.time_loop import chunk_function, chunk_steps, energy_function

@@ -11,7 +11,7 @@ from references import DATA, Case, certified, motes, stedy
 from tenscasadi.dynamics.mechanism import Coordinates
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.redundancy import RedundantConstraints
-from tenscasadi.integrators.scheme import DormandPrince853
+from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.simulation.simulate import simulate
 

@@ -16,7 +16,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.integrators import adaptive
 from tenscasadi.integrators.events import held_ode, switching
-from tenscasadi.integrators.scheme import DormandPrince54, DormandPrince853, EmbeddedRungeKutta
+from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, EmbeddedRungeKutta
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
 from tenscasadi.scene.loads import Gravity, Ground, NodalForce
 from tenscasadi.scene.scene import Scene

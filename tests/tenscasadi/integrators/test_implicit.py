@@ -12,7 +12,8 @@ from references import certified
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.integrators.scheme import DormandPrince853, stability_limit
+from tenscasadi.integrators.runge_kutta import DormandPrince853
+from tenscasadi.integrators.scheme import stability_limit
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas, Sundials

@@ -11,7 +11,8 @@ from references import certified
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.rattle import Rattle
-from tenscasadi.integrators.scheme import DormandPrince853, stability_limit
+from tenscasadi.integrators.runge_kutta import DormandPrince853
+from tenscasadi.integrators.scheme import stability_limit
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import Projection, projection
 from tenscasadi.scene.loads import Gravity, Ground

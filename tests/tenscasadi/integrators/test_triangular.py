@@ -11,7 +11,7 @@ import pytest
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.integrators.scheme import RungeKutta4
+from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.integrators.triangular import crout

@@ -15,7 +15,8 @@ from tenscasadi.analysis.modes import linearize
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
-from tenscasadi.integrators.scheme import DormandPrince853, RungeKutta4, Scheme
+from tenscasadi.integrators.runge_kutta import DormandPrince853, RungeKutta4
+from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.loads import Gravity, Ground

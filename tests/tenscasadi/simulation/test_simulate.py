@@ -17,7 +17,7 @@ from scipy.special import ellipj, ellipk
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.integrators.scheme import DormandPrince54, RungeKutta4
+from tenscasadi.integrators.runge_kutta import DormandPrince54, RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas

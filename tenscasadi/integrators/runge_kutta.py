@@ -1,0 +1,170 @@
+"""Explicit Runge-Kutta methods: the schemes, and the step that a tableau makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import Complex, check_ode, extent, relative_tolerance, stability_limit, with_work
+from tenscasadi.integrators.tableaux import CLASSICAL, DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
+from tenscasadi.util.validate import instance, positive_number, whole_number
+
+_SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
+
+
+class ExplicitRungeKutta:
+    """What the explicit Runge-Kutta methods share: all is in their `tableau`."""
+
+    tableau: ClassVar[Tableau]
+    implicit: ClassVar[bool] = False
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the scheme chooses its steps in `simulate`."""
+        return False
+
+    def step(self, ode: ca.Function) -> ca.Function:
+        """One step of x' = ode(x, u) with u held: Function "step" (x, u, h) -> x_next. TypeError, ValueError: not such an ode."""
+        check_ode(ode)
+        return build_step(self.tableau, ode)
+
+    def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
+        """One step of a model: see `Scheme.advance`."""
+        instance("model", model, Model, "a tenscasadi.Model")
+        return self.step(model.ode if power is None else with_work(model.ode, power))
+
+    def amplification(self, z: Complex) -> Complex:
+        """R(z): the method's stability polynomial."""
+        return np.asarray(np.polynomial.polynomial.polyval(z, self.tableau.stability_polynomial()), dtype=complex)
+
+    @property
+    def imaginary_limit(self) -> float:
+        """Largest stable step · ω of an undamped vibration at ω rad/s."""
+        return float(stability_limit(self, np.array([1j]))[0])  # type: ignore[arg-type]
+
+    @property
+    def real_limit(self) -> float:
+        """Largest stable step · rate of an overdamped motion."""
+        return float(stability_limit(self, np.array([-1.0 + 0j]))[0])  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class RungeKutta4(ExplicitRungeKutta):
+    """The classical explicit Runge-Kutta method: order 4, four evaluations a step, stable for step · ω_max < 2.83."""
+
+    tableau: ClassVar[Tableau] = CLASSICAL
+    order: ClassVar[int] = 4
+
+
+@dataclass(frozen=True)
+class EmbeddedRungeKutta(ExplicitRungeKutta):
+    """Explicit methods with an estimate of their error: fixed steps, or steps of their own size when `rtol` is given.
+
+    rtol: largest error of a step relative to each entry of the state; None: fixed steps and no control of errors. atol: what is added
+    to it, m and m/s; None: rtol times the structure's extent. Errors are root mean squares over all coordinates and velocities; after
+    many steps the motion is off by more, by a factor that depends on the motion.
+    Steps end where strings go slack or taut and where nodes meet or leave the ground, so that the order is kept across such events.
+    max_attempts: steps and repetitions, between two times of the grid that `simulate` lays, before the run is given up.
+    """
+
+    rtol: float | None = None
+    atol: float | None = None
+    max_attempts: int = 100_000
+    order: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        if self.rtol is not None:
+            object.__setattr__(self, "rtol", relative_tolerance(f"{name}.rtol", self.rtol))
+        if self.atol is not None:
+            if self.rtol is None:
+                raise ValueError(f"{name}.atol is {self.atol}, but rtol is None: give both for control of the error, or neither")
+            object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol, zero=True))
+        whole_number(f"{name}.max_attempts", self.max_attempts, 1)
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the scheme chooses its steps in `simulate`."""
+        return self.rtol is not None
+
+    def tolerances(self, model: Model) -> tuple[float, float]:
+        """rtol and atol for a model. ValueError for fixed steps."""
+        if self.rtol is None:
+            raise ValueError(f"{type(self).__name__}.rtol is None: give a tolerance for control of the error")
+        return self.rtol, extent(model) * self.rtol if self.atol is None else self.atol
+
+
+@dataclass(frozen=True)
+class DormandPrince54(EmbeddedRungeKutta):
+    """Dormand and Prince's explicit method of order 5: six evaluations a step, stable for step · ω_max < 1 (3.3 for overdamped motion).
+
+    `rtol`, `atol`, `max_attempts`: control of the error, see `EmbeddedRungeKutta`; None: fixed steps.
+    """
+
+    tableau: ClassVar[Tableau] = DORMAND_PRINCE_54
+    order: ClassVar[int] = 5
+
+
+@dataclass(frozen=True)
+class DormandPrince853(EmbeddedRungeKutta):
+    """Dormand and Prince's explicit method of order 8, as in DOP853: twelve evaluations a step, stable for step · ω_max < 5.96.
+
+    `rtol`, `atol`, `max_attempts`: control of the error, see `EmbeddedRungeKutta`; None: fixed steps.
+    """
+
+    tableau: ClassVar[Tableau] = DORMAND_PRINCE_853
+    order: ClassVar[int] = 8
+
+
+def build_step(tableau: Tableau, ode: ca.Function) -> ca.Function:
+    """Return one step of the method: Function "step" (x, u, h) -> x_next that calls `ode` once a stage that counts."""
+    x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
+    slopes = _slopes(tableau, ode, x, u, h, _needed(tableau))
+    return ca.Function("step", [x, u, h], [_advance(x, h, tableau.b, slopes)], ["x", "u", "h"], ["x_next"])
+
+
+def build_trial(tableau: Tableau, ode: ca.Function) -> ca.Function:
+    """Return one step with its estimated errors: Function "trial" (x, u, h) -> (x_next, errors, slope, slope_next).
+
+    errors (nx, rows of `tableau.errors`); the slopes are those at x and x_next.
+    """
+    x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
+    slopes = _slopes(tableau, ode, x, u, h, set(range(len(tableau.b))))
+    errors = ca.horzcat(*(_advance(ca.MX(x.shape[0], 1), h, row, slopes) for row in tableau.errors))
+    after = _advance(x, h, tableau.b, slopes)
+    same_as_last = tableau.a[-1] == tableau.b[:-1] and tableau.b[-1] == 0
+    outputs = [after, ca.densify(errors), slopes[0], slopes[-1] if same_as_last else ode(after, u)]
+    return ca.Function("trial", [x, u, h], outputs, ["x", "u", "h"], ["x_next", "errors", "slope", "slope_next"])
+
+
+def _slopes(tableau: Tableau, ode: ca.Function, x: ca.MX, u: ca.MX, h: ca.MX, needed: set[int]) -> list[ca.MX]:
+    # Calls instead of inlined copies: code stays as small as ode's, and compiles and runs faster than one unrolled graph.
+    slopes: list[ca.MX] = []
+    for i, row in enumerate(tableau.a):
+        slopes.append(ode(_advance(x, h, row, slopes), u) if i in needed else ca.MX(x.shape[0], 1))
+    return slopes
+
+
+def _needed(tableau: Tableau) -> set[int]:
+    """Stages on which the result depends: the last one of a pair with "first same as last" serves its error alone."""
+    needed: set[int] = set()
+    for i in reversed(range(len(tableau.a))):
+        if any(row[i] for row in (tableau.b, *(tableau.a[k] for k in needed))):
+            needed.add(i)
+    return needed
+
+
+def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
+    """x + h Σ weight · slope, with slopes of equal weight added first: each product is a pass over the state. Many are one product."""
+    used = {weight: [slope for slope, own in zip(slopes, weights, strict=True) if own == weight] for weight in weights if weight}
+    if len(used) > _SEVERAL:
+        return x + ca.mtimes(ca.horzcat(*(reduce(add, equal) for equal in used.values())), h * ca.DM(list(used)))
+    for weight, equal in used.items():
+        x = x + (weight * h) * reduce(add, equal)
+    return x
