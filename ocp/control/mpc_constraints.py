@@ -80,5 +80,5 @@ class HorizonRows:
 
 def horizon_rows(problem: Problem, scales: Scales, strength: float, count: int, period: float) -> list[HorizonRows]:
     """All bounds of a problem but those of γ itself. strength: a typical γ, N/m."""
-    kinds = {False: PathBound, True: RateBound}
+    kinds: dict[bool, type[PathBound] | type[RateBound]] = {False: PathBound, True: RateBound}
     return [HorizonRows(bound, count, period, between) for between, kind in kinds.items() for bound in scaled_rows(problem, kind, scales, strength)]
