@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import os
 import subprocess
 import sys
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
-
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-
-
-def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # where its classes look for their module
-    spec.loader.exec_module(module)
-    return module
+from loading import EXAMPLES, load_example
 
 
 def simulate_ball(rows: Any) -> None:
@@ -95,7 +82,7 @@ CLAIMS = (simulate_ball, double_pendulum, plan_prism, ball_rolls, prism_gait, be
 def test_example(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, name, ModuleType(name))  # leaves with the test
-    main = load(name).main
+    main = load_example(name).main
     pictures = tmp_path / "new" / "folder"
     possible = {"folder": pictures, "quick": True}
     arguments = {key: value for key, value in possible.items() if key in inspect.signature(main).parameters}
@@ -112,7 +99,7 @@ def test_example(name, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("name", sorted(path.stem for path in EXAMPLES.glob("*.py") if "folder: Path" in path.read_text(encoding="utf-8")))
 def test_a_folder_that_cannot_be_made_is_told_before_all_else(name, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, name, ModuleType(name))
-    main = load(name).main
+    main = load_example(name).main
     (tmp_path / "taken").write_text("")
     for builds in ("Model", "Scene", "simulate"):
         monkeypatch.delattr(f"tenscasadi.{builds}")
@@ -132,3 +119,11 @@ def test_examples_run_as_scripts(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "Newton's second law" in done.stdout
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}
+
+
+def test_code_does_not_grow_with_large_structures(monkeypatch):
+    monkeypatch.setitem(sys.modules, "benchmark_scale", ModuleType("benchmark_scale"))  # leaves with the test
+    example = load_example("benchmark_scale")
+    for make in (example.chain, example.links):
+        small, large = (example.measure("", make(n)) for n in (150, 450))
+        assert large.instructions == small.instructions

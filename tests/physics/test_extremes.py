@@ -2,31 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
-
 import numpy as np
 import pytest
+from loading import load_example
 
 import tenscasadi as tc
 
 
-def example() -> ModuleType:
-    path = Path(__file__).resolve().parents[2] / "examples" / "extremes.py"
-    spec = importlib.util.spec_from_file_location("extremes", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["extremes"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_every_stated_error_holds(quick: bool) -> None:
-    rows = list(example().rows(quick))
+    rows = list(load_example("extremes").rows(quick))
     assert len(rows) > (30 if quick else 40)
     for row in rows:
         assert row.error <= row.stated, row
@@ -34,7 +19,7 @@ def test_every_stated_error_holds(quick: bool) -> None:
 
 def test_a_step_that_is_far_too_large_for_a_spin_is_told() -> None:
     """Projection keeps bars even where a step turns them by a radian and more; the energy gives it away."""
-    extremes = example()
+    extremes = load_example("extremes")
     assert extremes.spin(1e4, advance=1.0) > 0.1
     bar = tc.Structure([(-0.5, 0, 0), (0.5, 0, 0)], [(0, 1)])
     model = tc.Model(tc.Scene(bar))

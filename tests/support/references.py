@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tenscasadi.dynamics.mechanism import Coordinates
+from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.redundancy import RedundantConstraints
+from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.scene.loads import Gravity, Ground, NodalForce
 from tenscasadi.scene.scene import Scene
+from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure.structure import Structure
 
 DATA = Path(__file__).parents[1] / "data"
@@ -95,3 +101,18 @@ def stedy(name: str) -> Case:
     assert not data["W_sin_t"].any()
     forces = NodalForce(data["W_gravity"].T) if data["W_gravity"].any() else None
     return Case(Scene(structure, forces=forces), data["Nd0"].T, np.arange(len(fixed)), data, info)
+
+
+def trajectory_error(case: Case, times: np.ndarray, step: float, coordinates: Coordinates = "reduced") -> np.ndarray:
+    """Return the largest distance of any coordinate from the recorded nodes at each recorded time (T,)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RedundantConstraints)
+        model = Model(case.scene, coordinates)
+    nodes = case.nodes[: len(times)]
+    per_row = int(np.ceil((times[1] - times[0]) / step - 1e-9))
+    step = times[-1] / (len(times) - 1) / per_row
+    trajectory = simulate(model, times[-1], step, state=model.state(nodes[0], case.velocities), correction=Projection(), save_every=per_row)
+    assert trajectory.success, trajectory.message
+    assert trajectory.bar_length_error.max() < 1e-14
+    assert trajectory.joint_error.max() < 1e-14
+    return abs(trajectory.nodes - nodes).max(axis=(1, 2))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,23 +9,16 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from loading import load_example
 
 import tenscasadi as tc
-
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 @pytest.fixture
 def example(request: pytest.FixtureRequest) -> Iterator[ModuleType]:
     """The module of the example that the test names."""
-    name = request.param
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[name]
+    yield load_example(request.param)
+    del sys.modules[request.param]
 
 
 def of(name: str) -> pytest.MarkDecorator:
@@ -165,13 +157,3 @@ def test_lander_figures(example: ModuleType, tmp_path: Path) -> None:
     heights = example.main(tmp_path)
     np.testing.assert_allclose(heights, [2.304, 1.551, 1.101, 0.827, 0.675], atol=6e-4)
     assert len(list(tmp_path.glob("*.png"))) == 3
-
-
-# --- benchmark ---
-
-
-@of("benchmark_scale")
-def test_code_does_not_grow_with_large_structures(example: ModuleType) -> None:
-    for make in (example.chain, example.links):
-        small, large = (example.measure("", make(n)) for n in (150, 450))
-        assert large.instructions == small.instructions

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from loading import load_example
 
 import tenscasadi as tc
-
-PATH = Path(__file__).resolve().parents[2] / "examples" / "benchmark_peers.py"
 
 
 @pytest.fixture
 def peers(monkeypatch):
-    spec = importlib.util.spec_from_file_location("benchmark_peers", PATH)
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "benchmark_peers", module)
-    spec.loader.exec_module(module)
-    return module
+    monkeypatch.setitem(sys.modules, "benchmark_peers", None)  # leaves with the test
+    return load_example("benchmark_peers")
 
 
 @pytest.fixture(scope="module")
