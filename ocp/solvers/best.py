@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from types import FrameType
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from tenscasadi.util.interrupts import on_interrupt
 from tenscasadi.util.validate import Array
 
 STOPPED = "User_Requested_Stop"
@@ -56,20 +54,11 @@ class Best(ca.Callback):
     def following(self, lower: Array, upper: Array) -> Iterator[None]:
         """A run with these limits of rows; Ctrl-C meanwhile stops the solver after its iteration; a second time it raises, as usual."""
         self._begin(lower, upper)
-        usual = signal.getsignal(signal.SIGINT)
-        if usual is None or threading.current_thread() is not threading.main_thread():
+        with on_interrupt(self._stop, then_raise=False):
             yield
-            return
 
-        def stop(number: int, frame: FrameType | None) -> None:
-            self.status = STOPPED
-            signal.signal(signal.SIGINT, usual)
-
-        signal.signal(signal.SIGINT, stop)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, usual)
+    def _stop(self) -> None:
+        self.status = STOPPED
 
     def get_n_in(self) -> int:
         """As `nlpsol` has outputs."""

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import signal as signals
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +20,7 @@ from tenscasadi.simulation.record import observe, record
 from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, Single
+from tenscasadi.util.interrupts import on_interrupt
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
 _ROWS = 1000  # rows kept when save_every is None
@@ -166,10 +162,10 @@ def _run(model: Model, stepper: Stepper, inputs: Signal, start: Array, t_end: fl
         raise ValueError(f"save_every is {every}: {n / every:.2g} rows do not fit into memory, give a larger save_every or a larger step") from None
     u = inputs.window(0, 1)
     rows[0], controls[0], count, interrupted = z, u[0], 1, False
-    failure = ""
+    failure, pressed = "", []  # CasADi's integrators make a failure of the KeyboardInterrupt that Ctrl-C raises
     began = looked = time.perf_counter()
     try:
-        with _keyboard() as pressed, tqdm(total=n, unit=" steps", unit_scale=True, disable=not progress) as bar:
+        with on_interrupt(lambda: pressed.append(True), then_raise=True), tqdm(total=n, unit=" steps", unit_scale=True, disable=not progress) as bar:
             for first in range(0, n, stepper.steps):
                 if inputs.varies or first == 0:
                     u = np.concatenate([u[-1:], inputs.window(first + 1, stepper.steps)])
@@ -200,23 +196,3 @@ def _run(model: Model, stepper: Stepper, inputs: Signal, start: Array, t_end: fl
     if count == len(kept):
         times[-1] = t_end
     return _Run(times, rows[:count], controls[:count], report, time.perf_counter() - began, interrupted, failure)
-
-
-@contextmanager
-def _keyboard() -> Iterator[list[int]]:
-    """The signals of Ctrl-C that arrive meanwhile: CasADi's integrators make a failure of the KeyboardInterrupt that these raise."""
-    pressed: list[int] = []
-    usual = signals.getsignal(signals.SIGINT)
-
-    def note(number: int, frame: FrameType | None) -> None:
-        pressed.append(number)
-        usual(number, frame)  # type: ignore[operator,misc]  # callable: see below
-
-    if not callable(usual) or threading.current_thread() is not threading.main_thread():
-        yield pressed
-        return
-    signals.signal(signals.SIGINT, note)
-    try:
-        yield pressed
-    finally:
-        signals.signal(signals.SIGINT, usual)

@@ -111,8 +111,7 @@ def test_an_interruption_keeps_the_best():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are different there")
-def test_ctrl_c_keeps_the_best_and_leaves_the_keyboard_as_it_was():
-    usual = signal.getsignal(signal.SIGINT)
+def test_ctrl_c_keeps_the_best_and_leaves_the_keyboard_as_it_was(keyboard):
 
     def watch(now):
         if now.iteration == 2:  # within the solver, not within this function
@@ -122,7 +121,7 @@ def test_ctrl_c_keeps_the_best_and_leaves_the_keyboard_as_it_was():
     assert plan.status == "User_Requested_Stop"
     assert plan.iterations <= 3
     assert "from the keyboard" in plan.message
-    assert signal.getsignal(signal.SIGINT) is usual
+    assert signal.getsignal(signal.SIGINT) is keyboard
 
 
 def test_what_a_watcher_raises_is_raised(capfd):

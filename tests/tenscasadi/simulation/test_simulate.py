@@ -7,7 +7,6 @@ import importlib.util
 import re
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -349,14 +348,6 @@ def test_a_bad_row_inside_a_chunk_cuts_there() -> None:
     assert not run.success
     assert 0.5 <= run.time[-1] < 0.52
     assert len(run.time) == len(run.nodes) == len(run.energy_error) == len(run.control)
-
-
-@pytest.fixture
-def keyboard() -> Iterator[None]:
-    """Ctrl-C arrives, as it does not in a process that a shell has put into the background."""
-    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, usual)
 
 
 @pytest.mark.usefixtures("keyboard")
