@@ -10,21 +10,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tenscasadi.integrators import collocation, rattle, sundials
-from tenscasadi.integrators import scheme as schemes
-from tenscasadi.integrators import stabilization as correction
+from tenscasadi import integrators
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.util import archive
 from tenscasadi.util.validate import positive_number
 
 _FORMAT = "tenscasadi tradeoff 2"
-_KINDS: dict[str, Any] = {
-    name: kind
-    for module in (schemes, rattle, collocation, sundials, correction)
-    for name, kind in vars(module).items()
-    if is_dataclass(kind) and getattr(kind, "__module__", "") == module.__name__
-}
 Cost = Literal["seconds", "work"]
 
 
@@ -196,10 +188,10 @@ def _number(value: float, form: str) -> str:
 
 
 def _value(text: str) -> Any:
-    """The scheme or correction that `repr` wrote: a known class with plain options."""
+    """The scheme or correction that `repr` wrote: a class of `integrators.__all__` with plain options."""
     tree = ast.parse(text, mode="eval").body
     if isinstance(tree, ast.Constant) and tree.value is None:
         return None
-    if not isinstance(tree, ast.Call) or not isinstance(tree.func, ast.Name) or tree.func.id not in _KINDS or tree.args:
+    if not isinstance(tree, ast.Call) or not isinstance(tree.func, ast.Name) or tree.func.id not in integrators.__all__ or tree.args:
         raise ValueError(f"{text!r} is no scheme or correction")
-    return _KINDS[tree.func.id](**{str(option.arg): ast.literal_eval(option.value) for option in tree.keywords})
+    return getattr(integrators, tree.func.id)(**{str(option.arg): ast.literal_eval(option.value) for option in tree.keywords})
