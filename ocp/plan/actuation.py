@@ -12,7 +12,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.validate import Array, at_least, instance, per_item, whole_number
+from tenscasadi.util.validate import Array, instance, nonnegative, per_item, whole_number
 
 
 def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLike = 0.0) -> Array:
@@ -20,8 +20,8 @@ def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLik
     instance("plan", plan, Plan, "an ocp.Plan")
     count = plan.force_density.shape[1]
     given = plan.structure.stiffness if stiffness is None else stiffness
-    k = at_least("stiffness", per_item("stiffness", given, count, "string"), 0.0, "string")
-    least = at_least("shortest", per_item("shortest", shortest, count, "string"), 0.0, "string")
+    k = nonnegative("stiffness", per_item("stiffness", given, count), "string")
+    least = nonnegative("shortest", per_item("shortest", shortest, count), "string")
     gamma = plan.force_density
     rest = rest_length(gamma, plan.lengths()[: len(gamma)], k)
     return np.asarray(((gamma < k) | (gamma == 0)) & (rest > 0) & (rest >= least))
@@ -38,7 +38,7 @@ def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayL
     whole_number("updates", updates, 1)
     plan.rest_lengths(stiffness)  # names the string that is too soft
     planned = plan.known_model("replay_wound")
-    k = per_item("stiffness", plan.structure.stiffness if stiffness is None else stiffness, len(plan.structure.strings), "string")
+    k = per_item("stiffness", plan.structure.stiffness if stiffness is None else stiffness, len(plan.structure.strings))
     steps = updates * round(float(plan.time[-1] / np.diff(plan.time).min()))
     fine = plan.replay(step=float(plan.time[-1]) / steps)
     ends = fine.nodes[:, plan.structure.strings]

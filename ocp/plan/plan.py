@@ -27,7 +27,7 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import archive
-from tenscasadi.util.validate import Array, at_least, instance, per_item, positive_number, whole_number
+from tenscasadi.util.validate import Array, instance, nonnegative, per_item, positive_number, whole_number
 
 _FORMAT = "tenscasadi plan 1"
 REPLAY_STEPS = 10  # steps of a replay for one interval of the plan
@@ -123,7 +123,7 @@ class Plan:
         stiffness: k, N/m, one number or one per string; None: the structure's. Raises ValueError naming the string where γ ≥ k.
         """
         given = self.structure.stiffness if stiffness is None else stiffness
-        k = at_least("stiffness", per_item("stiffness", given, self.force_density.shape[1], "string"), 0.0, "string")
+        k = nonnegative("stiffness", per_item("stiffness", given, self.force_density.shape[1]), "string")
         largest = self.force_density.max(axis=0)
         bad = np.flatnonzero((largest > 0) & (largest >= k))
         if bad.size:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, at_least, number_or_vector, per_item, positive_number
+from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item, positive_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class Limits(Bound):
             if value is not None:
                 field = f"{type(self).__name__}.{name}"
                 array = number_or_vector(field, _finite(value) if name == "upper" else value)
-                at_least(field, array, 0.0, "string")
+                nonnegative(field, array, "string")
 
     def check(self, structure: Structure) -> None:
         """Raise where the limits have the wrong number or cross each other."""
@@ -165,7 +165,7 @@ class RestLengthRateLimits(RateBound):
 
     def __post_init__(self) -> None:
         array = number_or_vector("RestLengthRateLimits.speed", _finite(self.speed, 1.0))
-        at_least("RestLengthRateLimits.speed", array, 0.0, "string", strict=True)
+        nonnegative("RestLengthRateLimits.speed", array, "string", strict=True)
 
     def check(self, structure: Structure) -> None:
         """Raise where speed or stiffness do not fit the strings."""
@@ -198,7 +198,7 @@ class BarForceLimits(PathBound):
             value = getattr(self, name)
             if value is not None:
                 array = number_or_vector(f"BarForceLimits.{name}", _finite(value))
-                at_least(f"BarForceLimits.{name}", array, 0.0, "bar")
+                nonnegative(f"BarForceLimits.{name}", array, "bar")
 
     def check(self, structure: Structure) -> None:
         """Raise where there are no bars or the limits have the wrong number."""
@@ -208,8 +208,8 @@ class BarForceLimits(PathBound):
     def most(self, structure: Structure) -> tuple[Array, Array]:
         """The most compression and tension (β,), N."""
         count = len(structure.bars)
-        compression = _broadcast("BarForceLimits.compression", self.compression, count, np.inf, "bar")
-        return compression, _broadcast("BarForceLimits.tension", self.tension, count, np.inf, "bar")
+        compression = _broadcast("BarForceLimits.compression", self.compression, count, np.inf)
+        return compression, _broadcast("BarForceLimits.tension", self.tension, count, np.inf)
 
     def constraint(self, model: Model) -> PathConstraint:
         """Return the force in each bar, positive in compression."""
@@ -230,7 +230,7 @@ class Buckling(PathBound):
 
     def __post_init__(self) -> None:
         array = number_or_vector("Buckling.modulus", self.modulus)
-        at_least("Buckling.modulus", array, 0.0, "bar", strict=True)
+        nonnegative("Buckling.modulus", array, "bar", strict=True)
         object.__setattr__(self, "safety", positive_number("Buckling.safety", self.safety))
 
     def check(self, structure: Structure) -> None:
@@ -243,7 +243,7 @@ class Buckling(PathBound):
 
     def loads(self, structure: Structure) -> Array:
         """The allowed compression (β,), N."""
-        E = per_item("Buckling.modulus", self.modulus, len(structure.bars), "bar")
+        E = per_item("Buckling.modulus", self.modulus, len(structure.bars))
         inertia = np.pi * structure.bar_radius**4 / 4
         return np.asarray(np.pi**2 * E * inertia / structure.bar_lengths**2 / self.safety)
 
@@ -256,8 +256,8 @@ class Buckling(PathBound):
 
 def stiffness_of(field: str, given: ArrayLike | None, structure: Structure) -> Array:
     """Stiffness (α,), N/m: the given one or the structure's. Raises ValueError for a string without."""
-    values = per_item(field, structure.stiffness if given is None else given, len(structure.strings), "string")
-    return at_least(field, values, 0.0, "string", strict=True)
+    values = per_item(field, structure.stiffness if given is None else given, len(structure.strings))
+    return nonnegative(field, values, "string", strict=True)
 
 
 def _check_bars(name: str, structure: Structure) -> None:
@@ -274,8 +274,8 @@ def _finite(value: Any, instead: float = 0.0) -> Any:
     return np.where(np.isposinf(array), instead, array) if array.dtype.kind in "iuf" else value
 
 
-def _broadcast(field: str, value: ArrayLike | None, count: int, missing: float, item: str = "string") -> Array:
+def _broadcast(field: str, value: ArrayLike | None, count: int, missing: float) -> Array:
     if value is None:
         return np.full(count, missing)
-    per_item(field, _finite(value), count, item)
+    per_item(field, _finite(value), count)
     return np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy()

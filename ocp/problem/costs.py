@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ocp.problem.instant import Instant
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import at_least, call_user_function, coordinates, node_index, number, number_or_vector, per_item, positive_number
+from tenscasadi.util.validate import call_user_function, coordinates, node_index, nonnegative, number, number_or_vector, per_item, positive_number
 
 Place = tuple[float | None, float | None, float | None]
 
@@ -87,15 +87,15 @@ class Prestress(ControlCost):
     def __post_init__(self) -> None:
         _weighted(self)
         array = number_or_vector("Prestress.level", self.level)
-        at_least("Prestress.level", array, 0.0, "string")
+        nonnegative("Prestress.level", array, "string")
 
     def check(self, structure: Structure) -> None:
         """Raise where there is not one level for each string."""
-        per_item("Prestress.level", self.level, len(structure.strings), "string")
+        per_item("Prestress.level", self.level, len(structure.strings))
 
     def expression(self, force_density: Any, interval: Any) -> Any:
         """weight · h Σ (γ − level)²."""
-        level = ca.DM(per_item("Prestress.level", self.level, force_density.shape[0], "string"))
+        level = ca.DM(per_item("Prestress.level", self.level, force_density.shape[0]))
         return self.weight * interval * ca.sumsqr(force_density - ca.repmat(level, 1, force_density.shape[1]))
 
 

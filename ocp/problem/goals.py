@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import at_least, coordinates, finite_array, node_index, number_or_vector, per_item, whole_number
+from tenscasadi.util.validate import coordinates, finite_array, node_index, nonnegative, number_or_vector, per_item, whole_number
 
 OTHER_BAR = 1e-3  # relative: a shape with bars of other lengths is refused, rounded nodes are not
 
@@ -51,7 +51,7 @@ class StringLengths(Goal):
         array = number_or_vector("StringLengths.lengths", values)
         if array.size == 0:
             raise ValueError("StringLengths.lengths is empty: give one length for each string, or {string: length}")
-        at_least("StringLengths.lengths", array, 0.0, "entry", strict=True)
+        nonnegative("StringLengths.lengths", array, "entry", strict=True)
         kept: Any = array if array.ndim else float(array)
         object.__setattr__(self, "lengths", dict(zip(self.lengths, array.tolist(), strict=True)) if isinstance(self.lengths, Mapping) else kept)
 
@@ -63,13 +63,13 @@ class StringLengths(Goal):
                 if whole_number("StringLengths.lengths: string", string, 0) >= count:
                     raise ValueError(f"StringLengths.lengths names string {string}: strings run from 0 to {count - 1}")
         else:
-            per_item("StringLengths.lengths", self.lengths, count, "string")
+            per_item("StringLengths.lengths", self.lengths, count)
 
     def wanted(self, structure: Structure) -> dict[int, float]:
         """{string: length}."""
         if isinstance(self.lengths, Mapping):
             return dict(self.lengths)
-        return dict(enumerate(per_item("StringLengths.lengths", self.lengths, len(structure.strings), "string").tolist()))
+        return dict(enumerate(per_item("StringLengths.lengths", self.lengths, len(structure.strings)).tolist()))
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Length minus wanted length, m."""

@@ -8,7 +8,7 @@ from scipy.linalg import lstsq, null_space
 from scipy.optimize import nnls
 
 from tenscasadi.structure.structure import Structure, connectivity
-from tenscasadi.util.validate import Array, at_least, finite_array, per_item
+from tenscasadi.util.validate import Array, finite_array, nonnegative, per_item
 
 TOLERANCE = 1e-9  # relative: singular values and unbalanced forces below it are rounding
 
@@ -33,7 +33,7 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
     react freely. Raises EquilibriumError, with the residual in N, when there are none; TypeError, ValueError for bad input.
     """
     alpha = len(structure.strings)
-    least = at_least("minimum", per_item("minimum", minimum, alpha, "string"), 0.0, "string")
+    least = nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
     load = np.zeros(structure.nodes.shape) if loads is None else finite_array("loads", loads, structure.nodes.shape)
     free = ~structure.fixed.ravel()
     w = load.ravel()[free]

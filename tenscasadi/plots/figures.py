@@ -56,7 +56,7 @@ def structure(
     else:
         nodes, pull = what.nodes, what.stiffness * np.maximum(0.0, what.string_lengths - what.rest_length)  # γ s, Eq. 99
     if tension is not None:
-        pull = per_item("tension", tension, len(what.strings), "string")
+        pull = per_item("tension", tension, len(what.strings))
     figure = Figure(figsize=(6.4, 5.2))
     canvas = Canvas(figure, members_of(what), nodes)
     scale = tension_scale(float(pull.max(initial=0.0)))
@@ -139,7 +139,7 @@ def force_densities(
             ax.stairs(gamma[:, i], time, baseline=None, color=curve_colour(k), label=f"string {i}", lw=curve_width(k, len(chosen)))
     for field, bound in (("lower", lower), ("upper", upper)):
         if bound is not None:
-            per_item(field, _without_infinity(bound), alpha, "string")
+            per_item(field, _without_infinity(bound), alpha)
             _draw_bound(ax, field, np.broadcast_to(np.asarray(bound, dtype=float), (alpha,)), chosen, gamma)
     ax.set_ylabel("force density (N/m)")
     _widen(ax)

@@ -139,7 +139,7 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
         raise ValueError("N has no columns: give one column for each node")
     bars = _member_columns("C_b", C_b, count, "bar")
     strings = _member_columns("C_s", C_s, count, "string")
-    mass = per_item("node_mass", node_mass, count, "column")
+    mass = per_item("node_mass", node_mass, count)
     ties, pins, P_matrix = _read_joints(columns, P, D)
     root = np.arange(count)
     for tie in ties:

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array, diags_array
 
 from tenscasadi.structure.class_one import ClassOne, Layout, bar_mass_matrix, connectivity, default_layout, extended, read_matrices, split
 from tenscasadi.structure.subdivision import split_strings
-from tenscasadi.util.validate import SMALLEST, Array, Indices, at_least, finite_array, node_index, node_pairs, per_item
+from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, node_index, node_pairs, nonnegative, per_item
 
 __all__ = ["ClassOne", "Structure", "connectivity"]
 
@@ -79,16 +79,16 @@ class Structure:
         for node, axes in self.pinned.items():
             self.fixed[node, ["xyz".index(axis) for axis in axes]] = True
         beta, alpha = len(self.bars), len(self.strings)
-        own["bar_mass"] = at_least("bar_mass", per_item("bar_mass", bar_mass, beta, "bar"), 0.0, "bar", strict=True)
-        own["bar_radius"] = at_least("bar_radius", per_item("bar_radius", bar_radius, beta, "bar"), 0.0, "bar")
-        own["node_mass"] = at_least("node_mass", per_item("node_mass", node_mass, n, "node"), 0.0, "node")
-        own["stiffness"] = at_least("stiffness", per_item("stiffness", stiffness, alpha, "string"), 0.0, "string")
-        own["damping"] = at_least("damping", per_item("damping", damping, alpha, "string"), 0.0, "string")
-        own["string_mass"] = at_least("string_mass", per_item("string_mass", string_mass, alpha, "string"), 0.0, "string")
+        own["bar_mass"] = nonnegative("bar_mass", per_item("bar_mass", bar_mass, beta), "bar", strict=True)
+        own["bar_radius"] = nonnegative("bar_radius", per_item("bar_radius", bar_radius, beta), "bar")
+        own["node_mass"] = nonnegative("node_mass", per_item("node_mass", node_mass, n), "node")
+        own["stiffness"] = nonnegative("stiffness", per_item("stiffness", stiffness, alpha), "string")
+        own["damping"] = nonnegative("damping", per_item("damping", damping, alpha), "string")
+        own["string_mass"] = nonnegative("string_mass", per_item("string_mass", string_mass, alpha), "string")
         own["bar_lengths"] = _lengths("bars", self.nodes, self.bars, "bar")
         own["string_lengths"] = _lengths("strings", self.nodes, self.strings, "string")
         given = self.string_lengths if rest_length is None else rest_length
-        own["rest_length"] = at_least("rest_length", per_item("rest_length", given, alpha, "string"), 0.0, "string", strict=True)
+        own["rest_length"] = nonnegative("rest_length", per_item("rest_length", given, alpha), "string", strict=True)
         slenderness = _slenderness(self.bar_radius, self.bar_lengths)
         own["bar_inertia"] = self.bar_mass * (1.0 / 12.0 + slenderness**2 / 4.0)  # Eq. 19
         own["string_parent"] = np.arange(alpha)
@@ -165,7 +165,7 @@ class Structure:
 
         Raises ValueError where γ ≥ k: no positive rest length gives that much.
         """
-        gamma = at_least("force_density", per_item("force_density", force_density, len(self.strings), "string"), 0.0, "string")
+        gamma = nonnegative("force_density", per_item("force_density", force_density, len(self.strings)), "string")
         bad = np.flatnonzero((gamma > 0.0) & (gamma >= self.stiffness))
         if bad.size:
             i = int(bad[0])

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tenscasadi.util.validate import Array, Indices, at_least, finite_array, whole_number
+from tenscasadi.util.validate import Array, Indices, finite_array, nonnegative, whole_number
 
 
 class Cut(NamedTuple):
@@ -64,7 +64,7 @@ def _counts(segments: int | Sequence[int] | Indices, strings: int) -> list[int]:
 def _shares(count: int, fractions: ArrayLike | None) -> Array:
     if fractions is None:
         return np.full(count, 1.0 / count)
-    shares = at_least("fractions", finite_array("fractions", fractions, (count,)), 0.0, "segment", strict=True)
+    shares = nonnegative("fractions", finite_array("fractions", fractions, (count,)), "segment", strict=True)
     if abs(shares.sum() - 1.0) > 1e-12:
         raise ValueError(f"fractions sum to {shares.sum():.15g}: they must sum to 1")
     return shares

@@ -73,7 +73,7 @@ def coordinates(field: str, place: Any, none: str, some: bool = False, read: Cal
     return tuple(None if entry is None else read(field, entry) for entry in entries)
 
 
-def per_item(field: str, value: Any, count: int, item: str) -> Array:
+def per_item(field: str, value: Any, count: int) -> Array:
     """`value` broadcast to one number for each of `count` items. Raises TypeError, ValueError."""
     if not isinstance(value, Real) and not (isinstance(value, np.ndarray) and value.ndim == 0):
         return finite_array(field, value, (count,))
@@ -82,12 +82,12 @@ def per_item(field: str, value: Any, count: int, item: str) -> Array:
     return array
 
 
-def at_least(field: str, array: Array, bound: float, item: str, strict: bool = False) -> Array:
-    """`array` unchanged when every entry is ≥ `bound` (> when strict); ValueError names the first item that is not."""
-    bad = np.flatnonzero(array < bound + SMALLEST if strict else array < bound)
+def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Array:
+    """`array` unchanged when every entry is ≥ 0 (> 0 when strict); ValueError names the first item that is not."""
+    bad = np.flatnonzero(array < (SMALLEST if strict else 0.0))
     if bad.size:
         relation = "greater than" if strict else "at least"
-        raise ValueError(f"{field} of {item} {bad[0]} is {array.flat[bad[0]]:g}: it must be {relation} {bound:g}")
+        raise ValueError(f"{field} of {item} {bad[0]} is {array.flat[bad[0]]:g}: it must be {relation} 0")
     return array
 
 

@@ -192,9 +192,9 @@ def test_messages_name_the_value_and_the_cure() -> None:
 
 def test_numbers_of_any_kind_are_read() -> None:
     for value in (2, 2.0, np.float32(2), np.int8(2), Fraction(2), np.array(2.0)):
-        assert validate.per_item("mass", value, 3, "bar").tolist() == [2.0, 2.0, 2.0]
+        assert validate.per_item("mass", value, 3).tolist() == [2.0, 2.0, 2.0]
         assert validate.positive_number("mass", value) == 2.0
-    assert validate.per_item("mass", (1, Fraction(1, 2)), 2, "bar").tolist() == [1.0, 0.5]
+    assert validate.per_item("mass", (1, Fraction(1, 2)), 2).tolist() == [1.0, 0.5]
     assert validate.finite_array("state", ca.DM([1, 2]), (2,)).tolist() == [1.0, 2.0]
     assert validate.finite_array("nodes", ca.DM([1, 2]), (2, 1)).tolist() == [[1.0], [2.0]]
     pairs = validate.node_pairs("bars", (pair for pair in np.array([(0, 1), (1, 2)], dtype=np.uint8)), 3, "bar")
@@ -209,7 +209,7 @@ def test_results_are_read_only_copies() -> None:
     array = validate.finite_array("nodes", source, (None, 3))
     source[0, 0] = 7.0
     assert array[0, 0] == 1.0
-    for result in (array, validate.per_item("mass", 1.0, 3, "bar"), validate.node_pairs("bars", [(0, 1)], 2, "bar")):
+    for result in (array, validate.per_item("mass", 1.0, 3), validate.node_pairs("bars", [(0, 1)], 2, "bar")):
         assert not result.flags.writeable
 
 
