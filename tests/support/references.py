@@ -12,10 +12,12 @@ import numpy as np
 from tenscasadi.dynamics.mechanism import Coordinates
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.redundancy import RedundantConstraints
+from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.scene.loads import Gravity, Ground, NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 
 DATA = Path(__file__).parents[1] / "data"
@@ -86,6 +88,20 @@ def certified(name: str) -> Case:
     )
     velocities = np.array(spec.get("velocities", np.zeros(N.T.shape)), dtype=float)
     return Case(scene, velocities[first], first, data, info)
+
+
+def solve_certified(name: str, scheme: Scheme, coordinates: Any = "reduced", every: int = 1, **options: Any) -> tuple[float, Trajectory]:
+    """The largest error of any node at any certified time, m, and the run: `every` steps between two of these times."""
+    case = certified(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RedundantConstraints)
+        model = Model(case.scene, coordinates)
+    times = case.data["t"]
+    start = model.state(case.nodes[0], case.velocities)
+    run = simulate(model, times[-1], times[1] / every, scheme, start, save_every=every, **{"compiled": False} | options)
+    assert run.success, run.message
+    assert np.array_equal(run.time, times) or np.allclose(run.time, times, rtol=0, atol=1e-12)
+    return float(abs(run.nodes - case.nodes).max()), run
 
 
 def stedy(name: str) -> Case:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import re
-import warnings
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
-from references import certified
+from references import solve_certified
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.integrators import adaptive
 from tenscasadi.integrators.events import held_ode, switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, EmbeddedRungeKutta
@@ -32,27 +30,13 @@ SMOOTH = ["prism_n1", "double_pendulum", "cross_bar", "spin_bar"]
 EVENTS = {"net4": 11, "dbar_regular": 12, "lander_mass": 20, "redundant_triangle": 8}  # as many as the certified solution met
 
 
-def solved(name: str, scheme: EmbeddedRungeKutta, coordinates: Any = "reduced", **options: Any) -> tuple[float, Trajectory]:
-    """The largest error of any node at any certified time, and the run."""
-    case = certified(name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RedundantConstraints)
-        model = Model(case.scene, coordinates)
-    times = case.data["t"]
-    options = {"compiled": False} | options
-    run = simulate(model, times[-1], times[1], scheme, model.state(case.nodes[0], case.velocities), **options)
-    assert run.success, run.message
-    assert np.array_equal(run.time, times) or run.time == pytest.approx(times, abs=1e-12)
-    return abs(run.nodes - case.nodes).max(), run
-
-
 # --- accuracy ---
 
 
 @pytest.mark.parametrize("name", SMOOTH)
 @pytest.mark.parametrize("scheme", [DormandPrince54, DormandPrince853])
 def test_order_on_smooth_certified_scenes(name: str, scheme: type[EmbeddedRungeKutta]) -> None:
-    coarse, fine = (solved(name, scheme(rtol)) for rtol in (1e-6, 1e-9))
+    coarse, fine = (solve_certified(name, scheme(rtol)) for rtol in (1e-6, 1e-9))
     assert fine[0] < 2e-5 * coarse[0] ** 0.2  # some 1e-9, times what the motion makes of it
     order = np.log(coarse[0] / fine[0]) / np.log(coarse[1].step / fine[1].step)
     assert order > scheme.order - 0.5
@@ -61,7 +45,7 @@ def test_order_on_smooth_certified_scenes(name: str, scheme: type[EmbeddedRungeK
 
 @pytest.mark.parametrize("name", EVENTS)
 def test_order_is_kept_across_events(name: str) -> None:
-    coarse, fine = (solved(name, DormandPrince54(rtol)) for rtol in (1e-7, 1e-11))
+    coarse, fine = (solve_certified(name, DormandPrince54(rtol)) for rtol in (1e-7, 1e-11))
     order = np.log(coarse[0] / fine[0]) / np.log(coarse[1].step / fine[1].step)
     assert order > 4.5
     assert fine[0] < 1e-9
@@ -79,7 +63,7 @@ def located(run: Trajectory, events: int) -> int:
 @pytest.mark.parametrize("coordinates", ["reduced", "full"])
 @pytest.mark.parametrize("name", EVENTS)
 def test_order_eight_reaches_a_tenth_of_a_nanometre_across_events(name: str, coordinates: Any) -> None:
-    error, run = solved(name, DormandPrince853(1e-12), coordinates, correction=Projection())
+    error, run = solve_certified(name, DormandPrince853(1e-12), coordinates, correction=Projection())
     assert error < 1e-10
     assert located(run, EVENTS[name]) <= 3 * EVENTS[name]
     assert run.bar_length_error.max() < 1e-14
@@ -87,7 +71,7 @@ def test_order_eight_reaches_a_tenth_of_a_nanometre_across_events(name: str, coo
 
 
 def test_energy_is_accounted_for_across_contact() -> None:
-    _, run = solved("lander_mass", DormandPrince853(1e-10))
+    _, run = solve_certified("lander_mass", DormandPrince853(1e-10))
     assert run.energy[-1] < run.energy[0] - 10
     assert abs(run.energy_error).max() < 1e-7
 
@@ -95,7 +79,7 @@ def test_energy_is_accounted_for_across_contact() -> None:
 @needs_compiler
 @pytest.mark.parametrize(("scheme", "correction"), [(DormandPrince54(1e-7), None), (DormandPrince853(1e-9), Projection())])
 def test_compiled_and_not_give_the_same_numbers(scheme: EmbeddedRungeKutta, correction: Any) -> None:
-    (_, machine), (_, virtual) = (solved("net4", scheme, compiled=compiled, correction=correction) for compiled in (True, False))
+    (_, machine), (_, virtual) = (solve_certified("net4", scheme, compiled=compiled, correction=correction) for compiled in (True, False))
     assert (machine.compiled, virtual.compiled) == (True, False)
     assert abs(machine.states - virtual.states).max() < 1e-11
     assert machine.message == virtual.message
@@ -146,7 +130,7 @@ def test_events_are_located_even_where_interpolation_is_of_no_help(monkeypatch: 
 
     exact = adaptive._root
     monkeypatch.setattr(adaptive, "_root", useless)
-    error, run = solved("net4", DormandPrince853(1e-10))
+    error, run = solve_certified("net4", DormandPrince853(1e-10))
     assert error < 1e-8
     assert located(run, EVENTS["net4"]) > 5 * EVENTS["net4"]
 

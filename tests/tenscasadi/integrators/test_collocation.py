@@ -1,4 +1,4 @@
-"""Stages by sweeps: the same steps as by Newton's method, stiff strings at large steps, slack and contact, and failure."""
+"""Collocation: orders, coefficients, steps by Newton's method and by sweeps, slack and contact, and failure."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from references import certified, solve_certified
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.redundancy import RedundantConstraints
-from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.collocation import Collocation, crout
 from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.scheme import stability_limit
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.integrators.triangular import crout
+from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.loads import Gravity, Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, Smooth
@@ -39,6 +41,65 @@ SCENES = {
     "moved support": Scene(shapes.pendulum(), gravity=Gravity((0, -9.81, 0)), supports=SUPPORTS),
     "redundant bars": Scene(SQUARE),
 }
+
+
+@pytest.mark.parametrize(
+    ("scheme", "step"),
+    [(Collocation(1), 5e-3), (Collocation(), 0.01), (Collocation(3), 0.02), (Collocation(2, "radau"), 5e-3), (Collocation(3, "radau"), 0.01)],
+)
+def test_order_of_collocation(scheme: Collocation, step: float) -> None:
+    for name in ("prism_n1", "spin_bar"):
+        every = round(certified(name).data["t"][1] / step)
+        errors = [solve_certified(name, scheme, every=k * every)[0] for k in (1, 2)]
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(scheme.order, abs=0.25)
+
+
+def test_coefficients_are_those_of_the_books() -> None:
+    root = np.sqrt(3)
+    A, b = Collocation().coefficients
+    assert pytest.approx(np.array([[1 / 4, 1 / 4 - root / 6], [1 / 4 + root / 6, 1 / 4]])) == A
+    assert pytest.approx([1 / 2, 1 / 2]) == b
+    A, b = Collocation(2, "radau").coefficients
+    assert pytest.approx(np.array([[5 / 12, -1 / 12], [3 / 4, 1 / 4]])) == A
+    assert pytest.approx([3 / 4, 1 / 4]) == b
+
+
+def test_no_step_is_too_large_for_stability() -> None:
+    directions = np.exp(1j * np.linspace(np.pi / 2, np.pi, 5))
+    model = Model(Scene(shapes.prism(stiffness=1e7, prestress=30.0)))
+    for scheme in (Collocation(), Collocation(3, "radau"), Cvodes(), Idas()):
+        assert np.isinf(stability_limit(scheme, directions)).all()
+        assert stable_step(model, scheme=scheme) == np.inf
+    z = np.array([-1e6, 1e6j])
+    assert abs(Collocation().amplification(z)) == pytest.approx(np.ones(2), abs=1e-4)
+    assert abs(Collocation(2, "radau").amplification(z)).max() < 1e-5
+    assert Collocation().amplification(np.array([0.1j]))[0] == pytest.approx(np.exp(0.1j), abs=1e-7)
+
+
+@needs_compiler
+def test_compiled_collocation_gives_the_same_numbers() -> None:
+    model = Model(Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))))
+    machine, virtual = (simulate(model, 1.0, 0.02, Collocation(), compiled=compiled) for compiled in (True, False))
+    assert (machine.compiled, virtual.compiled) == (True, False)
+    assert abs(machine.states - virtual.states).max() < 1e-10
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)])
+def test_a_step_that_newton_cannot_solve_ends_the_run(compiled: bool) -> None:
+    model = Model(Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))))
+    run = simulate(model, 30.0, 3.0, Collocation(iterations=2), compiled=compiled)
+    assert not run.success
+    assert "not finite" in run.message
+    assert np.isfinite(run.states).all()
+
+
+def test_mistakes_are_named() -> None:
+    for options in ({"degree": 0}, {"degree": 10}, {"points": "lobatto"}, {"tolerance": 0.0}, {"iterations": 0}):
+        with pytest.raises(ValueError, match=rf"Collocation\.{next(iter(options))}"):
+            Collocation(**options)  # type: ignore[arg-type]
+
+
+# --- triangular iteration ---
 
 
 def moving(model: Model, speed: float = 0.3) -> Any:
