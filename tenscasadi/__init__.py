@@ -11,9 +11,9 @@ from tenscasadi.analysis.recommend import NoScheme, Recommendation, recommend
 from tenscasadi.analysis.tradeoff import tradeoff
 from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density, self_stress
+from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.mechanism import Multipliers
 from tenscasadi.dynamics.model import Energy, Model
-from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.dynamics.state_space import Constraints
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle

@@ -15,9 +15,8 @@ from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import Intervals, PiecewiseConstant, PiecewiseLinear, Profile, check_intervals, fractions
 from ocp.transcription.sparse_nlp import Program
 from ocp.transcription.variables import Assembly
-from tenscasadi.dynamics import mechanism as dynamics
+from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices, instance, positive_number
 
 
@@ -86,9 +85,8 @@ class Closing:
         gap = after - end
         if self.bars:
             N, _, _ = model.unpack(after)
-            B = ca.mtimes(N, sparse(mech.C_b.T))
-            none = ca.DM.zeros(3, 0)
-            moves = [mech.with_inverse(dynamics.push(mech, B, m.T, none)) for m in ca.vertsplit(multipliers, self.bars)]
+            B = mech.bar_vectors(N)
+            moves = [mech.with_inverse(nodal_forces(mech, B, m.T)) for m in ca.vertsplit(multipliers, self.bars)]
             gap = gap - model.pack(moves[0], moves[1], 0)
         return ca.vertcat(gap / ca.DM(scales.state), *bar_rows(model, after, scales, rates=True))
 
@@ -99,7 +97,7 @@ def bar_rows(model: Model, x: Any, scales: Scales, rates: bool) -> list[Any]:
     if not mech.bars:
         return []
     N, V, _ = model.unpack(x)
-    B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
+    B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)
     squared = ca.DM(mech.lengths**2)
     rows = [(ca.sum1(B * B).T / squared - 1) / 2]
     return [*rows, ca.sum1(B * Bd).T / squared * scales.time] if rates else rows

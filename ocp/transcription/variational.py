@@ -18,7 +18,8 @@ from ocp.transcription.initial_guess import Guess
 from ocp.transcription.sparse_nlp import Block, Program
 from ocp.transcription.variables import Assembly, interval_names, state_names
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics import mechanism as dynamics
+from tenscasadi.dynamics.constraint_forces import nodal_forces
+from tenscasadi.dynamics.equation_of_motion import forward_dynamics
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
@@ -78,7 +79,7 @@ class _Chain:
         gamma = guess.force_density if self.a.profile.linear else np.concatenate([guess.force_density, guess.force_density[-1:]])
         x, u = symbols(self.model.ode, self.nx, self.model.nu)
         N, V, time = self.model.unpack(x)
-        _, lam, _ = self.model.motion(N, V, u, time)
+        _, lam, _ = forward_dynamics(self.model, N, V, u, time)
         values = ca.Function("forces", [x, u], [ca.densify(lam.T)]).map(len(gamma))(guess.states.T, gamma.T).full().T
         return np.asarray(np.nan_to_num(values, posinf=0.0, neginf=0.0))
 
@@ -143,9 +144,9 @@ class _Chain:
         """F + B λ̂ C_b on the free coordinates."""
         mech = self.mech
         N, V, clock = self.model.unpack(self._state(q, v, time))
-        total = sum(forces.terms(self.model.scene, mech, N, V, gamma, clock).values(), start=ca.DM.zeros(*mech.N.shape))
+        total = forces.total(self.model.scene, mech, N, V, gamma, clock)
         if self.bars:
-            total = total + dynamics.push(mech, ca.mtimes(N, sparse(mech.C_b.T)), lam.T, ca.DM.zeros(3, 0))
+            total = total + nodal_forces(mech, mech.bar_vectors(N), lam.T)
         return self.model.pack(total, total, 0)[: self.nq]
 
     def _momentum(self, change: Any) -> Any:

@@ -122,15 +122,8 @@ def _neutral(K: Array, motions: Array) -> Array:
 def _tangent(model: Model, state: ca.DM) -> Array:
     """An orthonormal basis of the displacements that keep bar lengths and joints at a state."""
     x = ca.MX.sym("x", model.nx)
-    N, _, time = model.unpack(x)
-    mech = model.mechanism
-    rows = [ca.MX(0, 1)]
-    if mech.bars:
-        rows.append(ca.sum1(ca.mtimes(N, ca.DM(mech.C_b.T.toarray())) ** 2).T / 2)
-    if mech.joints:
-        gap = (ca.mtimes(N, ca.DM(mech.P.toarray())) - model.targets(time)[0]) * ca.DM(mech.active.astype(float))
-        rows.append(ca.vec(gap))
-    jacobian = ca.Function("rows", [x], [ca.jacobian(ca.vertcat(*rows), x)])(state).full()[:, : model.nq]
+    kept = model.constraints(x)
+    jacobian = ca.Function("rows", [x], [ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)])(state).full()[:, : model.nq]
     return np.asarray(scipy.linalg.null_space(jacobian)) if len(jacobian) else np.eye(model.nq)
 
 

@@ -57,6 +57,11 @@ def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> d
     return result
 
 
+def total(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> Any:
+    """Return F (3×n), the sum of all `terms`, N."""
+    return sum(terms(scene, mech, N, V, u, time).values(), start=ca.DM.zeros(*mech.N.shape))
+
+
 def potential(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any, Any]:
     """Elastic energy (taut strings and the ground's springs) and gravity energy, J."""
     s = scene.modelled

@@ -6,14 +6,13 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import casadi as ca
-import numpy as np
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics import mechanism as dynamics
+from tenscasadi.dynamics.equation_of_motion import forward_dynamics, joint_forces
 from tenscasadi.dynamics.mechanism import Multipliers
 from tenscasadi.dynamics.state_space import StateSpace
 from tenscasadi.scene.strings import ForceDensity
-from tenscasadi.util.casadi_tools import call_as_sx, solve_semidefinite, sparse, weighted_product
+from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.compile import compile_function
 
 
@@ -55,12 +54,12 @@ class Model(StateSpace):
     @cached_property
     def ode(self) -> ca.Function:
         """(x, u) → xdot: self-contained, differentiable, usable by any CasADi tool."""
-        x, u = self._symbols(self._unrolled)
+        x, u = self._symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
-        A, _, _ = self.motion(N, V, u, time)
+        A, _, _ = forward_dynamics(self, N, V, u, time)
         rate = [self.pack(V, A, 1)]
         # Of vector operations cse would share the zeros too that each product starts from, and copy them.
-        return ca.Function("ode", [x, u], ca.cse(rate) if self._unrolled else rate, ["x", "u"], ["xdot"])
+        return ca.Function("ode", [x, u], ca.cse(rate) if self.mechanism.unrolled else rate, ["x", "u"], ["xdot"])
 
     def compile(self) -> ca.Function:
         """`ode` as machine code: the same inputs, outputs and values, without derivatives. Raises CompileError without a C compiler."""
@@ -92,9 +91,9 @@ class Model(StateSpace):
         x, u = self._symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
         if self._supports is None:
-            push = _sum(forces.terms(self.scene, self.mechanism, N, V, u, time), self.mechanism)
+            push = forces.total(self.scene, self.mechanism, N, V, u, time)
         else:  # with the reactions of the supports, which work too: all that moves the mass
-            push = ca.mtimes(self.motion(N, V, u, time)[0], sparse(self.mechanism.M))
+            push = ca.mtimes(forward_dynamics(self, N, V, u, time)[0], sparse(self.mechanism.M))
         n: Any = type(N).sym("n", N.shape)
         total = sum(forces.potential(self.scene, self.mechanism, n, u))
         slope = ca.substitute(ca.jtimes(total, n, V), n, N)
@@ -103,11 +102,11 @@ class Model(StateSpace):
     @cached_property
     def multiplier_function(self) -> ca.Function:
         """(x, u) → λ (β) and Ω (3×c): see `multipliers`."""
-        x, u = self._symbols(self._unrolled)
+        x, u = self._symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
-        A, lam, omega = self.motion(N, V, u, time)
+        A, lam, omega = forward_dynamics(self, N, V, u, time)
         if self.coordinates == "reduced" and len(self.structure.bars):
-            omega = self._joint_forces(N, V, A, lam, u, time)
+            omega = joint_forces(self, N, V, A, lam, u, time)
         return ca.Function("multipliers", [x, u], [ca.densify(lam.T), ca.densify(omega)], ["x", "u"], ["bar_force_density", "joint_force"])
 
     # --- numbers in, numbers out ---
@@ -177,55 +176,9 @@ class Model(StateSpace):
 
     # --- expressions ---
 
-    @property
-    def _unrolled(self) -> bool:
-        return not self.mechanism.large and self.mechanism.system_size <= dynamics.UNROLL_SOLVE
-
     def _symbols(self, unrolled: bool) -> tuple[Any, Any]:
         kind = ca.SX if unrolled else ca.MX
         return kind.sym("x", self.nx), kind.sym("u", self.nu)
-
-    def motion(self, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, Any, Any]:
-        """N̈ (3×n), λ (1×β) and Ω (3×c)."""
-        mech = self.mechanism
-        C_bT = sparse(mech.C_b.T)
-
-        def unconstrained(N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
-            F = _sum(forces.terms(self.scene, mech, N, V, u, time), mech)
-            moved = self.moved_acceleration(time)
-            if moved is not None:
-                F = F - ca.mtimes(moved, sparse(mech.M))
-            if not mech.constrained:
-                return (F,)
-            B, Bd = (ca.mtimes(Z, C_bT) for Z in (N, V))
-            unforced = mech.with_inverse(F, mech.C_b.T)
-            r = ca.sum1(Bd * Bd) + ca.sum1(B * (unforced if moved is None else unforced + ca.mtimes(moved, C_bT)))  # Eq. 28
-            if not mech.system_size:
-                return F, B, r
-            return F, B, r, *dynamics.system(mech, B, r, mech.with_inverse(F, mech.P) - self.targets(time)[2])
-
-        def constrained(F: Any, time: Any, *rows: Any) -> tuple[Any, ...]:
-            lam, omega = dynamics.multipliers(mech, *rows) if rows else (ca.DM.zeros(1, 0), ca.DM.zeros(3, 0))
-            A = mech.with_inverse(F + dynamics.push(mech, rows[0], lam, omega) if rows else F)
-            moved = self.moved_acceleration(time)
-            return A if moved is None else A + moved, lam, omega
-
-        F, *rows = call_as_sx(mech.large, unconstrained, N, V, u, time)
-        if rows:
-            B, r, *linear = rows
-            rows = [B, r, solve_semidefinite(*linear) if linear else ca.DM.zeros(0, 1)]
-        A, lam, omega = call_as_sx(mech.large, constrained, F, time, *rows)
-        return A, lam, omega
-
-    def _joint_forces(self, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
-        """Ω of reduced coordinates: what the class-one nodes of Eq. 85 still need for the accelerations that they have."""
-        full = dynamics.mechanism(self.structure, "full")
-        if not full.joints:
-            return ca.DM.zeros(3, 0)
-        N, V, A = (Z[:, full.physical.tolist()] for Z in (N, V, A))
-        push = weighted_product(ca.mtimes(N, sparse(full.C_b.T)), lam, full.C_b)
-        left = ca.mtimes(A, sparse(full.M)) - _sum(forces.terms(self.scene, full, N, V, u, time), full) - push  # Ω Pᵀ
-        return ca.mtimes(left, ca.DM(np.linalg.pinv(full.P.toarray().T)))
 
     def _kinetic(self, V: Any) -> Any:
         return ca.sum2(ca.sum1(V * ca.mtimes(V, sparse(self.mechanism.M)))) / 2
@@ -233,13 +186,13 @@ class Model(StateSpace):
     def _bar_length_error(self, N: Any) -> Any:
         if not self.mechanism.bars:
             return ca.DM(0)
-        B = ca.mtimes(N, sparse(self.mechanism.C_b.T))
+        B = self.mechanism.bar_vectors(N)
         return ca.mmax(ca.fabs(ca.sqrt(ca.sum1(B * B)) / ca.DM(self.mechanism.lengths).T - 1))
 
     def _joint_error(self, N: Any, time: Any) -> Any:
         if not self.mechanism.joints:
             return ca.DM(0)
-        gap = (ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0]) * ca.DM(self.mechanism.active.astype(float))
+        gap = (ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0]) * self.mechanism.active_mask
         return ca.mmax(ca.fabs(gap))
 
     # --- numbers ---
@@ -248,11 +201,6 @@ class Model(StateSpace):
         arguments = self.arguments(x, u)
         value = self.observe(*arguments)[self.observe.index_out(name)]
         return value.full().ravel() if isinstance(value, ca.DM) else value
-
-
-def _sum(terms: dict[str, Any], mech: dynamics.Mechanism) -> Any:
-    """F (3×n), the sum of its terms."""
-    return sum(terms.values(), start=ca.DM.zeros(3, mech.N.shape[1]))
 
 
 def instructions(function: ca.Function) -> int:

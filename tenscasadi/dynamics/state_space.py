@@ -9,12 +9,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics import mechanism as dynamics
-from tenscasadi.dynamics.mechanism import BarLength, Coordinates
-from tenscasadi.dynamics.redundancy import RedundantConstraints, find_redundancy
+from tenscasadi.dynamics.constraint_forces import RedundantConstraints, find_redundancy, project_velocities, residual_rates, residuals
+from tenscasadi.dynamics.mechanism import BarLength, Coordinates, build_mechanism
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
-from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, finite_array, instance
 
 
@@ -39,7 +37,7 @@ class StateSpace:
         self.scene = scene
         self.structure = scene.modelled
         self.coordinates: Coordinates = coordinates
-        self.mechanism = dynamics.mechanism(self.structure, coordinates, bar_length)
+        self.mechanism = build_mechanism(self.structure, coordinates, bar_length)
         if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:
             raise ValueError('Model.bar_length is "constant": bars that meet or are pinned need coordinates="full" for it')
         self._supports = None if scene.supports is None else scene.supports.rates()
@@ -47,7 +45,7 @@ class StateSpace:
         self.nq = len(self._free)
         self.nx = 2 * self.nq + (1 if scene.has_clock else 0)
         self.nu = 0 if scene.control is None else len(scene.structure.strings)
-        message = find_redundancy(self.structure, self.mechanism)
+        message = find_redundancy(self.mechanism)
         if message:
             warnings.warn(message, RedundantConstraints, stacklevel=2)
 
@@ -60,7 +58,7 @@ class StateSpace:
         if self._supports is None or not self.mechanism.constrained:
             return x
         N, V, time = self.unpack(ca.DM(x))
-        return self.pack(N, dynamics.without_stretching(self.mechanism, N, V, self.targets(time)[1]), time).full().ravel()  # type: ignore[no-any-return]
+        return self.pack(N, project_velocities(self.mechanism, N, V, self.targets(time)[1]), time).full().ravel()  # type: ignore[no-any-return]
 
     @cached_property
     def initial_control(self) -> Array:
@@ -114,11 +112,11 @@ class StateSpace:
         """
         value, _ = self.arguments(x, None)
         N, V, time = self.unpack(value)
-        mech, lengths = self.mechanism, ca.DM(self.mechanism.lengths)
-        B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
+        mech = self.mechanism
+        B, (D, Dd, _) = mech.bar_vectors(N), self.targets(time)
         held = np.flatnonzero(mech.active.ravel(order="F")).tolist()
-        gaps = [ca.vec(ca.densify(ca.mtimes(Z, sparse(mech.P)) - D))[held] for Z, D in zip((N, V), self.targets(time)[:2], strict=True)]
-        rows = (ca.sum1(B * B).T / lengths - lengths) / 2, ca.sum1(B * Bd).T / lengths, *gaps
+        (bars, joints), (bar_rates, joint_rates) = residuals(mech, N, B, D), residual_rates(mech, V, B, Dd)
+        rows = [row.T / ca.DM(mech.lengths) for row in (bars, bar_rates)] + [ca.vec(ca.densify(row))[held] for row in (joints, joint_rates)]
         return Constraints(*(row.full().ravel() if isinstance(row, ca.DM) else row for row in rows))
 
     def arguments(self, x: Any, u: Any) -> tuple[Any, Any]:
@@ -177,11 +175,11 @@ class StateSpace:
         parts = [ca.vec(matrix)[free] if self.nq < 3 * matrix.shape[1] else ca.vec(matrix) for matrix in (upper, lower)]
         return ca.densify(ca.vertcat(*parts, *([clock] if self.scene.has_clock else [])))
 
-    def moved_acceleration(self, time: Any) -> Any | None:
-        """Accelerations (3×n) of supports that are moved in reduced coordinates; None when there are none. In full ones P holds them."""
+    def support_accelerations(self, time: Any) -> Any:
+        """Accelerations (3×n) of supports that are moved in reduced coordinates, where P does not hold them; all other columns are zero."""
         if self._supports is None or self.coordinates == "full":
-            return None
-        moved = type(time).zeros(3, self.mechanism.N.shape[1])
+            return ca.DM(*self.mechanism.N.shape)  # without entries: adds no instructions
+        moved = type(time).zeros(*self.mechanism.N.shape)
         moved[:, self._moved] = self._supports(time)[2]
         return moved
 

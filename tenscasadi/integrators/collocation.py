@@ -219,16 +219,15 @@ def _solver(model: Model) -> ca.Function:
             springs = replace(springs, ground=replace(springs.ground, friction=None))  # its share is not symmetric
 
         def push(scene: Scene) -> Any:
-            F = sum(forces.terms(scene, mech, N, V, u, time).values(), start=ca.DM.zeros(*mech.N.shape))
+            F = forces.total(scene, mech, N, V, u, time)
             return model.pack(F, F, 0)[:nq]
 
         S = ca.mtimes(N, sparse(mech.C_s.T))
         K = ca.substitute(ca.jacobian(push(springs), x)[:, :nq], length, ca.sqrt(ca.sum1(S * S))) if strings else ca.jacobian(push(scene), x)[:, :nq]
         C = ca.jacobian(push(scene), x)[:, nq : 2 * nq]
         W = M - g * _symmetric(C) - g**2 * _symmetric(K)
-        B = ca.mtimes(N, sparse(mech.C_b.T))
-        kept = ca.vertcat(ca.sum1(B * B).T / ca.DM(2 * mech.lengths), ca.vec(ca.mtimes(N, sparse(mech.P)) * ca.DM(mech.active.astype(float))))
-        G = ca.jacobian(kept, x)[:, :nq]
+        kept = model.constraints(x)
+        G = ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)[:, :nq]
         rigid = _RIGID * ca.mmax(ca.diag(W)) * ca.mtimes(G.T, G)
         return W + rigid, ca.mtimes(M + rigid, r)
 

@@ -6,7 +6,6 @@ smooth; where a switching function changes its sign, the mode changes.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -14,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics import forces
+from tenscasadi.dynamics.equation_of_motion import forward_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.loads import Ground
 from tenscasadi.scene.scene import Scene
@@ -50,13 +50,12 @@ def held_ode(model: Model, work: bool = False) -> ca.Function:
     z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nu + strings + nodes)
     N, V, time = model.unpack(z[: model.nx])
     u, taut, touching = w[: model.nu], w[model.nu : model.nu + strings].T, w[model.nu + strings :].T
-    frozen = copy.copy(model)
-    frozen.scene = held_scene(model.scene, taut if strings else None, touching)
-    acceleration = frozen.motion(N, V, u, time)[0]
+    held = held_scene(model.scene, taut if strings else None, touching)
+    acceleration = forward_dynamics(model, N, V, u, time, held)[0]
     parts = [model.pack(V, acceleration, 1)]
     if work:
         if model.scene.supports is None:
-            push = sum(forces.terms(frozen.scene, mech, N, V, u, time).values(), start=ca.DM.zeros(*mech.N.shape))
+            push = forces.total(held, mech, N, V, u, time)
         else:  # reactions of moved supports work too
             push = ca.mtimes(acceleration, sparse(mech.M))
         parts.append(ca.sum2(ca.sum1(push * V)))

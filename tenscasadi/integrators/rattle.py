@@ -9,12 +9,13 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics import mechanism as dynamics
+from tenscasadi.dynamics.constraint_forces import project_velocities, remove_residuals, residuals, stretch_bars
+from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, Tableau
-from tenscasadi.util.casadi_tools import call_as_sx, sparse
+from tenscasadi.util.casadi_tools import call_as_sx
 from tenscasadi.util.validate import instance, whole_number
 
 _OUTER = 1 / (4 - 4 ** (1 / 3))  # Suzuki's five steps of order 4: Hairer, Lubich, Wanner, Geometric Numerical Integration, (II.4.5)
@@ -92,8 +93,7 @@ def _swing(z: Complex, fraction: float, kick: Tableau) -> Any:
 def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: int) -> ca.Function:
     """Drift, kick, drift: Function "leap" (z, u, h) -> z_next."""
     mech, scene = model.mechanism, model.scene
-    unrolled = not mech.large and mech.system_size <= dynamics.UNROLL_SOLVE
-    kind: Any = ca.SX if unrolled else ca.MX
+    kind: Any = ca.SX if mech.unrolled else ca.MX
     z, u, h = kind.sym("z", model.nx + (power is not None)), kind.sym("u", model.nu), kind.sym("h")
     N, V, time = model.unpack(z[: model.nx])
 
@@ -108,12 +108,10 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
         return model.unpack(model.pack(N, V, time))
 
     def tangent(N: Any, V: Any, time: Any) -> Any:
-        return dynamics.without_stretching(mech, N, V, model.targets(time)[1]) if mech.constrained else V
+        return project_velocities(mech, N, V, model.targets(time)[1])
 
     def acceleration(N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
-        total = sum(forces.terms(scene, mech, N, V, u, time).values(), start=ca.DM.zeros(*mech.N.shape))
-        moved = model.moved_acceleration(time)
-        return (mech.with_inverse(total if moved is None else total - ca.mtimes(moved, sparse(mech.M))),)
+        return (mech.with_inverse(applied_forces(model, N, V, u, time)[0]),)
 
     N, V, time = drift(N, V, time)
     rough = forces.is_damped(scene) or (scene.ground is not None and not scene.ground.conservative)
@@ -143,15 +141,14 @@ def _constrained(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) ->
     """Positions with the bars' lengths and joints, from the `free` ones by impulses along the bars of N."""
     if not mech.constrained:
         return free
-    C_bT = sparse(mech.C_b.T)
-    B, lengths = ca.mtimes(N, C_bT), ca.DM(mech.lengths).T
+    B, lengths = mech.bar_vectors(N), ca.DM(mech.lengths).T
     if mech.system_size:
         return _newton(mech, free, B, D, iterations)
-    b = ca.mtimes(free, C_bT)
+    b = mech.bar_vectors(free)
     # ‖b + ν B‖² = l²: the root nearest zero
     mixed, excess = ca.sum1(b * B), ca.sum1(b * b) - lengths**2
     nu = -excess / (mixed + ca.sqrt(mixed**2 - ca.sum1(B * B) * excess))
-    return free + mech.with_inverse(dynamics.push(mech, B, nu / ca.DM(mech.G[0].diagonal()).T, ca.DM.zeros(3, 0)))
+    return stretch_bars(mech, free, B, nu)
 
 
 def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
@@ -160,22 +157,19 @@ def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
     Where bars come to lie in a line, those impulses tell some of them no longer apart, and the iteration would diverge: it keeps the
     best it had, and the rest is taken away by impulses along the bars as they are.
     """
-    C_bT, P = sparse(mech.C_b.T), sparse(mech.P)
-    lengths, active = ca.DM(mech.lengths).T, ca.DM(mech.active.astype(float))
 
     def residual(N: Any) -> tuple[Any, Any, Any]:
-        b = ca.mtimes(N, C_bT)
-        excess, gap = (ca.sum1(b * b) - lengths**2) / 2, ca.mtimes(N, P) - D
-        return excess, gap, ca.norm_inf(ca.vertcat((excess / lengths).T, ca.vec(gap * active)))
+        excess, gap = residuals(mech, N, mech.bar_vectors(N), D)
+        return excess, gap, ca.norm_inf(ca.vertcat((excess / ca.DM(mech.lengths).T).T, ca.vec(gap * mech.active_mask)))
 
     moved = free
     excess, gap, size = residual(moved)
     for _ in range(iterations):
-        trial = dynamics.without_residual(mech, moved, B, excess, gap)
+        trial = remove_residuals(mech, moved, B, excess, gap)
         better = residual(trial)
         kept = better[2] < size
         moved, excess, gap, size = (ca.if_else(kept, new, old) for new, old in zip((trial, *better), (moved, excess, gap, size), strict=True))
     for _ in range(_FINISH):
-        moved = dynamics.without_residual(mech, moved, ca.mtimes(moved, C_bT), excess, gap)
+        moved = remove_residuals(mech, moved, mech.bar_vectors(moved), excess, gap)
         excess, gap, _ = residual(moved)
     return moved

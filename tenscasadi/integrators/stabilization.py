@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.dynamics import mechanism as dynamics
-from tenscasadi.dynamics.mechanism import Mechanism, without_residual, without_stretching
+from tenscasadi.dynamics.constraint_forces import project_velocities, remove_residuals, residuals, stretch_bars
+from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import instance, positive_number, whole_number
@@ -89,32 +89,22 @@ _PROJECTIONS: WeakKeyDictionary[Model, dict[int, ca.Function]] = WeakKeyDictiona
 
 def _projection(model: Model, iterations: int) -> ca.Function:
     mech = model.mechanism
-    unrolled = not mech.large and mech.system_size <= dynamics.UNROLL_SOLVE
-    x: Any = (ca.SX if unrolled else ca.MX).sym("x", model.nx)
+    x: Any = (ca.SX if mech.unrolled else ca.MX).sym("x", model.nx)
     N, V, time = model.unpack(x)
     D, Dd, _ = model.targets(time)
     if mech.system_size:
-        for _ in range(iterations):
-            N = _newton(mech, N, D)
+        for _ in range(iterations):  # Newton's method
+            B = mech.bar_vectors(N)
+            N = remove_residuals(mech, N, B, *residuals(mech, N, B, D))
     elif mech.constrained:
         N = _rescale(mech, N)
-    if mech.constrained:
-        V = without_stretching(mech, N, V, Dd)
-    return ca.Function("project", [x], [model.pack(N, V, time)], ["x"], ["projected"])
-
-
-def _newton(mech: Mechanism, N: Any, D: Any) -> Any:
-    """One Newton step on ½(bᵀb − l²) = 0 and N P = D."""
-    B = ca.mtimes(N, sparse(mech.C_b.T))
-    excess = (ca.sum1(B * B) - ca.DM(mech.lengths**2).T) / 2
-    return without_residual(mech, N, B, excess, ca.mtimes(N, sparse(mech.P)) - D)
+    return ca.Function("project", [x], [model.pack(N, project_velocities(mech, N, V, Dd), time)], ["x"], ["projected"])
 
 
 def _rescale(mech: Mechanism, N: Any) -> Any:
     """Bars that stand alone: b (1 + μ G_ii) has its length back at once."""
-    B = ca.mtimes(N, sparse(mech.C_b.T))
-    stretch = ca.DM(mech.lengths).T / ca.sqrt(ca.sum1(B * B)) - 1
-    return N + mech.with_inverse(dynamics.push(mech, B, stretch / ca.DM(mech.G[0].diagonal()).T, ca.DM.zeros(3, 0)))
+    B = mech.bar_vectors(N)
+    return stretch_bars(mech, N, B, ca.DM(mech.lengths).T / ca.sqrt(ca.sum1(B * B)) - 1)
 
 
 def _appendix_c(model: Model, weight: float) -> ca.Function:
@@ -122,7 +112,7 @@ def _appendix_c(model: Model, weight: float) -> ca.Function:
     x: Any = (ca.MX if mech.large else ca.SX).sym("x", model.nx)
     N, V, time = model.unpack(x)
     D, Dd, _ = model.targets(time)
-    B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
+    B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)
     direction = _direction(B, Bd, ca.DM(mech.lengths).T, weight)
     p = direction * ca.repmat(ca.DM(mech.lengths).T, 3, 1) - B  # Eq. 120
     r = -direction * ca.repmat(ca.sum1(direction * Bd), 3, 1)
@@ -156,5 +146,5 @@ def _rejoined(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
         return Z
     strings = np.flatnonzero(np.asarray(ends.sum(axis=0)).ravel() == 0)
     spread = sp.csr_array(sp.vstack([ends, sp.csr_array(sp.eye_array(Z.shape[1]))[strings]]))  # of centres and string nodes onto nodes
-    gap = (target - ca.mtimes(Z, sparse(mech.P))) * ca.DM(mech.active.astype(float))
+    gap = (target - ca.mtimes(Z, sparse(mech.P))) * mech.active_mask
     return Z + ca.mtimes(ca.mtimes(gap, ca.DM(np.linalg.pinv((spread @ mech.P).toarray()))), sparse(spread))

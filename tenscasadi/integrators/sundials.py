@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics import forces
-from tenscasadi.dynamics import mechanism as dynamics
+from tenscasadi.dynamics.constraint_forces import nodal_forces
+from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex, check_ode, extent, relative_tolerance, with_work
 from tenscasadi.util.casadi_tools import sparse
@@ -123,16 +123,10 @@ class Idas(Sundials):
         z = kind.sym("z", mech.bars + 3 * mech.joints)
         N, V, time = model.unpack(state[: model.nx])
         lam, Omega = z[: mech.bars].T, ca.reshape(z[mech.bars :], 3, mech.joints)
-        B, Bd = (ca.mtimes(Z, sparse(mech.C_b.T)) for Z in (N, V))
-        total = sum(forces.terms(model.scene, mech, N, V, u, time).values(), start=ca.DM.zeros(*mech.N.shape))
-        moved = model.moved_acceleration(time)
-        if moved is not None:
-            total = total - ca.mtimes(moved, sparse(mech.M))
-        A = mech.with_inverse(total + dynamics.push(mech, B, lam, Omega))
-        if moved is not None:
-            A = A + moved
-        stretching = ca.sum1(Bd * Bd) + ca.sum1(B * ca.mtimes(A, sparse(mech.C_b.T)))  # Eq. 28
-        active = ca.DM(mech.active.astype(float))
+        B, Bd, active = mech.bar_vectors(N), mech.bar_vectors(V), mech.active_mask
+        F, moved = applied_forces(model, N, V, u, time)
+        A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + moved
+        stretching = ca.sum1(Bd * Bd) + ca.sum1(B * mech.bar_vectors(A))  # Eq. 28
         gaping = active * (ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2]) + (1 - active) * Omega
         xdot = [model.pack(V, A, 1)] + ([] if power is None else [power(state[: model.nx], u)])
         rows = ca.densify(ca.vertcat(stretching.T, ca.vec(gaping)))

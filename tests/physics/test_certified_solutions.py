@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from references import certified, trajectory_error
 
+from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.mechanism import Coordinates
 from tenscasadi.dynamics.model import Model
-from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.simulation.simulate import simulate

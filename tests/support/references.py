@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.mechanism import Coordinates
 from tenscasadi.dynamics.model import Model
-from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.scene.loads import Gravity, Ground, NodalForce

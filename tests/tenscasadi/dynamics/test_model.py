@@ -10,9 +10,9 @@ import pytest
 from references import CERTIFIED, MOTES, certified, motes
 from scenes import every_term
 
-from tenscasadi.dynamics import mechanism as dynamics
+from tenscasadi.dynamics import mechanism
+from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
-from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.scene.loads import Gravity, Ground, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, RestLength, Slack, Smooth
@@ -60,7 +60,7 @@ def by_kkt(structure: Structure, nodes: np.ndarray, velocities: np.ndarray, F: n
 
 @BOTH
 @pytest.mark.parametrize("name", MOTES)
-def test_accelerations_and_multipliers_are_the_peers(name: str, coordinates: dynamics.Coordinates) -> None:
+def test_accelerations_and_multipliers_are_the_peers(name: str, coordinates: mechanism.Coordinates) -> None:
     case = motes(name)
     model = Model(case.scene, coordinates)
     tolerance = 1e-6 if name.startswith("ex03") else 1e-8
@@ -80,7 +80,7 @@ def test_accelerations_and_multipliers_are_the_peers(name: str, coordinates: dyn
 
 @BOTH
 @pytest.mark.parametrize("name", CERTIFIED)
-def test_initial_accelerations_are_certified(name: str, coordinates: dynamics.Coordinates) -> None:
+def test_initial_accelerations_are_certified(name: str, coordinates: mechanism.Coordinates) -> None:
     case = certified(name)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RedundantConstraints)
@@ -98,7 +98,7 @@ def test_initial_accelerations_are_certified(name: str, coordinates: dynamics.Co
 
 @BOTH
 @pytest.mark.parametrize("pinned", [(), (0,), {0: "xyz", 1: "z"}, {0: "xyz", 3: "xy"}, {0: "x", 1: "y", 2: "z"}], ids=str)
-def test_class_k_chain_with_supports_matches_a_saddle_point_solve(pinned: object, coordinates: dynamics.Coordinates) -> None:
+def test_class_k_chain_with_supports_matches_a_saddle_point_solve(pinned: object, coordinates: mechanism.Coordinates) -> None:
     rng = np.random.default_rng(1)
     structure = Structure(
         rng.normal(size=(6, 3)), bars=[(0, 1), (1, 2), (2, 3)], strings=[(0, 4), (3, 4), (4, 5), (1, 5)], node_mass=[0.1, 0, 0.3, 0, 0.2, 0.5],
@@ -114,7 +114,7 @@ def test_class_k_chain_with_supports_matches_a_saddle_point_solve(pinned: object
 
 
 @BOTH
-def test_a_pinned_string_node_needs_no_mass(coordinates: dynamics.Coordinates) -> None:
+def test_a_pinned_string_node_needs_no_mass(coordinates: mechanism.Coordinates) -> None:
     mast = Structure([(0, 0, 0), (0, 0, 2), (1, 0, 0)], [(0, 1)], [(1, 2)], pinned=(0, 2), rest_length=1.5)
     model = Model(Scene(mast, gravity=Gravity((1, 2, -9))), coordinates)
     pull = mast.C_s.T @ (-model.force_density(model.initial_state)[:, None] * np.diff(mast.nodes[mast.strings], axis=1)[:, 0])
@@ -136,7 +136,7 @@ REDUNDANT = {
 
 @BOTH
 @pytest.mark.parametrize("name", REDUNDANT)
-def test_redundant_constraints_are_named_and_solved(name: str, coordinates: dynamics.Coordinates) -> None:
+def test_redundant_constraints_are_named_and_solved(name: str, coordinates: mechanism.Coordinates) -> None:
     structure = REDUNDANT[name]
     with pytest.warns(RedundantConstraints, match="bars 0|joints"):
         model = Model(Scene(structure, gravity=Gravity((3, -4, 5))), coordinates)
@@ -156,7 +156,7 @@ def test_redundant_constraints_are_named_and_solved(name: str, coordinates: dyna
 
 @BOTH
 @pytest.mark.parametrize(("gap", "tolerance"), [(1e-3, 1e-7), (1e-6, 1e-3)])
-def test_nearly_aligned_bars_stay_close_to_the_saddle_point_solution(gap: float, tolerance: float, coordinates: dynamics.Coordinates) -> None:
+def test_nearly_aligned_bars_stay_close_to_the_saddle_point_solution(gap: float, tolerance: float, coordinates: mechanism.Coordinates) -> None:
     structure = Structure([(0, 0, 0), (1, gap, 0), (2, 0, 0)], [(0, 1), (1, 2)], pinned=(0, 2))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RedundantConstraints)
@@ -169,7 +169,7 @@ def test_nearly_aligned_bars_stay_close_to_the_saddle_point_solution(gap: float,
 @BOTH
 @pytest.mark.parametrize("moved", [False, True], ids=["standing", "moved"])
 @pytest.mark.parametrize("slack", [Clip(), Smooth(0.01)], ids=["clip", "smooth"])
-def test_ode_derivatives_agree_with_central_differences(slack: Slack, moved: bool, coordinates: dynamics.Coordinates) -> None:
+def test_ode_derivatives_agree_with_central_differences(slack: Slack, moved: bool, coordinates: mechanism.Coordinates) -> None:
     """Every term at once, away from where strings go slack or nodes touch down."""
     rng = np.random.default_rng(4)
     model = Model(every_term(slack, moved), coordinates)
@@ -273,7 +273,7 @@ def dynamics_instructions(scene: Scene) -> int:
 
 @BOTH
 @pytest.mark.parametrize("case", ["every term", "class 1", "force densities"])
-def test_the_vector_form_gives_the_same_numbers(case: str, coordinates: dynamics.Coordinates, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_vector_form_gives_the_same_numbers(case: str, coordinates: mechanism.Coordinates, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
     prism = Structure(**{**PRISM, "damping": rng.uniform(0.1, 0.5, 9), "stiffness": 100.0})
     control = ForceDensity() if case == "force densities" else None
@@ -283,7 +283,7 @@ def test_the_vector_form_gives_the_same_numbers(case: str, coordinates: dynamics
     x = unrolled.state(unrolled.structure.nodes, np.where(fixed, 0, rng.normal(size=fixed.shape)))
     u = 0.9 * unrolled.initial_control
     ours = [unrolled.ode(x, u), *unrolled.observe(x, u)]
-    monkeypatch.setattr(dynamics, "UNROLL_MEMBERS", 0)
+    monkeypatch.setattr(mechanism, "UNROLL_MEMBERS", 0)
     vector = Model(scene, coordinates)
     assert vector.ode.class_name() == "MXFunction"
     for value, expected in zip([vector.ode(x, u), *vector.observe(x, u)], ours, strict=True):
@@ -291,7 +291,7 @@ def test_the_vector_form_gives_the_same_numbers(case: str, coordinates: dynamics
 
 
 @BOTH
-def test_power_is_the_rate_of_change_of_energy(coordinates: dynamics.Coordinates) -> None:
+def test_power_is_the_rate_of_change_of_energy(coordinates: mechanism.Coordinates) -> None:
     rng = np.random.default_rng(6)
     structure = Structure(**{**PRISM, "damping": 0.5})
     scene = Scene(structure, gravity=Gravity(), ground=Ground(50.0, 1.0, friction=0.2, height=0.4), forces=NodalForce(rng.normal(size=(6, 3))))
@@ -390,7 +390,7 @@ def test_bad_input_is_refused_by_name() -> None:
 
 @BOTH
 @pytest.mark.parametrize("moved", [False, True], ids=["standing", "moved"])
-def test_constraints_vanish_where_kept_and_their_rates_are_rates(moved: bool, coordinates: dynamics.Coordinates) -> None:
+def test_constraints_vanish_where_kept_and_their_rates_are_rates(moved: bool, coordinates: mechanism.Coordinates) -> None:
     model = Model(every_term(moved=moved), coordinates)
     assert max(np.abs(rows).max(initial=0.0) for rows in model.constraints(model.initial_state)) < 1e-13
     assert len(model.constraints(model.initial_state).joints) == np.count_nonzero(model.mechanism.active)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from references import certified, solve_certified
 
+from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
-from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.integrators.collocation import Collocation, crout
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import stability_limit

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from references import solve_certified
 
+from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
-from tenscasadi.dynamics.redundancy import RedundantConstraints
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.integrators.stabilization import Projection

@@ -1,0 +1,185 @@
+"""Rigid bars and joints: the multipliers λ̂ and Ω, and what they do to accelerations, positions and velocities.
+
+One formula serves every class and both coordinates. With M⁻ the inverse mass matrix on the coordinates that can move,
+B = N C_bᵀ and X any 3×n matrix of accelerations (or displacements) before the constraints act, the constrained one is
+
+    X + (B λ̂ C_b + Ω Pᵀ) M⁻,                                                    Eqs. 85-87 in the current bᵀb instead of l²
+
+with λ̂ and Ω such that bᵢᵀ of its bar i is −rᵢ and its joints (times P) are −R. In "reduced" coordinates joints hold by
+construction, P has no columns and λ solves ((BᵀB) ∘ G) λ = −r with G = C_b M⁻ C_bᵀ (Eqs. 94-95); in "full" coordinates every
+bar has its own nodes, G is diagonal, λ̂ is eliminated bar by bar and Ω solves Eq. 103 (corrected, and symmetric).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.dynamics.mechanism import Mechanism
+from tenscasadi.util.casadi_tools import (
+    call_as_sx,
+    constant_row,
+    drop_rounding,
+    matrix_with_pattern,
+    solve_semidefinite,
+    sparse,
+    weighted_product,
+)
+
+SINGULAR = 1e-9  # eigenvalue below which a constraint counts as redundant, relative to the largest of a system of unit diagonal
+LARGEST = 600  # unknowns of a system that is looked at for redundancy: a dense eigenvalue problem
+
+
+class RedundantConstraints(UserWarning):
+    """Bar lengths and joints say the same thing twice, or nearly, in the initial shape: multipliers are not unique there."""
+
+
+def residuals(mech: Mechanism, N: Any, B: Any, D: Any) -> tuple[Any, Any]:
+    """Return ½(bᵀb − l²) of the bars (1×β), m², and N P − D of the joints (3×c), m: zero where the constraints hold."""
+    return (ca.sum1(B * B) - ca.DM(mech.lengths**2).T) / 2, ca.mtimes(N, sparse(mech.P)) - D
+
+
+def residual_rates(mech: Mechanism, V: Any, B: Any, Dd: Any) -> tuple[Any, Any]:
+    """Return bᵀḃ (1×β), m²/s, and V P − Ḋ (3×c), m/s: the rates of change of `residuals`."""
+    return ca.sum1(B * mech.bar_vectors(V)), ca.mtimes(V, sparse(mech.P)) - Dd
+
+
+# --- the three steps: assemble the linear system, solve it, apply the multipliers ---
+
+
+def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
+    """Return the symmetric system of the multipliers that are not eliminated and its right-hand side (Eq. 103, or (BᵀB) ∘ G)."""
+    if not mech.joints:
+        return _reduced_matrix(mech, B), -r.T
+    h = _bar_scale(mech, B)
+    rhs = (ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(mech.K.T)) - R) * mech.active_mask  # 3×c
+    return _joint_matrix(mech, B / ca.repmat(ca.sqrt(h), 3, 1)), ca.vec(rhs)
+
+
+def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, Any]:
+    """Return λ (1×β) and Ω (3×c) from the solution of `assemble_system`, or bar by bar where nothing had to be solved (Eq. 87)."""
+    if mech.joints:
+        Omega = ca.reshape(solution, 3, mech.joints)
+        return -(r + ca.sum1(B * ca.mtimes(Omega, sparse(mech.K)))) / _bar_scale(mech, B), Omega
+    lam = solution.T if mech.system_size else -r / _bar_scale(mech, B)
+    return lam, ca.DM.zeros(3, 0)
+
+
+def nodal_forces(mech: Mechanism, B: Any, lam: Any, Omega: Any = None) -> Any:
+    """Return B λ̂ C_b + Ω Pᵀ (3×n): the forces of bars and, with Ω, of joints on the nodes."""
+    force = weighted_product(B, lam, mech.C_b)
+    return force if Omega is None or not mech.joints else force + ca.mtimes(Omega, sparse(mech.P.T))
+
+
+# --- projections in the sense of the mass matrix ---
+
+
+def remove_residuals(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
+    """Return Z + (B λ̂ C_b + Ω Pᵀ) M⁻ with the multipliers that take away the residuals r (bars, 1×β) and R (joints, 3×c)."""
+    solution: Any = ca.DM.zeros(0, 1)
+    if mech.system_size:
+        solution = solve_semidefinite(*call_as_sx(mech.large, partial(assemble_system, mech), B, r, R))
+    return call_as_sx(mech.large, partial(_pushed, mech), Z, B, r, solution)[0]
+
+
+def _pushed(mech: Mechanism, Z: Any, B: Any, r: Any, solution: Any) -> tuple[Any, ...]:
+    return (Z + mech.with_inverse(nodal_forces(mech, B, *recover_multipliers(mech, B, r, solution))),)
+
+
+def project_velocities(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
+    """Return the velocities closest to V (3×n), mass-weighted, with bᵀḃ = 0 and V P = Ḋ."""
+    if not mech.constrained:
+        return V
+    B = mech.bar_vectors(N)
+    return remove_residuals(mech, V, B, *residual_rates(mech, V, B, Dd))
+
+
+def stretch_bars(mech: Mechanism, N: Any, B: Any, nu: Any) -> Any:
+    """Return N moved by impulses along B so that bars which stand alone become b + ν B (ν: 1×β)."""
+    return N + mech.with_inverse(nodal_forces(mech, B, nu / ca.DM(mech.G[0].diagonal()).T))
+
+
+def _bar_scale(mech: Mechanism, B: Any) -> Any:
+    """h = bᵀb G_ii (1×β) of bars that stand alone; l² G_ii with the paper's constant length."""
+    squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
+    return squared * constant_row(mech.G[0].diagonal())
+
+
+def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
+    """Σ over axes of (b bᵀ) ∘ G (β×β), on the pattern of G only."""
+    G = mech.G
+    pattern = sp.coo_array(sum(abs(g) for g in G) + sp.eye_array(mech.bars))
+    order = np.lexsort((pattern.row, pattern.col))
+    rows, columns = pattern.row[order].tolist(), pattern.col[order].tolist()
+    weights = [ca.DM(np.asarray(sp.csr_array(g)[rows, columns]).ravel()) for g in G]
+    products = B[:, rows] * B[:, columns]  # 3×nnz
+    if len(G) == 1:
+        values = ca.sum1(products).T * weights[0]
+    else:
+        values = sum(products[axis, :].T * weights[axis] for axis in range(3))
+    return matrix_with_pattern(ca.Sparsity.triplet(mech.bars, mech.bars, rows, columns), values)
+
+
+def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
+    """(Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ) (3c×3c), with kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ: Eq. 103 with Eᵀ, columns combined to be symmetric."""
+    c, K = mech.joints, mech.K
+    E = drop_rounding(mech.P.T @ mech.inverse[0] @ mech.P)
+    pattern = sp.coo_array(abs(E) + abs(K) @ abs(K.T) + sp.eye_array(c))
+    n, j = pattern.row, pattern.col
+    direct = np.asarray(E[n, j]).ravel()
+    pairs = sp.csr_array(K[n, :].multiply(K[j, :]))  # nnz×β: k_ni k_ji
+    rows: list[Any] = []
+    columns: list[Any] = []
+    values = []
+    for a in range(3):
+        for b in range(3):
+            kept = np.flatnonzero(mech.active[a, n] & mech.active[b, j])
+            block = -ca.mtimes(sparse(pairs[kept]), (unit[a, :] * unit[b, :]).T)
+            values.append(ca.densify(block + ca.DM(direct[kept]) if a == b else block))
+            rows.append(3 * n[kept] + a)
+            columns.append(3 * j[kept] + b)
+    idle = np.flatnonzero(~mech.active.T.ravel())  # a multiplier that constrains nothing is zero
+    rows.append(idle)
+    columns.append(idle)
+    values.append(ca.DM.ones(len(idle)))
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    order = np.lexsort((row, column))
+    sparsity = ca.Sparsity.triplet(3 * c, 3 * c, row[order].tolist(), column[order].tolist())
+    return matrix_with_pattern(sparsity, ca.vertcat(*values)[order.tolist()])
+
+
+# --- redundant constraints ---
+
+
+def find_redundancy(mech: Mechanism) -> str | None:
+    """Return a message that names the bars and joints whose constraints depend on each other in the initial shape, or None.
+
+    Looks at the system that the multipliers solve, scaled to unit diagonal; systems above `LARGEST` unknowns are not looked at.
+    """
+    size = mech.system_size
+    if not 0 < size <= LARGEST:
+        return None
+    matrix, _ = assemble_system(mech, mech.bar_vectors(ca.DM(mech.N)), ca.DM.zeros(1, mech.bars), ca.DM.zeros(3, mech.joints))
+    A = matrix.full()
+    diagonal = np.sqrt(np.maximum(A.diagonal(), 0))
+    scale = np.divide(1, diagonal, out=np.zeros(size), where=diagonal > 1e-12 * diagonal.max(initial=1e-300))
+    values, vectors = np.linalg.eigh(A * np.outer(scale, scale))
+    null = values < SINGULAR * values[-1]
+    if not null.any():
+        return None
+    share = np.abs(vectors[:, null]).max(axis=1)
+    involved = np.flatnonzero(share > 1e-6 * share.max())
+    smallest = max(float(values[0]), np.finfo(float).eps * float(values[-1]))
+    if mech.joints:
+        names = "joints " + ", ".join(str(k) for k in np.unique(involved // 3)) + " (columns of P) and the bars between them"
+    else:
+        names = "bars " + ", ".join(str(k) for k in involved)
+    return (
+        f"the constraints of {names} depend on each other in the initial shape ({int(null.sum())} redundant, condition number "
+        f"{float(values[-1]) / smallest:.1e}): motion is exact as long as they stay consistent, their multipliers are not unique; "
+        "remove a bar or a pin to make them so"
+    )
