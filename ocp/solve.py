@@ -29,8 +29,7 @@ from ocp.transcription.initial_guess import Guess, InitialGuess, guess_of
 from ocp.transcription.mesh import cubic, held_values, spread, within
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.sparse_nlp import Program
-from tenscasadi.simulation.record import record
-from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array, instance, positive_number
 
 MET = 3e-4  # of the structure's size (and of it per duration): goals missed by more are missed
@@ -269,4 +268,4 @@ def _trajectory(problem: Problem, grid: Array, found: Guess, success: bool) -> T
     controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(grid)]
     message = "planned motion at the ends of the intervals"
     with np.errstate(all="ignore"):
-        return record(model, grid, found.states, controls, step=float(grid[1]), message=message, success=success)
+        return record_trajectory(model, grid, found.states, controls, step=float(grid[1]), message=message, success=success)

@@ -15,8 +15,8 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity
-from tenscasadi.simulation.record import record
-from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.simulation.diagnosis import off_constraints
+from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number
 
 MOST = 1e7  # decisions in a run
@@ -107,7 +107,7 @@ def run(
     held = np.concatenate([*controls, controls[-1][-1:]]) if controls else np.zeros((1, plant.nu))
     times = np.interp(np.arange(len(rows)) / n, np.arange(len(ends)), ends)
     message = f"finished {len(controls)} decisions" if done else f"diverged after t = {times[-1]:g} s: the state is not finite"
-    trajectory = record(plant, times, rows, held, step=period / n, message=message, success=done, seconds=sum(seconds))
+    trajectory = record_trajectory(plant, times, rows, held, step=period / n, message=message, success=done, seconds=sum(seconds))
     return ClosedLoop(trajectory, np.array(seconds))
 
 
@@ -125,13 +125,9 @@ def _check_plant(plant: Any, believed: Model) -> None:
 def _start(plant: Model, state: Any) -> Array:
     """The state (nx,), put right where it is rounded."""
     x = plant.initial_state if state is None else finite_array("state", state, (plant.nx,))
-    right = np.asarray(projection(plant, 10)(x).full()).ravel()
-    moved = np.abs(right - x).max()
-    if not moved <= ROUNDED * np.abs(x[: 2 * plant.nq]).max():
-        raise ValueError(
-            f"state is off the lengths of its bars or its joints, or about to leave them, by {moved:.2g}: "
-            "start from tenscasadi.projection(model)(state)"
-        )
+    right, off = off_constraints(plant, x, ROUNDED, iterations=10)
+    if off:
+        raise ValueError(f"state is {off}")
     return right
 
 

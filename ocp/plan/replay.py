@@ -8,8 +8,7 @@ import numpy as np
 from ocp.transcription.mesh import at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
-from tenscasadi.simulation.record import record
-from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array
 
 
@@ -30,4 +29,4 @@ def run_profile(model: Model, scheme: Scheme, start: Array, time: Array, values:
     good = int(np.argmin(np.append(np.isfinite(states).all(axis=1), False)))
     message = f"finished {len(h)} steps" if good == len(states) else f"diverged after t = {ends[good - 1]:g} s: the state is not finite"
     held = np.concatenate([controls, controls[-1:]])
-    return record(model, ends[:good], states[:good], held[:good], step=float(h.max()), message=message, success=good == len(states))
+    return record_trajectory(model, ends[:good], states[:good], held[:good], step=float(h.max()), message=message, success=good == len(states))

@@ -10,8 +10,7 @@ import numpy as np
 import scipy.linalg
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.simulation.record import record
-from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array, instance, positive_number, whole_number
 
 
@@ -107,7 +106,7 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
     states = np.array([model.state(*row) for row in zip(nodes, velocities, strict=True)])
     controls = np.tile(model.initial_control, (count, 1))
     message = f"mode {index}, {modes.frequency[index]:.4g} Hz"
-    return record(model, time, states, controls, step=float(time[1]), message=message)
+    return record_trajectory(model, time, states, controls, step=float(time[1]), message=message)
 
 
 def _neutral(K: Array, motions: Array) -> Array:

@@ -60,7 +60,7 @@ class Sundials:
         scaled = {key: value for key, value in equations.items() if key != "u"} | {"p": ca.vertcat(u, h), "ode": h * equations["ode"]}
         integrate = self.integrator(scaled, [1.0], atol)
         x = ca.MX.sym("x", equations["x"].shape[0])
-        guess = {} if start is None else {"z0": start(x, u)}
+        guess = {} if start is None else {"z0": start(x[: start.size1_in(0)], u)}
         return ca.Function("step", [x, u, h], [integrate(x0=x, p=ca.vertcat(u, h), **guess)["xf"]], ["x", "u", "h"], ["x_next"])
 
     def amplification(self, z: Complex) -> Complex:

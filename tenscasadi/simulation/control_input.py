@@ -1,4 +1,4 @@
-"""Controls over time: a constant, a table or a function of time, sampled at the start of each step."""
+"""Controls over time: a constant, a table, a function of time, or a profile on a mesh, sampled at the steps of a run."""
 
 from __future__ import annotations
 
@@ -9,36 +9,86 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tenscasadi.util.validate import Array, finite_array
-
-ControlInput = ArrayLike | Callable[[float], ArrayLike] | None
+from tenscasadi.util.validate import Array, Indices, finite_array
 
 
-@dataclass(frozen=True)
-class Signal:
-    """A control for a run of `steps` steps; `varies` tells whether it may change from step to step."""
+@dataclass(frozen=True, eq=False)
+class ControlProfile:
+    """A control on a mesh of intervals of any lengths, from time 0 to the end of a run.
+
+    Parameters
+    ----------
+    time : ndarray, shape (K + 1,)
+        Nodes of the mesh, s, increasing from 0.
+    values : ndarray, shape (K, nu) or (K + 1, nu)
+        The control in each interval, or at the nodes and linear between them: it is then held at its mean over each step.
+    steps : int
+        Fewest steps of an interval; a run takes more where none may be longer than its `step`.
+    """
+
+    time: Array
+    values: Array
+    steps: int = 1
+
+
+ControlInput = ArrayLike | Callable[[float], ArrayLike] | ControlProfile | None
+
+
+@dataclass(frozen=True, eq=False)
+class SampledControl:
+    """The `steps` steps of a run to `t_end`, s, with the control held in each; `varies`: it may change from step to step.
+
+    ends (steps + 1,): where steps begin and end, s, None: all are equally long.
+    """
 
     steps: int
+    t_end: float
     varies: bool
     sample: Callable[[int, int], Array]
+    ends: Array | None = None
+
+    @property
+    def step(self) -> float:
+        """Length of a step, s, in the mean."""
+        return self.t_end / self.steps
+
+    @property
+    def longest(self) -> float:
+        """Length of the longest step, s."""
+        return self.step if self.ends is None else float(np.diff(self.ends).max())
 
     def window(self, first: int, count: int) -> Array:
-        """The control (count, nu) of the steps from `first` on; past the end of the run the last one is held."""
+        """Return the control (count, nu) of the steps from `first` on; past the end of the run the last one is held."""
         inside = self.sample(first, max(0, min(count, self.steps - first)))
         if len(inside) == count:
             return inside
         last = inside[-1:] if len(inside) else self.sample(self.steps - 1, 1)
         return np.concatenate([inside, np.repeat(last, count - len(inside), axis=0)])
 
+    def lengths(self, first: int, count: int) -> Array:
+        """Return the lengths (count,) of the steps from `first` on, s; past the end of the run those of the last one."""
+        if self.ends is None:
+            return np.full(count, self.step)
+        indices = np.minimum(np.arange(first, first + count), self.steps - 1)
+        return np.asarray(np.diff(self.ends)[indices])
 
-def signal(control: ControlInput, default: Array, t_end: float, steps: int) -> Signal:
-    """`control` (see `simulate`) over [0, t_end] s in at least `steps` equal steps, in more where a table's intervals need it.
+    def times(self, rows: Indices) -> Array:
+        """Return the times, s, at which these steps, counted from 0, begin; at `steps` the run ends."""
+        if self.ends is not None:
+            return np.asarray(self.ends[rows])
+        return np.where(rows == self.steps, self.t_end, rows * self.step)
+
+
+def sample_control(control: ControlInput, default: Array, t_end: float, steps: int) -> SampledControl:
+    """Lay `control` (see `simulate`) over [0, t_end] s in at least `steps` equal steps, in more where the intervals of a table or mesh need it.
 
     `default` (nu,) is used for None. Raises TypeError, ValueError naming `control`; a function's results are checked when it is called.
     """
     nu = len(default)
+    if isinstance(control, ControlProfile):
+        return _sample_profile(control, nu, t_end, t_end / steps)
     if callable(control):
-        return Signal(steps, nu > 0, _of_function(control, nu, t_end / steps))
+        return SampledControl(steps, t_end, nu > 0, _of_function(control, nu, t_end / steps))
     value = default
     if control is not None:
         table = _array(control, nu)
@@ -46,9 +96,29 @@ def signal(control: ControlInput, default: Array, t_end: float, steps: int) -> S
         if table.ndim == 2 and intervals > 1 and nu:
             steps = intervals * -(-steps // intervals)  # so that the control changes between two steps
             # Integers only: a rounded time would put a change one step off.
-            return Signal(steps, True, lambda first, count: table[np.arange(first, first + count) * intervals // steps])
+            return SampledControl(steps, t_end, True, lambda first, count: table[np.arange(first, first + count) * intervals // steps])
         value = table.reshape(-1)
-    return Signal(steps, False, lambda first, count: np.broadcast_to(value, (count, nu)))
+    return SampledControl(steps, t_end, False, lambda first, count: np.broadcast_to(value, (count, nu)))
+
+
+def _sample_profile(profile: ControlProfile, nu: int, t_end: float, longest: float) -> SampledControl:
+    """Cut each interval into equal steps of at most `longest` s."""
+    nodes = finite_array("control.time", profile.time, (None,))
+    count = len(nodes) - 1
+    if count < 1 or nodes[0] != 0 or nodes[-1] != t_end or np.any(np.diff(nodes) <= 0):
+        raise ValueError(f"control.time is {nodes}: give times that increase from 0 to t_end = {t_end:g}")
+    linear = len(profile.values) == count + 1
+    values = finite_array("control.values", profile.values, (count + linear, nu))
+    intervals = np.diff(nodes)
+    cuts = np.maximum(profile.steps, np.ceil(intervals / longest - 1e-9)).astype(int)
+    owner = np.repeat(np.arange(count), cuts)
+    share = (np.arange(len(owner)) - np.repeat(np.cumsum(cuts) - cuts, cuts)) / cuts[owner]
+    ends = np.append(nodes[owner] + share * intervals[owner], t_end)
+    held = values[owner]
+    if linear:
+        middle = (share + 0.5 / cuts[owner])[:, None]
+        held = (1 - middle) * held + middle * values[owner + 1]
+    return SampledControl(len(owner), t_end, count > 1 or linear, lambda first, count: held[first : first + count], ends)
 
 
 def _array(control: Any, nu: int) -> Array:

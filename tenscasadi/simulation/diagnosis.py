@@ -1,4 +1,4 @@
-"""What a run's message says beside its length: why it broke down, what in one that finished is not to be trusted, and the cure."""
+"""Diagnosis of a run, for its message: why it broke down, what in one that finished is not to be trusted, and the cure."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import projection
+from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.validate import Array
 
@@ -21,11 +22,11 @@ _OFF = 1e-6  # of the largest entry of a start: what the constraints may move it
 
 
 def first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
-    """How many rows are good, and what is wrong with the next; "" when all are good. states (T, nx), bar_length_error (T, 1)."""
+    """Count the good rows of states (T, nx) and bar_length_error (T,), and say what is wrong with the next; "" when all are good."""
     faults = {
         "the state is not finite": ~np.all(np.isfinite(states), axis=1),
         "the state is beyond any physical size": np.any(np.abs(states) > _BEYOND, axis=1),
-        f"a bar is off by more than {_BROKEN_BARS:.0%} of its length": bar_length_error[:, 0] > _BROKEN_BARS + bar_length_error[0, 0],
+        f"a bar is off by more than {_BROKEN_BARS:.0%} of its length": bar_length_error > _BROKEN_BARS + bar_length_error[0],
     }
     bad = np.any(list(faults.values()), axis=0)
     bad[0] = False  # the start is the caller's
@@ -35,22 +36,20 @@ def first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
     return row, next(name for name, where in faults.items() if where[row])
 
 
-def cause(model: Model, scheme: Scheme, step: float, time: Array, states: Array, controls: Array) -> str:
-    """Why a run with steps of `step` s diverged, as far as the start and the linearised motion tell, and what to do.
-
-    time (K,), states (K, nx) and controls (K, nu): the start, then others that may tell.
-    """
-    name = type(scheme).__name__
-    if off := _off(model, states[0]):
-        return off
+def explain_divergence(model: Model, scheme: Scheme, run: Trajectory, last: int) -> str:
+    """Say why a run diverged after row `last`, as far as the start and the linearised motion tell, and what to do."""
+    step, name = run.step, type(scheme).__name__
+    if off := off_constraints(model, run.states[0], _OFF)[1]:
+        return f"the start is {off}"
     if scheme.adaptive:
         return f"the error of each step was kept, so the motion itself breaks down or was not resolved: try a smaller {name}(rtol)"
     limits = []
-    for t, x, u in zip(time, states, controls, strict=True):  # the start first: a state that is about to break has limits of its own
+    for row in (0, last):  # the start first: a state that is about to break has limits of its own
+        x, u = run.states[row], run.control[row]
         limits.append(stable_step(model, x, u, scheme, safety=1.0))
         if step > limits[-1]:
             return (
-                f"the step {step:g} s is above the stability limit {limits[-1]:.3g} s of {name} at t = {t:g} s "
+                f"the step {step:g} s is above the stability limit {limits[-1]:.3g} s of {name} at t = {run.time[row]:g} s "
                 f"(fastest rate ω_max = {fastest_rate(model, x, u):.4g} rad/s): try step={0.9 * limits[-1]:.2g}"
             )
     limit = min(limits)
@@ -62,25 +61,22 @@ def cause(model: Model, scheme: Scheme, step: float, time: Array, states: Array,
     )
 
 
-def doubts(
-    model: Model, scheme: Scheme, step: float, start: tuple[Array, Array], observed: dict[str, Array], energy_error: Array, compiled: Compiled
-) -> str:
-    """What is not to be trusted in a run that finished, each after a semicolon, and the cure: its start, its bars, its energy (as when a
+def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Compiled) -> str:
+    """Say what is not to be trusted in a run that finished, each after a semicolon, and the cure: its start, its bars, its energy (as when a
     correction hides what the step destroys).
-
-    step, s; start: state (nx,) and control (nu,); observed: see `record.observe`; energy_error (T,); compiled: see `simulate`.
     """
-    if off := _off(model, start[0]):
-        return f"; {off}"
-    drift = float(observed["bar_length_error"].max())
+    x, u = run.states[0], run.control[0]
+    if off := off_constraints(model, x, _OFF)[1]:
+        return f"; the start is {off}"
+    drift = float(run.bar_length_error.max())
     found = [f"bars are off by up to {drift:.2g} of their length (correction=Projection() holds them)"] if drift > _DRIFTED_BARS else []
-    parts, nodes = observed["energy"], observed["nodes"]
+    parts = run.energy_parts
     scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
-    rounding = _ROUNDING[isinstance(compiled, Single)] * float(np.abs(parts).max() + observed["tension"].sum(axis=1).max() * np.ptp(nodes))
-    largest = float(np.abs(energy_error).max())
+    rounding = _ROUNDING[isinstance(compiled, Single)] * float(np.abs(parts).max() + run.tension.sum(axis=1).max() * np.ptp(run.nodes))
+    largest = float(np.abs(run.energy_error).max())
     if largest > max(_LOST_ENERGY * scale, rounding):  # not for NaN: not known
         found.append(f"energy is off by {largest:.2g} J where {scale:.2g} J move")
-    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, step, *start)}" if found else "")
+    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run.step, x, u)}" if found else "")
 
 
 def _finer(model: Model, scheme: Scheme, step: float, x: Array, u: Array) -> str:
@@ -91,12 +87,13 @@ def _finer(model: Model, scheme: Scheme, step: float, x: Array, u: Array) -> str
     return f"the step is above the stability limit, try step={0.9 * limit:.2g}" if step > limit else "try a smaller step"
 
 
-def _off(model: Model, start: Array) -> str:
-    """Says so when the constraints move a start (nx,)."""
-    moved = float(np.abs(projection(model)(start).full().ravel() - start).max(initial=0.0))
-    if not moved > _OFF * np.abs(start).max(initial=0.0):
-        return ""
-    return (
-        f"the start is off the lengths of its bars or its joints, or about to leave them, by {moved:.2g}: "
-        "start from tenscasadi.projection(model)(state)"
+def off_constraints(model: Model, state: Array, tolerance: float, iterations: int = 3) -> tuple[Array, str]:
+    """Project a state (nx,) onto bars and joints, and say so where that moves it by more than `tolerance` of its largest entry; "" where not."""
+    right = np.asarray(projection(model, iterations)(state).full()).ravel()
+    moving = slice(0, 2 * model.nq)
+    moved = float(np.abs(right - state)[moving].max(initial=0.0))
+    if moved <= tolerance * np.abs(state[moving]).max(initial=0.0):
+        return right, ""
+    return right, (
+        f"off the lengths of its bars or its joints, or about to leave them, by {moved:.2g}: start from tenscasadi.projection(model)(state)"
     )

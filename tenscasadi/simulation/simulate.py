@@ -14,14 +14,13 @@ from tenscasadi.integrators.correction_effect import correction_effect
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
-from tenscasadi.simulation.control_input import ControlInput, Signal, signal
-from tenscasadi.simulation.diagnosis import cause, doubts, first_fault
-from tenscasadi.simulation.record import observe, record
+from tenscasadi.simulation.control_input import ControlInput, SampledControl, sample_control
+from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
 from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
-from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.simulation.trajectory import Trajectory, first_rows, observe_states, record_trajectory
 from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.interrupts import on_interrupt
-from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
+from tenscasadi.util.validate import Array, Indices, finite_array, instance, positive_number, whole_number
 
 _ROWS = 1000  # rows kept when save_every is None
 _LOOK_SECONDS = 0.5  # wall time between checks of the bar lengths
@@ -61,66 +60,66 @@ def simulate(
     returns what it has up to there, with `success` False and the reason in `message`.
     Raises TypeError and ValueError naming the argument, CompileError.
     """
+    _check_options(model, scheme, correction, compiled, progress, energy_balance)
+    start = np.array(model.initial_state if state is None else finite_array("state", state, (model.nx,)))
+    inputs = _lay_grid(model, start, t_end, step, scheme, control)
+    every = max(1, -(-inputs.steps // _ROWS)) if save_every is None else whole_number("save_every", save_every, 1)
+    power, jumps = energy_balance and model.power is not None, energy_balance and inputs.varies
+    built = make_stepper(Task(model, scheme, correction, power, jumps), inputs, compiled)
+    run = _run(model, built.stepper, inputs, np.append(start, np.zeros(int(power or jumps))), every, progress)
+    with np.errstate(all="ignore"):  # rows after a fault overflow: they are cut below
+        supplied = run.rows[:, model.nx] if power or jumps else np.nan if inputs.varies or model.power is not None else 0.0
+        recorded = record_trajectory(
+            model, run.time, run.rows[:, : model.nx], run.controls, step=run.report.step, message="", supplied=supplied, seconds=run.seconds
+        )
+    good, success, message = _judge(model, scheme, run, recorded, compiled)
+    kept = first_rows(recorded, good)
+    if correction is not None:
+        unknown = scheme.adaptive or inputs.ends is not None
+        shift, added = np.full((2, good), np.nan) if unknown else correction_effect(model, scheme, correction, kept.states, kept.control, kept.step)
+        kept = replace(kept, correction_shift=shift, correction_energy=added)
+    attempts, interrupted = run.report.attempts, run.interrupted
+    return replace(kept, success=success, message=message + built.note, compiled=built.compiled, attempts=attempts, interrupted=interrupted)
+
+
+def _check_options(model: Any, scheme: Any, correction: Any, compiled: Any, progress: Any, energy_balance: Any) -> None:
     instance("model", model, Model, "a tenscasadi.Model")
     check_scheme(scheme)
     if correction is not None:
         instance("correction", correction, (Projection, BarLengthCorrection), "Projection(every), BarLengthCorrection(weight) or None")
-    for name, flag in {"compiled": compiled, "progress": progress, "energy_balance": energy_balance}.items():
-        if not isinstance(flag, bool) and not (name == "compiled" and (flag is None or isinstance(flag, Single))):
-            raise TypeError(f"{name} is {flag!r}: give True or False{', None or Single()' if name == 'compiled' else ''}")
-    start = np.array(model.initial_state if state is None else finite_array("state", state, (model.nx,)))
+    if compiled is not None:
+        instance("compiled", compiled, (bool, Single), "True or False, None or Single()")
+    for name, flag in {"progress": progress, "energy_balance": energy_balance}.items():
+        instance(name, flag, bool, "True or False")
+
+
+def _lay_grid(model: Model, start: Array, t_end: float, step: float | None, scheme: Scheme, control: ControlInput) -> SampledControl:
+    """The steps of a run and the control in each."""
+    end = positive_number("t_end", t_end)
     if step is None:
-        step = positive_number("t_end", t_end) / 100 if scheme.adaptive else 1e-3
-    n_steps = _count(positive_number("t_end", t_end), positive_number("step", step))
+        step = end / 100 if scheme.adaptive else 1e-3
+    n_steps = _count(end, positive_number("step", step))
     if model.scene.has_clock:
-        _check_clock(abs(start[-1]) + t_end, t_end / n_steps)
-    inputs = signal(control, model.initial_control, float(t_end), n_steps)
-    every = max(1, -(-inputs.steps // _ROWS)) if save_every is None else whole_number("save_every", save_every, 1)
+        _check_clock(abs(start[-1]) + end, end / n_steps)
+    return sample_control(control, model.initial_control, end, n_steps)
 
-    power = energy_balance and model.power is not None
-    jumps = energy_balance and inputs.varies
-    built = make_stepper(Task(model, scheme, correction, power, jumps), float(t_end) / inputs.steps, inputs.steps, compiled)
-    run = _run(model, built.stepper, inputs, np.append(start, np.zeros(int(power or jumps))), float(t_end), every, progress)
 
-    states, controls = run.rows[:, : model.nx], run.controls
-    # Rows after a fault overflow: they are cut below.
-    with np.errstate(all="ignore"):
-        observed = observe(model, states, controls)
-        energy = observed["energy"].sum(axis=1)
-        supplied = run.rows[:, model.nx] if power or jumps else np.where(model.power is None and not inputs.varies, 0.0, np.nan)
-        error = energy - energy[0] - supplied
-    good, fault = first_fault(states, observed["bar_length_error"])
+def _judge(model: Model, scheme: Scheme, run: _Run, recorded: Trajectory, compiled: Compiled) -> tuple[int, bool, str]:
+    """How many rows are good, whether the run reached its end, and how it ended."""
+    time = run.time
+    good, fault = first_fault(recorded.states, recorded.bar_length_error)
     if fault:
-        why = cause(model, scheme, run.step, run.time[[0, good - 1]], states[[0, good - 1]], controls[[0, good - 1]])
-        message = f"diverged between t = {run.time[good - 1]:g} and {run.time[good]:g} s: {fault}; {why}"
-    elif run.failure:
-        message = f"stopped after t = {run.time[-1]:g} s: {run.failure}"
-    elif run.interrupted:
-        message = f"interrupted from the keyboard, the last state kept is at t = {run.time[-1]:g} s"
-    else:
-        message = f"finished {run.report.text}" + doubts(model, scheme, run.step, (start, controls[0]), observed, error, compiled)
-    told: tuple[Array, Array] | None = None
-    if correction is not None:
-        unknown = np.full(good, np.nan)
-        told = (unknown, unknown) if scheme.adaptive else correction_effect(model, scheme, correction, states[:good], controls[:good], run.step)
-    recorded = record(
-        model,
-        run.time[:good],
-        states[:good],
-        controls[:good],
-        step=run.step,
-        message=message + built.note,
-        success=not (fault or run.failure or run.interrupted),
-        energy_error=error[:good],
-        correction=told,
-        seconds=run.seconds,
-        compiled=built.compiled,
-    )
-    return replace(recorded, attempts=run.report.attempts, interrupted=run.interrupted)
+        why = explain_divergence(model, scheme, recorded, good - 1)
+        return good, False, f"diverged between t = {time[good - 1]:g} and {time[good]:g} s: {fault}; {why}"
+    if run.failure:
+        return good, False, f"stopped after t = {time[-1]:g} s: {run.failure}"
+    if run.interrupted:
+        return good, False, f"interrupted from the keyboard, the last state kept is at t = {time[-1]:g} s"
+    return good, True, f"finished {run.report.text}" + describe_doubts(model, scheme, recorded, compiled)
 
 
 class _Run(NamedTuple):
-    """What the loop left: rows (R, nz) and controls (R, nu) at `time` (R,)."""
+    """Rows (R, nz) and controls (R, nu) at `time` (R,), as the time loop left them."""
 
     time: Array
     rows: Array
@@ -129,11 +128,6 @@ class _Run(NamedTuple):
     seconds: float
     interrupted: bool
     failure: str
-
-    @property
-    def step(self) -> float:
-        """The length of a step, s, in the mean."""
-        return self.report.step
 
 
 def _count(t_end: float, step: float) -> int:
@@ -151,32 +145,30 @@ def _check_clock(latest: float, step: float) -> None:
         raise ValueError(f"state: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0")
 
 
-def _run(model: Model, stepper: Stepper, inputs: Signal, start: Array, t_end: float, every: int, progress: bool) -> _Run:
+def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, every: int, progress: bool) -> _Run:
     """Calls `stepper` until the end of the run or its failure; keeps each `every`-th state and the last."""
-    n, h = inputs.steps, t_end / inputs.steps
-    z = start.copy()
-    try:
-        kept = np.append(np.arange(0, n, every), n)
-        rows, controls = np.empty((len(kept), len(z))), np.empty((len(kept), model.nu))
-    except MemoryError:
-        raise ValueError(f"save_every is {every}: {n / every:.2g} rows do not fit into memory, give a larger save_every or a larger step") from None
-    u = inputs.window(0, 1)
-    rows[0], controls[0], count, interrupted = z, u[0], 1, False
-    failure, pressed = "", []  # CasADi's integrators make a failure of the KeyboardInterrupt that Ctrl-C raises
+    kept, rows, controls = _rows_to_keep(inputs.steps, every, len(start), model.nu)
+    z, u = start, inputs.window(0, 1)
+    rows[0], controls[0], count = z, u[0], 1
+    interrupted, failure = False, ""
+    pressed: list[bool] = []  # CasADi's integrators make a failure of the KeyboardInterrupt that Ctrl-C raises
     began = looked = time.perf_counter()
     try:
-        with on_interrupt(lambda: pressed.append(True), then_raise=True), tqdm(total=n, unit=" steps", unit_scale=True, disable=not progress) as bar:
-            for first in range(0, n, stepper.steps):
+        with (
+            on_interrupt(lambda: pressed.append(True), then_raise=True),
+            tqdm(total=inputs.steps, unit=" steps", unit_scale=True, disable=not progress) as bar,
+        ):
+            for first in range(0, inputs.steps, stepper.steps):
                 if inputs.varies or first == 0:
                     u = np.concatenate([u[-1:], inputs.window(first + 1, stepper.steps)])
-                    stepper.hold(u)
+                    stepper.hold(u, inputs.lengths(first, stepper.steps))
                 after = stepper(z)
                 z = after[-1].copy()
                 end = int(np.searchsorted(kept, first + stepper.steps, side="right"))
                 local = kept[count:end] - first
                 rows[count:end], controls[count:end] = after[local - 1], u[local]
                 count = end
-                bar.update(min(stepper.steps, n - first))
+                bar.update(min(stepper.steps, inputs.steps - first))
                 if not np.all(np.isfinite(z)):
                     if count < len(kept):  # what is not finite stays so up to the next row
                         rows[count], controls[count], count = z, u[-1], count + 1
@@ -184,15 +176,22 @@ def _run(model: Model, stepper: Stepper, inputs: Signal, start: Array, t_end: fl
                 if time.perf_counter() - looked > _LOOK_SECONDS:
                     looked = time.perf_counter()
                     newest = rows[[0, count - 1], : model.nx]
-                    if first_fault(newest, observe(model, newest, controls[[0, count - 1]])["bar_length_error"])[1]:
+                    if first_fault(newest, observe_states(model, newest, controls[[0, count - 1]])["bar_length_error"][:, 0])[1]:
                         break
     except StepFailure as error:
-        interrupted = bool(pressed)
-        failure = "" if pressed else str(error)
+        interrupted, failure = bool(pressed), "" if pressed else str(error)
     except KeyboardInterrupt:
         interrupted = True
-    report = stepper.report(int(kept[count - 1]), h)
-    times = kept[:count] * h
-    if count == len(kept):
-        times[-1] = t_end
-    return _Run(times, rows[:count], controls[:count], report, time.perf_counter() - began, interrupted, failure)
+    report = stepper.report(int(kept[count - 1]), inputs.step)
+    return _Run(inputs.times(kept[:count]), rows[:count], controls[:count], report, time.perf_counter() - began, interrupted, failure)
+
+
+def _rows_to_keep(steps: int, every: int, nz: int, nu: int) -> tuple[Indices, Array, Array]:
+    """The steps after which a row is kept, and memory for states and controls there."""
+    try:
+        kept = np.append(np.arange(0, steps, every), steps)
+        return kept, np.empty((len(kept), nz)), np.empty((len(kept), nu))
+    except MemoryError:
+        raise ValueError(
+            f"save_every is {every}: {steps / every:.2g} rows do not fit into memory, give a larger save_every or a larger step"
+        ) from None

@@ -14,6 +14,7 @@ from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.integrators.sundials import Sundials
+from tenscasadi.simulation.control_input import SampledControl
 from tenscasadi.simulation.time_loop import chunk_function, chunk_steps, energy_function
 from tenscasadi.util.compile import Compiled, CompileError, Single, compile_function, find_compiler
 from tenscasadi.util.validate import Array
@@ -42,8 +43,8 @@ class Stepper(Protocol):
 
     steps: int
 
-    def hold(self, controls: Array) -> None:
-        """Sets the control of each grid step of the next calls and of the one after: (steps + 1, nu)."""
+    def hold(self, controls: Array, lengths: Array) -> None:
+        """Set the lengths (steps,), s, of the grid steps of the next calls, and the controls (steps + 1, nu) of these and of the one after."""
 
     def __call__(self, z: Array) -> Array:
         """z after each grid step (steps, nz), valid until the next call. Raises StepFailure."""
@@ -78,14 +79,14 @@ def check_single(scheme: Scheme) -> None:
         raise ValueError(f"{type(scheme).__name__}.{name} is {asked:g}: give {_SINGLE:g} or more in single precision, less is rounding")
 
 
-def make_stepper(task: Task, step: float, steps: int, compiled: Compiled) -> Built:
-    """The stepper of a task on a grid of `steps` steps of `step` s; `compiled` as for `simulate`. Raises CompileError, ValueError."""
+def make_stepper(task: Task, inputs: SampledControl, compiled: Compiled) -> Built:
+    """Build the stepper of a task on the grid of `inputs`; `compiled` as for `simulate`. Raises CompileError, ValueError."""
     model, scheme, correction = task.model, task.scheme, task.correction
     every = 1 if correction is None else correction.every
     if isinstance(scheme, Sundials):
         if compiled:
             raise CompileError(f"{type(scheme).__name__} is an integrator of SUNDIALS, which makes no C code: give compiled=None or another scheme")
-        return Built(SundialsStepper(task, scheme, step), False, "")
+        return Built(SundialsStepper(task, scheme, inputs.longest), False, "")
     if scheme.adaptive and every != 1:
         raise ValueError(f"correction.every is {every}: {type(scheme).__name__} with rtol corrects after each of its own steps, give every=1")
     single = isinstance(compiled, Single)
@@ -96,14 +97,14 @@ def make_stepper(task: Task, step: float, steps: int, compiled: Compiled) -> Bui
         try:
             chunk = every if scheme.implicit else chunk_steps(model, every)  # Newton's method takes longer than a call
             function = compile_function(_function(task, chunk), single=single)
-            return Built(_wrapped(task, function, step), True, "; in single precision" if single else "")
+            return Built(_wrapped(task, function, inputs.longest), True, "; in single precision" if single else "")
         except CompileError as error:
             if compiled:
                 raise
             found = find_compiler()
             note = "; not compiled: " + (f"{found[0]} failed, compiled=True shows why" if found else str(error))
-    short = every * min(chunk_steps(model, every) // every, -(-steps // every))  # nothing is reused: no longer than the run
-    return Built(_wrapped(task, _function(task, short), step), False, note)
+    short = every * min(chunk_steps(model, every) // every, -(-inputs.steps // every))  # nothing is reused: no longer than the run
+    return Built(_wrapped(task, _function(task, short), inputs.longest), False, note)
 
 
 def _function(task: Task, steps: int) -> ca.Function:
@@ -115,16 +116,15 @@ def _function(task: Task, steps: int) -> ca.Function:
 def _wrapped(task: Task, function: ca.Function, step: float) -> Stepper:
     if isinstance(task.scheme, EmbeddedRungeKutta) and task.scheme.adaptive:
         return AdaptiveStepper(task, function, task.scheme, step)
-    return LoopStepper(function, step)
+    return LoopStepper(function)
 
 
 class LoopStepper:
     """Calls of `chunk_function`'s Function on NumPy memory, without conversions."""
 
-    def __init__(self, function: ca.Function, step: float) -> None:
-        self._z = np.zeros(function.size1_in(0))
-        self._h = np.full(function.size2_in(1), step)
-        self.steps = len(self._h)
+    def __init__(self, function: ca.Function) -> None:
+        self.steps = function.size2_in(1)
+        self._z, self._h = np.zeros(function.size1_in(0)), np.zeros(self.steps)
         self._u = np.zeros((self.steps + 1, function.size1_in(2)))
         self._out = np.zeros((self.steps, len(self._z)))
         self._buffer: Any
@@ -135,9 +135,9 @@ class LoopStepper:
                 self._buffer.set_arg(i, values.reshape(-1).data)
         self._buffer.set_res(0, self._out.reshape(-1).data)
 
-    def hold(self, controls: Array) -> None:
-        """Sets the control of each step of the next calls and of the one after: (steps + 1, nu)."""
-        self._u[:] = controls
+    def hold(self, controls: Array, lengths: Array) -> None:
+        """See `Stepper.hold`."""
+        self._u[:], self._h[:] = controls, lengths
 
     def __call__(self, z: Array) -> Array:
         """z after each step (steps, nz), valid until the next call."""
@@ -175,9 +175,10 @@ class AdaptiveStepper:
         for i, values in enumerate(self._after):
             self._buffer.set_res(i, values.data)
 
-    def hold(self, controls: Array) -> None:
-        """Sets the control of the next grid step and of the one after: (2, nu)."""
+    def hold(self, controls: Array, lengths: Array) -> None:
+        """See `Stepper.hold`."""
         self._u[:], self._next_u[:] = controls
+        self._step = float(lengths[0])
 
     def __call__(self, z: Array) -> Array:
         """z at the end of the grid step (1, nz). Raises StepFailure."""
@@ -212,7 +213,7 @@ class AdaptiveStepper:
     def report(self, taken: int, step: float) -> Report:
         """See `Stepper.report`."""
         m = Memory(*self._memory)
-        mean = (self._calls * self._step - m.rest) / m.accepted if m.accepted else step
+        mean = (self._calls * step - m.rest) / m.accepted if m.accepted else step
         text = f"{m.accepted:.0f} steps of {mean:.3g} s in the mean, {m.rejected:.0f} more rejected"
         text += f", {m.located:.0f} to locate {m.events:.0f} events" if m.events else ""
         return Report(text, mean, round(m.accepted + m.rejected + m.located))
@@ -234,26 +235,26 @@ class SundialsStepper:
         equations = scheme.equations(model, power)
         grid = (np.arange(1, self.steps + 1) * step).tolist()
         self._integrate = scheme.integrator(equations, grid, scheme.absolute(model))
-        self._single = scheme.integrator(equations, grid[:1], scheme.absolute(model))
         self._start = scheme.algebraic_start(model)
-        self._controls = np.zeros((self.steps + 1, model.nu))
+        self._advance = scheme.advance(model, power)
+        self._step = step
 
-    def hold(self, controls: Array) -> None:
-        """Sets the control of each grid step of the next calls and of the one after: (steps + 1, nu)."""
-        self._controls = controls
+    def hold(self, controls: Array, lengths: Array) -> None:
+        """See `Stepper.hold`."""
+        self._controls, self._lengths = controls, lengths
 
     def __call__(self, z: Array) -> Array:
         """z after each grid step (steps, nz). Raises StepFailure."""
         nx, u = self._model.nx, self._controls
         start = z[: len(z) - self._extra]
         try:
-            if (u[: self.steps] == u[0]).all():
-                rows = self._run(self._integrate, start, u[: self.steps])
+            if (u[: self.steps] == u[0]).all() and (self._lengths == self._step).all():
+                rows = self._run(start, u[: self.steps])
             else:  # CVODES steps over a change of the control: each grid step starts anew
-                parts = [start[None]]
-                for k in range(self.steps):
-                    parts.append(self._run(self._single, parts[-1][-1], u[k : k + 1]))
-                rows = np.vstack(parts[1:])
+                parts = [start]
+                for control, length in zip(u, self._lengths, strict=False):
+                    parts.append(np.asarray(self._advance(parts[-1], control, length).full()).ravel())
+                rows = np.array(parts[1:])
         except RuntimeError as error:
             found = re.search(r'(\w+) returned "(\w+)"', str(error))
             words = f"{found[1]} returned {found[2]}" if found else str(error).strip().splitlines()[-1]
@@ -269,9 +270,9 @@ class SundialsStepper:
                 rows[k:, nx] += float(self._energy(rows[k, :nx], u[k + 1])) - float(self._energy(rows[k, :nx], u[k]))
         return rows
 
-    def _run(self, integrate: ca.Function, start: Array, controls: Array) -> Array:
+    def _run(self, start: Array, controls: Array) -> Array:
         guess = {} if self._start is None else {"z0": self._start(start[: self._model.nx], controls[0])}
-        return np.asarray(integrate(x0=start, u=controls.T, **guess)["xf"].full()).T
+        return np.asarray(self._integrate(x0=start, u=controls.T, **guess)["xf"].full()).T
 
     def report(self, taken: int, step: float) -> Report:
         """See `Stepper`."""

@@ -1,15 +1,17 @@
-"""What a simulation returns: motion, forces, energies and errors over time, kept in .npz files."""
+"""Trajectories: motion, forces, energies and errors over time, computed from a model's states and kept in .npz files."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from tenscasadi.dynamics.model import Model
 from tenscasadi.util import archive
 from tenscasadi.util.validate import Array, Indices
 
@@ -18,18 +20,74 @@ _FORMAT = "tenscasadi trajectory 1"
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A motion of n nodes, β bars and α strings at T saved times. Arrays are read-only; SI units.
+    """Motion of n nodes, β bars and α strings at T saved times, with the errors of the numerics.
 
-    time (T,) s; nodes (T, n, 3) m; velocities (T, n, 3) m/s; force_density (T, α) N/m and tension (T, α) N of the strings;
-    energy (T,) J in total and energy_parts (T, 3) kinetic, elastic, gravity;
-    energy_error (T,) J: what the total gained beyond the work of all forces and of changes of the control, so an error of the numerics
-    (NaN where it was not computed); bar_length_error (T,): the largest |length − l| / l; joint_error (T,) m: the largest gap of a joint;
-    correction_shift (T,) m and correction_energy (T,) J: how far the correction after the step that starts here moves a node, and what it adds to
-    the energy (0 without correction, NaN for schemes that take their own steps: how long the step before a correction was is not kept);
-    states (T, nx) and control (T, nu) of the model: a row's control acts from that row's time on (in the last row: until that time);
-    bars (β, 2), strings (α, 2) and pinned (any,): node indices; success and message tell how the run ended, interrupted whether from the
-    keyboard; step s, in the mean; attempts: steps computed, with those that error control rejected or took to locate events (0: not
-    counted); seconds: wall time of the time loop; compiled: whether it ran as machine code.
+    `simulate` and the plans of `ocp` return it. All arrays are read-only.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        Saved times, s.
+    nodes : ndarray, shape (T, n, 3)
+        Positions of the nodes, m.
+    velocities : ndarray, shape (T, n, 3)
+        Velocities of the nodes, m/s.
+    force_density : ndarray, shape (T, α)
+        Force densities of the strings, N/m.
+    tension : ndarray, shape (T, α)
+        Tensions of the strings, N.
+    energy : ndarray, shape (T,)
+        Total energy, J.
+    energy_parts : ndarray, shape (T, 3)
+        Kinetic, elastic and gravitational energy, J.
+    energy_error : ndarray, shape (T,)
+        Energy gained beyond the work of all forces and of changes of the control, J: an error of the numerics. NaN where it was not computed.
+    bar_length_error : ndarray, shape (T,)
+        Largest relative error of a bar's length.
+    joint_error : ndarray, shape (T,)
+        Largest gap of a joint, m.
+    correction_shift : ndarray, shape (T,)
+        Distance by which the correction after the step that starts here moves a node, m. It is 0 without correction, and NaN for schemes
+        that take their own steps, because the length of their last step is not kept.
+    correction_energy : ndarray, shape (T,)
+        Energy that this correction adds, J; 0 and NaN as above.
+    states : ndarray, shape (T, nx)
+        States of the model.
+    control : ndarray, shape (T, nu)
+        Controls of the model. A row acts from its time on, the last row until its time.
+    bars : ndarray of int, shape (β, 2)
+        Nodes at the ends of each bar.
+    strings : ndarray of int, shape (α, 2)
+        Nodes at the ends of each string.
+    pinned : ndarray of int
+        Nodes that are pinned.
+    success : bool
+        Whether the run reached its end.
+    message : str
+        How the run ended, and which of its results are not to be trusted.
+    step : float
+        Mean length of a step, s.
+    seconds : float
+        Wall time of the time loop, s.
+    compiled : bool
+        Whether the loop ran as machine code.
+    attempts : int
+        Number of steps computed, with those that the control of the error rejected or took to locate events; 0 where they were not counted.
+    interrupted : bool
+        Whether the run was interrupted from the keyboard.
+
+    See Also
+    --------
+    simulate : Simulate a model.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> run = tc.simulate(tc.Model(tc.Scene(tc.shapes.prism())), t_end=0.1, step=0.01, compiled=False)
+    >>> run
+    Trajectory(11 rows, 6 nodes, t = 0 … 0.1 s, success=True)
+    >>> run.nodes.shape
+    (11, 6, 3)
     """
 
     time: Array
@@ -70,7 +128,13 @@ class Trajectory:
         return f"Trajectory({len(self.time)} rows, {self.nodes.shape[1]} nodes, t = {self.time[0]:g} … {self.time[-1]:g} s, success={self.success})"
 
     def summary(self) -> str:
-        """How the run went, its errors and its speed, as a few lines of text."""
+        """Return a few lines of text on the run: how it ended, its errors and its speed.
+
+        Returns
+        -------
+        str
+            One quantity a line, with its unit.
+        """
         steps = round((self.time[-1] - self.time[0]) / self.step)
         rate = f" ({steps / self.seconds:,.0f} steps/s)" if self.seconds > 0 else ""
         tried = f" by {self.attempts} attempts" if self.attempts > steps else ""
@@ -94,21 +158,68 @@ class Trajectory:
         return "\n".join(lines)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes a compressed .npz file (NumPy arrays only) to exactly `path` and returns it. Raises OSError when it cannot be written."""
+        """Write the trajectory to a compressed .npz file, which holds NumPy arrays only.
+
+        Parameters
+        ----------
+        path : str or PathLike
+            File to write; no ending is added.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
         content = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
         return archive.save(path, _FORMAT, content)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Trajectory:
-        """The trajectory saved in `path`. No code in the file is ever run.
+        """Read a trajectory that `save` has written. No code in the file is ever run.
 
-        Raises FileNotFoundError, and ValueError naming the file and the field for one that cannot be read or is no trajectory.
+        Parameters
+        ----------
+        path : str or PathLike
+            File to read.
+
+        Returns
+        -------
+        Trajectory
+            The saved trajectory.
+
+        Raises
+        ------
+        FileNotFoundError
+            There is no such file.
+        ValueError
+            The file cannot be read or holds no trajectory; the message names the file and the field.
         """
         return archive.load(path, _FORMAT, "trajectory", Trajectory.from_arrays, Trajectory.__dataclass_fields__)
 
     @staticmethod
     def from_arrays(content: dict[str, Any]) -> Trajectory:
-        """The trajectory whose fields are these arrays, by name; those with a default may be missing. ValueError naming what is wrong."""
+        """Build a trajectory from arrays.
+
+        Parameters
+        ----------
+        content : dict of str to ndarray
+            The fields by name. Those with a default may be missing.
+
+        Returns
+        -------
+        Trajectory
+            The trajectory with these fields.
+
+        Raises
+        ------
+        ValueError
+            A field is missing, or its type, shape or indices do not fit; the message names it.
+        """
         given = {}
         for field in fields(Trajectory):
             if field.name in content:
@@ -121,7 +232,66 @@ class Trajectory:
         return Trajectory(**{name: value.item() if value.ndim == 0 else value for name, value in given.items()})
 
 
-# The shape of each field by the letters of the class's description, and the kind of its numbers (NumPy's letters; i: also small integers).
+def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Array]:
+    """Evaluate `model.observe` on states (T, nx) and controls (T, nu): its outputs by name, each (T, size)."""
+    rows = len(states)
+    mapped = model.observe.map(rows)
+    results = mapped.call([ca.DM(states.T), ca.DM(controls.T) if model.nu else ca.DM(0, rows)])
+    return {name: result.full().T.copy() for name, result in zip(model.observe.name_out(), results, strict=True)}
+
+
+def record_trajectory(
+    model: Model,
+    time: Array,
+    states: Array,
+    controls: Array,
+    *,
+    step: float,
+    message: str,
+    success: bool = True,
+    supplied: Array | float = np.nan,
+    seconds: float = 0.0,
+) -> Trajectory:
+    """Compute all that a trajectory tells of states (T, nx) under controls (T, nu) at `time` (T,).
+
+    supplied: energy given to the model since the start, J, a number or (T,), NaN: not known. The rest as in `Trajectory`.
+    """
+    rows = len(time)
+    observed = observe_states(model, states, controls)
+    energy = observed["energy"].sum(axis=1)
+    nodes = (rows, len(model.structure.nodes), 3)
+    return Trajectory(
+        time=time,
+        nodes=observed["nodes"].reshape(nodes),
+        velocities=observed["velocities"].reshape(nodes),
+        force_density=observed["force_density"],
+        tension=observed["tension"],
+        energy=energy,
+        energy_parts=observed["energy"],
+        energy_error=energy - energy[0] - supplied,
+        bar_length_error=observed["bar_length_error"][:, 0],
+        joint_error=observed["joint_error"][:, 0],
+        correction_shift=np.zeros(rows),
+        correction_energy=np.zeros(rows),
+        states=states.copy(),
+        control=controls,
+        bars=model.structure.bars,
+        strings=model.structure.strings,
+        pinned=np.array(sorted(model.structure.pinned), dtype=np.intp),
+        success=success,
+        message=message,
+        step=step,
+        seconds=seconds,
+        compiled=False,
+    )
+
+
+def first_rows(trajectory: Trajectory, count: int) -> Trajectory:
+    """Return a trajectory of the first `count` rows."""
+    return replace(trajectory, **{name: getattr(trajectory, name)[:count] for name, (letters, _) in _SHAPES.items() if letters.startswith("T")})
+
+
+# The shape of each field by the letters of the class's docstring, and the kind of its numbers (NumPy's letters; i: also small integers).
 _SHAPES: dict[str, tuple[str, str]] = {
     "time": ("T", "f"),
     "nodes": ("Tn3", "f"),

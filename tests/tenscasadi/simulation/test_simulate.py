@@ -23,10 +23,10 @@ from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
-from tenscasadi.simulation.record import observe
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.steppers import SundialsStepper
 from tenscasadi.simulation.time_loop import chunk_steps
+from tenscasadi.simulation.trajectory import observe_states
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import CompileError, find_compiler
@@ -465,7 +465,7 @@ def test_saved_and_loaded(tmp_path: Path) -> None:
 def test_observed_is_what_the_model_says_row_by_row() -> None:
     model = Model(Scene(shapes.d_bar(pinned=(0,), prestress=10.0), control=RestLength(), gravity=Gravity((0, 0, -G))), "full")
     states = moving(model) + 1e-3 * np.random.default_rng(0).normal(size=(5, model.nx))
-    observed = observe(model, states, np.tile(model.initial_control, (5, 1)))
+    observed = observe_states(model, states, np.tile(model.initial_control, (5, 1)))
     for row, x in enumerate(states):
         assert observed["nodes"][row].reshape(-1, 3) == pytest.approx(model.nodes(x))
         assert observed["velocities"][row].reshape(-1, 3) == pytest.approx(model.velocities(x))
