@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.util.validate import Array, Indices, finite_array
 
+ControlInput = ArrayLike | Callable[[float], ArrayLike] | None
+
 
 @dataclass(frozen=True, eq=False)
 class ControlProfile:
@@ -29,9 +31,6 @@ class ControlProfile:
     time: Array
     values: Array
     steps: int = 1
-
-
-ControlInput = ArrayLike | Callable[[float], ArrayLike] | ControlProfile | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +78,7 @@ class SampledControl:
         return np.where(rows == self.steps, self.t_end, rows * self.step)
 
 
-def sample_control(control: ControlInput, default: Array, t_end: float, steps: int) -> SampledControl:
+def sample_control(control: ControlInput | ControlProfile, default: Array, t_end: float, steps: int) -> SampledControl:
     """Lay `control` (see `simulate`) over [0, t_end] s in at least `steps` equal steps, in more where the intervals of a table or mesh need it.
 
     `default` (nu,) is used for None. Raises TypeError, ValueError naming `control`; a function's results are checked when it is called.

@@ -14,7 +14,7 @@ from tenscasadi.integrators.correction_effect import correction_effect
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
-from tenscasadi.simulation.control_input import ControlInput, SampledControl, sample_control
+from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, sample_control
 from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
 from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
 from tenscasadi.simulation.trajectory import Trajectory, first_rows, observe_states, record_trajectory
@@ -33,7 +33,7 @@ def simulate(
     step: float | None = None,
     scheme: Scheme = RungeKutta4(),
     state: Any = None,
-    control: ControlInput = None,
+    control: ControlInput | ControlProfile = None,
     correction: Correction | None = None,
     save_every: int | None = None,
     compiled: Compiled = None,
@@ -93,7 +93,7 @@ def _check_options(model: Any, scheme: Any, correction: Any, compiled: Any, prog
         instance(name, flag, bool, "True or False")
 
 
-def _lay_grid(model: Model, start: Array, t_end: float, step: float | None, scheme: Scheme, control: ControlInput) -> SampledControl:
+def _lay_grid(model: Model, start: Array, t_end: float, step: float | None, scheme: Scheme, control: ControlInput | ControlProfile) -> SampledControl:
     """The steps of a run and the control in each."""
     end = positive_number("t_end", t_end)
     if step is None:
