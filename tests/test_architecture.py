@@ -24,9 +24,6 @@ OCP = ("problem", "boundary", "transcription", {"solvers", "presolve"}, "plan", 
 OPEN_TO_OCP = {*_MODEL, "design", "ensemble"}
 ENTRANCES = {"tenscasadi.__main__", "tenscasadi.animation"}  # documented paths that only lead into a room
 LINES = 400
-OWED = {  # arrows that still run back; each goes when the two are merged or split
-    ("tenscasadi.integrators.correction_effect", "tenscasadi.simulation.time_loop"),
-}
 
 
 def modules() -> dict[str, Path]:
@@ -70,8 +67,6 @@ def test_a_package_imports_only_packages_to_its_left(module):
     package = module.partition(".")[0]
     room, own = place(module)
     for other, at_top in imported(MODULES[module]):
-        if (module, other) in OWED:
-            continue
         assert "." in other or (room == "cli" and other == "ocp"), f"{module} imports the whole package: name the module"
         other_room, level = place(other) if "." in other else ("", 0)
         if package == "tenscasadi" and other.startswith("ocp"):

@@ -84,6 +84,13 @@ class Model(StateSpace):
         return ca.Function("observe", [x, u], [ca.densify(value) for value in outputs.values()], ["x", "u"], list(outputs))
 
     @cached_property
+    def energy_function(self) -> ca.Function:
+        """(x, u) → total energy, J, without the rest of what `observe` computes."""
+        x, u = self._symbols(not self.mechanism.large)
+        energy = ca.sum1(self.observe(x, u)[self.observe.index_out("energy")])
+        return ca.Function("energy", [x, u], [energy], ["x", "u"], ["energy"])
+
+    @cached_property
     def power(self) -> ca.Function | None:
         """(x, u) → power, W, of all forces that `energy` does not hold; None when there are none. Jumps of the control are not in it."""
         if self.conservative:

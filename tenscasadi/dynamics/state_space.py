@@ -45,6 +45,7 @@ class StateSpace:
         self.nq = len(self._free)
         self.nx = 2 * self.nq + (1 if scene.has_clock else 0)
         self.nu = 0 if scene.control is None else len(scene.structure.strings)
+        self.functions: dict[tuple[Any, ...], ca.Function] = {}  # of this model, built by other modules that need the same several times
         message = find_redundancy(self.mechanism)
         if message:
             warnings.warn(message, RedundantConstraints, stacklevel=2)

@@ -10,7 +10,6 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
-from tenscasadi.simulation.time_loop import energy_function
 from tenscasadi.util.validate import Array
 
 
@@ -23,7 +22,7 @@ def correction_effect(model: Model, scheme: Scheme, correction: Correction, stat
     project = correction.step(model)
     if project is None:
         return np.zeros(len(states)), np.zeros(len(states))
-    advance, energy = scheme.advance(model), energy_function(model)
+    advance, energy = scheme.advance(model), model.energy_function
     x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
     chained = advance if correction.every == 1 else advance.fold(correction.every)
     before: Any = chained(x, ca.repmat(u, 1, correction.every), ca.DM.ones(1, correction.every) * step)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -77,14 +76,10 @@ def projection(model: Model, iterations: int = 3) -> ca.Function:
     Raises TypeError for anything but a Model.
     """
     instance("model", model, Model, "a tenscasadi.Model")
-    mech, built = model.mechanism, _PROJECTIONS.setdefault(model, {})
-    count = iterations if mech.system_size else 1
-    if count not in built:
-        built[count] = _projection(model, count)
-    return built[count]
-
-
-_PROJECTIONS: WeakKeyDictionary[Model, dict[int, ca.Function]] = WeakKeyDictionary()  # a plan asks for the same several times
+    key = "projection", iterations if model.mechanism.system_size else 1
+    if key not in model.functions:  # a plan asks for the same several times
+        model.functions[key] = _projection(model, key[1])
+    return model.functions[key]
 
 
 def _projection(model: Model, iterations: int) -> ca.Function:

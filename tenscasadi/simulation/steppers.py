@@ -15,7 +15,7 @@ from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.simulation.control_input import SampledControl
-from tenscasadi.simulation.time_loop import chunk_function, chunk_steps, energy_function
+from tenscasadi.simulation.time_loop import chunk_function, chunk_steps
 from tenscasadi.util.compile import Compiled, CompileError, Single, compile_function, find_compiler
 from tenscasadi.util.validate import Array
 
@@ -160,7 +160,7 @@ class AdaptiveStepper:
     def __init__(self, task: Task, function: ca.Function, scheme: EmbeddedRungeKutta, step: float) -> None:
         self._scheme, self._step, self._calls = scheme, step, 0
         self._nx, self._nz = task.model.nx, function.size1_in(0)
-        self._energy = energy_function(task.model) if task.jumps else None
+        self._energy = task.model.energy_function if task.jumps else None
         self._z, self._out = np.zeros(self._nz), np.zeros((1, task.model.nx + (task.power or task.jumps)))
         self._memory = np.zeros(len(Memory._fields))
         self._memory[_STEP] = step
@@ -230,7 +230,7 @@ class SundialsStepper:
         self.steps = _SUNDIALS_STEPS if correction is None else correction.every
         self._model, self._scheme = model, scheme
         self._project = None if correction is None else correction.step(model)
-        self._energy = energy_function(model) if task.jumps else None
+        self._energy = model.energy_function if task.jumps else None
         self._extra = task.jumps and power is None  # an entry for the energy supplied that the integrator does not know
         equations = scheme.equations(model, power)
         grid = (np.arange(1, self.steps + 1) * step).tolist()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
@@ -52,17 +50,10 @@ def _advance(model: Model, scheme: Scheme, project: ca.Function | None, power: b
     if project is not None:
         x = project(x)
     if jumps:
-        energy = energy_function(model)
+        energy = model.energy_function
         supplied = supplied + energy(x, u_next) - energy(x, u)
     inputs = {"z": z, "h": h, "u": u} | ({"u_next": u_next} if jumps else {})
     return ca.Function("advance", list(inputs.values()), [ca.densify(ca.vertcat(x, supplied))], list(inputs), ["z_next"])
-
-
-def energy_function(model: Model) -> ca.Function:
-    """(x, u) -> total energy in joule, without the rest of what `model.observe` computes."""
-    kind: Any = ca.SX if model.observe.is_a("SXFunction") else ca.MX
-    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
-    return ca.Function("energy", [x, u], [ca.sum1(model.observe(x, u)[model.observe.index_out("energy")])], ["x", "u"], ["energy"])
 
 
 def _repeat(name: str, step: ca.Function, times: int) -> ca.Function:
