@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lstsq, null_space
 from scipy.optimize import nnls
 
-from tenscasadi.structure.structure import Structure, connectivity
+from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, nonnegative, per_item
 
 TOLERANCE = 1e-9  # relative: singular values and unbalanced forces below it are rounding

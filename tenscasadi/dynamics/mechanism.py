@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.structure.structure import Structure, connectivity
+from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import block_inverse, drop_rounding, is_diagonal, sparse
 from tenscasadi.util.validate import Array, Indices
 

@@ -44,7 +44,7 @@ class Layout(NamedTuple):
 
 
 class MatrixInput(NamedTuple):
-    """What the paper's matrices say of the physical structure; `layout` is None when bars share columns."""
+    """The paper's matrices read as the physical structure; `layout` is None when bars share columns."""
 
     nodes: Array  # (n, 3)
     bars: Indices
@@ -61,7 +61,7 @@ def connectivity(pairs: Indices, count: int) -> csr_array:
     return csr_array((np.tile([-1.0, 1.0], members), (rows, pairs.ravel())), shape=(members, count))
 
 
-def selection(columns: Indices, count: int) -> csr_array:
+def selection_matrix(columns: Indices, count: int) -> csr_array:
     """Rows of the identity of size `count`: picks `columns`, in order."""
     return csr_array((np.ones(len(columns)), (np.arange(len(columns)), columns)), shape=(len(columns), count))
 
@@ -90,7 +90,7 @@ def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices)
     return Layout(physical, np.column_stack([ends, ends + len(bars)]), first[strings], share, P)
 
 
-def extended(layout: Layout, count: int, strings: Indices, parent: Indices) -> Layout:
+def extend_layout(layout: Layout, count: int, strings: Indices, parent: Indices) -> Layout:
     """`layout` of `count` nodes once its strings are cut into `strings` (segments, 2): new nodes get columns after the others.
 
     An end at an old node stays in the column where the string that was cut, `parent`, has it.
@@ -107,13 +107,13 @@ def extended(layout: Layout, count: int, strings: Indices, parent: Indices) -> L
     )
 
 
-def split(layout: Layout, nodes: Array, inertia: Array, mass: Array, node_mass: Array, sparse: bool) -> ClassOne:
+def class_one(layout: Layout, nodes: Array, inertia: Array, mass: Array, node_mass: Array, sparse: bool) -> ClassOne:
     """The matrices of `layout` for nodes (n, 3), bar inertia J and mass m (β,) and point masses (n,)."""
     count = len(layout.physical)
     N = nodes[layout.physical].T
     bar_ends = np.unique(layout.bar_columns)
-    C_nb = selection(bar_ends, count)
-    C_ns = selection(np.setdiff1d(np.arange(count), bar_ends), count)
+    C_nb = selection_matrix(bar_ends, count)
+    C_ns = selection_matrix(np.setdiff1d(np.arange(count), bar_ends), count)
     bars = np.searchsorted(bar_ends, layout.bar_columns)
     C_b = connectivity(bars, len(bar_ends))
     M_b = bar_mass_matrix(bars, inertia, mass, len(bar_ends))

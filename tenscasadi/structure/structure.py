@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -10,28 +11,71 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, diags_array
 
-from tenscasadi.structure.class_one import ClassOne, Layout, bar_mass_matrix, connectivity, default_layout, extended, read_matrices, split
-from tenscasadi.structure.subdivision import split_strings
+from tenscasadi.structure.class_one import ClassOne, Layout, bar_mass_matrix, class_one, connectivity, default_layout, extend_layout, read_matrices
+from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
 from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, node_index, node_pairs, nonnegative, per_item
 
-__all__ = ["ClassOne", "Structure", "connectivity"]
-
-PARAMETERS = ("nodes", "bars", "strings", "bar_mass", "bar_radius", "node_mass", "pinned", "stiffness", "damping", "rest_length", "string_mass")
 SHORTEST = 1e-12  # of the largest coordinate: below it rounding decides where a member points
 THICKEST = 1e3  # radius over length: beyond it M loses its positive definiteness to rounding
 
 
 class Structure:
-    """n physical nodes, β rigid bars and α strings. Immutable, its arrays are read-only; scalars stand for one value each.
+    """Physical nodes, rigid bars and strings, with their masses, stiffness and pins.
 
-    nodes (n, 3) in metres. bars, strings: pairs of node indices; bars that meet share the node (class k).
-    bar_mass (β,) kg > 0 and bar_radius (β,) m ≥ 0 give J = m/12 + m r²/(4 l²) (Eq. 19). node_mass (n,) kg ≥ 0: point masses.
-    stiffness (α,) N/m ≥ 0, damping (α,) N·s/m ≥ 0, rest_length (α,) m > 0 (None: as long as the string is in `nodes`).
-    string_mass (α,) kg ≥ 0 acts once `subdivide` puts it on nodes. pinned: nodes held in place, or {node: "xz"} to hold some axes.
+    A structure does not change and its arrays are read-only: `replace` gives another one. One number given for an array
+    stands for one equal value for each item. Bars that meet share a node: a node of k bars is a class-k joint.
 
-    Raises TypeError or ValueError that names the field, e.g. when the mass matrix would be singular at a node of no bar.
-    Further attributes: fixed (n, 3) bool, bar_lengths (β,), string_lengths (α,), bar_inertia (β,) J in kg; string_parent (α,)
-    and string_fraction (α,): the string that `subdivide` cut each string from, and its share of that string's length.
+    Parameters
+    ----------
+    nodes : array_like, shape (n, 3)
+        Positions, m.
+    bars : sequence of pairs of int
+        Nodes that each of the β bars joins, zero-based.
+    strings : sequence of pairs of int
+        Nodes that each of the α strings joins, zero-based.
+    bar_mass : array_like, shape (β,)
+        Mass of each bar, kg, greater than 0.
+    bar_radius : array_like, shape (β,)
+        Radius of each bar, m; it enters the inertia J = m/12 + m r²/(4 l²) only (Eq. 19).
+    node_mass : array_like, shape (n,)
+        Point mass on each node, kg.
+    pinned : iterable of int or mapping of int to str
+        Nodes that are held in place, or axes along which each node is held, such as ``{0: "xyz", 3: "z"}``.
+    stiffness : array_like, shape (α,)
+        Force of each string per stretch, N/m.
+    damping : array_like, shape (α,)
+        Force of each string per rate of stretch, N·s/m.
+    rest_length : array_like, shape (α,), optional
+        Unstretched length of each string, m; by default its length in `nodes`.
+    string_mass : array_like, shape (α,)
+        Mass of each string, kg, which `subdivide` puts on nodes.
+
+    Attributes
+    ----------
+    fixed : ndarray of bool, shape (n, 3)
+        Whether a node is held along x, y and z.
+    bar_lengths, string_lengths : ndarray, shape (β,) and (α,)
+        Lengths in `nodes`, m.
+    bar_inertia : ndarray, shape (β,)
+        J of each bar, kg (Eq. 19).
+    string_parent : ndarray of int, shape (α,)
+        The string that `subdivide` cut each string from, or the string itself.
+    string_fraction : ndarray, shape (α,)
+        Share of its parent's length that each string has.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Where a field is wrong, by its name, or the mass matrix would be singular at a node of no bar.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> cross = tc.Structure([(0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0)], bars=[(0, 1), (2, 3)], strings=[(0, 2), (2, 1), (1, 3), (3, 0)])
+    >>> cross.string_lengths.tolist()
+    [1.0, 1.0, 1.0, 1.0]
+    >>> cross.replace(bar_mass=[1.0, 2.0]).bar_mass.tolist()
+    [1.0, 2.0]
     """
 
     nodes: Array
@@ -75,50 +119,61 @@ class Structure:
         own["bars"] = node_pairs("bars", bars, n, "bar")
         own["strings"] = node_pairs("strings", strings, n, "string")
         own["pinned"] = _read_pins(pinned, n)
-        own["fixed"] = np.zeros((n, 3), dtype=bool)
-        for node, axes in self.pinned.items():
-            self.fixed[node, ["xyz".index(axis) for axis in axes]] = True
-        beta, alpha = len(self.bars), len(self.strings)
-        own["bar_mass"] = nonnegative("bar_mass", per_item("bar_mass", bar_mass, beta), "bar", strict=True)
-        own["bar_radius"] = nonnegative("bar_radius", per_item("bar_radius", bar_radius, beta), "bar")
-        own["node_mass"] = nonnegative("node_mass", per_item("node_mass", node_mass, n), "node")
-        own["stiffness"] = nonnegative("stiffness", per_item("stiffness", stiffness, alpha), "string")
-        own["damping"] = nonnegative("damping", per_item("damping", damping, alpha), "string")
-        own["string_mass"] = nonnegative("string_mass", per_item("string_mass", string_mass, alpha), "string")
+        own["fixed"] = np.array([[axis in self.pinned.get(node, "") for axis in "xyz"] for node in range(n)])
         own["bar_lengths"] = _lengths("bars", self.nodes, self.bars, "bar")
         own["string_lengths"] = _lengths("strings", self.nodes, self.strings, "string")
-        given = self.string_lengths if rest_length is None else rest_length
-        own["rest_length"] = nonnegative("rest_length", per_item("rest_length", given, alpha), "string", strict=True)
-        slenderness = _slenderness(self.bar_radius, self.bar_lengths)
+        beta, alpha = len(self.bars), len(self.strings)
+        for name, value, count, item in (
+            ("bar_mass", bar_mass, beta, "bar"),
+            ("bar_radius", bar_radius, beta, "bar"),
+            ("node_mass", node_mass, n, "node"),
+            ("stiffness", stiffness, alpha, "string"),
+            ("damping", damping, alpha, "string"),
+            ("rest_length", self.string_lengths if rest_length is None else rest_length, alpha, "string"),
+            ("string_mass", string_mass, alpha, "string"),
+        ):
+            own[name] = nonnegative(name, per_item(name, value, count), item, strict=name in ("bar_mass", "rest_length"))
+        slenderness = self.bar_radius / self.bar_lengths
+        for i in np.flatnonzero(slenderness > THICKEST):
+            most = f"{THICKEST:g} times its length, {self.bar_lengths[i]:g} m"
+            raise ValueError(f"bar_radius of bar {i} is {self.bar_radius[i]:g} m: it must be at most {most}")
         own["bar_inertia"] = self.bar_mass * (1.0 / 12.0 + slenderness**2 / 4.0)  # Eq. 19
-        own["string_parent"] = np.arange(alpha)
-        own["string_fraction"] = np.ones(alpha)
         self._refuse_massless_nodes()
-        own["_layout"] = default_layout(n, self.bars, self.strings, np.flatnonzero(self.fixed.all(axis=1)))
-        self._freeze()
-
-    def parent_mean(self, values: ArrayLike) -> Array:
-        """Quantities of strings (…, α) such as tensions or force densities × length, averaged along each parent string (…, parents).
-
-        The average over a parent's segments is weighted by their share of its length. Raises TypeError, ValueError.
-        """
-        array = np.asarray(values, dtype=float)
-        if array.ndim == 0 or array.shape[-1] != len(self.strings):
-            raise ValueError(f"values has shape {array.shape}: give one entry per string in the last axis, {len(self.strings)}")
-        weight = np.zeros((len(self.strings), int(self.string_parent.max(initial=-1)) + 1))
-        weight[np.arange(len(self.strings)), self.string_parent] = self.string_fraction
-        return np.asarray(array @ (weight / weight.sum(axis=0)))
+        layout = default_layout(n, self.bars, self.strings, np.flatnonzero(self.fixed.all(axis=1)))
+        self._derived(string_parent=np.arange(alpha), string_fraction=np.ones(alpha), _layout=layout)
 
     @classmethod
     def from_matrices(
         cls, N: ArrayLike, C_b: Any = None, C_s: Any = None, P: Any = None, D: Any = None, node_mass: ArrayLike = 0.0, **options: Any
     ) -> Structure:
-        """Structure from the paper's matrices, dense or scipy sparse: N (3, n'), C_b (β, n'), C_s (α, n'), N P = D (Eq. 84).
+        """Build the structure that the paper's matrices describe.
 
-        A column of P with +1 and −1 ties two nodes (D is 0 there): they are merged; a single ±1 pins a node at ±D.
-        Physical nodes keep the order of first appearance; node_mass, one per column of N, adds up. `options` are the
-        constructor's other keywords. `class_one()` gives the same matrices back (bars that share columns are split).
-        Raises TypeError, ValueError; a column of P that says anything else, or repeats others, is named.
+        A column of P with +1 and −1 ties two nodes (D is 0 there): they are merged. A single ±1 pins a node at ±D.
+        Physical nodes keep the order in which they first appear. `class_one` gives the same matrices back; bars that share
+        columns are split there.
+
+        Parameters
+        ----------
+        N : array_like, shape (3, n')
+            Positions, one column for each node, m.
+        C_b, C_s : array_like or sparse array, shape (β, n') and (α, n'), optional
+            Connectivity of bars and of strings, −1 at the first node and +1 at the second.
+        P, D : array_like or sparse array, shape (n', c) and (3, c), optional
+            Joints and pins as N P = D (Eq. 84).
+        node_mass : array_like, shape (n',)
+            Point mass of each column of N, kg; those of one physical node add up.
+        **options : array_like
+            Other keywords of `Structure`.
+
+        Returns
+        -------
+        Structure
+            The physical structure, its nodes merged and pinned.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Where a matrix has another shape, or a column of P says anything else or repeats others, by its number.
         """
         read = read_matrices(N, C_b, C_s, P, D, node_mass)
         structure = cls(read.nodes, read.bars, read.strings, node_mass=read.node_mass, pinned=read.pinned, **options)
@@ -135,20 +190,49 @@ class Structure:
         return np.asarray(connectivity(self.strings, len(self.nodes)).toarray())
 
     def mass_matrix(self) -> csr_array:
-        """M (n, n) in kg on physical nodes: C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r (Eq. 59) plus the point masses."""
+        """Return the mass matrix on physical nodes: C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r (Eq. 59) plus the point masses.
+
+        Returns
+        -------
+        csr_array, shape (n, n)
+            M, kg; string masses count once `subdivide` has put them on nodes.
+        """
         return csr_array(bar_mass_matrix(self.bars, self.bar_inertia, self.bar_mass, len(self.nodes)) + diags_array(self.node_mass))
 
     def class_one(self, sparse: bool = False) -> ClassOne:
-        """The paper's split: a column of N for each bar end (first ends, second ends), then one for each string node.
+        """Return the paper's split: a column of N for each bar end, then one for each string node.
 
         A node of k bars gives k columns, tied by k−1 columns of P; strings, point masses and pins attach to the first of them.
-        P has columns for nodes pinned in all axes only: N P = D cannot hold a single axis. A structure made by `from_matrices`
-        gives the columns and P it was made from. sparse=True: scipy csr_array in place of ndarray, except N and D.
+        P has columns for nodes pinned along all axes only, as N P = D cannot hold a single axis. A structure made by
+        `from_matrices` gives the columns and P that it was made from.
+
+        Parameters
+        ----------
+        sparse : bool
+            Whether matrices other than N and D are SciPy's ``csr_array``.
+
+        Returns
+        -------
+        ClassOne
+            The matrices of Eqs. 61-66, 81 and 84.
         """
-        return split(self._layout, self.nodes, self.bar_inertia, self.bar_mass, self.node_mass, sparse)
+        return class_one(self._layout, self.nodes, self.bar_inertia, self.bar_mass, self.node_mass, sparse)
 
     def replace(self, **changes: Any) -> Structure:
-        """The same structure with some of the constructor's keywords changed. rest_length stays as it is unless given."""
+        """Return the same structure with some of its parameters changed.
+
+        Rest lengths stay as they are unless they are given, also where nodes move.
+
+        Parameters
+        ----------
+        **changes : array_like
+            Keywords of `Structure`.
+
+        Returns
+        -------
+        Structure
+            The changed copy.
+        """
         unknown = sorted(set(changes) - set(PARAMETERS))
         if unknown:
             raise TypeError(f"replace got {unknown[0]!r}: give keywords of Structure ({', '.join(PARAMETERS)})")
@@ -161,50 +245,99 @@ class Structure:
         return new._derived(**kept)
 
     def prestressed(self, force_density: ArrayLike) -> Structure:
-        """Rest lengths ρ = s (1 − γ/k), so that each string has force density γ (α,) N/m ≥ 0 in these nodes (Appendix A).
+        """Return the structure with the rest lengths ρ = s (1 − γ/k) at which its strings carry given force densities (Appendix A).
 
-        Raises ValueError where γ ≥ k: no positive rest length gives that much.
+        Parameters
+        ----------
+        force_density : array_like, shape (α,)
+            γ of each string in these nodes, N/m, at least 0 and below its stiffness.
+
+        Returns
+        -------
+        Structure
+            The copy with these rest lengths.
+
+        Raises
+        ------
+        ValueError
+            Where γ ≥ k: no positive rest length gives as much.
         """
         gamma = nonnegative("force_density", per_item("force_density", force_density, len(self.strings)), "string")
-        bad = np.flatnonzero((gamma > 0.0) & (gamma >= self.stiffness))
-        if bad.size:
-            i = int(bad[0])
+        for i in np.flatnonzero((gamma > 0.0) & (gamma >= self.stiffness)):
             raise ValueError(f"force_density of string {i} is {gamma[i]:g} N/m: it must be below its stiffness, {self.stiffness[i]:g} N/m")
         ratio = np.divide(gamma, self.stiffness, out=np.zeros_like(gamma), where=gamma > 0.0)
         return self.replace(rest_length=self.string_lengths * (1.0 - ratio))
 
     def subdivide(self, segments: int | Sequence[int] | Indices, ends: str = "interior", fractions: ArrayLike | None = None) -> Structure:
-        """Each string cut into `segments` (one number, or one per string) that together are as stiff as it was (Sect. 5).
+        """Return the structure with each string cut into segments that together are as stiff as it was (Sect. 5).
 
-        A segment with share f of the length has k/f, c/f, rest length ρ f. fractions: the shares along each string (they sum to 1;
-        None: equal). New nodes follow the existing ones, string by string; segments follow each other from first to second node.
-        The string's mass m goes to nodes: ends="interior" puts m/(segments−1) on each inner node (the paper's; a string in one
-        segment then has no mass), ends="lumped" half of each segment's mass on each of its ends (more accurate).
+        A segment with share f of the length has k/f, c/f and rest length ρ f. New nodes follow the existing ones, string by
+        string; segments follow each other from the string's first node to its second.
+
+        Parameters
+        ----------
+        segments : int or sequence of int, shape (α,)
+            Number of segments of each string.
+        ends : {"interior", "lumped"}
+            Where a string's mass m goes: m/(segments−1) on each inner node, as in the paper (a string in one segment then has
+            no mass), or half of each segment's mass on each of its ends, which is more accurate.
+        fractions : array_like, shape (segments,), optional
+            Shares of each string's length, which sum to 1; by default equal.
+
+        Returns
+        -------
+        Structure
+            The structure whose strings are the segments.
+
+        Raises
+        ------
+        ValueError
+            Where a string that is cut has no mass, or the fractions do not sum to 1.
         """
         if ends not in ("interior", "lumped"):
             raise ValueError(f"ends is {ends!r}: give 'interior' or 'lumped'")
-        cut = split_strings(self.nodes, self.strings, self.string_mass, segments, ends == "lumped", fractions)
-        if len(cut.parent) == len(self.strings) and not self.string_mass.any():
+        counts = segment_counts(segments, len(self.strings))
+        shares = [segment_shares(count, fractions) for count in counts]
+        parent, share = np.repeat(np.arange(len(counts)), counts), np.concatenate([np.zeros(0), *shares])
+        if len(parent) == len(self.strings) and not self.string_mass.any():
             return self
-        share, parent = cut.fraction, cut.parent
-        massless = np.flatnonzero((np.bincount(parent, minlength=len(self.strings)) > 1) & (self.string_mass == 0.0))
-        if massless.size:
-            raise ValueError(f"string_mass of string {massless[0]} is 0: give it a mass, as segments meet in nodes that need one")
-        mass = cut.node_mass + np.concatenate([self.node_mass, np.zeros(len(cut.points))])
+        for i in np.flatnonzero((np.array(counts) > 1) & (self.string_mass == 0.0)):
+            raise ValueError(f"string_mass of string {i} is 0: give it a mass, as segments meet in nodes that need one")
+        nodes, strings, mass = cut_strings(self.nodes, self.strings, self.string_mass, shares, ends == "lumped")
         new = self.replace(
-            nodes=np.concatenate([self.nodes, cut.points]),
-            strings=cut.strings,
-            node_mass=mass,
+            nodes=nodes,
+            strings=strings,
+            node_mass=mass + np.pad(self.node_mass, (0, len(nodes) - len(self.nodes))),
             stiffness=self.stiffness[parent] / share,
             damping=self.damping[parent] / share,
             rest_length=self.rest_length[parent] * share,
             string_mass=0.0,
         )
         return new._derived(
-            _layout=extended(self._layout, len(self.nodes), cut.strings, parent),
+            _layout=extend_layout(self._layout, len(self.nodes), strings, parent),
             string_parent=self.string_parent[parent],
             string_fraction=self.string_fraction[parent] * share,
         )
+
+    def parent_mean(self, values: ArrayLike) -> Array:
+        """Return the mean over the segments of each parent string, weighted by their share of its length.
+
+        Parameters
+        ----------
+        values : array_like, shape (..., α)
+            Quantities of strings, such as tensions.
+
+        Returns
+        -------
+        ndarray, shape (..., parents)
+            The means, in the order of the strings that `subdivide` cut.
+        """
+        array = np.asarray(values, dtype=float)
+        if array.ndim == 0 or array.shape[-1] != len(self.strings):
+            raise ValueError(f"values has shape {array.shape}: give one entry per string in the last axis, {len(self.strings)}")
+        weight = np.zeros((len(self.strings), int(self.string_parent.max(initial=-1)) + 1))
+        weight[np.arange(len(self.strings)), self.string_parent] = self.string_fraction
+        return np.asarray(array @ (weight / weight.sum(axis=0)))
 
     def __repr__(self) -> str:
         return f"Structure({len(self.nodes)} nodes, {len(self.bars)} bars, {len(self.strings)} strings, {len(self.pinned)} pinned)"
@@ -213,42 +346,29 @@ class Structure:
         raise AttributeError(f"a Structure does not change: use structure.replace({name}=...)")
 
     def _derived(self, **attributes: Any) -> Structure:
-        """Self, just built, with what a constructor keyword cannot say."""
+        """Self, just built, with what a constructor keyword cannot say, and from now on read-only."""
         self.__dict__.update(attributes)
-        self._freeze()
-        return self
-
-    def _freeze(self) -> None:
         for value in self.__dict__.values():
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
+        return self
 
     def _refuse_massless_nodes(self) -> None:
         """A node of no bar needs a mass, or M is singular."""
         heavy = (self.node_mass > SMALLEST) | self.fixed.all(axis=1)
         heavy[self.bars] = True
         heavy[self.strings[self.string_mass > SMALLEST]] = True
-        if not heavy.all():
-            node = int(np.flatnonzero(~heavy)[0])
+        for node in np.flatnonzero(~heavy):
             cure = "give it a mass, pin it in all axes, or give its strings a string_mass"
             raise ValueError(f"node_mass of node {node} is {self.node_mass[node]:g} and no bar ends there: {cure}")
 
 
-def _slenderness(radius: Array, length: Array) -> Array:
-    """Radius over length of each bar, refused beyond THICKEST."""
-    ratio = radius / length
-    bad = np.flatnonzero(ratio > THICKEST)
-    if bad.size:
-        i = int(bad[0])
-        raise ValueError(f"bar_radius of bar {i} is {radius[i]:g} m: it must be at most {THICKEST:g} times its length, {length[i]:g} m")
-    return ratio
+PARAMETERS = tuple(inspect.signature(Structure).parameters)
 
 
 def _lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array:
     lengths = np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
-    bad = np.flatnonzero(lengths < max(SHORTEST * np.abs(nodes).max(), SMALLEST))
-    if bad.size:
-        i = int(bad[0])
+    for i in np.flatnonzero(lengths < max(SHORTEST * np.abs(nodes).max(), SMALLEST)):
         a, b = pairs[i]
         raise ValueError(f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: move one or leave the {item} out")
     return np.asarray(lengths)

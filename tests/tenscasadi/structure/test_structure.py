@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from tenscasadi.structure import shapes
-from tenscasadi.structure.structure import Structure, connectivity
+from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.structure import PARAMETERS, Structure
 
 DATA = Path(__file__).parents[3] / "tests" / "data"
 PEERS = [p for p in sorted((DATA / "motes").glob("*.npz")) if "analytical" not in p.stem]
@@ -383,7 +384,6 @@ JUNK = st.one_of(
 )
 ANYTHING = st.one_of(JUNK, st.lists(JUNK, max_size=4), st.lists(st.lists(JUNK, max_size=4), max_size=3))
 POSITIVE = st.one_of(st.floats(0.1, 10.0), st.floats(1e-100, 1e100), st.floats(0.0, exclude_min=True))
-PARAMETERS = ("nodes", "bars", "strings", "bar_mass", "bar_radius", "node_mass", "pinned", "stiffness", "damping", "rest_length", "string_mass")
 
 
 @st.composite
