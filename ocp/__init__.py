@@ -6,7 +6,7 @@ made, or where a `Problem` learns which structure it is for.
 
 from __future__ import annotations
 
-from ocp.boundary.invariants import UnreachableGoal
+from ocp.boundary.unreachable import UnreachableGoal
 from ocp.control.closed_loop import ClosedLoop, run
 from ocp.control.lqr import Tracker, track
 from ocp.control.mpc import Mpc
@@ -18,10 +18,10 @@ from ocp.problem.bounds import BarForceLimits, Buckling, ForceDensityLimits, Res
 from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Tracking, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
-from ocp.problem.goals import AtRest, NodePositions, Shape, StringLengths
+from ocp.problem.goals import AtRest, NodePositions, Periodic, Shape, StringLengths
 from ocp.problem.instant import Instant
-from ocp.problem.motions import Periodic, Waypoint
 from ocp.problem.problem import FreeStart, Problem
+from ocp.problem.waypoints import Waypoint
 from ocp.solve import solve
 from ocp.solvers.best import Progress
 from ocp.solvers.fatrop import Fatrop

@@ -124,18 +124,14 @@ def _check_freedom(problem: Problem, target: Target, transcription: OnGrid) -> N
 
 def _controlled(target: Target, reach: Reach, guess: Guess, least: float = REACHED) -> Target:
     """The target without the rows that the strings cannot move, to first order, along the motion that the guess's force densities cause."""
-    if not _rows(target) or target.cycle is not None:  # a free start moves them too
+    if not _rows(target) or target.free_start is not None:  # a free start moves them too
         return target
     intervals = len(guess.force_density)
 
     def reduced(part: Target, share: float) -> Target:
         end = max(1, round(share * intervals))
         kept = controlled(reach.of_rows(part.single, part.weights, target.start, guess.force_density, guess.duration, end), least)
-        missing = part.count - len(kept)
-        if not missing:
-            return part
-        combined = part.combined._replace(combinations=kept @ part.combined.combinations)
-        return replace(part, weights=kept @ part.weights, repeated={**part.repeated, "out of control": missing}, combined=combined)
+        return part if len(kept) == part.count else part.only(kept, "out of control")
 
     waypoints = tuple(one._replace(target=reduced(one.target, one.share)) for one in target.waypoints)
     return replace(reduced(target, 1.0), waypoints=waypoints)
@@ -186,7 +182,7 @@ def _met(target: Target, state_at: Callable[[float], Array]) -> bool:
     """Whether the rows of all goals vanish, also those that were not imposed; how well bars and momenta are kept is not asked."""
     for share, part, _ in target.instants:
         residual = np.asarray(part.rows(state_at(share)).full()).ravel()
-        if len(residual) and np.abs(np.linalg.lstsq(part.combined.combinations, residual)[0]).max() > MET:
+        if len(residual) and np.abs(np.linalg.lstsq(part.reduction.combinations, residual)[0]).max() > MET:
             return False
     return True
 
@@ -194,7 +190,7 @@ def _met(target: Target, state_at: Callable[[float], Array]) -> bool:
 def _plan(problem: Problem, transcription: OnGrid, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, tolerance: float) -> Plan:
     program, solution, found, _ = outcome
     duals = duals_of(program, imposed, solution.w, *solution.multipliers) if solution.success and solution.multipliers else None
-    target, imposed = (part.begun(found.states[0]) for part in (target, imposed))
+    target, imposed = (part.begin_at(found.states[0]) for part in (target, imposed))
     model = problem.model
     grid = found.duration * np.append(0.0, np.cumsum(transcription.fractions))
     grid[-1] = found.duration

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.free_start import find_cycle
-from ocp.boundary.gauss_newton import NEARLY_SINGULAR, Search
-from ocp.boundary.invariants import UnreachableGoal, invariants
-from ocp.boundary.row_reduction import RANK, Combined, Reduction, RowFunction, reduce_rows, soft_directions
+from ocp.boundary.free_start import find_free_start
+from ocp.boundary.gauss_newton import NEARLY_SINGULAR, GaussNewton
+from ocp.boundary.invariants import invariants
+from ocp.boundary.row_reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
 from ocp.boundary.target import Target, TargetOnTheWay
-from ocp.problem.goals import rows_of
+from ocp.boundary.unreachable import UnreachableGoal
 from ocp.problem.problem import Problem
+from ocp.problem.rows import stack
 from ocp.problem.scaling import Scales
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
@@ -26,11 +27,11 @@ RIGID = ("bar", "joint", "clock")
 
 
 def find_target(problem: Problem, scales: Scales) -> Target:
-    """The target of a problem. Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much."""
+    """Return the target of a problem. Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much."""
     waypoints = []
     for share, part in problem.waypoints:
         try:
-            met = _end(part, scales)
+            met = _find_end(part, scales)
             _check_time(problem, met, part.longest)
         except UnreachableGoal as error:
             raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
@@ -38,12 +39,25 @@ def find_target(problem: Problem, scales: Scales) -> Target:
     if problem.start_goals:
         closed = any(goal.shift == (0.0, 0.0, 0.0) for goal in problem.repeating)  # the start is the end
         try:
-            _end(replace(problem, goals=problem.start_goals + closed * problem.final_goals, bounds=(), costs=()), scales)
+            _find_end(replace(problem, goals=problem.start_goals + closed * problem.final_goals, bounds=(), costs=()), scales)
         except UnreachableGoal as error:
             raise UnreachableGoal(f"free start: {error}") from None
-    end = _end(problem, scales)
+    end = _find_end(problem, scales)
     _check_time(problem, end, problem.longest)
-    return replace(end, waypoints=tuple(waypoints), cycle=find_cycle(problem, scales.length, scales.time, scales.state))
+    return replace(end, waypoints=tuple(waypoints), free_start=find_free_start(problem, scales))
+
+
+def _find_end(problem: Problem, scales: Scales) -> Target:
+    """The target at the end of a problem, without its waypoints."""
+    model, start = problem.model, problem.first_state
+    finder = _Finder(problem, start, scales)
+    if finder.goals.names:
+        y, adjusted = finder.find_state()
+        return finder.impose(y, adjusted)
+    x = ca.SX.sym("x", model.nx)
+    empty = ca.SX(0, 1)
+    single, misfit = ca.Function("single", [x], [empty]), ca.Function("misfit", [x], [empty, empty])
+    return Target(start, None, single, np.zeros((0, 0)), misfit, (), Reduction(np.zeros((0, 0))))
 
 
 def _check_time(problem: Problem, target: Target, seconds: float) -> None:
@@ -64,20 +78,6 @@ def _check_time(problem: Problem, target: Target, seconds: float) -> None:
         raise UnreachableGoal(f"{way}, in which force densities within their limits move it by about {reach:.2g} m: give more time")
 
 
-def _end(problem: Problem, scales: Scales) -> Target:
-    """The target at the end of a problem."""
-    model = problem.model
-    start = problem.first_state
-    finder = _Finder(problem, start, scales)
-    if not finder.names:
-        x = ca.SX.sym("x", model.nx)
-        empty, none = ca.SX(0, 1), Combined(np.zeros((0, 0)), (), np.zeros(0))
-        single, misfit = ca.Function("single", [x], [empty]), ca.Function("misfit", [x], [empty, empty])
-        return Target(start, None, single, np.zeros((0, 0)), misfit, (), 0, {}, 0, 0.0, none)
-    y, adjusted = finder.solve()
-    return finder.reduced(y, adjusted)
-
-
 class _Finder:
     """The goals and invariants of a problem as rows of y = (x, duration), and the way to a y that meets them."""
 
@@ -86,39 +86,33 @@ class _Finder:
         self.x, duration = ca.SX.sym("x", model.nx), ca.SX.sym("T")
         self.y = ca.vertcat(self.x, duration)
         self.scale = np.append(scales.state, scales.time)
-        self.free_duration = problem.shortest < problem.longest
         N, V, structure = model.nodes(self.x), model.velocities(self.x), model.scene.structure
-        goals = [rows for goal in problem.final_goals for rows in rows_of(goal, structure, N, V)]
-        self.lengths = ca.vertcat(ca.SX(0, 1), *(rows.value for rows in goals if not rows.speed))
-        self.speeds = ca.vertcat(ca.SX(0, 1), *(rows.value for rows in goals if rows.speed))
-        self.names = tuple(name for speed in (False, True) for rows in goals if rows.speed is speed for name in rows.names)
-        self.value = ca.vertcat(self.lengths, self.speeds)
-        metre, speed = scales.length, scales.length / scales.time
-        row_scale = np.concatenate([np.full(self.lengths.shape[0], metre), np.full(self.speeds.shape[0], speed)])
+        self.goals = stack(goal.rows(structure, N, V) for goal in problem.final_goals)
         # from a free start all momenta can be had
-        self.groups = [group for group in invariants(model, start, self.x, duration) if group.kind in RIGID or not problem.free_start]
-        sizes = {"m": metre, "m/s": speed, "m²/s": metre * speed, "s": scales.time}
-        every = np.append(row_scale, [sizes[unit] for group in self.groups for unit in group.units])
-        self.rows = RowFunction(self.y, ca.vertcat(self.value, *(group.value for group in self.groups)), every, self.scale)
-        ends = np.cumsum([len(row_scale), *(len(group.units) for group in self.groups)]).tolist()
-        self.goal = self.rows.only(slice(ends[0]))
-        self.kept = [self.rows.only(slice(a, b)) for a, b in pairwise(ends)]
-        self.search = Search(self.scale, _metric(model), self._allowed, self._deforming)
+        self.invariants = [rows for rows in invariants(model, start, self.x, duration) if rows.kind in RIGID or not problem.free_start]
+        every = [self.goals, *self.invariants]
+        sizes = np.concatenate([rows.sizes(scales.units) for rows in every])
+        self.rows = RowFunction(self.y, ca.vertcat(*(rows.value for rows in every)), sizes, self.scale)
+        ends = np.cumsum([0, *(len(rows.units) for rows in every)]).tolist()
+        self.goal, *self.kept = [self.rows.only(slice(a, b)) for a, b in pairwise(ends)]
+        self.search = GaussNewton(self.scale, _metric(model), self._allowed, self._deforming)
 
-    def solve(self) -> tuple[Array, float]:
+    # --- the state ---
+
+    def find_state(self) -> tuple[Array, float]:
         """y at the target, and by how much goals had to be adjusted (m), 0 when they are met."""
         y = np.append(self.start, (self.problem.shortest + self.problem.longest) / 2)
-        rigid = [k for k, group in enumerate(self.groups) if group.kind in RIGID]
-        goals, miss = len(self.goal.row_scale), 0.0
-        for active in [rigid] if len(rigid) == len(self.groups) else [rigid, list(range(len(self.groups)))]:
-            count = goals + sum(len(self.groups[k].units) for k in active)  # rigid groups come first
-            y = self.search.nearest(self.rows.only(slice(count)), goals, y)
+        rigid = [k for k, rows in enumerate(self.invariants) if rows.kind in RIGID]
+        goals, miss = len(self.goals.names), 0.0
+        for active in [rigid] if len(rigid) == len(self.invariants) else [rigid, list(range(len(self.invariants)))]:
+            count = goals + sum(len(self.invariants[k].units) for k in active)  # rigid ones come first
+            y = self.search.find_nearest(self.rows.only(slice(count)), goals, y)
             miss = self._miss(y)
             if miss > ROUNDED:
                 self._refuse(y, active)
         straight = self._straightened(y)
         if straight is not None:
-            y = self.search.nearest(self.rows, goals, straight)
+            y = self.search.find_nearest(self.rows, goals, straight)
             miss = self._miss(y)
         return y, miss * self.scales.length if miss > 1e-7 else 0.0
 
@@ -157,9 +151,9 @@ class _Finder:
         """Names the row that misses most, and the invariant that holds it: the one with the largest multiplier."""
         r, H = self.goal(y)
         worst = int(np.argmax(np.abs(r) > (1 - 1e-6) * np.abs(r).max()))  # the first of equals
-        size, unit = abs(r[worst]) * self.goal.row_scale[worst], "m/s" if worst >= self.lengths.shape[0] else "m"
+        size, unit = abs(r[worst]) * self.goal.row_scale[worst], self.goals.units[worst]
         reason = "the goals contradict each other: leave one out"
-        rows = [(self.groups[k].kind, name) for k in active for name in self.groups[k].names]
+        rows = [(self.invariants[k].kind, name) for k in active for name in self.invariants[k].names]
         if rows:
             A = np.concatenate([self.kept[k](y)[1] for k in active])
             norms = np.linalg.norm(A, axis=1)
@@ -170,50 +164,49 @@ class _Finder:
             kind, name = rows[int(np.argmax(push))]
             if push.max() > 1e-2 * np.abs(r).max() or later.any():
                 reason = f"{name}{_CURES[kind]}"
-        raise UnreachableGoal(f"{self.names[worst]} misses its goal by {size:.3g} {unit} at best, as {reason}")
+        raise UnreachableGoal(f"{self.goals.names[worst]} misses its goal by {size:.3g} {unit} at best, as {reason}")
 
-    def reduced(self, y: Array, adjusted: float) -> Target:
+    # --- the rows ---
+
+    def impose(self, y: Array, adjusted: float) -> Target:
         """The target at y with the rows that can be imposed there."""
         values, H = self.goal(y)
         directions, _, _ = soft_directions(self.rows, y, NEARLY_SINGULAR)
         weights, squared, (more, gradient) = self._shape_rows(y, directions)
         added = len(weights)
         H = np.concatenate([H, weights @ gradient])
-        groups = [(group.kind, kept(y)[1]) for group, kept in zip(self.groups, self.kept, strict=True)]
-        if not self.free_duration:
+        groups = [(rows.kind, kept(y)[1]) for rows, kept in zip(self.invariants, self.kept, strict=True)]
+        if self.problem.shortest == self.problem.longest:
             H, groups = H[:, :-1], [(kind, A[:, :-1]) for kind, A in groups]
-        reduction: Reduction = reduce_rows(H, groups)
-        rows = ca.vertcat(self.value / ca.DM(self.goal.row_scale), squared) - ca.DM(np.append(values, more))
+        row_names = (*self.goals.names, *(f"shape, combination {k}" for k in range(added)))
+        reduction = reduce_rows(H, groups, row_names, np.append(self.goal.row_scale, np.ones(added)))
+        rows = ca.vertcat(self.goals.value / ca.DM(self.goal.row_scale), squared) - ca.DM(np.append(values, more))
         single, every = ca.Function("single", [self.x], [rows]), reduction.combinations
         imposed = np.concatenate([every[:, : len(values)], every[:, len(values) :] @ weights], axis=1)
         distances = (ca.sqrt(squared) - ca.DM(np.sqrt(more))) * self.scales.length
-        misfit = ca.Function("misfit", [self.x], [ca.vertcat(self.lengths, distances), self.speeds], ["x"], ["metres", "speeds"])
-        count = self.lengths.shape[0]
-        names = (*self.names[:count], *(f"distance of nodes {a} and {b}" for a, b in self._pairs(distances.shape[0])), *self.names[count:])
-        row_names = (*self.names, *(f"shape, combination {k}" for k in range(added)))
-        combined = Combined(reduction.combinations, row_names, np.append(self.goal.row_scale, np.ones(added)))
-        return Target(self.start, y[:-1], single, imposed, misfit, names, len(self.names), reduction.repeated, added, adjusted, combined)
+        lengths, speeds = self.goals.only("m"), self.goals.only("m/s")
+        misfit = ca.Function("misfit", [self.x], [ca.vertcat(lengths.value, distances), speeds.value], ["x"], ["metres", "speeds"])
+        pairs = self._pairs() if distances.shape[0] else []
+        names = (*lengths.names, *(f"distance of nodes {a} and {b}" for a, b in pairs), *speeds.names)
+        return Target(self.start, y[:-1], single, imposed, misfit, names, reduction, added, adjusted)
 
     def _shape_rows(self, y: Array, directions: Array) -> tuple[Array, Any, tuple[Array, Array]]:
         """Combinations (k, m) of all m squared distances of nodes, which feel `directions` and no rigid motion; the distances, as rows of x; and
         their values and gradient at y."""
-        model, L = self.problem.model, self.scales.length
         if not directions.shape[1]:
             return np.zeros((0, 0)), ca.SX(0, 1), (np.zeros(0), np.zeros((0, len(y))))
-        count = len(model.scene.structure.nodes)
-        a, b = (index.tolist() for index in np.triu_indices(count, 1))
-        N = model.nodes(self.x)
+        a, b = ([pair[k] for pair in self._pairs()] for k in (0, 1))
+        N = self.problem.model.nodes(self.x)
         d = N[:, a] - N[:, b]
-        squared = ca.sum1(d * d).T / L**2
+        squared = ca.sum1(d * d).T / self.scales.length**2
         value, gradient = RowFunction(self.y, squared, np.ones(len(a)), self.scale)(y)
         weights = (gradient @ directions).T
         norms = np.linalg.norm(weights, axis=1, keepdims=True)
         return (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK], squared, (value, gradient)
 
-    def _pairs(self, count: int) -> list[tuple[int, int]]:
-        if not count:
-            return []
-        return list(zip(*(index.tolist() for index in np.triu_indices(len(self.problem.model.scene.structure.nodes), 1)), strict=True))
+    def _pairs(self) -> list[tuple[int, int]]:
+        """All pairs of nodes."""
+        return list(combinations(range(len(self.problem.model.scene.structure.nodes)), 2))
 
 
 def _metric(model: Model) -> Array:

@@ -13,93 +13,79 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.invariants import Invariant, UnreachableGoal, invariants
-from ocp.boundary.row_reduction import Combined, RowFunction, reduce_rows
-from ocp.problem.goals import Rows, rows_of
+from ocp.boundary.invariants import invariants
+from ocp.boundary.row_reduction import Reduction, RowFunction, reduce_rows
+from ocp.boundary.unreachable import UnreachableGoal
 from ocp.problem.problem import Problem
+from ocp.problem.rows import Rows, stack
+from ocp.problem.scaling import Scales
 from tenscasadi.util.validate import Array
 
 FALLS = 1e-6  # m/s: what momenta change by beyond that is no rounding
 
 
 @dataclass(frozen=True, eq=False)
-class Cycle:
+class FreeStartRows:
     """Rows of a free start x₀ and of the end x.
 
     start: Function x₀ → independent rows: bars, and what the start has to meet. repeats: Function (x₀, x) → independent rows, zero where the end
-    repeats the start. misfit: Function (x₀, x) → (metres, metres per second) in each of `names`. repeated: rows left out, by what
-    repeats them; combined: what `repeats` consists of.
+    repeats the start. misfit: Function (x₀, x) → (metres, metres per second) of each of the goals' rows. reduction: what `repeats` consists of.
     """
 
     start: ca.Function
     repeats: ca.Function
     misfit: ca.Function
-    names: tuple[str, ...]
-    repeated: dict[str, int]
-    combined: Combined
+    reduction: Reduction
 
 
-def find_cycle(problem: Problem, length: float, time: float, scale: Array) -> Cycle | None:
-    """The rows of a free start, None where it is given. length, time, scale (nx,): sizes of rows, m and s, and of the state.
+def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
+    """Return the rows of a free start, None where it is given.
 
     Raises `UnreachableGoal` where the motion cannot repeat, as all of the structure falls.
     """
     if not problem.free_start:
         return None
-    model, near = problem.model, problem.first_state
-    structure = model.scene.structure
+    model, near, structure = problem.model, problem.first_state, problem.model.scene.structure
     first, last = ca.SX.sym("x0", model.nx), ca.SX.sym("x", model.nx)
-    sizes = {"m": length, "m/s": length / time, "m²/s": length**2 / time, "s": time}
-
-    def scaled(group: Invariant) -> tuple[Any, RowFunction]:
-        units = np.array([sizes[unit] for unit in group.units])
-        return group.value / ca.DM(units), RowFunction(first, group.value, units, scale)
-
-    groups = {group.kind: group for group in invariants(model, near, first, ca.SX(problem.shortest))}
-    rows, kept = [], []
-    if "bar" in groups:
-        value, function = scaled(groups["bar"])
-        kept.append(("bar", function(near)[1]))
-        rows.append(ca.mtimes(ca.DM(reduce_rows(kept[0][1], []).combinations), value))
     N0, V0 = model.nodes(first), model.velocities(first)
-    met = _Stack([part for goal in problem.start_goals for part in rows_of(goal, structure, N0, V0)], length, length / time)
+    kept = {rows.kind: rows for rows in invariants(model, near, first, ca.SX(problem.shortest))}
+    known: list[tuple[str, Array]] = []
+    imposed = []
+    if "bar" in kept:
+        known.append(("bar", _gradient(kept["bar"], first, near, scales)))
+        imposed.append(_combined(reduce_rows(known[0][1], []), kept["bar"], scales))
+    met = stack(goal.rows(structure, N0, V0) for goal in problem.start_goals)
     if met.names:
-        wanted = reduce_rows(RowFunction(first, met.value, met.sizes, scale)(near)[1], kept)
-        rows.append(ca.mtimes(ca.DM(wanted.combinations), met.value / ca.DM(met.sizes)))
-
-    if "momentum" in groups and problem.repeating:
-        momentum = groups["momentum"]
-        speeds = [k for k, unit in enumerate(momentum.units) if unit != "m"]  # places of the centre of mass follow from its speed at the start
-        group = replace(
-            momentum, value=momentum.value[speeds], names=tuple(momentum.names[k] for k in speeds), units=tuple(momentum.units[k] for k in speeds)
-        )
-        value, function = scaled(group)
-        change = np.abs(np.asarray(ca.Function("change", [first], [value])(near).full()).ravel())
-        if change.max(initial=0.0) > FALLS:
-            name = group.names[int(np.argmax(change))]
-            raise UnreachableGoal(f"Periodic cannot be met, as {name} whatever the strings do: give a scene with a ground, or pin a node")
-        kept.append(("momentum", function(near)[1]))
-
+        imposed.append(_combined(reduce_rows(_gradient(met, first, near, scales), known), met, scales))
+    if "momentum" in kept and problem.repeating:
+        momentum = kept["momentum"].only("m/s", "m²/s")  # places of the centre of mass follow from its speed at the start
+        _check_momentum(momentum, first, near, scales)
+        known.append(("momentum", _gradient(momentum, first, near, scales)))
     before = N0[:, : len(structure.nodes)].T, V0[:, : len(structure.nodes)].T
     N, V = model.nodes(last), model.velocities(last)
-    repeats = _Stack([part for goal in problem.repeating for part in rows_of(replace(goal, start=before), structure, N, V)], length, length / time)
-    reduction = reduce_rows(RowFunction(last, ca.substitute(repeats.value, first, ca.DM(near)), repeats.sizes, scale)(near)[1], kept)
-    combinations = ca.mtimes(ca.DM(reduction.combinations), repeats.value / ca.DM(repeats.sizes))
-    return Cycle(
-        ca.Function("start", [first], [ca.densify(ca.vertcat(ca.SX(0, 1), *rows))]),
-        ca.Function("repeats", [first, last], [ca.densify(combinations)]),
-        ca.Function("misfit", [first, last], [repeats.metres, repeats.speeds]),
-        repeats.names,
-        reduction.repeated,
-        Combined(reduction.combinations, repeats.names, repeats.sizes),
+    repeats = stack(replace(goal, start=before).rows(structure, N, V) for goal in problem.repeating)
+    at_near = replace(repeats, value=ca.substitute(repeats.value, first, ca.DM(near)))
+    reduction = reduce_rows(_gradient(at_near, last, near, scales), known, repeats.names, repeats.sizes(scales.units))
+    return FreeStartRows(
+        ca.Function("start", [first], [ca.densify(ca.vertcat(ca.SX(0, 1), *imposed))]),
+        ca.Function("repeats", [first, last], [ca.densify(_combined(reduction, repeats, scales))]),
+        ca.Function("misfit", [first, last], [repeats.only("m").value, repeats.only("m/s").value]),
+        reduction,
     )
 
 
-class _Stack:
-    """Rows of goals, those in m before those in m/s."""
+def _gradient(rows: Rows, x: Any, at: Array, scales: Scales) -> Array:
+    return RowFunction(x, rows.value, rows.sizes(scales.units), scales.state)(at)[1]
 
-    def __init__(self, rows: list[Rows], metre: float, speed: float) -> None:
-        self.metres, self.speeds = (ca.vertcat(ca.SX(0, 1), *(part.value for part in rows if part.speed is kind)) for kind in (False, True))
-        self.value = ca.vertcat(self.metres, self.speeds)
-        self.names = tuple(name for kind in (False, True) for part in rows if part.speed is kind for name in part.names)
-        self.sizes = np.concatenate([np.full(self.metres.shape[0], metre), np.full(self.speeds.shape[0], speed)])
+
+def _combined(reduction: Reduction, rows: Rows, scales: Scales) -> Any:
+    return ca.mtimes(ca.DM(reduction.combinations), rows.value / ca.DM(rows.sizes(scales.units)))
+
+
+def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None:
+    """Refuse to repeat a motion in which momenta change whatever the strings do."""
+    scaled = momentum.value / ca.DM(momentum.sizes(scales.units))
+    change = np.abs(np.asarray(ca.Function("change", [x], [scaled])(near).full()).ravel())
+    if change.max(initial=0.0) > FALLS:
+        name = momentum.names[int(np.argmax(change))]
+        raise UnreachableGoal(f"Periodic cannot be met, as {name} whatever the strings do: give a scene with a ground, or pin a node")

@@ -19,7 +19,7 @@ DONE = 1e-13
 STARTS = 4  # directions, the most curved ones, along which a quadratic equation is tried from both sides
 
 
-class Search:
+class GaussNewton:
     """Moves y by the smallest steps in the sense of a metric (ny, ny) on scaled unknowns.
 
     In that of the mass matrix such steps neither turn nor shift a free structure. `allowed` maps a y to the nearest that is allowed.
@@ -30,7 +30,7 @@ class Search:
         self._scale, self._allowed, self._deforming = scale, allowed, deforming
         self._basis = np.linalg.inv(np.linalg.cholesky(metric)).T  # columns of length one in the metric
 
-    def nearest(self, rows: RowFunction, goals: int, y: Array) -> Array:
+    def find_nearest(self, rows: RowFunction, goals: int, y: Array) -> Array:
         """y where the first rows, those of `goals`, are as small as the others, which are zero there, let them be."""
         crawling = 0
         for _ in range(STEPS):

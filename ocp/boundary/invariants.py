@@ -1,7 +1,7 @@
 """What every motion of a model keeps, whatever its strings do: bar lengths, joints, momenta, the plane it lies in.
 
 Rows of a goal that repeat these have linearly dependent gradients with the dynamics, so that no solver can impose them: they are
-left out (`ocp.reduction`), after a check that they hold by themselves.
+left out (`ocp.boundary.row_reduction`), after a check that they hold by themselves.
 """
 
 from __future__ import annotations
@@ -11,39 +11,36 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
 
-from ocp.boundary.momentum import AXES, bodies, momentum_rows
+from ocp.problem.rows import Rows
+from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.validate import Array, Indices
+
+AXES = "xyz"
+Flags = NDArray[np.bool_]
 
 
-class UnreachableGoal(ValueError):
-    """The goals contradict each other, the bars' lengths, what the motion keeps whatever the strings do, or the time there is."""
+def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Rows]:
+    """Return the rows that vanish at the symbolic state x (nx), `time` seconds after `start` (nx,), by what keeps them.
 
-
-@dataclass(frozen=True, eq=False)
-class Invariant:
-    """A group of rows that stay zero along every motion: CasADi expressions of the state and the time since the start."""
-
-    kind: str
-    value: Any
-    names: tuple[str, ...]
-    units: tuple[str, ...]  # "m", "m/s", "m²/s" or "s"
-
-
-def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Invariant]:
-    """The groups of rows that vanish at the symbolic state x (nx), `time` seconds after `start` (nx,); groups that a model lacks are left out."""
+    Kinds: "bar", "joint", "clock", "momentum", "plane"; those that a model lacks are left out.
+    """
     N, V, clock = model.unpack(x)
     N0, V0 = (np.asarray(Z).T for Z in _numbers(model, start))
     scene = model.scene
     groups = [*_constraints(model, x)]
     if scene.has_clock:
-        groups.append(Invariant("clock", clock - float(start[-1]) - time, ("the clock runs",), ("s",)))
+        groups.append(Rows(clock - float(start[-1]) - time, ("the clock runs",), ("s",), "clock"))
     if scene.ground is None and scene.pressure is None and scene.forces is None and scene.supports is None:
         gravity = np.zeros(3) if scene.gravity is None else np.array(scene.gravity.acceleration)
-        rows = [momentum_rows(body, model.mechanism, (N, V), x, start, gravity, time) for body in bodies(model.structure, gravity)]
+        rows = [_momentum_rows(body, model.mechanism, (N, V), x, start, gravity, time) for body in bodies(model.structure, gravity)]
         values, names, units = zip(*rows, strict=True)
-        groups.append(Invariant("momentum", ca.vertcat(*values), sum(names, ()), sum(units, ())))
+        groups.append(Rows(ca.vertcat(*values), sum(names, ()), sum(units, ()), "momentum"))
         groups += _plane(N, V, N0, V0, gravity)
     return [group for group in groups if group.names]
 
@@ -56,20 +53,20 @@ def _numbers(model: Model, start: Array) -> tuple[Array, Array]:
     return values[0].full().T, values[1].full().T
 
 
-def _constraints(model: Model, x: Any) -> list[Invariant]:
+def _constraints(model: Model, x: Any) -> list[Rows]:
     mech, rows = model.mechanism, model.constraints(x)
     groups = []
     if mech.bars:
         names = tuple(f"bar {k} keeps its length" for k in range(mech.bars))
-        groups.append(Invariant("bar", ca.vertcat(rows.bars, rows.bar_rates), 2 * names, ("m",) * mech.bars + ("m/s",) * mech.bars))
+        groups.append(Rows(ca.vertcat(rows.bars, rows.bar_rates), 2 * names, ("m",) * mech.bars + ("m/s",) * mech.bars, "bar"))
     if mech.joints:
         held = np.flatnonzero(mech.active.T.ravel()).tolist()
         names = tuple(f"joint {k // 3} holds along {AXES[k % 3]}" for k in held)
-        groups.append(Invariant("joint", ca.vertcat(rows.joints, rows.joint_rates), 2 * names, ("m",) * len(held) + ("m/s",) * len(held)))
+        groups.append(Rows(ca.vertcat(rows.joints, rows.joint_rates), 2 * names, ("m",) * len(held) + ("m/s",) * len(held), "joint"))
     return groups
 
 
-def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Invariant]:
+def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Rows]:
     """A structure that starts flat stays in its plane (or on its line): all forces act along members or gravity."""
     size = np.ptp(N0, axis=1).max(initial=1e-300)
     speeds = np.column_stack([V0, gravity])
@@ -80,4 +77,99 @@ def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Invaria
         return []
     value = ca.vertcat(*(ca.vec(ca.mtimes(ca.DM(normals).T, Z)) for Z in (N - ca.DM(N0), V)))
     count = N.shape[1] * normals.shape[1]
-    return [Invariant("plane", value, ("every node stays in the plane of the start",) * 2 * count, ("m",) * count + ("m/s",) * count)]
+    return [Rows(value, ("every node stays in the plane of the start",) * 2 * count, ("m",) * count + ("m/s",) * count, "plane")]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A part of the structure that no other part can push: its nodes that move, and the motions that nothing holds (see `free_motions`)."""
+
+    nodes: Indices
+    along: Flags
+    rotations: list[tuple[Array, Array]]
+    name: str
+
+
+def bodies(structure: Structure, gravity: Array) -> list[Body]:
+    """What hangs together by members that do not meet in a pinned node."""
+    pinned: Flags = np.asarray(structure.fixed.all(axis=1), dtype=bool).reshape(-1)
+    pairs = np.concatenate([structure.bars, structure.strings])
+    at_pin: Flags = pinned[pairs[:, 0]] | pinned[pairs[:, 1]]
+    links, held = pairs[~at_pin], pairs[at_pin]
+    n = len(structure.nodes)
+    graph = scipy.sparse.coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(n, n))
+    count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    groups = [np.flatnonzero((label == k) & ~pinned) for k in range(count)]
+    groups = [moving for moving in groups if moving.size]
+    found = []
+    for k, moving in enumerate(groups):
+        touching = np.unique(held[np.isin(held, moving).any(axis=1)])
+        nodes = np.union1d(moving, touching[pinned[touching]])
+        along, rotations = free_motions(structure.nodes[nodes], structure.fixed[nodes], gravity)
+        found.append(Body(moving, along, rotations, f" of body {k}" if len(groups) > 1 else ""))
+    return found
+
+
+def free_motions(nodes: Array, fixed: Flags, gravity: Array) -> tuple[Flags, list[tuple[Array, Array]]]:
+    """The axes (3,) bool along which nothing holds a body's nodes (n, 3), and the rotations (t, ω) whose momentum is kept.
+
+    A rotation moves node r by t + ω×(r − c), c the centre of mass along the free axes: its momentum is conserved when it moves no
+    `fixed` (n, 3) coordinate, wherever the nodes are, and no weight (Noether's theorem). A single pin leaves three rotations, two pins one.
+    """
+    along: Flags = np.logical_not(np.asarray(fixed.any(axis=0)))
+    origin = nodes.mean(axis=0)
+    size = float(np.abs(nodes - origin).max()) or 1.0
+    conditions = [np.eye(6)[axis] for axis in range(3) if along[axis]]
+    for node, axis in np.argwhere(fixed):
+        b, c = (axis + 1) % 3, (axis + 2) % 3
+        row = np.eye(6)[axis]  # (t + ω×r)_a = t_a + ω_b r_c − ω_c r_b
+        for other, turn, sign in ((c, b, 1.0), (b, c, -1.0)):
+            if fixed[node, other]:
+                row[3 + turn] += sign * (nodes[node, other] - origin[other]) / size
+            else:
+                conditions.append(np.eye(6)[3 + turn])
+        conditions.append(row)
+    if gravity.any():
+        g = gravity / np.linalg.norm(gravity)
+        cross = np.array([[0.0, -g[2], g[1]], [g[2], 0.0, -g[0]], [-g[1], g[0], 0.0]])  # g×ω
+        conditions += [np.concatenate([np.zeros(3), cross[axis]]) for axis in range(3) if not along[axis]]
+        conditions.append(np.concatenate([g, np.zeros(3)]))
+    _, values, right = np.linalg.svd(np.array(conditions) if conditions else np.zeros((1, 6)))
+    rank = int(np.sum(values > 1e-9))
+    rotations = []
+    for vector in right[rank:]:
+        t, omega = vector[:3] * size, vector[3:]
+        if np.linalg.norm(omega) > 1e-9:
+            rotations.append((t - np.cross(omega, np.where(along, 0.0, origin)), omega))
+    return along, rotations
+
+
+def _momentum_rows(
+    body: Body, mech: Mechanism, now: tuple[Any, Any], x: Any, start: Array, gravity: Array, time: Any
+) -> tuple[Any, tuple[str, ...], tuple[str, ...]]:
+    """Rows that stay zero, their names and units: the path and speed of the centre of mass, and angular momentum per mass.
+
+    now: N and V (3×n), expressions of the state x (nx), of the motion `time` seconds after its start (nx,).
+    """
+    c, v, spin = _momenta(body, mech, *now)
+    c0, v0, spin0 = ca.Function("begun", [x], [c, v, spin])(start)
+    g = ca.DM(gravity)
+    axes = np.flatnonzero(body.along).tolist()
+    value = ca.vertcat((c - c0 - v0 * time - g * time**2 / 2)[axes], (v - v0 - g * time)[axes], spin - spin0)
+    names = [f"the centre of mass{body.name} {what} along {AXES[axis]}" for what in ("follows its path", "keeps its speed") for axis in axes]
+    names += [f"the angular momentum{body.name} about ({', '.join(f'{w:.2g}' for w in omega)}) is kept" for _, omega in body.rotations]
+    units = ["m"] * len(axes) + ["m/s"] * len(axes) + ["m²/s"] * len(body.rotations)
+    return value, tuple(names), tuple(units)
+
+
+def _momenta(body: Body, mech: Mechanism, N: Any, V: Any) -> tuple[Any, Any, Any]:
+    """Centre of mass, its velocity, and the momenta of the rotations per mass. Pinned nodes do not move and have no part in them."""
+    own = np.isin(mech.physical, body.nodes)
+    weight = np.asarray(mech.M.sum(axis=1)).ravel() * own
+    mass = float(weight.sum())
+    centre, drift = (ca.mtimes(Z, ca.DM(weight)) / mass for Z in (N, V))
+    arms = N - ca.repmat(centre * ca.DM(body.along.astype(float)), 1, N.shape[1])
+    P = ca.mtimes(V, sparse(mech.M)) * ca.repmat(ca.DM(own.astype(float)).T, 3, 1)  # 3×n momenta of the columns
+    turning = [arms[b, :] * P[c, :] - arms[c, :] * P[b, :] for b, c in ((1, 2), (2, 0), (0, 1))]  # r×p
+    spin = [ca.dot(ca.DM(t), ca.sum2(P)) + ca.sum2(sum(omega[a] * turning[a] for a in range(3))) for t, omega in body.rotations]
+    return centre, drift, ca.vertcat(*spin) / mass if spin else ca.DM.zeros(0, 1)

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.linalg
 
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices
@@ -76,22 +77,34 @@ class _Code:
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """Which combinations (rank, m) of m scaled rows to impose, and what became of the others: {kind of invariant: rows that it repeats}."""
+    """Independent combinations (rank, m) of m named rows, each divided by its size (m,): m, m/s, or 1 of what was added for the shape.
+
+    repeated: how many combinations of the rows are left out, by what repeats them: a kind of invariant, or "another" row.
+    """
 
     combinations: Array
-    repeated: dict[str, int]
+    names: tuple[str, ...] = ()
+    sizes: Array = field(default_factory=lambda: np.zeros(0))
+    repeated: dict[str, int] = field(default_factory=dict)
+
+    def only(self, kept: Array, reason: str) -> Reduction:
+        """Return the combinations `kept` (k, rank) of the combinations; the others are left out for a reason."""
+        missing = len(self.combinations) - len(kept)
+        return replace(self, combinations=kept @ self.combinations, repeated={**self.repeated, reason: missing})
+
+    def join(self, other: Reduction) -> Reduction:
+        """Return the combinations of both sets of rows."""
+        own, more = self.repeated, other.repeated
+        return Reduction(
+            scipy.linalg.block_diag(self.combinations, other.combinations),
+            self.names + other.names,
+            np.append(self.sizes, other.sizes),
+            {kind: own.get(kind, 0) + more.get(kind, 0) for kind in (*own, *more)},
+        )
 
 
-class Combined(NamedTuple):
-    """Combinations (count, m) of m named rows, of which each is divided by its size (m,): m, m/s, or 1 of what was added for the shape."""
-
-    combinations: Array
-    names: tuple[str, ...]
-    sizes: Array
-
-
-def reduce_rows(H: Array, groups: Sequence[tuple[str, Array]]) -> Reduction:
-    """Independent combinations of rows with gradient H (m, ny), given the invariants' gradients by kind (each (·, ny))."""
+def reduce_rows(H: Array, groups: Sequence[tuple[str, Array]], names: tuple[str, ...] = (), sizes: Array | None = None) -> Reduction:
+    """Return independent combinations of rows with gradient H (m, ny), given the invariants' gradients by kind (each (·, ny))."""
     norms = np.linalg.norm(H, axis=1)
     rows = H / np.maximum(norms, 1e-12)[:, None]
     left, values, _ = _svd(rows)
@@ -104,7 +117,8 @@ def reduce_rows(H: Array, groups: Sequence[tuple[str, Array]]) -> Reduction:
         repeated[kind] = repeated.get(kind, 0) + before - int(np.sum(values > RANK))
     kept = values > RANK
     combinations = (left[:, : len(values)][:, kept] / values[kept]).T / np.maximum(norms, 1e-12)
-    return Reduction(combinations, {kind: count for kind, count in repeated.items() if count})
+    found = {kind: count for kind, count in repeated.items() if count}
+    return Reduction(combinations, names, np.ones(len(H)) if sizes is None else sizes, found)
 
 
 def soft_directions(rows: RowFunction, y: Array, rank_tolerance: float = RANK) -> tuple[Array, Array, Array]:

@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
-from ocp.boundary.free_start import Cycle
-from ocp.boundary.row_reduction import Combined
+from ocp.boundary.free_start import FreeStartRows
+from ocp.boundary.row_reduction import Reduction
 from tenscasadi.util.validate import Array
 
 
@@ -20,10 +20,9 @@ class Target:
 
     start: x₀ (nx,) on the constraints. state: the nearest state (nx,) that meets the goals, or None without goals. weights (count, m): independent
     combinations of the m rows of single, a Function x → rows, all zero at the goal; they are dense, and apart from the rows, whose derivatives are
-    sparse. misfit: Function x → (metres, metres per second), the distance from the goals in each of
-    `names` (first those in metres). given: rows of the goals; repeated: rows left out, by what repeats them; shape: rows added
-    because string lengths are singular at the target. combined: what `rows` consist of. waypoints: what is to be met on the way. cycle: rows
-    of a free start, near which `start` is then.
+    sparse. misfit: Function x → (metres, metres per second), the distance from the goals in each of `names` (first those in metres).
+    reduction: what `rows` consist of; its last `shape` rows are added because string lengths are singular at the target. adjusted: by how
+    much goals are moved to fit the bars, m. waypoints: what is to be met on the way. free_start: rows of a free start, near which `start` is.
     """
 
     start: Array
@@ -32,13 +31,11 @@ class Target:
     weights: Array
     misfit: ca.Function
     names: tuple[str, ...]
-    given: int
-    repeated: dict[str, int]
-    shape: int
-    adjusted: float
-    combined: Combined
+    reduction: Reduction
+    shape: int = 0
+    adjusted: float = 0.0
     waypoints: tuple[TargetOnTheWay, ...] = ()
-    cycle: Cycle | None = None
+    free_start: FreeStartRows | None = None
 
     @property
     def count(self) -> int:
@@ -56,36 +53,38 @@ class Target:
         x = ca.MX.sym("x", self.single.size1_in(0))
         return ca.Function("goal", [x], [ca.mtimes(ca.DM(self.weights), self.single(x))], ["x"], ["rows"])
 
-    def begun(self, start: Array) -> Target:
-        """The target of a motion from a free start that has been found, whose rows and misfit include those of repeating it."""
-        cycle = self.cycle
-        if cycle is None:
+    def only(self, kept: Array, reason: str) -> Target:
+        """Return the target with the combinations `kept` (k, count) of its rows; the others are left out for a reason."""
+        return replace(self, weights=kept @ self.weights, reduction=self.reduction.only(kept, reason))
+
+    def begin_at(self, start: Array) -> Target:
+        """Return the target of a motion from a free start that has been found, whose rows and misfit include those of repeating it."""
+        free = self.free_start
+        if free is None:
             return self
         x = ca.MX.sym("x", len(start))
-        (metres, speeds), (more_metres, more_speeds) = self.misfit(x), cycle.misfit(start, x)
+        (metres, speeds), (more_metres, more_speeds) = self.misfit(x), free.misfit(start, x)
         count, more = metres.shape[0], more_metres.shape[0]
-        own, other = self.combined, cycle.combined
-        combinations = scipy.linalg.block_diag(own.combinations, other.combinations)
         return replace(
             self,
             start=start,
-            single=ca.Function("single", [x], [ca.vertcat(self.single(x), cycle.repeats(start, x))]),
-            weights=scipy.linalg.block_diag(self.weights, np.eye(cycle.repeats.size1_out(0))),
+            single=ca.Function("single", [x], [ca.vertcat(self.single(x), free.repeats(start, x))]),
+            weights=scipy.linalg.block_diag(self.weights, np.eye(free.repeats.size1_out(0))),
             misfit=ca.Function("misfit", [x], [ca.vertcat(metres, more_metres), ca.vertcat(speeds, more_speeds)], ["x"], ["metres", "speeds"]),
-            names=(*self.names[:count], *cycle.names[:more], *self.names[count:], *cycle.names[more:]),
-            given=self.given + len(cycle.names),
-            repeated={kind: self.repeated.get(kind, 0) + cycle.repeated.get(kind, 0) for kind in (*self.repeated, *cycle.repeated)},
-            combined=Combined(combinations, own.names + other.names, np.append(own.sizes, other.sizes)),
-            cycle=None,
+            names=(*self.names[:count], *free.reduction.names[:more], *self.names[count:], *free.reduction.names[more:]),
+            reduction=self.reduction.join(free.reduction),
+            free_start=None,
         )
 
     def describe(self) -> str:
-        """The count of rows, such as "36 → 21 rows: 6 bar, 9 momentum"."""
-        if not self.given:
+        """Return the count of rows, such as "36 → 21 rows: 6 bar, 9 momentum"."""
+        given = len(self.reduction.names) - self.shape
+        if not given:
             return "; ".join(one.label + one.target.describe() for one in self.waypoints) or "no goals"
-        text = f"{self.given} → {self.count} rows"
-        parts = [f"{count} {kind}" for kind, count in self.repeated.items()] + ([f"{self.shape} added for the shape"] if self.shape else [])
-        text += ": " + ", ".join(parts) if parts else ""
+        text = f"{given} → {self.count} rows"
+        left_out = [f"{count} {kind}" for kind, count in self.reduction.repeated.items()]
+        left_out += [f"{self.shape} added for the shape"] if self.shape else []
+        text += ": " + ", ".join(left_out) if left_out else ""
         text += f"; goals adjusted by {self.adjusted:.1e} m to fit the bars" if self.adjusted else ""
         return "; ".join([text, *(one.label + one.target.describe() for one in self.waypoints)])
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from ocp.boundary.find_target import find_target
 from ocp.plan.plan import Plan
-from ocp.problem.motions import Periodic, Waypoint
+from ocp.problem.goals import Periodic
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.scaling import Scales
+from ocp.problem.waypoints import Waypoint
 from ocp.transcription.initial_guess import settled
 from ocp.transcription.mesh import at
 from tenscasadi.util.validate import Array

@@ -11,19 +11,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ocp.problem.rows import Rows
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import coordinates, finite_array, node_index, nonnegative, number_or_vector, per_item, whole_number
 
 OTHER_BAR = 1e-3  # relative: a shape with bars of other lengths is refused, rounded nodes are not
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Named rows of a goal: a column of CasADi expressions, m or m/s."""
-
-    value: Any
-    names: tuple[str, ...]
-    speed: bool = False
 
 
 class Goal:
@@ -32,8 +24,8 @@ class Goal:
     def check(self, structure: Structure) -> None:
         """Raise TypeError or ValueError, naming the field, where the goal does not fit the structure."""
 
-    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows | tuple[Rows, ...]:
-        """The rows that vanish when the goal is met, of nodes and velocities 3×n (CasADi)."""
+    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
+        """Return the rows that vanish when the goal is met, of nodes and velocities 3×n (CasADi)."""
         raise NotImplementedError
 
 
@@ -77,7 +69,7 @@ class StringLengths(Goal):
         ends = structure.strings[list(wanted)]
         vectors = nodes[:, ends[:, 1].tolist()] - nodes[:, ends[:, 0].tolist()]
         value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(list(wanted.values()))
-        return Rows(value, tuple(f"StringLengths: string {string}" for string in wanted))
+        return Rows(value, tuple(f"StringLengths: string {string}" for string in wanted), ("m",) * len(wanted))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +118,7 @@ class NodePositions(Goal):
             if value is not None and not structure.fixed[node, axis]
         ]
         value = ca.vertcat(*(nodes[axis, node] - wanted for node, axis, wanted in entries))
-        return Rows(value, tuple(f"NodePositions: node {node} {'xyz'[axis]}" for node, axis, _ in entries))
+        return Rows(value, tuple(f"NodePositions: node {node} {'xyz'[axis]}" for node, axis, _ in entries), ("m",) * len(entries))
 
 
 @dataclass(frozen=True)
@@ -141,7 +133,7 @@ class AtRest(Goal):
         held = {(int(node), int(axis)) for node, axis in np.argwhere(structure.fixed)}
         free = [(node, axis) for node in range(velocities.shape[1]) for axis in range(3) if (node, axis) not in held]
         value = ca.vertcat(*(velocities[axis, node] for node, axis in free))
-        return Rows(value, tuple(f"AtRest: node {node} {'xyz'[axis]}" for node, axis in free), speed=True)
+        return Rows(value, tuple(f"AtRest: node {node} {'xyz'[axis]}" for node, axis in free), ("m/s",) * len(free))
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +169,45 @@ class Shape(Goal):
         wanted = np.asarray(self.nodes)
         vectors = nodes[:, second] - nodes[:, first]
         value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(np.linalg.norm(wanted[second] - wanted[first], axis=1))
-        return Rows(value, tuple(f"Shape: distance of nodes {a} and {b}" for a, b in pairs))
+        return Rows(value, tuple(f"Shape: distance of nodes {a} and {b}" for a, b in pairs), ("m",) * len(pairs))
 
 
-def rows_of(goal: Goal, structure: Structure, nodes: Any, velocities: Any) -> tuple[Rows, ...]:
-    """The rows of a goal, those of places and those of speeds apart."""
-    rows = goal.rows(structure, nodes, velocities)
-    return (rows,) if isinstance(rows, Rows) else rows
+@dataclass(frozen=True, eq=False)
+class Periodic(Goal):
+    """The end repeats the start, so that the plan may be run again and again: each node back in its place and at its velocity.
+
+    shift: (x, y, z), m, by which all nodes have moved, as in a gait; None for an axis: as far as the first node has. start: nodes and
+    velocities (n, 3) to come back to; None: those of the problem, also where they are sought (`FreeStart`).
+    """
+
+    shift: Sequence[float | None] = (0.0, 0.0, 0.0)
+    start: tuple[ArrayLike, ArrayLike] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shift", coordinates("Periodic.shift", self.shift, "an axis that is free"))
+        if self.start is not None and (not isinstance(self.start, (tuple, list)) or len(self.start) != 2):
+            raise TypeError("Periodic.start is no pair: give (nodes, velocities), or None for the start of the problem")
+
+    def check(self, structure: Structure) -> None:
+        """Raise where a pinned node would have to move, or `start` does not fit."""
+        for name, given in zip(("nodes", "velocities"), self.start or (), strict=False):
+            finite_array(f"Periodic.start: {name}", given, structure.nodes.shape)
+        for axis, value in enumerate(self.shift):
+            if value and structure.fixed[:, axis].any():
+                node = int(np.argmax(structure.fixed[:, axis]))
+                raise ValueError(f"Periodic.shift moves node {node}, which is pinned along {'xyz'[axis]}: give 0 for that axis")
+
+    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
+        """Return coordinates and velocities minus those of the start."""
+        if self.start is None:
+            raise ValueError("Periodic.start is None: give it to a Problem, which knows its start")
+        before, speeds = (value if isinstance(value, (ca.SX, ca.MX)) else np.asarray(value) for value in self.start)
+        places, rates = [], []
+        for node, axis in np.argwhere(~structure.fixed).tolist():
+            name, shift = f"Periodic: node {node} {'xyz'[axis]}", self.shift[axis]
+            moved = nodes[axis, 0] - before[0, axis] if shift is None else shift
+            if shift is not None or node:
+                places.append((nodes[axis, node] - before[node, axis] - moved, name))
+            rates.append((velocities[axis, node] - speeds[node, axis], f"{name} velocity"))
+        values, names = zip(*places, *rates, strict=True)
+        return Rows(ca.vertcat(*values), names, ("m",) * len(places) + ("m/s",) * len(rates))

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from ocp.problem.bounds import Bound, ForceDensityLimits, Limits, TensionLimits
 from ocp.problem.costs import Cost, Effort
 from ocp.problem.expressions import check_expressions
-from ocp.problem.goals import Goal
-from ocp.problem.motions import INSTANT, Periodic, Waypoint
+from ocp.problem.goals import Goal, Periodic
+from ocp.problem.waypoints import INSTANT, Waypoint
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity

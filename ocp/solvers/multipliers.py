@@ -43,9 +43,9 @@ def duals_of(program: Program, target: Target, w: Array, rows: Array, limits: Ar
     """The multipliers of an optimum w by name, from the scaled ones of rows and of w's limits; `target` is what is imposed."""
     names, values = [], []
     for part in _parts(program, target):
-        combinations, own, sizes = part.target.combined
-        names += [f"{part.label}{name}" for name in own]
-        values.append(combinations.T @ rows[part.rows] * program.objective / sizes)
+        reduction = part.target.reduction
+        names += [f"{part.label}{name}" for name in reduction.names]
+        values.append(reduction.combinations.T @ rows[part.rows] * program.objective / reduction.sizes)
     rest = _rest(program)
     return Duals(
         (*(program.names[k] for k in rest), *names, *program.w_names),
@@ -57,7 +57,7 @@ def duals_of(program: Program, target: Target, w: Array, rows: Array, limits: Ar
 def started(program: Program, target: Target, duals: Duals) -> Program:
     """The program that starts where another of the same unknowns and constraints ended; as it is where they are others."""
     rest, parts = _rest(program), _parts(program, target)
-    goals = [f"{part.label}{name}" for part in parts for name in part.target.combined.names]
+    goals = [f"{part.label}{name}" for part in parts for name in part.target.reduction.names]
     if duals.names != (*(program.names[k] for k in rest), *goals, *program.w_names):
         return program
     values, count = duals.values / program.objective, len(program.w_names)
@@ -65,10 +65,10 @@ def started(program: Program, target: Target, duals: Duals) -> Program:
     rows[rest] = values[: len(rest)] * program.scale[rest]
     place = len(rest)
     for part in parts:
-        combinations, _, sizes = part.target.combined
-        own = values[place : place + len(sizes)] * sizes
-        rows[part.rows] = np.linalg.lstsq(combinations.T, own)[0]
-        place += len(sizes)
+        reduction = part.target.reduction
+        own = values[place : place + len(reduction.sizes)] * reduction.sizes
+        rows[part.rows] = np.linalg.lstsq(reduction.combinations.T, own)[0]
+        place += len(own)
     return replace(program, first=duals.point / program.w_scale, multipliers=(rows, values[len(values) - count :] * program.w_scale))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.free_start import Cycle
+from ocp.boundary.free_start import FreeStartRows
 from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, typical_cost
@@ -57,19 +57,19 @@ class Assembly:
         self._control_names = [f"force density of string{'s' * (len(own) > 1)} {', '.join(map(str, own))}" for own in members]
         self._least, self._most = (np.array([choose(limit[own]) for own in members]) for choose, limit in ((np.max, least), (np.min, most)))
         self._control_first = self.guess.force_density @ (self.spread / self.spread.sum(axis=0))
-        if target.cycle is not None:
-            self._free_start(target.cycle)
+        if target.free_start is not None:
+            self._add_free_start(target.free_start)
 
     # --- unknowns ---
 
-    def _free_start(self, cycle: Cycle) -> None:
+    def _add_free_start(self, free: FreeStartRows) -> None:
         """The start, but for its clock, and the rows that hold there alone."""
         size = 2 * self.model.nq
         names = [f"{name}, start" for name in self._state_names[:size]]
         self.states[0, :size] = self.unknowns.add(names, self.guess.states[0, :size], self.scales.state[:size])
-        rows = tuple(f"start, combination {k} of bars and goals" for k in range(cycle.start.size1_out(0)))
+        rows = tuple(f"start, combination {k} of bars and goals" for k in range(free.start.size1_out(0)))
         if rows:
-            self.rows.append(Block(cycle.start, self.states[:1], rows, kind="start"))
+            self.rows.append(Block(free.start, self.states[:1], rows, kind="start"))
 
     def add_control(self, k: int) -> None:
         """Force densities of interval k, or, where they are piecewise linear, at its start; k = K: at the end."""
@@ -159,11 +159,11 @@ class Assembly:
         if self.target.count:
             names = tuple(f"goal, combination {k}" for k in range(self.target.count))
             blocks.append(Block(self.target.single, self.states[-1:], names, combination=self.target.weights, kind="end"))
-        cycle = self.target.cycle
-        if cycle is not None and cycle.names:
-            names = tuple(f"goal of repeating, combination {k}" for k in range(cycle.repeats.size1_out(0)))
+        free = self.target.free_start
+        if free is not None and free.reduction.names:
+            names = tuple(f"goal of repeating, combination {k}" for k in range(free.repeats.size1_out(0)))
             z = ca.SX.sym("z", 2 * self.model.nx)
-            function = ca.Function("repeats", [z], [cycle.repeats(*ca.vertsplit(z, self.model.nx))])
+            function = ca.Function("repeats", [z], [free.repeats(*ca.vertsplit(z, self.model.nx))])
             blocks.append(Block(function, np.hstack([self.states[:1], self.states[-1:]]), names, kind="periodic"))
         return blocks
 

@@ -9,8 +9,7 @@ import pytest
 import ocp
 import tenscasadi as tc
 from ocp.boundary.find_target import find_target
-from ocp.boundary.invariants import invariants
-from ocp.boundary.momentum import bodies, free_motions
+from ocp.boundary.invariants import bodies, free_motions, invariants
 from ocp.boundary.reach import Reach, controlled
 from ocp.boundary.row_reduction import RowFunction, null_space, soft_directions
 from ocp.problem.scaling import Scales
