@@ -62,8 +62,9 @@ def explain_divergence(model: Model, scheme: Scheme, run: Trajectory, last: int)
 
 
 def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Compiled) -> str:
-    """Say what is not to be trusted in a run that finished, each after a semicolon, and the cure: its start, its bars, its energy (as when a
-    correction hides what the step destroys).
+    """Say what is not to be trusted in a run that finished, each after a semicolon, and the cure.
+
+    Its start, its bars, or its energy, as when a correction hides what the step destroys.
     """
     x, u = run.states[0], run.control[0]
     if off := off_constraints(model, x, _OFF)[1]:
@@ -80,7 +81,7 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
 
 
 def _finer(model: Model, scheme: Scheme, step: float, x: Array, u: Array) -> str:
-    """The cure for a run that is not accurate."""
+    """Name the cure for a run that is not accurate."""
     if scheme.adaptive:
         return f"try a smaller {type(scheme).__name__}(rtol)"
     limit = stable_step(model, x, u, scheme, safety=1.0)
@@ -88,7 +89,26 @@ def _finer(model: Model, scheme: Scheme, step: float, x: Array, u: Array) -> str
 
 
 def off_constraints(model: Model, state: Array, tolerance: float, iterations: int = 3) -> tuple[Array, str]:
-    """Project a state (nx,) onto bars and joints, and say so where that moves it by more than `tolerance` of its largest entry; "" where not."""
+    """Project a state onto bars and joints, and say so where that moves it far.
+
+    Parameters
+    ----------
+    model : Model
+        The model whose constraints the state has to meet.
+    state : ndarray, shape (nx,)
+        The state.
+    tolerance : float
+        Share of the largest entry of positions and velocities up to which nothing is said.
+    iterations : int
+        Steps of Newton's method.
+
+    Returns
+    -------
+    right : ndarray, shape (nx,)
+        The projected state.
+    off : str
+        By how much the state is off, and the cure; "" where it is not.
+    """
     right = np.asarray(projection(model, iterations)(state).full()).ravel()
     moving = slice(0, 2 * model.nq)
     moved = float(np.abs(right - state)[moving].max(initial=0.0))

@@ -18,14 +18,49 @@ from tenscasadi.util.validate import Array, instance
 
 
 def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), precision: Single | None = None) -> list[Path]:
-    """Writes `tensegrity.c`, `tensegrity.h`, `start.h` and `main.c` into `folder` (made if need be); returns their paths.
+    """Write a model as C code that needs nothing but the C library.
 
-    Functions, in CasADi's calling convention (`int name(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)`):
-    `ode` (x, u) → xdot; `ode_jacobian` (x, u) → its dense derivatives by x and u, column by column; `step` (x, u, h) → x, one step of
-    `scheme`, which takes fixed steps, followed by the projection onto bars and joints; `observe` (x, u) → see `Model.observe`.
-    `main.c` integrates from the model's initial state: `cc -O2 tensegrity.c main.c -lm -o run && ./run t_end step rows`.
-    precision: None, in double; `Single()`, in float.
-    Raises TypeError, ValueError, OSError.
+    Parameters
+    ----------
+    model : Model
+        The model to write.
+    folder : str or Path
+        Folder for the files; it is made if need be.
+    scheme : Scheme, optional
+        Integration scheme of fixed steps. Default: `RungeKutta4`.
+    precision : Single, optional
+        `Single()` writes code that computes in float. Default: double.
+
+    Returns
+    -------
+    list of Path
+        The files `tensegrity.c`, `tensegrity.h`, `start.h` (sizes, initial state and control) and `main.c`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument is wrong, or the scheme chooses its steps; the message names it.
+    OSError
+        The files cannot be written.
+
+    Notes
+    -----
+    `tensegrity.c` holds four functions in CasADi's calling convention, ``int name(const casadi_real** arg, casadi_real** res,
+    casadi_int* iw, casadi_real* w, int mem)``:
+
+    - `ode` (x, u) -> xdot;
+    - `ode_jacobian` (x, u) -> its dense derivatives by x and by u, column by column;
+    - `step` (x, u, h) -> x after one step of `scheme` of h s, followed by the projection onto bars and joints;
+    - `observe` (x, u) -> the outputs of `Model.observe`.
+
+    `main.c` integrates from the model's initial state: ``cc -O2 tensegrity.c main.c -lm -o run && ./run t_end step rows``.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    >>> [file.name for file in tc.export_c(model, "prism_in_c")]
+    ['tensegrity.c', 'tensegrity.h', 'start.h', 'main.c']
     """
     instance("model", model, Model, "a tenscasadi.Model")
     instance("precision", precision, (Single, type(None)), "Single() for float, or None for double")
@@ -47,7 +82,7 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
 
 
 def _jacobian(model: Model) -> ca.Function:
-    """Dense derivatives: one directional derivative in C, looped over the directions, so that code and compile time stay small."""
+    """Write dense derivatives: one directional derivative in C, looped over the directions, so that code and compile time stay small."""
     x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
     dx, du = ca.MX.sym("dx", model.nx), ca.MX.sym("du", model.nu)
     slope = model.ode.forward(1)(x, u, ca.MX(model.nx, 1), dx, du)  # the third input, xdot, is not needed

@@ -1,4 +1,4 @@
-"""Steppers: what takes a run from one time of its grid to the next, as machine code where there is a compiler."""
+"""Steppers: they take a run from one time of its grid to the next, as machine code where there is a compiler."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _STUCK = 1e-13  # of the grid's spacing: a step as short as this makes no headwa
 
 
 class Report(NamedTuple):
-    """What a run did: in words, the mean length of a step, s, and how many steps were computed, in vain or not."""
+    """Account of a run: in words, the mean length of a step, s, and how many steps were computed, in vain or not."""
 
     text: str
     step: float
@@ -35,11 +35,11 @@ class Report(NamedTuple):
 
 
 class StepFailure(RuntimeError):
-    """A scheme cannot go on; the message says why and what to do."""
+    """Raised where a scheme cannot go on; the message says why and what to do."""
 
 
 class Stepper(Protocol):
-    """Advances z (nz,), the state and one entry for the energy supplied where that is asked for, `steps` grid steps a call."""
+    """Object that advances z (nz,), the state and one entry for the energy supplied where that is asked for, `steps` grid steps a call."""
 
     steps: int
 
@@ -47,10 +47,10 @@ class Stepper(Protocol):
         """Set the lengths (steps,), s, of the grid steps of the next calls, and the controls (steps + 1, nu) of these and of the one after."""
 
     def __call__(self, z: Array) -> Array:
-        """z after each grid step (steps, nz), valid until the next call. Raises StepFailure."""
+        """Return z after each grid step (steps, nz), valid until the next call. Raises StepFailure."""
 
     def report(self, taken: int, step: float) -> Report:
-        """What was done in `taken` grid steps of `step` s."""
+        """Tell what was done in `taken` grid steps of `step` s in the mean."""
 
 
 class Built(NamedTuple):
@@ -62,7 +62,7 @@ class Built(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What to run: `power` and `jumps` ask for the energy supplied by forces outside `model.energy` and by changes of the control."""
+    """Run to make: `power` and `jumps` ask for the energy supplied by forces outside `model.energy` and by changes of the control."""
 
     model: Model
     scheme: Scheme
@@ -72,51 +72,51 @@ class Task(NamedTuple):
 
 
 def check_single(scheme: Scheme) -> None:
-    """ValueError where a scheme asks for more than single precision holds."""
-    name = "rtol" if isinstance(scheme, EmbeddedRungeKutta) else "tolerance"
-    asked = getattr(scheme, name, None)
-    if asked is not None and asked < _SINGLE:
-        raise ValueError(f"{type(scheme).__name__}.{name} is {asked:g}: give {_SINGLE:g} or more in single precision, less is rounding")
+    """Raise ValueError where a scheme asks for more than single precision holds."""
+    for name in ("rtol", "tolerance"):
+        asked = getattr(scheme, name, None)
+        if asked is not None and asked < _SINGLE:
+            raise ValueError(f"{type(scheme).__name__}.{name} is {asked:g}: give {_SINGLE:g} or more in single precision, less is rounding")
 
 
 def make_stepper(task: Task, inputs: SampledControl, compiled: Compiled) -> Built:
     """Build the stepper of a task on the grid of `inputs`; `compiled` as for `simulate`. Raises CompileError, ValueError."""
-    model, scheme, correction = task.model, task.scheme, task.correction
-    every = 1 if correction is None else correction.every
+    scheme, every = task.scheme, 1 if task.correction is None else task.correction.every
     if isinstance(scheme, Sundials):
         if compiled:
             raise CompileError(f"{type(scheme).__name__} is an integrator of SUNDIALS, which makes no C code: give compiled=None or another scheme")
         return Built(SundialsStepper(task, scheme, inputs.longest), False, "")
     if scheme.adaptive and every != 1:
         raise ValueError(f"correction.every is {every}: {type(scheme).__name__} with rtol corrects after each of its own steps, give every=1")
-    single = isinstance(compiled, Single)
+    function, is_code, note = _build_function(task, every, inputs.steps, compiled)
+    if isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive:
+        return Built(AdaptiveStepper(task, scheme, function, inputs.longest), is_code, note)
+    return Built(LoopStepper(function), is_code, note)
+
+
+def _build_function(task: Task, every: int, steps: int, compiled: Compiled) -> tuple[ca.Function, bool, str]:
+    """Build the Function that takes `steps` steps, some at a time; tell whether it is machine code, and why not."""
+    chunk, single = chunk_steps(task.model, every), isinstance(compiled, Single)
     if single:
-        check_single(scheme)
+        check_single(task.scheme)
     note = ""
     if compiled is not False:
         try:
-            chunk = every if scheme.implicit else chunk_steps(model, every)  # Newton's method takes longer than a call
-            function = compile_function(_function(task, chunk), single=single)
-            return Built(_wrapped(task, function, inputs.longest), True, "; in single precision" if single else "")
+            function = _write_function(task, every if task.scheme.implicit else chunk)  # Newton's method takes longer than a call
+            return compile_function(function, single=single), True, "; in single precision" if single else ""
         except CompileError as error:
             if compiled:
                 raise
             found = find_compiler()
             note = "; not compiled: " + (f"{found[0]} failed, compiled=True shows why" if found else str(error))
-    short = every * min(chunk_steps(model, every) // every, -(-inputs.steps // every))  # nothing is reused: no longer than the run
-    return Built(_wrapped(task, _function(task, short), inputs.longest), False, note)
+    short = every * min(chunk // every, -(-steps // every))  # nothing is reused: no longer than the run
+    return _write_function(task, short), False, note
 
 
-def _function(task: Task, steps: int) -> ca.Function:
+def _write_function(task: Task, steps: int) -> ca.Function:
     if isinstance(task.scheme, EmbeddedRungeKutta) and task.scheme.adaptive:
         return attempts_function(task.model, task.scheme, task.correction, task.power)
     return chunk_function(*task, steps)
-
-
-def _wrapped(task: Task, function: ca.Function, step: float) -> Stepper:
-    if isinstance(task.scheme, EmbeddedRungeKutta) and task.scheme.adaptive:
-        return AdaptiveStepper(task, function, task.scheme, step)
-    return LoopStepper(function)
 
 
 class LoopStepper:
@@ -140,7 +140,7 @@ class LoopStepper:
         self._u[:], self._h[:] = controls, lengths
 
     def __call__(self, z: Array) -> Array:
-        """z after each step (steps, nz), valid until the next call."""
+        """See `Stepper.__call__`."""
         self._z[:] = z
         self._trigger()
         if self._buffer.ret():
@@ -148,7 +148,7 @@ class LoopStepper:
         return self._out
 
     def report(self, taken: int, step: float) -> Report:
-        """What was done in `taken` steps of `step` s."""
+        """See `Stepper.report`."""
         return Report(f"{taken} steps of {step:g} s", step, taken)
 
 
@@ -157,7 +157,7 @@ class AdaptiveStepper:
 
     steps = 1
 
-    def __init__(self, task: Task, function: ca.Function, scheme: EmbeddedRungeKutta, step: float) -> None:
+    def __init__(self, task: Task, scheme: EmbeddedRungeKutta, function: ca.Function, step: float) -> None:
         self._scheme, self._step, self._calls = scheme, step, 0
         self._nx, self._nz = task.model.nx, function.size1_in(0)
         self._energy = task.model.energy_function if task.jumps else None
@@ -181,7 +181,7 @@ class AdaptiveStepper:
         self._step = float(lengths[0])
 
     def __call__(self, z: Array) -> Array:
-        """z at the end of the grid step (1, nz). Raises StepFailure."""
+        """See `Stepper.__call__`; one step."""
         self._z[:] = z[: self._nz]
         self._memory[_REST] = self._step
         self._calls += 1
@@ -244,7 +244,7 @@ class SundialsStepper:
         self._controls, self._lengths = controls, lengths
 
     def __call__(self, z: Array) -> Array:
-        """z after each grid step (steps, nz). Raises StepFailure."""
+        """See `Stepper.__call__`."""
         nx, u = self._model.nx, self._controls
         start = z[: len(z) - self._extra]
         try:
@@ -275,5 +275,5 @@ class SundialsStepper:
         return np.asarray(self._integrate(x0=start, u=controls.T, **guess)["xf"].full()).T
 
     def report(self, taken: int, step: float) -> Report:
-        """See `Stepper`."""
+        """See `Stepper.report`."""
         return Report(f"{taken} times {step:g} s apart, by {type(self._scheme).__name__}", step, taken)

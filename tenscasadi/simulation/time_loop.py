@@ -15,14 +15,14 @@ _WORK = 5e7  # instructions a call, some 0.05 s compiled: checks, progress bar a
 
 
 def chunk_steps(model: Model, every: int) -> int:
-    """Steps of one call: a multiple of `every` that depends on the model alone, so that one compiled loop serves runs of any length."""
+    """Choose the steps of one call: a multiple of `every` that depends on the model alone, so that one compiled loop serves runs of any length."""
     work = 4 * max(instructions(model.ode), 20 * model.nx) + 1  # mapped functions count once: 20 a state is what members cost
     steps = 2 ** int(np.log2(np.clip(_WORK / work, 1, _LONGEST)))
     return int(every * max(1, steps // every))
 
 
 def chunk_function(model: Model, scheme: Scheme, correction: Correction | None, power: bool, jumps: bool, steps: int) -> ca.Function:
-    """`steps` steps: Function "chunk" (z, h (1, steps), u (nu, steps)[, u_next (nu, steps)]) -> z after each step (nz, steps).
+    """Chain `steps` steps: Function "chunk" (z, h (1, steps), u (nu, steps)[, u_next (nu, steps)]) -> z after each step (nz, steps).
 
     z is the state x; with `power` or `jumps`, one entry more: the energy in joule supplied to the model up to then by forces outside
     `model.energy` (`power`), and by changes of the control from u to u_next at the end of a step (`jumps`). With `jumps` there is
@@ -39,7 +39,7 @@ def chunk_function(model: Model, scheme: Scheme, correction: Correction | None, 
 
 
 def _advance(model: Model, scheme: Scheme, project: ca.Function | None, power: bool, jumps: bool) -> ca.Function:
-    """One step, then the projection, then the account of the energy supplied."""
+    """Write one step, then the projection, then the account of the energy supplied."""
     nz = model.nx + (power or jumps)
     z, h, u, u_next = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("u", model.nu), ca.MX.sym("u_next", model.nu)
     if power and model.power is not None:
@@ -57,7 +57,7 @@ def _advance(model: Model, scheme: Scheme, project: ca.Function | None, power: b
 
 
 def _repeat(name: str, step: ca.Function, times: int) -> ca.Function:
-    """`step` chained to itself: nested blocks of calls, so that the code stays small."""
+    """Chain `step` to itself, in nested blocks of calls, so that the code stays small."""
     calls: list[ca.Function] = [step] * times
     rest: list[ca.Function] = []
     while len(calls) > _BASE:
@@ -68,7 +68,7 @@ def _repeat(name: str, step: ca.Function, times: int) -> ca.Function:
 
 
 def _chain(name: str, steps: list[ca.Function]) -> ca.Function:
-    """Functions (z, inputs column by column) -> z after each column, one after the other, as one of the same kind."""
+    """Join Functions (z, inputs column by column) -> z after each column, one after the other, to one of the same kind."""
     offsets = np.cumsum([0, *(step.size2_in(1) for step in steps)]).tolist()
     first = steps[0]
     start = z = ca.MX.sym("z", first.size1_in(0))
