@@ -75,7 +75,25 @@ def stiff_strings(tables: Any) -> None:
         assert max(row.steps for row in rows if "Collocation" in row.scheme) * 100 < min(row.steps for row in rows if "Runge" in row.scheme)
 
 
-CLAIMS = (simulate_ball, double_pendulum, plan_prism, ball_rolls, prism_gait, benchmark_rhs, paper_prism, paper_dbar, paper_membrane, stiff_strings)
+def extremes(rows: Any) -> None:
+    assert len(rows) > 40
+    for row in rows:
+        assert row.error <= row.stated, row
+
+
+CLAIMS = (
+    extremes,
+    simulate_ball,
+    double_pendulum,
+    plan_prism,
+    ball_rolls,
+    prism_gait,
+    benchmark_rhs,
+    paper_prism,
+    paper_dbar,
+    paper_membrane,
+    stiff_strings,
+)
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in EXAMPLES.glob("*.py")))
