@@ -1,1 +1,1 @@
-"""What a simulation costs and how wrong it is; natural modes."""
+"""Cost and errors of simulations, the scheme that suits a tolerance, and natural modes."""

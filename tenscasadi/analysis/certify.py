@@ -29,15 +29,29 @@ _FASTER = 10.0  # compiled code against the virtual machine
 
 
 class NoReference(ValueError):
-    """Two tight solutions do not agree: the motion is chaotic, unstable or too stiff over that time, and no error can be measured."""
+    """Raised where two tight solutions do not agree: the motion is chaotic, unstable or too stiff for errors to be measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Where the nodes of a structure end.
+    """Places of a structure's nodes at the end of a motion, with their error.
 
-    nodes (n, 3) m at time t_end, s, of the scene's structure (not of its strings' segments), read-only; error, m: the largest distance of
-    a node between two solutions by different schemes and steps, an estimate of the error of the worse one; message: which they were.
+    Attributes
+    ----------
+    nodes : ndarray (n, 3)
+        Nodes of the scene's structure at `t_end`, m, read-only; those inside strings are left out.
+    error : float
+        Estimate of their error, m: the largest distance of a node between two solutions by different schemes and steps.
+    t_end : float
+        Time of the end, s.
+    message : str
+        Which two solutions were compared.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.Reference(nodes=[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], error=1e-12, t_end=1.0).nodes.shape
+    (2, 3)
     """
 
     nodes: Array
@@ -61,12 +75,50 @@ def certify(
     compiled: bool | None = None,
     work: float = 1e10,
 ) -> Reference:
-    """The end of a motion as `DormandPrince853` and `DormandPrince54` find it, with steps that are refined until both agree.
+    """Compute where a motion ends, with an estimate of the error, from two schemes whose steps are refined until both agree.
 
-    state, control, compiled: as for `simulate`. Refinement ends when the two agree within `enough`, m (None: 1e-12 of the structure's size),
-    when finer steps do not bring them closer, or before a solution would take more than `work` instructions (a tenth in the virtual machine).
-    Where slack or contact spoils the order of fixed steps, both control their error and locate these events.
-    Raises NoReference when they end further apart than `accuracy`, m (None: 1e-7 of the structure's size), TypeError, ValueError.
+    The schemes are `DormandPrince853` and `DormandPrince54`. Refinement ends when they agree within `enough`, when finer steps do not
+    bring them closer, or when the next solution would cost more than `work`. Where slack or contact spoils the order of fixed steps,
+    both control their error and locate these events.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    t_end : float
+        Duration of the motion, s.
+    state : array_like (nx,), optional
+        Start; None: the model's initial state.
+    control : array_like or callable, optional
+        Control input, as for `simulate`.
+    accuracy : float, optional
+        Largest distance of the two solutions that is accepted, m; None: 1e-7 of the structure's size.
+    enough : float, optional
+        Distance of the two solutions at which refinement ends, m; None: 1e-12 of the structure's size.
+    compiled : bool, optional
+        Whether to run as machine code, as for `simulate`.
+    work : float
+        Instructions that a solution may take; without machine code a tenth of them.
+
+    Returns
+    -------
+    Reference
+        Nodes at the end, m, and their error.
+
+    Raises
+    ------
+    NoReference
+        If the two solutions end further apart than `accuracy`.
+    TypeError, ValueError
+        If an argument has a wrong type, shape or value.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
+    >>> reference = tc.certify(model, t_end=0.5, enough=1e-8, compiled=False)
+    >>> reference.error < 1e-8
+    True
     """
     instance("model", model, Model, "a tenscasadi.Model")
     t_end = positive_number("t_end", t_end)
@@ -108,16 +160,16 @@ class _Pairs:
 
     @property
     def error(self) -> float:
-        """Of the best pair; infinite when there is none."""
+        """Error of the best pair, m; infinite when there is none."""
         return np.inf if self.best is None else self.best.error
 
     def try_steps(self, count: int) -> None:
-        """`count` steps of order 8 and four times as many of order 5; no multiple: they meet events at different places of a step."""
+        """Solve with `count` steps of order 8 and four times as many of order 5; no multiple: they meet events at different places of a step."""
         finer = _FINER * count + 1
         self._try(f"DormandPrince853 with {count} steps and DormandPrince54 with {finer}", (DormandPrince853(), count), (DormandPrince54(), finer))
 
     def try_tolerance(self, rtol: float) -> None:
-        """Both with control of the error and events located."""
+        """Solve both with control of the error and events located."""
         first, second = DormandPrince853(rtol), DormandPrince54(rtol)
         self._try(f"DormandPrince853 and DormandPrince54 with rtol={rtol:g}", (first, _GRID), (second, _GRID + 1))
 
@@ -138,7 +190,7 @@ class _Pairs:
 
 
 def _counts(model: Model, t_end: float, state: Any, work: float) -> Iterator[int]:
-    """Steps of order 8 from what is stable at the start to what `work` allows; at least one pair."""
+    """Yield numbers of steps of order 8, from what is stable at the start to what `work` allows; at least one pair."""
     longest = min(stable_step(model, state, None, DormandPrince853()), _FINER * stable_step(model, state, None, DormandPrince54()))
     steps = max(_COARSEST, int(np.ceil(t_end / longest))) if np.isfinite(longest) and longest > 0 else _COARSEST
     most = work / instructions(DormandPrince853().advance(model))
@@ -149,10 +201,10 @@ def _counts(model: Model, t_end: float, state: Any, work: float) -> Iterator[int
 
 
 def end_nodes(model: Model, trajectory: Trajectory) -> Array:
-    """The last nodes (n, 3) of the scene's structure; segments' nodes come after them and are left out."""
+    """Return the last nodes (n, 3) of the scene's structure; segments' nodes come after them and are left out."""
     return trajectory.nodes[-1, : len(model.scene.structure.nodes)]
 
 
 def distance(nodes: Array, others: Array) -> float:
-    """The largest distance of a node from its other self, m."""
+    """Return the largest distance of a node from its other self, m."""
     return float(np.linalg.norm(nodes - others, axis=1).max(initial=0.0))

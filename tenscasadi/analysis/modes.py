@@ -16,21 +16,54 @@ from tenscasadi.util.validate import Array, instance, positive_number, whole_num
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """ẋ ≈ ode(x₀, u₀) + A (x − x₀) + B (u − u₀), and the tangent basis in which its physical motion lives."""
+    """A model's equations to first order about a state and control: ẋ ≈ ode(x₀, u₀) + A (x − x₀) + B (u − u₀).
 
-    A: Array  # (nx, nx)
-    B: Array  # (nx, nu)
-    residual: Array  # (nx,) ode(x₀, u₀): zero in equilibrium
-    tangent: Array  # (nq, d) orthonormal basis of displacements that bars and joints allow
+    Attributes
+    ----------
+    A : ndarray (nx, nx)
+        Derivative of the state's rate by the state.
+    B : ndarray (nx, nu)
+        Derivative of the state's rate by the control.
+    residual : ndarray (nx,)
+        The rate ode(x₀, u₀); zero in equilibrium.
+    tangent : ndarray (nq, d)
+        Orthonormal basis of the displacements that bars and joints allow. Only motions within it are physical.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> linear = tc.linearize(tc.Model(tc.Scene(tc.shapes.prism(prestress=30.0))))
+    >>> linear.A.shape, linear.tangent.shape
+    ((36, 36), (18, 15))
+    """
+
+    A: Array
+    B: Array
+    residual: Array
+    tangent: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Modes:
     """Natural modes about an equilibrium, without the rigid-body motions that nothing restores.
 
-    `frequency` (k,), Hz, increasing; negative where the equilibrium is unstable (−√(−eigenvalue)/2π). `shape` (k, n, 3): displacements
-    of physical nodes, mass-normalised. `rigid`: how many such motions there are. `residual`: the largest acceleration at
-    the state, m/s²: 0 in equilibrium.
+    Attributes
+    ----------
+    frequency : ndarray (k,)
+        Natural frequencies in increasing order, Hz. An unstable mode has a negative one: −√(−λ)/2π for an eigenvalue λ < 0.
+    shape : ndarray (k, n, 3)
+        Displacements of the nodes in each mode, normalised by mass.
+    rigid : int
+        Number of rigid-body motions that were left out.
+    residual : float
+        Largest acceleration at the state, m/s²; zero in equilibrium.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> modes = tc.modes(tc.Model(tc.Scene(tc.shapes.prism(prestress=30.0))))
+    >>> modes.shape.shape, modes.rigid
+    ((9, 6, 3), 6)
     """
 
     frequency: Array
@@ -40,9 +73,41 @@ class Modes:
 
 
 def linearize(model: Model, x: Any = None, u: Any = None) -> Linearization:
-    """Exact derivatives of `model.ode` at a state (nx,) and control (nu,); None: the initial ones. Raises TypeError, ValueError.
+    """Compute the exact derivatives of a model's equations at a state and control.
 
-    A and B act on all coordinates of the state; only perturbations along `tangent` keep bars and joints (Eqs. 26-29, 84).
+    A and B act on all coordinates of the state. Only perturbations along `tangent` keep the bars' lengths and the joints closed.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    x : array_like (nx,), optional
+        State to linearise about; None: the initial state.
+    u : array_like (nu,), optional
+        Control to linearise about; None: the initial control.
+
+    Returns
+    -------
+    Linearization
+        The derivatives, the rate at the state, and the basis of displacements that are allowed.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has a wrong type or shape.
+
+    Notes
+    -----
+    Bars keep their length (Eqs. 26-29 of the paper) and joints stay closed (Eq. 84); `tangent` spans the null space of the derivative
+    of these constraints by the coordinates.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> pendulum = tc.Structure([(0, 0, 0), (0, 0, -2)], [(0, 1)], pinned=(0,))
+    >>> linear = tc.linearize(tc.Model(tc.Scene(pendulum, gravity=tc.Gravity())))
+    >>> linear.tangent.shape
+    (3, 2)
     """
     instance("model", model, Model, "a tenscasadi.Model")
     state, control = model.arguments(model.initial_state if x is None else x, u)
@@ -54,11 +119,43 @@ def linearize(model: Model, x: Any = None, u: Any = None) -> Linearization:
 
 
 def modes(model: Model, x: Any = None, u: Any = None) -> Modes:
-    """Natural modes of small undamped vibration about an equilibrium at rest; arguments as for `linearize`.
+    """Compute the natural modes of small undamped vibrations about an equilibrium at rest.
 
-    With T an M-orthonormal basis of the displacements that bars and joints allow: eigenvalues of
-    −Tᵀ M (∂N̈/∂N) T, which holds the stiffness of strings, their prestress and that of the bars. The density of force that a
-    `ForceDensity` control commands is held constant. Raises TypeError, ValueError.
+    Strings act with their stiffness and prestress, bars with the force that they carry. A `ForceDensity` control is held constant.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    x : array_like (nx,), optional
+        State of equilibrium; None: the initial state.
+    u : array_like (nu,), optional
+        Control of equilibrium; None: the initial control.
+
+    Returns
+    -------
+    Modes
+        Frequencies, Hz, and mode shapes.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has a wrong type or shape.
+
+    Notes
+    -----
+    With M the mass matrix and T an M-orthonormal basis of the displacements that bars and joints allow, the squares of the angular
+    frequencies are the eigenvalues of −Tᵀ M (∂N̈/∂N) T.
+
+    Examples
+    --------
+    A rod of 2 m that hangs from one end swings at √(3 g / 2 L) / 2π in both directions:
+
+    >>> import tenscasadi as tc
+    >>> pendulum = tc.Structure([(0, 0, 0), (0, 0, -2)], [(0, 1)], pinned=(0,))
+    >>> modes = tc.modes(tc.Model(tc.Scene(pendulum, gravity=tc.Gravity())))
+    >>> [round(float(frequency), 4) for frequency in modes.frequency]
+    [0.4317, 0.4317]
     """
     linear = linearize(model, x, u)
     state, _ = model.arguments(model.initial_state if x is None else x, u)
@@ -82,11 +179,41 @@ def modes(model: Model, x: Any = None, u: Any = None) -> Modes:
 
 
 def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None = None, rows: int = 41) -> Trajectory:
-    """One period of mode `index` about the model's initial shape, as a trajectory of `rows` rows for plots and animations.
+    """Return one period of a natural mode about the model's initial shape as a trajectory, for plots and animations.
 
-    `amplitude`: how far the furthest node moves, m; None: a twentieth of the structure's size. Nodes move in straight lines, as modes do,
-    so bar lengths are off in the second order of the amplitude, and `bar_length_error` says by how much. An unstable mode is drawn
-    with the period that it would have. Raises TypeError, ValueError.
+    Nodes move in straight lines, so bar lengths are off in the second order of the amplitude; `bar_length_error` says by how much.
+    An unstable mode gets the period that its rate of growth would give a vibration.
+
+    Parameters
+    ----------
+    model : Model
+        The model that the modes belong to.
+    modes : Modes
+        Result of `modes(model)`.
+    index : int
+        Number of the mode, from 0.
+    amplitude : float, optional
+        Way of the node that moves furthest, m; None: a twentieth of the structure's size.
+    rows : int
+        Number of times in the trajectory.
+
+    Returns
+    -------
+    Trajectory
+        The motion over one period.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has a wrong type, there is no such mode, or the modes are those of another structure.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(prestress=30.0)))
+    >>> motion = tc.mode_motion(model, tc.modes(model), index=0, amplitude=0.02)
+    >>> motion.nodes.shape
+    (41, 6, 3)
     """
     instance("model", model, Model, "a tenscasadi.Model")
     instance("modes", modes, Modes, "the result of tenscasadi.modes(model)")
@@ -110,7 +237,7 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
 
 
 def _neutral(K: Array, motions: Array) -> Array:
-    """An orthonormal basis of the combinations of `motions` (columns) that K leaves without restoring force."""
+    """Return an orthonormal basis of the combinations of `motions` (columns) that K leaves without restoring force."""
     basis = scipy.linalg.orth(motions) if motions.size else motions
     _, size, right = np.linalg.svd(K @ basis)
     free = np.ones(basis.shape[1], dtype=bool)
@@ -119,7 +246,7 @@ def _neutral(K: Array, motions: Array) -> Array:
 
 
 def _tangent(model: Model, state: ca.DM) -> Array:
-    """An orthonormal basis of the displacements that keep bar lengths and joints at a state."""
+    """Return an orthonormal basis of the displacements that keep bar lengths and joints at a state."""
     x = ca.MX.sym("x", model.nx)
     kept = model.constraints(x)
     jacobian = ca.Function("rows", [x], [ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)])(state).full()[:, : model.nq]
@@ -127,7 +254,7 @@ def _tangent(model: Model, state: ca.DM) -> Array:
 
 
 def _rigid(model: Model, state: Array, tangent: Array) -> Array:
-    """An orthonormal basis of the rigid-body motions within the span of `tangent`: those that the supports allow."""
+    """Return an orthonormal basis of the rigid-body motions within the span of `tangent`: those that the supports allow."""
     mech = model.mechanism
     columns = model.nodes(state)[mech.physical]
     centre = columns.mean(axis=0)

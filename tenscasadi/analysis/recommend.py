@@ -46,17 +46,36 @@ SCHEMES: tuple[Scheme, ...] = (
 
 
 class NoScheme(ValueError):
-    """No scheme that was tried meets the tolerance."""
+    """Raised where no scheme that was tried meets the tolerance."""
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """How to reach a tolerance at the least cost: `tc.simulate(model, t_end, **recommendation.options)`.
+    """A way to reach a tolerance at the least cost: ``tc.simulate(model, t_end, **recommendation.options)``.
 
-    step, s, the largest where the scheme controls its error; error: largest position error expected at the end, m, with that of the
-    reference that it was measured against;
-    seconds: wall time expected of the time loop, s, without set-up; work: instructions of the run, without those of error control, NaN for
-    implicit schemes; message: what was compared.
+    Attributes
+    ----------
+    scheme : scheme
+        The integration scheme.
+    step : float
+        Step, s; the largest where the scheme controls its error.
+    correction : Projection, BarLengthCorrection or None
+        What keeps bars and joints.
+    error : float
+        Largest position error to expect at the end, m, that of the reference included.
+    seconds : float
+        Wall time to expect of the time loop, s, without set-up.
+    work : float
+        Instructions of the run without those of error control; NaN for implicit schemes.
+    message : str
+        What was compared.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> advice = tc.Recommendation(tc.RungeKutta4(), 0.01, None, error=1e-7, seconds=0.1, work=1e6, message="")
+    >>> advice.options["step"]
+    0.01
     """
 
     scheme: Scheme
@@ -83,16 +102,56 @@ def recommend(
     corrections: Sequence[Correction | None] = (None, Projection()),
     compiled: Compiled = None,
 ) -> Recommendation:
-    """The scheme, step and correction that bring all nodes within `tolerance`, m, of where they are at `t_end`, s, for the least work.
+    """Find the scheme, step and correction that reach a position error at the end for the least work.
 
-    what: a scene or a model; state, control, compiled: as for `simulate`. schemes: to choose from; of those with `rtol`, which control
-    their error, the tolerance is looked for, without corrections.
+    The motion is solved once to a tenth of the tolerance by `certify`. Then the largest step, or `rtol`, that serves is looked for with
+    each scheme, which is left out as soon as it costs more than the best so far. That takes some twenty runs like the one recommended.
 
-    The motion is solved once to a tenth of the tolerance (`certify`), then each scheme looks for the largest step (or `rtol`) that serves, and is
-    left out as soon as it costs more than the best so far: some twenty runs like the one recommended. Costs are instructions times steps, so that
-    the answer does not depend on what else the machine does. Implicit schemes (`Cvodes`, `Idas`, `Collocation`) are looked at where stability, not
-    accuracy, bounds the steps of the best explicit one; how often they iterate is not known, so they are compared with it by the clock.
-    Raises NoReference when no solution of that accuracy exists (chaos, instability), NoScheme, TypeError, ValueError.
+    Parameters
+    ----------
+    what : Scene or Model
+        What moves.
+    t_end : float
+        Duration of the motion, s.
+    tolerance : float
+        Largest distance of a node from its true place at `t_end`, m.
+    state : array_like (nx,), optional
+        Start; None: the model's initial state.
+    control : array_like or callable, optional
+        Control input, as for `simulate`.
+    schemes : sequence of schemes
+        Schemes to choose from. Of those with an `rtol` the tolerance is looked for, without corrections.
+    corrections : sequence of corrections
+        Each None, `Projection()` or `BarLengthCorrection()`.
+    compiled : bool or Single, optional
+        How to run, as for `simulate`.
+
+    Returns
+    -------
+    Recommendation
+        The cheapest that serves.
+
+    Raises
+    ------
+    NoReference
+        If no solution of that accuracy exists: chaos, instability.
+    NoScheme
+        If no scheme meets the tolerance.
+    TypeError, ValueError
+        If an argument has a wrong type, shape or value.
+
+    Notes
+    -----
+    Costs are instructions times steps, so the answer does not depend on what else the machine does. Implicit schemes are looked at where
+    stability, not accuracy, bounds the steps of the best explicit one; how often they iterate is not known, so the clock decides.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> scene = tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity())
+    >>> advice = tc.recommend(scene, t_end=0.2, tolerance=1e-4, schemes=[tc.RungeKutta4()], compiled=False)
+    >>> advice.error <= 1e-4
+    True
     """
     instance("what", what, (Scene, Model), "a tenscasadi.Scene or Model")
     model = what if isinstance(what, Model) else Model(what)
@@ -139,14 +198,17 @@ def recommend(
 
 @dataclass(frozen=True)
 class _Price:
-    """What runs cost, in instructions: `step` for each step that is tried, `second` for each second of wall time."""
+    """Price of a run in instructions: `step` for each step that is tried, `second` for each second of wall time."""
 
     step: float
     second: float
 
 
 def _found(case: Case, speed: float, nodes: Array, wanted: float, most: float) -> _Choice | None:
-    """About the cheapest step or rtol that serves; `speed`: instructions in a second, where they are not counted. None: none for less than `most`."""
+    """Find about the cheapest step or rtol that serves; None: none for less than `most`.
+
+    `speed`: instructions in a second, where they are not counted.
+    """
     if not case.scheme.implicit:
         price = _Price(case.instructions() * (_OVERHEAD if case.scheme.adaptive else 1.0), 0.0)
         return (_loosest if case.scheme.adaptive else _fewest)(case, price, nodes, wanted, most)
@@ -171,14 +233,14 @@ class _Choice:
     cost: float
 
     def seconds(self) -> float:
-        """Of the time loop, measured."""
+        """Measure the time loop, s."""
         if self.case.scheme.adaptive or self.case.scheme.implicit:
             return min(self.case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS))
         return self.case.seconds_per_step(self.step, _REPEATS) * self.steps
 
 
 def _measured(case: Case, step: float, price: _Price, nodes: Array, wanted: float, uncompiled: bool) -> _Choice:
-    """A run; its error is infinite when it fails. `uncompiled`: in the virtual machine, where there is a choice."""
+    """Run once; the error is infinite when that fails. `uncompiled`: in the virtual machine, where there is a choice."""
     swift = replace(case, compiled=False) if uncompiled and case.compiled is None else case
 
     def run() -> Trajectory:
@@ -194,7 +256,7 @@ def _measured(case: Case, step: float, price: _Price, nodes: Array, wanted: floa
 
 
 def _loosest(case: Case, price: _Price, nodes: Array, wanted: float, most: float) -> _Choice | None:
-    """About the largest rtol whose error is at most `wanted`; None when that costs `most` or more."""
+    """Find about the largest rtol whose error is at most `wanted`; None when that costs `most` or more."""
     best: _Choice | None = None
     least = 1e-6 if isinstance(case.compiled, Single) else 1e-15
     rtol, tight, loose = 0.1 * wanted / extent(case.model), 0.0, 0.1
@@ -216,7 +278,7 @@ def _loosest(case: Case, price: _Price, nodes: Array, wanted: float, most: float
 
 
 def _fewest(case: Case, price: _Price, nodes: Array, wanted: float, most: float) -> _Choice | None:
-    """About the fewest equal steps whose error is at most `wanted`; None when that costs `most` or more."""
+    """Find about the fewest equal steps whose error is at most `wanted`; None when that costs `most` or more."""
     limit = most / price.step if price.step else np.inf
     steps = min(_coarsest(case), max(1, int(limit) - 1) if np.isfinite(limit) else _coarsest(case))  # from there on downwards
     low, best = 0, None
@@ -243,7 +305,7 @@ def _fewest(case: Case, price: _Price, nodes: Array, wanted: float, most: float)
 
 
 def _coarsest(case: Case, state: Array | None = None) -> int:
-    """Steps at the limit of stability of the start, and of `state`."""
+    """Count the steps at the limit of stability of the start, and of `state`."""
     if case.scheme.implicit:
         return _FEW
     states = [case.state] if state is None else [case.state, state]

@@ -44,17 +44,57 @@ def tradeoff(
     repeats: int = 3,
     progress: bool = False,
 ) -> Tradeoff:
-    """Runs every scheme with every step, correction, model and way to run on [0, t_end], and measures what each costs and how wrong it is.
+    """Measure what accuracy costs: run every scheme with every step, correction, model and way to run.
 
-    models: a model, or several by name that share their scene's nodes and differ in fidelity: segments, lumping, slack, coordinates.
-    steps: largest steps, s; a scheme that controls its error (`rtol`) takes its own, up to a twentieth of t_end, and is run once.
-    reference: what position errors are measured against: a `Reference`, or the name of the model that `certify` solves; None: the first.
-    state: start (nx,), a function model -> (nx,), or None: each model's initial state. control: as for `simulate`.
-    compiled: ways to run, each as for `simulate`: None, True, False or `Single()`; several, such as (True, Single()), are compared.
-    repeats: timed runs, whose median counts. progress: shows a progress bar.
+    A run that diverges, and a scheme that cannot serve a model, give rows with `success` False and the reason in `message`. Ctrl-C ends
+    the study and returns the rows so far, with `complete` False.
 
-    Ctrl-C ends the study and returns the rows so far, with `complete` False. A run that diverges, and a scheme that cannot serve a model,
-    give rows with `success` False and the reason in `message`. Raises NoReference, TypeError, ValueError.
+    Parameters
+    ----------
+    models : Model or mapping of str to Model
+        A model, or several by name that share their scene's nodes and differ in fidelity: segments, lumping, slack, coordinates.
+    t_end : float
+        Duration of each run, s.
+    schemes : sequence of schemes
+        Integration schemes, such as `RungeKutta4()`.
+    steps : sequence of float
+        Largest steps, s. A scheme that controls its error takes its own, up to a twentieth of `t_end`, and is run once.
+    reference : Reference or str, optional
+        End that position errors are measured against, or the name of the model that `certify` solves for it; None: the first model.
+    state : array_like (nx,) or callable, optional
+        Start, or a function that gives it for a model; None: each model's initial state.
+    control : array_like or callable, optional
+        Control input, as for `simulate`.
+    corrections : sequence of corrections
+        Each None, `Projection()` or `BarLengthCorrection()`.
+    compiled : sequence
+        Ways to run, each as for `simulate`: None, True, False or `Single()`.
+    repeats : int
+        Timed runs, whose median counts.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    Tradeoff
+        A row for each run.
+
+    Raises
+    ------
+    NoReference
+        If no reference can be certified.
+    TypeError, ValueError
+        If an argument has a wrong type, shape or value.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
+    >>> reference = tc.certify(model, t_end=0.2, enough=1e-8, compiled=False)
+    >>> table = tc.tradeoff(model, 0.2, [tc.RungeKutta4()], [0.02, 0.01], reference, compiled=[False], repeats=1)
+    >>> coarse, fine = table.rows
+    >>> coarse.position > fine.position
+    True
     """
     named = dict(models) if isinstance(models, Mapping) else {"": models}
     _check(named, schemes, corrections)
@@ -85,7 +125,7 @@ def tradeoff(
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A way to compute a motion: all but the step."""
+    """All that a way to compute a motion consists of but for the step."""
 
     model: Model
     scheme: Scheme
@@ -96,7 +136,7 @@ class Case:
     compiled: Compiled
 
     def run(self, step: float, **options: Any) -> Trajectory:
-        """The motion. Raises KeyboardInterrupt where `simulate` returns what it has."""
+        """Simulate the motion; raise KeyboardInterrupt where `simulate` returns what it has."""
         options = {"t_end": self.t_end, "control": self.control, **options}
         run = simulate(self.model, step=step, scheme=self.scheme, state=self.state, correction=self.correction, compiled=self.compiled, **options)
         if run.interrupted:
@@ -104,7 +144,7 @@ class Case:
         return run
 
     def instructions(self) -> int:
-        """Instructions of one step, with its share of the correction; 0: not known, for implicit schemes iterate as often as it takes."""
+        """Count the instructions of one step with its share of the correction; 0 where they are not known: implicit schemes iterate."""
         if self.scheme.implicit:
             return 0
         project = None if self.correction is None else self.correction.step(self.model)
@@ -112,7 +152,7 @@ class Case:
         return round(instructions(self.scheme.advance(self.model)) + extra)
 
     def seconds_per_step(self, step: float, repeats: int) -> float:
-        """Wall time of a step, s: the median of `repeats` runs that are long enough for the clock, and hardly leave the start.
+        """Measure the wall time of a step, s: the median of `repeats` runs that are long enough for the clock, and hardly leave the start.
 
         A run over [0, t_end] with coarse steps is too short to be timed, and all steps cost the same.
         """
@@ -126,18 +166,18 @@ class Case:
         return median(seconds(steps) for _ in range(repeats))
 
     def _held(self) -> ControlInput:
-        """A constant control, if it is one: others are not for the short time of a timed run."""
+        """Return the control where it is constant: others are not for the short time of a timed run."""
         return None if callable(self.control) or (self.control is not None and np.ndim(self.control) != 1) else self.control
 
 
 def start_of(model: Model, state: State) -> Array | None:
-    """The start that `state` means for this model. Raises TypeError, ValueError."""
+    """Return the start (nx,) that `state` means for this model. Raises TypeError, ValueError."""
     value = state(model) if callable(state) else state
     return None if value is None else finite_array("state", value, (model.nx,))
 
 
 def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int) -> Iterable[Row]:
-    """A row for each step; the time of a step and the set-up are measured once."""
+    """Yield a row for each step; the time of a step and the set-up are measured once."""
     chooses = case.scheme.adaptive
     empty = Row(case.scheme, np.nan, case.correction, name, compiled=case.compiled is not False, single=isinstance(case.compiled, Single))
     each = setup = np.nan
@@ -198,7 +238,7 @@ def _check(named: dict[str, Model], schemes: Any, corrections: Any) -> None:
 
 
 def check_ways(schemes: Any, corrections: Any) -> None:
-    """TypeError or ValueError unless these are sequences of schemes and of corrections, each with one at least."""
+    """Raise TypeError or ValueError unless these are sequences of schemes and of corrections, each with one at least."""
     for scheme in _sequence("schemes", schemes):
         check_scheme(scheme)
     for correction in _sequence("corrections", corrections):

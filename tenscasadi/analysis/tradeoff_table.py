@@ -22,14 +22,49 @@ Cost = Literal["seconds", "work"]
 
 @dataclass(frozen=True)
 class Row:
-    """One run of a trade-off.
+    """One run of a trade-off study: how it was computed, what it cost and how wrong it is.
 
-    step: s, NaN for a scheme that chooses its own; fidelity: the name of the model; compiled: as machine code or in the virtual machine;
-    single: in single precision.
-    seconds: wall time of the time loop per simulated second, the median of repeats; setup: wall time of equations and compilation, s.
-    position: largest distance of a node from the reference at the end, m; bar, joint (m), energy (J): largest over the run, as in `Trajectory`.
-    instructions: of one step with its correction, 0 where they are not known; steps: of the run, with those tried in vain; errors are NaN where
-    it failed.
+    Attributes
+    ----------
+    scheme : scheme
+        The integration scheme.
+    step : float
+        Largest step, s; NaN for a scheme that takes steps of its own.
+    correction : Projection, BarLengthCorrection or None
+        What kept bars and joints.
+    fidelity : str
+        Name of the model.
+    compiled : bool
+        Whether it ran as machine code, not in CasADi's virtual machine.
+    single : bool
+        Whether it ran in single precision.
+    seconds : float
+        Wall time of the time loop per simulated second, s/s, the median of the repeats.
+    setup : float
+        Wall time of building and compiling the equations, s.
+    position : float
+        Largest distance of a node from the reference at the end, m; NaN where the run failed, as all errors.
+    bar : float
+        Largest relative error of a bar's length over the run.
+    joint : float
+        Largest gap of a joint over the run, m.
+    energy : float
+        Largest error of the energy over the run, J.
+    instructions : int
+        Instructions of one step with its correction; 0 where they are not known.
+    steps : int
+        Steps of the run, with those tried in vain.
+    success : bool
+        Whether the run reached the end.
+    message : str
+        Why not, or what to beware of.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> row = tc.Row(tc.RungeKutta4(), 0.01, tc.Projection(), "", True, False, instructions=1000, steps=100)
+    >>> row.name, row.work
+    ('RungeKutta4, Projection', 100000.0)
     """
 
     scheme: Scheme
@@ -51,7 +86,7 @@ class Row:
 
     @property
     def work(self) -> float:
-        """Instructions of the whole run: a cost that no other load of the machine changes; NaN for implicit schemes, where it is not known."""
+        """Instructions of the whole run, a cost that no other load of the machine changes; NaN where they are not known (implicit schemes)."""
         return float(self.instructions) * self.steps if self.instructions else float("nan")
 
     @property
@@ -61,7 +96,7 @@ class Row:
 
     @property
     def curve(self) -> str:
-        """What rows that differ in step or tolerance only have in common."""
+        """Name that rows share which differ only in step or tolerance."""
         swept = "rtol" if np.isnan(self.step) else ""
         return ", ".join([short(self.scheme, swept) + (f" with {swept}" if swept else ""), *self._variant()])
 
@@ -73,10 +108,32 @@ class Row:
 
 @dataclass(frozen=True)
 class Tradeoff:
-    """The rows of a trade-off study over [0, t_end].
+    """The result of a trade-off study: cost and errors of all its runs.
 
-    reference_error: how far the reference itself may be off, m; reference_message: how it was found. complete: False when the study was
-    interrupted; message says so.
+    Attributes
+    ----------
+    rows : tuple of Row
+        The runs.
+    t_end : float
+        Duration of each, s.
+    reference_error : float
+        How far the reference itself may be off, m.
+    reference_message : str
+        How the reference was found.
+    complete : bool
+        False where the study was interrupted.
+    message : str
+        Where it was interrupted.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> ways = {"step": 0.01, "correction": None, "fidelity": "", "compiled": True, "single": False, "success": True}
+    >>> cheap = tc.Row(tc.RungeKutta4(), **ways, seconds=0.1, position=1e-4)
+    >>> exact = tc.Row(tc.DormandPrince853(), **ways, seconds=0.3, position=1e-9)
+    >>> table = tc.Tradeoff((cheap, exact), t_end=1.0, reference_error=1e-12, reference_message="known")
+    >>> table.cheapest(1e-6).name
+    'DormandPrince853'
     """
 
     rows: tuple[Row, ...]
@@ -87,9 +144,24 @@ class Tradeoff:
     message: str = ""
 
     def pareto(self, cost: Cost = "seconds") -> tuple[Row, ...]:
-        """The rows that no other beats in both cost and position error, from the cheapest to the most accurate.
+        """Return the rows that no other beats in both cost and position error.
 
-        cost: "seconds", as measured, or "work", instructions times steps. Errors below that of the reference are not told apart.
+        Errors below that of the reference are not told apart.
+
+        Parameters
+        ----------
+        cost : {"seconds", "work"}
+            Wall time as measured, or instructions times steps.
+
+        Returns
+        -------
+        tuple of Row
+            From the cheapest to the most accurate.
+
+        Raises
+        ------
+        ValueError
+            If there is no such cost.
         """
         front: list[Row] = []
         for *_, row in self._by(cost):
@@ -98,7 +170,25 @@ class Tradeoff:
         return tuple(front)
 
     def cheapest(self, tolerance: float, cost: Cost = "seconds") -> Row:
-        """The cheapest row whose position error, with that of the reference, is within `tolerance`, m. ValueError when there is none."""
+        """Return the cheapest row within a position error, that of the reference included.
+
+        Parameters
+        ----------
+        tolerance : float
+            Largest position error, m.
+        cost : {"seconds", "work"}
+            Wall time as measured, or instructions times steps.
+
+        Returns
+        -------
+        Row
+            The cheapest.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is wrong, or no row is within the tolerance.
+        """
         tolerance = positive_number("tolerance", tolerance)
         for *_, row in self._by(cost):
             if row.position + self.reference_error <= tolerance:
@@ -111,7 +201,13 @@ class Tradeoff:
         raise ValueError(f"tolerance is {tolerance:g} m: the most accurate of {len(self.rows)} runs is off by {least:.2g} m, add smaller steps")
 
     def summary(self) -> str:
-        """The table as lines of text; rows of the front of cost against error are marked."""
+        """Return the table as lines of text, in which rows that no other beats are marked.
+
+        Returns
+        -------
+        str
+            A line for each row, and how the reference was found.
+        """
         width = max([len(row.name) for row in self.rows] + [6])
         names = {"step s": 9, "s per s": 9, "position m": 10, "bars": 8, "joints m": 8, "energy J": 9, "instr.": 7, "set-up s": 8}
         head = f"  {'scheme':<{width}} " + " ".join(f"{name:>{size}}" for name, size in names.items())
@@ -131,7 +227,20 @@ class Tradeoff:
         return "\n".join([*lines, self.message] if self.message else lines)
 
     def plot(self, path: str | os.PathLike[str] | None = None, title: str = "") -> Any:
-        """A work-precision diagram as a matplotlib Figure, saved where `path` is given: seconds per simulated second over position error."""
+        """Draw a work-precision diagram: seconds per simulated second over position error.
+
+        Parameters
+        ----------
+        path : path-like, optional
+            File to save it to; its suffix says the format.
+        title : str
+            Title of the diagram.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The diagram.
+        """
         from tenscasadi.plots.diagrams import work_precision  # loads matplotlib
 
         curves: dict[str, list[tuple[float, float]]] = {}
@@ -141,7 +250,23 @@ class Tradeoff:
         return work_precision(curves, front, self.reference_error, title=title, path=path)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes a compressed .npz file (NumPy arrays only) to exactly `path` and returns it. Raises OSError when it cannot be written."""
+        """Write the study to a compressed .npz file of NumPy arrays.
+
+        Parameters
+        ----------
+        path : path-like
+            File to write, exactly so named.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
         columns = {field.name: [getattr(row, field.name) for row in self.rows] for field in fields(Row)}
         for name in ("scheme", "correction"):
             columns[name] = list(map(repr, columns[name]))
@@ -151,9 +276,24 @@ class Tradeoff:
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Tradeoff:
-        """The study saved in `path`. No code in the file is ever run.
+        """Read a study that `save` wrote. No code in the file is ever run.
 
-        Raises FileNotFoundError, and ValueError naming the file for one that cannot be read or is no study.
+        Parameters
+        ----------
+        path : path-like
+            The file.
+
+        Returns
+        -------
+        Tradeoff
+            The study.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it cannot be read or is no study; the message names the file.
         """
         return archive.load(path, _FORMAT, "trade-off", _from_arrays)
 
@@ -161,7 +301,7 @@ class Tradeoff:
         return [row for row in self.rows if row.success]
 
     def _by(self, cost: Cost) -> list[tuple[float, float, int, Row]]:
-        """(cost, position, place, row) of each good row whose cost is known, from the cheapest."""
+        """Return (cost, position, place, row) of each good row whose cost is known, from the cheapest."""
         if cost not in ("seconds", "work"):
             raise ValueError(f'cost is {cost!r}: give "seconds" or "work"')
         known = [(float(getattr(row, cost)), row.position, place, row) for place, row in enumerate(self._good())]
@@ -169,7 +309,7 @@ class Tradeoff:
 
 
 def short(value: Any, without: str = "") -> str:
-    """A frozen value as text, with only the options that are not the default, and not that of the name `without`."""
+    """Return a frozen value as text, with only the options that are not the default, and not that of the name `without`."""
     own = [(field.name, getattr(value, field.name), field.default) for field in fields(value)] if is_dataclass(value) else []
     changed = ", ".join(f"{name}={option!r}" for name, option, default in own if option != default and name != without)
     return type(value).__name__ + (f"({changed})" if changed else "")
@@ -188,7 +328,7 @@ def _number(value: float, form: str) -> str:
 
 
 def _value(text: str) -> Any:
-    """The scheme or correction that `repr` wrote: a class of `integrators.__all__` with plain options."""
+    """Return the scheme or correction that `repr` wrote: a class of `integrators.__all__` with plain options."""
     tree = ast.parse(text, mode="eval").body
     if isinstance(tree, ast.Constant) and tree.value is None:
         return None

@@ -26,11 +26,45 @@ def animate(
     title: str = "",
     progress: bool = False,
 ) -> Path:
-    """Writes an animated GIF of `trajectory` to `path` (.gif), `speed` simulated seconds to each second shown, and returns `path`.
+    """Write a motion as an animated GIF.
 
     Strings are coloured by tension, in one scale over the whole motion. Each frame shows the kept row next to its time.
-    A GIF tells times in hundredths of a second: 10, 20, 25 and 50 frames per second play at exactly this speed.
-    Raises TypeError, ValueError; OSError when the file cannot be written.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The motion.
+    path : path-like
+        File to write; its name ends in .gif.
+    speed : float
+        Simulated seconds in each second shown.
+    frames_per_second : int
+        Frames in each second shown. A GIF tells times in hundredths of a second, so 10, 20, 25 and 50 play at exactly `speed`.
+    title : str
+        Text before the time in each frame.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has a wrong type or value, or there would be more than 2000 frames.
+    OSError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> from tenscasadi.animation import animate
+    >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
+    >>> motion = tc.simulate(model, t_end=0.2, step=0.01, compiled=False)
+    >>> animate(motion, "swing.gif", frames_per_second=10).name
+    'swing.gif'
     """
     check_drawable("trajectory", trajectory)
     target = Path(path)

@@ -23,15 +23,23 @@ from tenscasadi.util.validate import Array, finite_array, node_index, per_item, 
 
 
 class ForceHistory(Protocol):
-    """Force densities over time: a `Trajectory`, with a row for each time, or a plan, with a row for each interval between times."""
+    """Force densities over time: a `Trajectory`, with a row for each time, or a plan, with a row for each interval between times.
+
+    Attributes
+    ----------
+    time : ndarray (T,)
+        Times, s.
+    force_density : ndarray (T, α) or (T − 1, α)
+        Force densities of the strings, N/m.
+    """
 
     @property
     def time(self) -> Array:
-        """(T,) s."""
+        """Times (T,), s."""
 
     @property
     def force_density(self) -> Array:
-        """(T, α) or (T − 1, α), N/m."""
+        """Force densities (T, α) or (T − 1, α), N/m."""
 
 
 def structure(
@@ -43,10 +51,42 @@ def structure(
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
-    """Bars thick, strings thin and coloured by tension, pinned nodes as triangles; in 3-D with one scale for all axes.
+    """Draw a structure in 3-D, with one scale for all axes.
 
-    what: a structure, whose tensions are those of its rest lengths unless `tension` (α,), N, is given; or a trajectory at the
-    kept time next to `time`, s (None: its end). labels: numbers the nodes. Raises TypeError, ValueError.
+    Bars are thick; strings are thin and coloured by tension; pinned nodes are triangles.
+
+    Parameters
+    ----------
+    what : Structure or Trajectory
+        A structure, or a motion at one of its times.
+    tension : array_like (α,), optional
+        Tensions of the strings, N; None: those of the structure's rest lengths, or of the trajectory.
+    time : float, optional
+        Time of the trajectory, s: the kept row next to it is drawn; None: the end.
+    labels : bool
+        Whether to number the nodes.
+    title : str
+        Title of the figure; of a trajectory its time unless given.
+    path : path-like, optional
+        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has a wrong type, shape or value.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> from tenscasadi import plots
+    >>> figure = plots.structure(tc.shapes.prism(prestress=50.0), labels=True, title="a prism at rest")
+    >>> figure.axes[1].get_ylabel()
+    'tension (N)'
     """
     check_drawable("what", what, (Structure, Trajectory), "a tenscasadi.Structure or Trajectory")
     if isinstance(what, Trajectory):
@@ -74,9 +114,37 @@ def structure(
 
 
 def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", path: FilePath | None = None) -> Figure:
-    """The structure at `instants` times spread evenly over the motion, in one picture: pale at the start, dark at the end.
+    """Draw a motion in one 3-D picture: the structure at several times, pale at the start and dark at the end.
 
-    Raises TypeError, ValueError.
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The motion.
+    instants : int
+        Number of times, spread evenly over the motion.
+    title : str
+        Title of the figure.
+    path : path-like, optional
+        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has a wrong type, shape or value.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> from tenscasadi import plots
+    >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
+    >>> motion = tc.simulate(model, t_end=0.2, step=0.01, compiled=False)
+    >>> plots.time_lapse(motion, instants=3).axes[1].get_ylabel()
+    'time (s)'
     """
     check_drawable("trajectory", trajectory)
     count = whole_number("instants", instants, 2)
@@ -97,7 +165,38 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
 
 
 def node_histories(trajectory: Trajectory, nodes: Sequence[int] | None = None, *, title: str = "", path: FilePath | None = None) -> Figure:
-    """x, y and z of `nodes` over time (None: of all that move, at most 12: those that move furthest). Raises TypeError, ValueError."""
+    """Draw the coordinates x, y and z of nodes over time.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The motion.
+    nodes : sequence of int, optional
+        Nodes to draw; None: those that move, at most the 12 that move furthest.
+    title : str
+        Title of the figure.
+    path : path-like, optional
+        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has a wrong type, shape or value.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> from tenscasadi import plots
+    >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
+    >>> motion = tc.simulate(model, t_end=0.2, step=0.01, compiled=False)
+    >>> [axes.get_ylabel() for axes in plots.node_histories(motion).axes]
+    ['x (m)', 'y (m)', 'z (m)']
+    """
     check_drawable("trajectory", trajectory)
     chosen = _furthest(trajectory) if nodes is None else [node_index("nodes", node, trajectory.nodes.shape[1]) for node in nodes]
     figure, axes = make_panels(3, "time (s)", title)
@@ -119,9 +218,41 @@ def force_densities(
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
-    """Force densities of `strings` (None: all) over time, of a trajectory or (in steps) of a plan.
+    """Draw the force densities of strings over time: of a trajectory as curves, of a plan in steps.
 
-    lower, upper: bounds, N/m, one number or (α,), drawn as dashed lines unless far off. Raises TypeError, ValueError.
+    Parameters
+    ----------
+    history : ForceHistory
+        A trajectory or a plan.
+    strings : sequence of int, optional
+        Strings to draw; None: all.
+    lower : array_like () or (α,), optional
+        Lower bounds, N/m, drawn as dashed lines unless far off.
+    upper : array_like () or (α,), optional
+        Upper bounds, N/m, drawn alike.
+    title : str
+        Title of the figure.
+    path : path-like, optional
+        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has a wrong type, shape or value.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> from tenscasadi import plots
+    >>> motion = tc.simulate(tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0))), t_end=0.1, step=0.01, compiled=False)
+    >>> figure = plots.force_densities(motion, strings=[0, 1], upper=80.0)
+    >>> len(figure.axes[0].lines)
+    3
     """
     if not (hasattr(history, "time") and hasattr(history, "force_density")):
         check_drawable("history", history, Trajectory, "a tenscasadi.Trajectory or an ocp.Plan")
@@ -148,9 +279,37 @@ def force_densities(
 
 
 def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = None) -> Figure:
-    """Errors of bar lengths, joints and energy over time on a logarithmic scale; those below 1e-18, and exact zeros, lie on the bottom edge.
+    """Draw the errors of bar lengths, joints and energy over time on a logarithmic scale.
 
-    An error that was not computed (NaN) has no curve. Raises TypeError.
+    Errors below 1e-18, and exact zeros, lie on the bottom edge. An error that was not computed has no curve.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The motion.
+    title : str
+        Title of the figure.
+    path : path-like, optional
+        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+
+    Raises
+    ------
+    TypeError
+        If `trajectory` is none.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> from tenscasadi import plots
+    >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
+    >>> motion = tc.simulate(model, t_end=0.2, step=0.01, compiled=False)
+    >>> plots.errors(motion).axes[0].get_yscale()
+    'log'
     """
     check_drawable("trajectory", trajectory)
     curves: list[tuple[str, Any]] = [("energy (J)", np.abs(trajectory.energy_error))]
@@ -173,7 +332,7 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
 
 
 def _row(trajectory: Trajectory, time: float) -> int:
-    """The kept row next to `time`."""
+    """Return the kept row next to `time`."""
     wanted = positive_number("time", time, zero=True)
     return int(np.argmin(np.abs(trajectory.time - wanted)))
 
@@ -185,7 +344,7 @@ def _string(index: Any, count: int) -> int:
 
 
 def _furthest(trajectory: Trajectory) -> list[int]:
-    """Nodes that move, the furthest-moving 12 of them, in their order."""
+    """Return the nodes that move, at most the 12 that move furthest, in their order."""
     way = np.ptp(trajectory.nodes, axis=0).max(axis=1)
     order = np.argsort(-way, kind="stable")[:MOST_NAMED]
     return sorted(int(node) for node in order if way[node] > 0) or [int(order[0])]
@@ -200,7 +359,7 @@ def _without_infinity(bound: ArrayLike) -> Any:
 
 
 def _draw_bound(ax: Axes, field: str, bound: Array, chosen: list[int], gamma: Array) -> None:
-    """Dashed lines; a single black one where all strings have the same bound. One far off is only told: it would flatten the curves."""
+    """Draw dashed lines; a single black one where all strings have the same bound. One far off is only told: it would flatten the curves."""
     low, high = float(gamma[:, chosen].min(initial=np.inf)), float(gamma[:, chosen].max(initial=-np.inf))
     reach = max(high - low, 0.1 * abs(high))
     finite = [(k, float(bound[i])) for k, i in enumerate(chosen) if np.isfinite(bound[i])]
@@ -216,7 +375,7 @@ def _draw_bound(ax: Axes, field: str, bound: Array, chosen: list[int], gamma: Ar
 
 
 def _widen(ax: Axes) -> None:
-    """Rounding around a constant is not shown as motion."""
+    """Widen the vertical axis where rounding around a constant would look like motion."""
     low, high = ax.get_ylim()
     if high - low < 1e-6 * max(abs(low), abs(high), 1e-6):
         middle = (low + high) / 2

@@ -62,7 +62,7 @@ class Canvas:
         self._half = self._limit(low, high)
 
     def draw(self, *layers: Layer) -> None:
-        """Shows these configurations, all sorted by depth; pinned nodes are marked in the last."""
+        """Show these configurations, all sorted by depth; pinned nodes are marked in the last."""
         for artist in self._shown:
             artist.remove()
         self._shown = []
@@ -77,12 +77,12 @@ class Canvas:
         self._mark(last.nodes[self.members.pinned], marker="^", s=55, color=_PIN, zorder=4)
 
     def colour_bar(self, scale: ScalarMappable, label: str, **options: Any) -> Any:
-        """A bar of the scale's colours to the right of the axes."""
+        """Add a bar of the scale's colours to the right of the axes."""
         self.axes.set_position((0.05, 0.05, 0.76, 0.82))
         return self.figure.colorbar(scale, cax=self.figure.add_axes((0.86, 0.22, 0.025, 0.54)), label=label, **options)
 
     def fit(self) -> None:
-        """Zooms and moves so that the axes with their labels just fill their place. Call it last, once."""
+        """Zoom and move so that the axes with their labels just fill their place. Call it last, once."""
         backend: Any = FigureCanvasAgg(self.figure)
         place, zoom, axes = self.axes.bbox.frozen(), 1.0, self.axes
         for _ in range(4):  # labels do not grow with the rest
@@ -96,7 +96,7 @@ class Canvas:
             axes.set_box_aspect(tuple(self._half), zoom=zoom)
 
     def number(self, nodes: Array) -> None:
-        """Writes each node's index beside it, outwards and up."""
+        """Write each node's index beside it, outwards and up."""
         reach = np.linalg.norm(nodes - nodes.mean(axis=0), axis=1).max(initial=0.0)
         toward = self._toward_camera()
         up = np.array([0.0, 0.0, 1.0]) - toward[2] * toward
@@ -111,7 +111,7 @@ class Canvas:
             self._shown.append(self.axes.scatter(*places.T, depthshade=False, clip_on=False, **style))
 
     def _limit(self, low: Array, high: Array) -> Array:
-        """Sets the limits and ticks of all axes; half the extent of each."""
+        """Set the limits and ticks of all axes; return half the extent of each."""
         size = float((high - low).max()) or 1.0
         half = np.maximum((high - low) / 2, 0.12 * size) + 0.04 * size
         self.axes.set_proj_type("ortho")
@@ -134,7 +134,7 @@ class Canvas:
         return np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
     def _pieces(self, layer: Layer) -> tuple[Array, Array, Array]:
-        """Ends (p, 2, 3), colours (p, 4) and widths (p,) of the pieces that members are drawn in."""
+        """Return ends (p, 2, 3), colours (p, 4) and widths (p,) of the pieces that members are drawn in."""
         strings, bars = self.members.strings, self.members.bars
         first, second = (layer.nodes[np.concatenate([strings[:, end], bars[:, end]])] for end in (0, 1))
         cuts = np.linspace(0, 1, _PIECES + 1)[None, :, None]
@@ -160,17 +160,17 @@ def check_drawable(field: str, value: Any, kinds: type | tuple[type, ...] = Traj
 
 
 def cut_colours(name: str, start: float, stop: float) -> Colormap:
-    """The colours of a named map from `start` to `stop`: the ends of many are hard to see on white."""
+    """Return the colours of a named map from `start` to `stop`: the ends of many are hard to see on white."""
     return LinearSegmentedColormap.from_list(name, mpl.colormaps[name](np.linspace(start, stop, 64)))
 
 
 def tension_scale(largest: float) -> ScalarMappable:
-    """Colours from cold, 0 N, to hot, `largest` N."""
+    """Return the scale of colours from cold, 0 N, to hot, `largest` N."""
     return ScalarMappable(Normalize(0.0, largest if largest > 0 else 1.0), cut_colours("plasma", 0.0, 0.86))
 
 
 def tension_colours(scale: ScalarMappable, tension: Array) -> Array:
-    """The scale's colours (α, 4) of tensions (α,), N; slack strings are grey."""
+    """Return the scale's colours (α, 4) of tensions (α,), N; slack strings are grey."""
     colours = np.array(scale.to_rgba(tension), dtype=float).reshape(-1, 4)
     colours[tension <= 0] = to_rgba_array(SLACK)[0]
     return colours
