@@ -12,26 +12,25 @@ from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.constraint_forces import assemble_system, nodal_forces, recover_multipliers
 from tenscasadi.dynamics.mechanism import build_mechanism
 from tenscasadi.dynamics.state_space import StateSpace
-from tenscasadi.scene.scene import Scene
 from tenscasadi.util.casadi_tools import call_as_sx, solve_semidefinite, sparse
 
 
-def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, scene: Scene | None = None) -> tuple[Any, Any, Any]:
+def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE) -> tuple[Any, Any, Any]:
     """Return N̈ (3×n, m/s²), λ (1×β, N/m) and Ω (3×c, N) of the nodes N and velocities V (3×n) under the control u.
 
-    scene: other forces on the same mechanism, None: those of `space`.
+    mode: strings and contacts that are held as they are, for motion between two events.
     """
     large = space.mechanism.large
-    F, B, r, *system = call_as_sx(large, partial(_unconstrained, space, scene), N, V, u, time)
+    F, B, r, *system = call_as_sx(large, partial(_unconstrained, space, mode), N, V, u, time)
     solution = solve_semidefinite(*system) if system else ca.DM.zeros(0, 1)
     A, lam, Omega = call_as_sx(large, partial(_constrained, space), F, B, r, solution, time)
     return A, lam, Omega
 
 
-def _unconstrained(space: StateSpace, scene: Scene | None, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
+def _unconstrained(space: StateSpace, mode: forces.Mode, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
     """F, B, the residuals r that forces alone leave along the bars, and the linear system of the multipliers where there is one."""
     mech = space.mechanism
-    F, moved = applied_forces(space, N, V, u, time, scene)  # 3×n, Eq. 67
+    F, moved = applied_forces(space, N, V, u, time, mode)  # 3×n, Eq. 67
     B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)  # 3×β
     Bdd = mech.with_inverse(F, mech.C_b.T) + mech.bar_vectors(moved)  # 3×β, while bars do not push
     r = ca.sum1(Bd * Bd) + ca.sum1(B * Bdd)  # 1×β: the constraint ḃᵀḃ + bᵀb̈ = 0, Eq. 28
@@ -49,13 +48,13 @@ def _constrained(space: StateSpace, F: Any, B: Any, r: Any, solution: Any, time:
     return A, lam, Omega
 
 
-def applied_forces(space: StateSpace, N: Any, V: Any, u: Any, time: Any, scene: Scene | None = None) -> tuple[Any, Any]:
+def applied_forces(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE) -> tuple[Any, Any]:
     """Return the forces F of strings and loads less the inertia of moved supports (3×n), N, and the supports' accelerations (3×n), m/s².
 
-    scene: see `forward_dynamics`. F M⁻ plus those accelerations is the motion that no bar and no joint constrains.
+    mode: see `forward_dynamics`. F M⁻ plus those accelerations is the motion that no bar and no joint constrains.
     """
     moved = space.support_accelerations(time)
-    return forces.total(scene or space.scene, space.mechanism, N, V, u, time) - ca.mtimes(moved, sparse(space.mechanism.M)), moved
+    return forces.total(space.scene, space.mechanism, N, V, u, time, mode) - ca.mtimes(moved, sparse(space.mechanism.M)), moved
 
 
 def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:

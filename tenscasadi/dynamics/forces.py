@@ -5,7 +5,7 @@ Only what the scene has is built. In full coordinates loads act on the first cop
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -17,8 +17,18 @@ from tenscasadi.util.casadi_tools import constant_row, sparse, weighted_product
 from tenscasadi.util.validate import Array
 
 
-def strings(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool = True) -> tuple[Any, Any]:
-    """γ (1×α) of the modelled strings under the control u, and their vectors S (3×α)."""
+class Mode(NamedTuple):
+    """Which strings pull (1×α) and which nodes the ground pushes (1×n): 1 or 0, whatever their length and depth; None: as these say."""
+
+    taut: Any
+    touching: Any
+
+
+FREE = Mode(None, None)
+
+
+def strings(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool = True, taut: Any = None) -> tuple[Any, Any]:
+    """γ (1×α) of the modelled strings under the control u, and their vectors S (3×α); taut: see `Mode`."""
     s = scene.modelled
     S = ca.mtimes(N, sparse(mech.C_s.T))  # 3×α, Eq. 66
     if isinstance(scene.control, ForceDensity):
@@ -26,8 +36,8 @@ def strings(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool 
     rate = None
     if damped and is_damped(scene):
         rate = ca.sum1(S * ca.mtimes(V, sparse(mech.C_s.T))) * constant_row(s.damping)  # c sᵀṡ, Eq. 98
-    gamma = scene.slack.force_density(ca.sum1(S * S), _rest(scene, u), constant_row(s.stiffness), rate, constant_row(s.rest_length))
-    return gamma, S
+    laws = _rest(scene, u), constant_row(s.stiffness), rate, constant_row(s.rest_length)
+    return scene.slack.force_density(ca.sum1(S * S), *laws, taut), S
 
 
 def is_damped(scene: Scene) -> bool:
@@ -40,16 +50,16 @@ def pull(mech: Mechanism, gamma: Any, S: Any) -> Any:
     return weighted_product(S, gamma, -mech.C_s)
 
 
-def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> dict[str, Any]:
+def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE) -> dict[str, Any]:
     """The columns of F (3×n) by the name of their origin."""
     first = mech.first.tolist()
     result: dict[str, Any] = {}
     if len(scene.modelled.strings):
-        result["strings"] = pull(mech, *strings(scene, mech, N, V, u))
+        result["strings"] = pull(mech, *strings(scene, mech, N, V, u, taut=mode.taut))
     if scene.gravity is not None:
         result["gravity"] = scene.gravity.forces(mech.M.sum(axis=1))
     if scene.ground is not None:
-        result["ground"] = _on_first(mech, scene.ground.forces(N[:, first], V[:, first]))
+        result["ground"] = _on_first(mech, scene.ground.forces(N[:, first], V[:, first], mode.touching))
     if scene.pressure is not None:
         result["pressure"] = _on_first(mech, scene.pressure.forces(N[:, first]))
     if scene.forces is not None:
@@ -57,9 +67,9 @@ def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> d
     return result
 
 
-def total(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> Any:
+def total(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE) -> Any:
     """Return F (3×n), the sum of all `terms`, N."""
-    return sum(terms(scene, mech, N, V, u, time).values(), start=ca.DM.zeros(*mech.N.shape))
+    return sum(terms(scene, mech, N, V, u, time, mode).values(), start=ca.DM.zeros(*mech.N.shape))
 
 
 def potential(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any, Any]:

@@ -11,9 +11,10 @@ import scipy.sparse as sp
 
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import Held, counts, held_ode, held_scene, switching
+from tenscasadi.integrators.events import counts, held_ode, split_mode, switching
 from tenscasadi.integrators.scheme import Complex, check_ode, with_work
 from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import Clip
 from tenscasadi.util.casadi_tools import call_as_sx, sparse
 from tenscasadi.util.validate import Array, instance, positive_number, whole_number
 
@@ -211,20 +212,18 @@ def _solver(model: Model) -> ca.Function:
 
     def linear(x: Any, w: Any, g: Any, r: Any) -> tuple[Any, ...]:
         N, V, time = model.unpack(x)
-        u, taut, touching = w[: model.nu], w[model.nu : model.nu + strings].T, w[model.nu + strings :].T
-        scene = held_scene(model.scene, taut if strings else None, touching)
-        length = type(x).sym("length", 1, strings)
-        springs = replace(scene, slack=_Pulling(taut, length)) if strings else scene
-        if springs.ground is not None:
-            springs = replace(springs, ground=replace(springs.ground, friction=None))  # its share is not symmetric
+        u, mode = split_mode(model, w)
 
-        def push(scene: Scene) -> Any:
-            F = forces.total(scene, mech, N, V, u, time)
-            return model.pack(F, F, 0)[:nq]
+        def slopes(scene: Scene) -> Any:
+            F = forces.total(scene, mech, N, V, u, time, mode)
+            return ca.jacobian(model.pack(F, F, 0)[:nq], x)
 
-        S = ca.mtimes(N, sparse(mech.C_s.T))
-        K = ca.substitute(ca.jacobian(push(springs), x)[:, :nq], length, ca.sqrt(ca.sum1(S * S))) if strings else ca.jacobian(push(scene), x)[:, :nq]
-        C = ca.jacobian(push(scene), x)[:, nq : 2 * nq]
+        K, C = ca.horzsplit(slopes(model.scene), [0, nq, 2 * nq, model.nx])[:2]
+        if strings:
+            ground = model.scene.ground and replace(model.scene.ground, friction=None)  # whose share is not symmetric
+            S, length = ca.mtimes(N, sparse(mech.C_s.T)), type(x).sym("length", 1, strings)
+            springs = replace(model.scene, slack=_Pulling(length), ground=ground)
+            K = ca.substitute(slopes(springs)[:, :nq], length, ca.sqrt(ca.sum1(S * S)))
         W = M - g * _symmetric(C) - g**2 * _symmetric(K)
         kept = model.constraints(x)
         G = ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)[:, :nq]
@@ -237,13 +236,13 @@ def _solver(model: Model) -> ca.Function:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pulling(Held):
+class _Pulling(Clip):
     """Strings that pull where they are taut, none with less than no force: what pushes would make the system indefinite. No damping."""
 
     length: Any
 
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any) -> Any:
-        return super().force_density(squared, ca.fmin(rest, self.length), stiffness, None, unit)
+    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
+        return super().force_density(squared, ca.fmin(rest, self.length), stiffness, None, unit, taut)
 
 
 def _symmetric(J: Any) -> Any:

@@ -6,7 +6,7 @@ smooth; where a switching function changes its sign, the mode changes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -15,8 +15,6 @@ import numpy as np
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.loads import Ground
-from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity
 from tenscasadi.util.casadi_tools import sparse
 
@@ -33,7 +31,7 @@ def switching(model: Model) -> ca.Function | None:
     rows = [forces.strings(replace(scene, slack=_Switching()), mech, N, V, u)[0]] if strings else []
     if scene.ground is not None:
         first = mech.first.tolist()
-        depth, speed = _approach(scene.ground, N[:, first], V[:, first])
+        depth, speed = scene.ground.depth(N[:, first]), ca.mtimes(ca.DM(scene.ground.normal).T, V[:, first])
         rows.append(ca.fmin(depth, depth - scene.ground.damping / scene.ground.stiffness * speed))
     return ca.Function("switching", [x, u], ca.cse([ca.densify(ca.horzcat(*rows).T)]), ["x", "u"], ["g"])
 
@@ -45,21 +43,25 @@ def held_ode(model: Model, work: bool = False) -> ca.Function:
     has kinks of its own, where a damped string lets go while it is still stretched, and would spoil the order as an integrand.
     """
     mech = model.mechanism
-    strings, nodes = counts(model)
     kind: Any = ca.MX if mech.large else ca.SX  # no calls of staged functions: they would not know the mode
-    z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nu + strings + nodes)
+    z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nu + sum(counts(model)))
     N, V, time = model.unpack(z[: model.nx])
-    u, taut, touching = w[: model.nu], w[model.nu : model.nu + strings].T, w[model.nu + strings :].T
-    held = held_scene(model.scene, taut if strings else None, touching)
-    acceleration = forward_dynamics(model, N, V, u, time, held)[0]
+    u, mode = split_mode(model, w)
+    acceleration = forward_dynamics(model, N, V, u, time, mode)[0]
     parts = [model.pack(V, acceleration, 1)]
     if work:
         if model.scene.supports is None:
-            push = forces.total(held, mech, N, V, u, time)
+            push = forces.total(model.scene, mech, N, V, u, time, mode)
         else:  # reactions of moved supports work too
             push = ca.mtimes(acceleration, sparse(mech.M))
         parts.append(ca.sum2(ca.sum1(push * V)))
     return ca.Function("held", [z, w], ca.cse([ca.densify(ca.vertcat(*parts))]), ["z", "w"], ["zdot"])
+
+
+def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
+    """u and the mode in w = (u, mode (k,))."""
+    nu, (strings, nodes) = model.nu, counts(model)
+    return w[:nu], forces.Mode(w[nu : nu + strings].T if strings else None, w[nu + strings :].T if nodes else None)
 
 
 def potential(model: Model) -> ca.Function:
@@ -77,60 +79,13 @@ def counts(model: Model) -> tuple[int, int]:
     return len(scene.modelled.strings) if slack else 0, len(model.mechanism.first) if scene.ground is not None else 0
 
 
-def held_scene(scene: Scene, taut: Any | None, touching: Any) -> Scene:
-    """The scene whose strings pull where `taut` is 1 (1×α; None: as they do), and whose ground pushes where `touching` is 1 (1×n)."""
-    changes: dict[str, Any] = {}
-    if taut is not None:
-        changes["slack"] = Held(taut)
-    if scene.ground is not None:
-        own = {field.name: getattr(scene.ground, field.name) for field in fields(scene.ground)}
-        changes["ground"] = _HeldGround(**own, touching=touching)
-    return replace(scene, **changes)
-
-
-def _approach(ground: Ground, N: Any, V: Any) -> tuple[Any, Any]:
-    """Depth, m, and speed out of the ground, m/s (1×n)."""
-    normal = ca.DM(ground.normal).T
-    return ground.height - ca.mtimes(normal, N), ca.mtimes(normal, V)
-
-
 class _Switching(Clip):
     """In place of γ a length: positive where a string is longer than at rest and its tension positive."""
 
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any) -> Any:
+    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
         length = ca.sqrt(squared + (1e-9 * unit) ** 2)
         stretch = length - rest
         if rate is None:
             return stretch
         elastic = ca.DM(np.where(stiffness.full() > 0, stiffness.full(), 1.0))
         return ca.fmin(stretch, (stiffness * stretch + rate / length) / elastic)
-
-
-@dataclass(frozen=True, eq=False)
-class Held(Clip):
-    """The law of strings that pull where `taut` is 1 (1×α), whatever their length."""
-
-    taut: Any
-
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any) -> Any:
-        """γ, which pushes where a string that is held taut is too short."""
-        safe = squared + (1e-9 * unit) ** 2
-        gamma = stiffness * (1 - rest / ca.sqrt(safe))
-        return self.taut * (gamma if rate is None else gamma + rate / safe)
-
-
-@dataclass(frozen=True, eq=False)
-class _HeldGround(Ground):
-    """The ground under nodes that it pushes where `touching` is 1 (1×n), whatever their depth."""
-
-    touching: Any = None
-
-    def forces(self, N: Any, V: Any) -> Any:
-        depth, speed = _approach(self, N, V)
-        push = self.touching * (self.stiffness * depth - self.damping * speed)
-        normal = ca.DM(self.normal)
-        W = ca.mtimes(normal, push)
-        if self.friction is not None:
-            slip = V - ca.mtimes(normal, speed)
-            W = W - slip * ca.repmat(self.friction * push / ca.sqrt(ca.sum1(slip * slip) + self.slip_speed**2), 3, 1)
-        return W

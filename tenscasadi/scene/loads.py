@@ -70,14 +70,15 @@ class Ground:
         """Whether the plane neither damps nor rubs."""
         return self.damping == 0 and self.friction is None
 
-    def forces(self, N: Any, V: Any) -> Any:
-        """W (3×n) of nodes at N with velocities V (3×n)."""
+    def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
+        """W (3×n) of nodes at N with velocities V (3×n); `touching` (1×n) 1 or 0: nodes held in contact, or off it, None: by their depth."""
         normal = ca.DM(self.normal)
-        depth = self._depth(N)
+        depth = self.depth(N)
         push = self.stiffness * depth
         if self.damping:
-            push = ca.fmax(push - self.damping * ca.mtimes(normal.T, V), 0)
-        push = ca.if_else(depth > 0, push, 0)  # 1×n
+            push = push - self.damping * ca.mtimes(normal.T, V)
+            push = ca.fmax(push, 0) if touching is None else push
+        push = ca.if_else(depth > 0, push, 0) if touching is None else touching * push  # 1×n
         W = ca.mtimes(normal, push)
         if self.friction is not None:
             slip = V - ca.mtimes(normal, ca.mtimes(normal.T, V))
@@ -87,10 +88,11 @@ class Ground:
 
     def energy(self, N: Any) -> Any:
         """Energy stored in the plane's springs, J."""
-        depth = ca.fmax(self._depth(N), 0)
+        depth = ca.fmax(self.depth(N), 0)
         return self.stiffness * ca.sum2(depth * depth) / 2
 
-    def _depth(self, N: Any) -> Any:
+    def depth(self, N: Any) -> Any:
+        """How deep nodes at N (3×n) are, m (1×n); negative above the plane."""
         return self.height - ca.mtimes(ca.DM(self.normal).T, N)
 
 

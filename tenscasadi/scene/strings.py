@@ -28,8 +28,10 @@ Control = ForceDensity | RestLength
 class Clip:
     """Slack as it is: γ is exactly 0 unless the string is longer than its rest length and its tension positive (Eq. 99)."""
 
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any) -> Any:
+    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
         """γ of strings from s² (`squared`), ρ, k and c sᵀṡ (`rate`, None when undamped); any matching shape (Eq. 99).
+
+        `taut` 1 or 0: strings held to pull, or not to, whatever their length: those too short push; None: as they are.
 
         `unit` is a typical length, constant: s² is raised by (1e-9 unit)², below rounding for any taut string, so that a string of
         no length has finite derivatives.
@@ -37,10 +39,10 @@ class Clip:
         safe = squared + (1e-9 * unit) ** 2
         length = ca.sqrt(safe)
         strain = (length - rest) / length
-        if rate is None:
-            return stiffness * strain * (strain > 0)  # a product: the shortest code, and finite in all derivatives
-        gamma = stiffness * strain + rate / safe
-        return gamma * ((strain > 0) * (gamma > 0))
+        gamma = stiffness * strain if rate is None else stiffness * strain + rate / safe
+        if taut is None:
+            taut = strain > 0 if rate is None else (strain > 0) * (gamma > 0)
+        return gamma * taut  # a product: the shortest code, and finite in all derivatives
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
         """Elastic energy ½ k (s − ρ)² of taut strings, J."""
@@ -61,8 +63,8 @@ class Smooth:
     def __post_init__(self) -> None:
         object.__setattr__(self, "width", positive_number("Smooth.width", self.width))
 
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any) -> Any:
-        """γ of strings; arguments as for `Clip.force_density`."""
+    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
+        """γ of strings; arguments as for `Clip.force_density`, but for `taut`: here strings are both."""
         length = self._length(squared, unit)
         stretch = length - rest
         tension = stiffness * stretch
