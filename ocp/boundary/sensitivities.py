@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.invariants import invariants
-from ocp.problem.instant import norms
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array
@@ -92,62 +89,3 @@ class Motion:
         J = np.zeros((len(rates), nx * width))
         J[:, self._row * width + self._column] = entries
         return rates.reshape(-1, 4, nx), J.reshape(-1, 4, nx, width)
-
-
-def linearized_step(model: Model, length: float, substeps: int) -> ca.Function:
-    """(x, γ) → the state after an interval in steps of RK4, and its dense derivatives by x and γ: stage by stage, which makes short code."""
-    kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
-    z, c = kind.sym("z", model.nx), kind.sym("c", model.nu)
-    rate = model.ode(z, c)
-    slopes = ca.Function("slopes", [z, c], [rate, ca.densify(ca.jacobian(rate, ca.vertcat(z, c)))], {"cse": True})
-    x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
-    h, nx = length / substeps, model.nx
-    after: Any = x
-    change: Any = ca.DM(np.eye(nx, nx + model.nu))  # of the state, by x and γ
-    own = ca.DM(np.eye(model.nu, nx + model.nu, nx))  # of γ
-    for _ in range(substeps):
-        end, by_all = after, change
-        rates: list[Any] = []
-        turns: list[Any] = []
-        for weights, weight in zip(_A, _B, strict=True):
-            point = after + h * sum((a * k for a, k in zip(weights, rates, strict=True) if a), start=ca.MX(0))
-            moved = change + h * sum((a * k for a, k in zip(weights, turns, strict=True) if a), start=ca.DM(0))
-            k, J = slopes(point, u)
-            rates.append(k)
-            turns.append(ca.mtimes(J, ca.vertcat(moved, own)))
-            end, by_all = end + h * weight * k, by_all + h * weight * turns[-1]
-        after, change = end, by_all
-    return ca.Function("advance", [x, u], [after, change[:, :nx], change[:, nx:]])
-
-
-class Tangents:
-    """Orthonormal bases of the small changes of a state that bars and joints allow, of places and velocities together."""
-
-    def __init__(self, model: Model, start: Array) -> None:
-        x = ca.SX.sym("x", model.nx)
-        rigid = [group.value for group in invariants(model, start, x, 0) if group.kind in ("bar", "joint", "clock")]
-        self._jacobian = ca.Function("jacobian", [x], [ca.densify(ca.jacobian(ca.vertcat(ca.SX(0, 1), *rigid), x))])
-        self._size = model.nx
-
-    def __call__(self, state: Array) -> Array:
-        """(nx, d) at a state (nx,)."""
-        J = np.asarray(self._jacobian(state).full())
-        if not J.shape[0]:
-            return np.eye(self._size)
-        _, values, right = np.linalg.svd(J)
-        return np.asarray(right[int(np.sum(values > 1e-9 * values.max(initial=0.0))) :].T)
-
-
-def departures(model: Model, place: float, speed: float) -> ca.Function:
-    """x → what is to be kept, and its derivative: coordinates and velocities; of free structures distances between nodes, and their rates."""
-    x = ca.SX.sym("x", model.nx)
-    if model.scene.structure.fixed.any() or model.scene.ground is not None:
-        q, v = x[: model.nq], x[model.nq : 2 * model.nq]
-    else:
-        N = model.nodes(x)
-        bars = {frozenset(bar) for bar in model.structure.bars.tolist()}
-        pairs = [(a, b) for a, b in combinations(range(N.shape[1]), 2) if frozenset((a, b)) not in bars]
-        q = norms(N[:, [b for _, b in pairs]] - N[:, [a for a, _ in pairs]])
-        v = ca.jtimes(q, x, ca.vertcat(x[model.nq : 2 * model.nq], ca.DM.zeros(model.nx - model.nq)))
-    value = ca.vertcat(q / place, v / speed)
-    return ca.Function("departures", [x], [value, ca.densify(ca.jacobian(value, x))])

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
 
-from ocp.boundary.sensitivities import Motion, Tangents, departures
+from ocp.boundary.invariants import invariants
+from ocp.boundary.sensitivities import Motion
+from ocp.control.departures import departures
 from ocp.plan.plan import Plan
 from ocp.problem.bounds import ForceDensityLimits
 from ocp.transcription.mesh import at
@@ -87,6 +90,24 @@ def track(
     Z = [tangents(x) for x in states]
     C = [np.asarray(kept(x)[1].full()) @ basis for x, basis in zip(states, Z, strict=True)]
     return Tracker(model, time, states, gamma, _gains(A, B, Z, C, force**-2), *limits.limits(model.scene.structure))
+
+
+class Tangents:
+    """Orthonormal bases of the small changes of a state that bars and joints allow, of places and velocities together."""
+
+    def __init__(self, model: Model, start: Array) -> None:
+        x = ca.SX.sym("x", model.nx)
+        rigid = [group.value for group in invariants(model, start, x, 0) if group.kind in ("bar", "joint", "clock")]
+        self._jacobian = ca.Function("jacobian", [x], [ca.densify(ca.jacobian(ca.vertcat(ca.SX(0, 1), *rigid), x))])
+        self._size = model.nx
+
+    def __call__(self, state: Array) -> Array:
+        """(nx, d) at a state (nx,)."""
+        J = np.asarray(self._jacobian(state).full())
+        if not J.shape[0]:
+            return np.eye(self._size)
+        _, values, right = np.linalg.svd(J)
+        return np.asarray(right[int(np.sum(values > 1e-9 * values.max(initial=0.0))) :].T)
 
 
 def _gains(A: Array, B: Array, Z: list[Array], C: list[Array], effort: float) -> Array:

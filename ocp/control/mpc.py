@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.sensitivities import Motion, departures, linearized_step
-from ocp.control.mpc_constraints import horizon_rows
-from ocp.control.reference import Reference
+from ocp.boundary.find_target import find_target
+from ocp.control.departures import departures
+from ocp.control.mpc_constraints import Horizon, HorizonLimits
 from ocp.plan.plan import Plan
-from ocp.problem.problem import Problem
+from ocp.problem.goals import Periodic
+from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.scaling import Scales
+from ocp.problem.waypoints import Waypoint
 from ocp.solvers.interior_point_qp import solve_qp
+from ocp.transcription.initial_guess import settled
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.tableaux import CLASSICAL
+from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
 OVERSTEP = 1e5  # what oversteps limits of the path costs, in scaled units, against 1 for a departure of a `place`
@@ -57,24 +65,22 @@ class Mpc:
         self.period = positive_number("period", period)
         self.intervals = whole_number("intervals", intervals, 1)
         self._iterations = whole_number("iterations", iterations, 1)
+        self._substeps = whole_number("substeps", substeps, 1)
         scales = Scales.of(problem)
         size = 0.01 * scales.length if place is None else positive_number("place", place)
-        self._substeps = whole_number("substeps", substeps, 1)
-        self._motion = Motion(self.model, self.intervals, self._substeps)
-        self._lower, self._upper = problem.force_density_limits
         self._departures = departures(self.model, size, 10 * size / scales.time)
-        self._output = self._departures.map(self.intervals)
-        self._reference = Reference(problem, scales, plan, self._departures, self.intervals, self.period)
-        strength = self._reference.strength
+        self._reference, strength = _reference(problem, scales, plan, self._departures, self.intervals, self.period)
         self._effort = strength if effort is None else positive_number("effort", effort)
-        self._bounds = horizon_rows(problem, scales, strength, self.intervals, self.period)
-        rows = sum(bound.rows for bound in self._bounds)
-        everything = np.eye(self.intervals * self.model.nu).reshape(self.intervals, self.model.nu, -1)
-        self._own = np.concatenate([np.zeros_like(everything[:1]), everything])  # what all γ are to the last one and to those of each interval
-        unknowns = self.intervals * self.model.nu + bool(rows)
-        shapes = {"h": ca.Sparsity.dense(unknowns, unknowns), "a": ca.Sparsity.dense(rows, unknowns)}
-        self._solver = ca.conic("qp", "daqp", shapes, {"error_on_fail": False})
-        self._last: _Decision | None = None
+        self._lower, self._upper = (np.tile(limit, self.intervals) for limit in problem.force_density_limits)
+        self._limits = HorizonLimits(problem, scales, strength, self.period)
+        self._steps = self._shift(), self._program()
+        self._array_steps = tuple(ArrayFunction(step) for step in self._steps)
+        unknowns, rows = (self._steps[1].size1_out(name) for name in ("g", "b"))
+        self._slack = int(rows > 0)  # one unknown, by which limits of the path are overstepped
+        shapes = {"h": ca.Sparsity.dense(unknowns + self._slack, unknowns + self._slack), "a": ca.Sparsity.dense(rows, unknowns + self._slack)}
+        self._solver = ArrayFunction(ca.conic("qp", "daqp", shapes, {"error_on_fail": False}))
+        self._last: _Decision
+        self.reset()
 
     def __repr__(self) -> str:
         return f"Mpc({self.model.nu} strings, every {self.period:g} s over {self.intervals} intervals)"
@@ -82,121 +88,186 @@ class Mpc:
     def control(self, time: float, state: Array) -> Array:
         """γ (α,), N/m, at `time` s after the beginning and a state (nx,), until the next decision. An earlier time than the last begins anew."""
         time, state = positive_number("time", time, zero=True), finite_array("state", state, (self.model.nx,))
-        if self._last is not None and time < self._last.time:
+        if time < self._last.time:
             self.reset()
-        wanted, held = self._reference(time)
-        gamma = held if self._last is None else np.concatenate([self._last.force_density[1:], held[-1:]])
-        gamma = np.clip(gamma, self._lower, self._upper)
-        for _ in range(self._iterations):
-            gamma = self._improved(state, gamma, wanted, held, time)
-        self._last = _Decision(time, state, gamma)
+        gamma = self._decided(self._array_steps, self._improved, np.array([time]), state, *self._last[1:])
+        self._last = _Decision(time, gamma, state)
         return np.array(gamma[0])
 
     def reset(self) -> None:
         """Forgets the last decision, for another run."""
-        self._last = None
+        self._last = _Decision(0.0, np.full((self.intervals, self.model.nu), np.nan), np.full(self.model.nx, np.nan))
 
     def function(self) -> ca.Function:
         """The decision as one CasADi Function, which generates C: (time, state (nx), before (α, intervals)) → after (α, intervals).
 
         before: the last `after`; `first` to begin with. What is applied until the next decision is the first column of `after`. With limits
         between decisions, such as `RestLengthRateLimits`, a fourth input `earlier` (nx): the state at the last decision; NaN to begin with.
-        It decides as `control` does, by an interior-point method (`ocp.interior`) in place of DAQP.
+        It decides as `control` does, by an interior-point method (`ocp.solvers.interior_point_qp`) in place of DAQP.
         """
-        count, nu = self.intervals, self.model.nu
-        time, state, before = ca.MX.sym("time"), ca.MX.sym("state", self.model.nx), ca.MX.sym("before", nu, count)
+        time, state, before = ca.MX.sym("time"), ca.MX.sym("state", self.model.nx), ca.MX.sym("before", self.model.nu, self.intervals)
         inputs = {"time": time, "state": state, "before": before}
-        if any(bound.between for bound in self._bounds):
+        if self._limits.from_last_decision:
             inputs["earlier"] = ca.MX.sym("earlier", self.model.nx)
-        begun = sane(inputs.get("earlier", state))
-        last = ca.if_else(begun, inputs.get("earlier", state), state), before[:, 0]
-        wanted, held = self._reference.symbolic(time)
-        lower, upper = (ca.repmat(ca.DM(limit), 1, count) for limit in (self._lower, self._upper))
-        gamma: Any = ca.fmin(ca.fmax(ca.horzcat(before[:, 1:], held[:, -1]), lower), upper)
-        advance = linearized_step(self.model, self.period, self._substeps)
-        for _ in range(self._iterations):
-            end = state
-            for k in range(count):
-                end = advance(end, gamma[:, k])[0]
-            gamma = ca.if_else(sane(end), gamma, held)
-            gamma = ca.fmin(ca.fmax(gamma + self._symbolic_change(advance, (last, begun), state, gamma, wanted, held, time), lower), upper)
-        return ca.Function("decide", list(inputs.values()), [gamma], list(inputs), ["after"])
+        steps = [lambda *given, step=step: step.call(list(given)) for step in self._steps]
+        after = self._decided(steps, self._symbolically_improved, time, state, before, inputs.get("earlier", state))
+        return ca.Function("decide", list(inputs.values()), [after], list(inputs), ["after"])
 
     @property
     def first(self) -> Array:
         """What `function` takes for the last decision, (α, intervals), when there is none yet."""
-        held = self._reference(0.0)[1]
-        return np.concatenate([held[:1], held[:-1]]).T
+        held = np.asarray(self._reference(0.0)[1].full())
+        return np.column_stack([held[:, :1], held[:, :-1]])
 
-    def _symbolic_change(self, advance: ca.Function, past: Any, x: Any, gamma: Any, wanted: Any, held: Any, time: Any) -> Any:
-        """What `_improved` adds to γ (α, intervals). past: state and γ of the last decision, and whether there was one."""
-        count, nu = self.intervals, self.model.nu
-        (last_state, last_gamma), begun = past
-        points: tuple[list[Any], list[Any]] = ([last_state, x], [last_gamma, *ca.horzsplit(gamma)])
-        effects: tuple[list[Any], list[Any]] = ([ca.DM(self.model.nx, count * nu)] * 2, [ca.sparsify(ca.DM(part)) for part in self._own])
-        H: Any = ca.MX(ca.DM.eye(count * nu) / self._effort**2)
-        g: Any = ca.vec(gamma - held) / self._effort**2
-        for k in range(count):
-            x, A, B = advance(x, gamma[:, k])
-            points[0].append(x)
-            effects[0].append(ca.mtimes(A, effects[0][-1]) + ca.mtimes(B, effects[1][k + 1]))
-            reached, C = self._departures(x)
-            effect = ca.mtimes(C, effects[0][-1])
-            H += ca.mtimes(effect.T, effect)
-            g += ca.mtimes(effect.T, reached - wanted[:, k])
-        now, upper = ca.vec(gamma), np.tile(self._upper, count)
-        most = np.flatnonzero(np.isfinite(upper))
-        own: Any = ca.DM.eye(count * nu)
-        a, b = ca.vertcat(-own, own[most.tolist(), :]), ca.vertcat(now - np.tile(self._lower, count), upper[most] - now[most.tolist()])
-        if self._bounds:
-            rows, room = (ca.vertcat(*part) for part in zip(*(bound.symbolic(points, effects, time, begun) for bound in self._bounds), strict=True))
-            a = ca.vertcat(ca.horzcat(rows, -ca.DM.ones(rows.shape[0], 1)), ca.diagcat(a, ca.DM(-1)))
-            b, H, g = ca.vertcat(room, b, 0.0), ca.diagcat(H, OVERSTEP), ca.vertcat(g, OVERSTEP)
-        change = solve_qp(H, g, a, b, ca.DM.zeros(g.shape))[: count * nu]
-        return ca.reshape(ca.if_else(sane(change), change, ca.DM.zeros(count * nu)), nu, count)
+    def _decided(self, steps: Any, improved: Callable[..., Any], time: Any, state: Any, before: Any, earlier: Any) -> Any:
+        """γ of the horizon, of symbols (α, intervals) or of arrays (intervals, α). before, earlier: the last decision and its state, or NaN."""
+        shift, program = steps
+        (gamma,) = shift(time, before)
+        for _ in range(self._iterations):
+            gamma = improved(*program(time, state, gamma, before, earlier))
+        return gamma
 
-    def _improved(self, state: Array, gamma: Array, wanted: Array, held: Array, time: float) -> Array:
-        """One quadratic program about the motion under `gamma` (intervals, α)."""
-        states, stages = self._motion.states(state, gamma, self.period)
-        if not np.all(np.isfinite(states)):
-            states, stages = self._motion.states(state, held, self.period)
-            gamma = held
-        A, B = self._motion.derivatives(stages, gamma, self.period)
-        count, nu, nx = self.intervals, self.model.nu, self.model.nx
-        reached, C = (np.asarray(value.full()) for value in self._output(states[1:].T))
-        C = C.T.reshape(count, nx, -1).transpose(0, 2, 1)
-        effects = np.zeros((count + 2, nx, count * nu))  # of all γ on the states: the last, the present one, those at the intervals' ends
+    def _shift(self) -> ca.Function:
+        """(time, before) → γ (α, intervals) to begin with: the last decision, one period on; that of the reference where there was none."""
+        time, before = ca.MX.sym("time"), ca.MX.sym("before", self.model.nu, self.intervals)
+        held = self._reference(time)[1]
+        gamma = ca.if_else(sane(before), ca.horzcat(before[:, 1:], held[:, -1]), held)
+        return ca.Function("shift", [time, before], [self._clipped(gamma)])
+
+    def _clipped(self, gamma: Any) -> Any:
+        return ca.fmin(ca.fmax(gamma, ca.reshape(self._lower, *gamma.shape)), ca.reshape(self._upper, *gamma.shape))
+
+    def _program(self) -> ca.Function:
+        """(time, state, γ, before, earlier) → γ, G, g, a and b: least ½ ‖G ΔU‖² + ½ ‖ΔU/effort‖² + gᵀ ΔU with a ΔU ≤ b, about the motion under γ.
+
+        ΔU (α · intervals): changes of γ, interval by interval. Where the motion under γ diverges, γ is that of the reference.
+        """
+        model, count = self.model, self.intervals
+        time, state, earlier = (ca.MX.sym(name, size) for name, size in (("time", 1), ("state", model.nx), ("earlier", model.nx)))
+        given, before = (ca.MX.sym(name, model.nu, count) for name in ("given", "before"))
+        wanted, held = self._reference(time)
+        roll = RungeKutta4().step(model.ode).mapaccum(count * self._substeps)
+        ends = roll(state, ca.kron(given, ca.DM.ones(1, self._substeps)), self.period / self._substeps)
+        gamma = ca.if_else(sane(ends), given, held)
+        begun = sane(earlier)
+        horizon = self._horizon(state, gamma, ca.if_else(begun, earlier, state), before[:, 0])
+        reached, slopes = zip(*(self._departures(x) for x in horizon.states[2:]), strict=True)
+        G = ca.vertcat(*(C @ effect for C, effect in zip(slopes, horizon.state_effects[2:], strict=True)))
+        g = G.T @ ca.vec(ca.horzcat(*reached) - wanted) + ca.vec(gamma - held) / self._effort**2
+        a, b = self._limits.rows(horizon, time, begun)
+        outputs = [gamma, *(ca.densify(value) for value in (G, g, a, b))]
+        return ca.Function(
+            "program", [time, state, given, before, earlier], outputs, ["t", "x", "given", "before", "earlier"], ["u", "G", "g", "a", "b"]
+        )
+
+    def _horizon(self, state: Any, gamma: Any, earlier: Any, last: Any) -> Horizon:
+        """The motion under γ (α, intervals) in steps of RK4, and its exact derivatives, stage by stage."""
+        kind: Any = ca.SX if self.model.ode.is_a("SXFunction") else ca.MX
+        z, c = kind.sym("z", self.model.nx), kind.sym("c", self.model.nu)
+        rate = self.model.ode(z, c)
+        slopes = ca.Function("slopes", [z, c], [rate, ca.jacobian(rate, z), ca.jacobian(rate, c)], {"cse": True})
+        (nx, nu), count = (self.model.nx, self.model.nu), self.intervals
+        x, effect = state, ca.DM(nx, 0)  # by the γ of intervals so far
+        states, effects = [earlier, state], [ca.DM(nx, count * nu)] * 2
         for k in range(count):
-            effects[k + 2] = A[k] @ effects[k + 1]
-            effects[k + 2, :, k * nu : (k + 1) * nu] = B[k]
-        G = (C @ effects[2:]).reshape(-1, count * nu)
-        r = (reached - wanted).T.ravel()
-        H = G.T @ G + np.eye(count * nu) / self._effort**2
-        g = G.T @ r + ((gamma - held) / self._effort**2).ravel()
-        low, high = ((limit - gamma).ravel() for limit in (np.broadcast_to(self._lower, gamma.shape), np.broadcast_to(self._upper, gamma.shape)))
-        if not self._bounds:
-            result = self._solver(h=H, g=g, lbx=low, ubx=high)
-        else:
-            last = (state, gamma[0]) if self._last is None else (self._last.state, self._last.force_density[0])
-            points = np.vstack([last[0], states]), np.vstack([last[1], gamma])
-            parts = [bound(points, (effects, self._own), time, self._last is not None) for bound in self._bounds]
-            a, b = (np.concatenate(part) for part in zip(*parts, strict=True))
-            a = np.column_stack([a, -np.ones(len(a))])
+            effect = ca.horzcat(effect, ca.DM.zeros(nx, nu))
+            for _ in range(self._substeps):
+                x, effect = _sensitive_step(slopes, x, gamma[:, k], effect, self.period / self._substeps)
+            states.append(x)
+            effects.append(ca.horzcat(effect, ca.DM(nx, (count - k - 1) * nu)))
+        own = ca.sparsify(ca.DM.eye(count * nu))
+        return Horizon(states, effects, [last, *ca.horzsplit(gamma)], [ca.DM(nu, count * nu), *ca.vertsplit(own, nu)])
+
+    def _improved(self, gamma: Array, G: Array, g: Array, a: Array, b: Array) -> Array:
+        """γ + ΔU (intervals, α) by DAQP, or γ where that fails, from arrays (columns, rows)."""
+        slack = self._slack
+        H, now = G @ G.T, gamma.ravel()
+        H[np.diag_indices(len(H))] += self._effort**-2
+        if slack:
             H = np.pad(H, (0, 1))
             H[-1, -1] = OVERSTEP
-            result = self._solver(h=H, g=np.append(g, OVERSTEP), a=a, lba=-np.inf, uba=b, lbx=np.append(low, 0.0), ubx=np.append(high, np.inf))
-        change = np.asarray(result["x"].full()).ravel()[: count * nu]
+            a = np.vstack([a, -np.ones(a.shape[1])])
+        low, high = np.append(self._lower - now, np.zeros(slack)), np.append(self._upper - now, np.full(slack, np.inf))
+        change = self._solver(H, np.append(g, np.full(slack, OVERSTEP)), a, np.full(b.size, -np.inf), b, low, high)[0].ravel()[: now.size]
         if not self._solver.stats()["success"] or not np.all(np.isfinite(change)):
             return gamma
-        return np.asarray(np.clip(gamma + change.reshape(count, nu), self._lower, self._upper))
+        return np.clip(now + change, self._lower, self._upper).reshape(gamma.shape)
+
+    def _symbolically_improved(self, gamma: Any, G: Any, g: Any, a: Any, b: Any) -> Any:
+        """The same as an expression (α, intervals), by an interior-point method."""
+        size, now = g.shape[0], ca.vec(gamma)
+        H, own = G.T @ G + ca.DM.eye(size) / self._effort**2, ca.DM.eye(size)
+        most = np.flatnonzero(np.isfinite(self._upper)).tolist()
+        A, room = ca.vertcat(-own, own[most, :]), ca.vertcat(now - self._lower, self._upper[most] - now[most])
+        if self._slack:
+            A = ca.vertcat(ca.horzcat(a, -ca.DM.ones(a.shape[0], 1)), ca.diagcat(A, ca.DM(-1)))
+            room, H, g = ca.vertcat(b, room, 0.0), ca.diagcat(H, OVERSTEP), ca.vertcat(g, OVERSTEP)
+        change = solve_qp(H, g, A, room, ca.DM.zeros(g.shape))[:size]
+        return self._clipped(gamma + ca.reshape(ca.if_else(sane(change), change, ca.DM.zeros(size)), *gamma.shape))
 
 
 class _Decision(NamedTuple):
-    """When, at which state (nx,), and what: γ (intervals, α)."""
+    """When, what: γ (intervals, α), and at which state (nx,); NaN where there was none."""
 
     time: float
-    state: Array
     force_density: Array
+    state: Array
+
+
+def _sensitive_step(slopes: ca.Function, x: Any, u: Any, effect: Any, h: float) -> tuple[Any, Any]:
+    """A step of RK4 and the derivative of its end, from that of its beginning, by parameters the last of which are γ itself."""
+    rates: list[Any] = []
+    turns: list[Any] = []
+    end, turned = x, effect
+    for weights, weight in zip(CLASSICAL.a, CLASSICAL.b, strict=True):
+        point, moved = x, effect
+        for a, k, turn in zip(weights, rates, turns, strict=True):
+            if a:
+                point, moved = point + h * a * k, moved + h * a * turn
+        k, by_state, by_control = slopes(point, u)
+        turn = by_state @ moved + ca.horzcat(ca.DM(x.shape[0], effect.shape[1] - u.shape[0]), by_control)
+        rates.append(k)
+        turns.append(turn)
+        end, turned = end + h * weight * k, turned + h * weight * turn
+    return end, turned
+
+
+def _reference(problem: Problem, scales: Scales, plan: Plan | None, output: ca.Function, count: int, period: float) -> tuple[ca.Function, float]:
+    """time → what departures (·, count) at the ends of the next intervals and γ (α, count) in them should be; and a typical γ, N/m.
+
+    plan: followed over time, and held at its end; None: the state of the goals is held. Raises ValueError for goals that ask for a motion
+    without a plan, UnreachableGoal.
+    """
+    time = ca.MX.sym("time")
+    if plan is None:
+        state, gamma = _goal(problem, scales)
+        wanted, held = (ca.repmat(ca.DM(value), 1, count) for value in (output(state)[0], gamma))
+    else:
+        gamma = plan.force_density
+        ends = [ca.fmin(time + period * k, float(plan.time[-1])) for k in range(count + 1)]
+        wanted = ca.horzcat(*(output(_along(plan.trajectory.states, plan.time, end))[0] for end in ends[1:]))
+        held = ca.horzcat(*(_along(gamma, plan.time, (a + b) / 2) for a, b in pairwise(ends)))
+    return ca.Function("reference", [time], [ca.densify(wanted), ca.densify(held)]), float(gamma.mean()) or 1.0
+
+
+def _goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
+    """The state of the goals, and γ that hold it as nearly as they can."""
+    asked = [type(part).__name__ for part in (problem.start, *problem.goals) if isinstance(part, (FreeStart, Waypoint, Periodic))]
+    if asked:
+        raise ValueError(f"problem has {asked[0]}, which asks for a motion, not for one state to be held: plan first, then Mpc(problem, plan=plan)")
+    target = find_target(problem, scales)
+    state = target.start if target.state is None else target.state
+    return state, np.asarray(settled(problem, np.array([state, state]))[0])
+
+
+def _along(values: Array, nodes: Array, time: Any) -> Any:
+    """As `ocp.transcription.mesh.at`, of a symbolic time; rows of states are linear in time as rows of a linear profile are."""
+    k = ca.low(ca.DM(nodes), time)
+    left = ca.MX(ca.DM(values.T))[:, k]
+    if len(values) < len(nodes):
+        return left
+    start = ca.MX(ca.DM(nodes))
+    return left + (time - start[k]) / (start[k + 1] - start[k]) * (ca.MX(ca.DM(values.T))[:, k + 1] - left)
 
 
 def sane(values: Any) -> Any:

@@ -136,3 +136,7 @@ class ArrayFunction:
                 self._buffer.set_res(k, result.data)
         self._evaluate()
         return results
+
+    def stats(self) -> dict[str, Any]:
+        """Return what a solver says of its last call."""
+        return dict(self._buffer.stats())

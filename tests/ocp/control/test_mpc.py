@@ -11,7 +11,8 @@ import pytest
 
 import ocp
 import tenscasadi as tc
-from ocp.boundary.sensitivities import Motion, Tangents
+from ocp.boundary.sensitivities import Motion
+from ocp.control.lqr import Tangents
 
 BAR = 1.4
 

@@ -1,0 +1,28 @@
+"""What controllers keep small: departures of the structure from where it should be."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import casadi as ca
+
+from ocp.problem.instant import norms
+from tenscasadi.dynamics.model import Model
+
+
+def departures(model: Model, place: float, speed: float) -> ca.Function:
+    """Return the Function x → what is to be kept, in units of `place`, m, and `speed`, m/s, and its sparse derivative by x.
+
+    Coordinates and velocities; of free structures, which may drift and turn, distances between nodes and their rates.
+    """
+    x = ca.SX.sym("x", model.nx)
+    if model.scene.structure.fixed.any() or model.scene.ground is not None:
+        q, v = x[: model.nq], x[model.nq : 2 * model.nq]
+    else:
+        N = model.nodes(x)
+        bars = {frozenset(bar) for bar in model.structure.bars.tolist()}
+        pairs = [(a, b) for a, b in combinations(range(N.shape[1]), 2) if frozenset((a, b)) not in bars]
+        q = norms(N[:, [b for _, b in pairs]] - N[:, [a for a, _ in pairs]])
+        v = ca.jtimes(q, x, ca.vertcat(x[model.nq : 2 * model.nq], ca.DM.zeros(model.nx - model.nq)))
+    value = ca.vertcat(q / place, v / speed)
+    return ca.Function("departures", [x], [value, ca.jacobian(value, x)], {"cse": True})
