@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.boundary.find_target import find_target
-from ocp.boundary.reach import HARDLY_REACHED, REACHED, Reach, controlled
+from ocp.boundary.sensitivities import HARDLY_REACHED, REACHED, Reach, find_controlled
 from ocp.boundary.target import Target
 from ocp.plan.diagnosis import explain_failure, long_steps
 from ocp.plan.misses import misses
@@ -104,7 +104,7 @@ def _prepared(problem: Problem, transcription: OnGrid, guess: InitialGuess | Non
         check_start(problem)
     first = guess_of(guess, problem, target, transcription.count)
     together = spread(transcription.control, problem.model.nu)
-    reach = Reach(problem.model, transcription.count, problem.shortest < problem.longest, spread=together)
+    reach = Reach(problem.model, transcription.count, problem.shortest < problem.longest, grouping=together)
     return scales, target, _controlled(target, reach, first), first, reach
 
 
@@ -130,7 +130,7 @@ def _controlled(target: Target, reach: Reach, guess: Guess, least: float = REACH
 
     def reduced(part: Target, share: float) -> Target:
         end = max(1, round(share * intervals))
-        kept = controlled(reach.of_rows(part.single, part.weights, target.start, guess.force_density, guess.duration, end), least)
+        kept = find_controlled(reach.of_rows(part.single, part.weights, target.start, guess.force_density, guess.duration, end), least)
         return part if len(kept) == part.count else part.only(kept, "out of control")
 
     waypoints = tuple(one._replace(target=reduced(one.target, one.share)) for one in target.waypoints)

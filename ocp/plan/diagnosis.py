@@ -7,7 +7,7 @@ from collections import Counter
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.reach import Reach, controlled
+from ocp.boundary.sensitivities import Reach, find_controlled
 from ocp.boundary.target import Target
 from ocp.plan.misses import Misses
 from ocp.solvers.base import Solution
@@ -73,7 +73,7 @@ def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Prog
     if imposed.count:
         states = reach.rollout(imposed.start, found.force_density, found.duration)
         if np.all(np.isfinite(states)):
-            rank = len(controlled(reach.of_rows(imposed.single, imposed.weights, imposed.start, found.force_density, found.duration)))
+            rank = len(find_controlled(reach.of_rows(imposed.single, imposed.weights, imposed.start, found.force_density, found.duration)))
             parts.append(f"the strings move {rank} of {imposed.count} rows of the goals")
     return "; ".join(parts)
 

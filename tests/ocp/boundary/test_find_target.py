@@ -10,8 +10,8 @@ import ocp
 import tenscasadi as tc
 from ocp.boundary.find_target import find_target
 from ocp.boundary.invariants import bodies, free_motions, invariants
-from ocp.boundary.reach import Reach, controlled
 from ocp.boundary.row_reduction import RowFunction, null_space, soft_directions
+from ocp.boundary.sensitivities import Reach, find_controlled
 from ocp.problem.scaling import Scales
 
 PRISM = tc.shapes.prism()
@@ -107,7 +107,7 @@ def test_invariants_are_all_that_the_strings_cannot_change(name):
     free = null_space(A / np.linalg.norm(A, axis=1, keepdims=True))
     assert free.shape[1] == model.nx - count
     sensitivity = reach.of_rows(ca.Function("state", [x], [x]), np.eye(model.nx), start, controls, 1.0)
-    assert len(controlled(sensitivity)) == model.nx - count
+    assert len(find_controlled(sensitivity)) == model.nx - count
     assert np.abs(A @ sensitivity).max() < 1e-4 * np.abs(A).max() * np.abs(sensitivity).max()
 
 
