@@ -173,7 +173,7 @@ def _planned(problem: Problem, transcription: OnGrid, found: Guess) -> Callable[
         k, part = within(transcription.fractions, share)
         before, after = found.states[k : k + 2]
         h = found.duration * transcription.fractions[k]
-        return after if part == 1.0 else np.asarray(cubic(ca.DM(before), ca.DM(after), h, part, problem.model.nq).full()).ravel()
+        return after if part == 1.0 else np.asarray(cubic(problem.model, ca.DM(before), ca.DM(after), h, part).full()).ravel()
 
     return state_at
 

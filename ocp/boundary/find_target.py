@@ -66,12 +66,12 @@ def _check_time(problem: Problem, target: Target, seconds: float) -> None:
     _, most = problem.force_density_limits
     if target.state is None or problem.free_start or model.scene.has_clock or not np.all(np.isfinite(most)):
         return
-    nq, nu = model.nq, model.nu
+    nu = model.nu
     pulls = np.column_stack([np.zeros(nu), np.eye(nu)])
-    free, *slopes = np.asarray(model.ode.map(nu + 1)(start, pulls).full()).T[:, nq : 2 * nq]  # accelerations are linear in γ
+    free, *slopes = model.split(np.asarray(model.ode.map(nu + 1)(start, pulls).full()).T)[1]  # accelerations are linear in γ
     fastest = np.max(np.abs(free) + sum(np.abs(slope - free) * limit for slope, limit in zip(slopes, most, strict=True)))
-    reach = (np.abs(start[nq : 2 * nq]).max() + fastest * seconds) * seconds
-    away = np.abs(target.state - start)[:nq]
+    reach = (np.abs(model.split(start)[1]).max() + fastest * seconds) * seconds
+    away = np.abs(model.split(target.state - start)[0])
     if away.max() > AMPLE * reach:
         node, axis = divmod(int(np.flatnonzero(model.mechanism.free.ravel())[np.argmax(away)]), 3)
         way = f"node {model.mechanism.physical[node]} {'xyz'[axis]} has to move by {away.max():.2g} m in {seconds:.2g} s"
@@ -144,7 +144,7 @@ class _Finder:
         along = along - np.concatenate([[0.0], along])[np.searchsorted(parent, parent)]
         nodes[s.strings[inner, 1]] = a[parent[inner]] + along[inner, None] * (b - a)[parent[inner]]
         x = model.state(nodes, model.velocities(y[:-1]))
-        x[2 * model.nq :] = y[2 * model.nq : -1]
+        model.split(x)[2][:] = model.split(y[:-1])[2]
         return np.append(x, y[-1])
 
     def _refuse(self, y: Array, active: list[int]) -> None:

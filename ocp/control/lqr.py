@@ -49,7 +49,7 @@ class Tracker:
         k = min(int(time / self.period + 1e-9), len(self.gains) - 1)
         after = time > self.time[-1] - 1e-9
         away = state - self.states[-1 if after else k]
-        away[2 * self.model.nq :] = 0.0
+        self.model.split(away)[2][:] = 0.0
         return np.asarray(np.clip(self.force_density[k] - self.gains[k] @ away, self.lower, self.upper))
 
 

@@ -44,6 +44,5 @@ def defects(model: Model, time: Array, states: Array, force_density: Array) -> A
     if model.mechanism.constrained:
         now = projection(model, 3).map(count)(now)
     gap = np.asarray(now.full()).T - states[1:]
-    places = np.abs(gap[:, : model.nq]).max(axis=1)
-    speeds = np.abs(gap[:, model.nq : 2 * model.nq]).max(axis=1) * float(time[-1])
-    return np.asarray(np.maximum(places, speeds))
+    places, speeds, _ = model.split(np.abs(gap))
+    return np.asarray(np.maximum(places.max(axis=1), speeds.max(axis=1) * float(time[-1])))

@@ -63,7 +63,8 @@ def corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, a
         held = (gamma[:-1].T, gamma[1:].T) if linear else (gamma.T,)
         fine = np.column_stack([states[0], np.asarray(chain(states[0], *held, T * fractions[None]).full())]).T
         gap = np.abs(fine - states) * known
-        size = float(max(gap[:, : model.nq].max(initial=0.0), T * gap[:, model.nq : 2 * model.nq].max(initial=0.0)))
+        places, speeds, _ = model.split(gap)
+        size = float(max(places.max(initial=0.0), T * speeds.max(initial=0.0)))
         if done and size < best.gap:  # the first solution is a rough one
             best = Corrected(solution._replace(iterations=iterations), fine, size)
         if (done and size <= accuracy) or not size < GAIN * before or done == ROUNDS:

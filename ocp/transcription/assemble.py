@@ -75,7 +75,7 @@ def waypoint_blocks(a: Layout, target: Target) -> list[Block]:
             continue
         k, share = within(a.fractions, waypoint.share)
         x, y, T, part = (ca.MX.sym("z", size) for size in (nx, nx, 1, 1))
-        state = y if share == 1.0 else cubic(x, y, T * part, share, a.model.nq)
+        state = y if share == 1.0 else cubic(a.model, x, y, T * part, share)
         function = ca.Function("waypoint", [ca.vertcat(x, y, T, part)], [waypoint.target.rows(state)])
         names = tuple(f"goal of waypoint {number}, combination {row}" for row in range(waypoint.target.count))
         blocks.append(Block(function, np.concatenate([a.states[k], a.states[k + 1], a.duration, a.share[k]])[None], names, kind="waypoint"))
@@ -150,7 +150,7 @@ def _simpson(a: Layout, cost: RunningCost) -> tuple[Any, Any, Indices]:
     parts = symbols(rate, nx, nx, a.interval_controls.shape[1], 1, 1, 1, 1)
     x, y, c, T, part, start, end = parts
     ends = rate(x, a.gamma(c, 0.0), T * start) + rate(y, a.gamma(c, 1.0), T * end)
-    middle = rate(cubic(x, y, T * part, 0.5, a.model.nq), a.gamma(c, 0.5), T * (start + end) / 2)
+    middle = rate(cubic(a.model, x, y, T * part, 0.5), a.gamma(c, 0.5), T * (start + end) / 2)
     value = T * part / 6 * (ends + 4 * middle)
     index = [a.states[:-1], a.states[1:], a.interval_controls, a.repeated(a.duration), a.share, a.time[:-1], a.time[1:]]
     return ca.vertcat(*parts), value, np.hstack(index)

@@ -15,6 +15,7 @@ from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
 from ocp.transcription.mesh import at
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
+from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.structure.structure import Structure
@@ -81,8 +82,8 @@ class Equilibrium:
         duration = (problem.shortest + problem.longest) / 2
         states = np.repeat(target.start[None], intervals + 1, axis=0)
         model = problem.model
-        if model.nx > 2 * model.nq:
-            states[:, 2 * model.nq :] += np.linspace(0.0, duration, intervals + 1)[:, None]
+        _, _, clock = model.split(states)
+        clock += np.linspace(0.0, duration, intervals + 1)[:, None][:, : clock.shape[1]]
         return Guess(states, settled(problem, states), duration)
 
 
@@ -146,7 +147,7 @@ def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
     bounds for every interval. What it leaves open (self-stress) follows the equilibrium force densities of start and target.
     """
     duration = (problem.shortest + problem.longest) / 2
-    return follow(problem, target, _line(target, problem.model.nq, intervals, duration), duration)
+    return follow(problem, target, _line(target, problem.model, intervals, duration), duration)
 
 
 def follow(problem: Problem, target: Target, positions: Array, duration: float) -> Guess:
@@ -160,30 +161,31 @@ def settled(problem: Problem, states: Array) -> Array:
     return _inverse_dynamics(problem, states, _reference(problem, states), 1.0)
 
 
-def _line(target: Target, nq: int, intervals: int, duration: float) -> Array:
+def _line(target: Target, model: Model, intervals: int, duration: float) -> Array:
     """Free coordinates (K + 1, nq) from start to target, through the waypoints."""
     start, end = target.start, target.start if target.state is None else target.state
     s = np.linspace(0.0, 1.0, intervals + 1)[:, None]
     rise, fall = s**3 * (10 - 15 * s + 6 * s**2), -4 * s**3 + 7 * s**4 - 3 * s**5
     out = s - 6 * s**3 + 8 * s**4 - 3 * s**5  # leaves with the start's velocity; `fall` arrives with the target's
-    q = start[:nq] + rise * (end - start)[:nq] + duration * (out * start[nq : 2 * nq] + fall * end[nq : 2 * nq])
+    (q0, v0, _), (q1, v1, _) = model.split(start), model.split(end)
+    q = q0 + rise * (q1 - q0) + duration * (out * v0 + fall * v1)
     waypoints = [(one.share, one.target.state) for one in target.waypoints if one.target.state is not None]
     if waypoints:
-        places = [start[:nq], *(state[:nq] for _, state in waypoints), end[:nq]]
-        rates = [(1, duration * state[nq : 2 * nq]) for state in (start, end)]
+        places = [q0, *(model.split(state)[0] for _, state in waypoints), q1]
+        rates = [(1, duration * v) for v in (v0, v1)]
         q = scipy.interpolate.CubicSpline([0.0, *(share for share, _ in waypoints), 1.0], places, bc_type=tuple(rates))(s[:, 0])
     return np.asarray(q)
 
 
 def _motion(problem: Problem, target: Target, q: Array, duration: float) -> Array:
-    model, nq, intervals = problem.model, problem.model.nq, len(q) - 1
+    model, intervals = problem.model, len(q) - 1
     start = target.start
-    clock = start[2 * nq :] + np.linspace(0.0, duration, intervals + 1)[:, None][:, : model.nx - 2 * nq]
+    clock = model.split(start)[2] + np.linspace(0.0, duration, intervals + 1)[:, None][:, : model.nx - 2 * model.nq]
     project = projection(model, 10).map(intervals + 1)
     still = np.column_stack([q, np.zeros_like(q), clock])
-    q = np.asarray(project(still.T).full()).T[:, :nq]
+    q, _, _ = model.split(np.asarray(project(still.T).full()).T)
     v = np.empty_like(q)
-    v[0], v[-1] = start[nq : 2 * nq], (start if target.state is None else target.state)[nq : 2 * nq]
+    v[0], v[-1] = (model.split(state)[1] for state in (start, start if target.state is None else target.state))
     v[1:-1] = (q[2:] - q[:-2]) * (intervals / (2 * duration))
     states = np.asarray(project(np.column_stack([q, v, clock]).T).full()).T
     states[0] = start
@@ -225,10 +227,10 @@ def _inverse_dynamics(problem: Problem, states: Array, reference: Array, interva
     nq = model.nq
     kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
-    acceleration = model.ode(x, u)[nq : 2 * nq]
+    _, acceleration, _ = model.split(model.ode(x, u))
     linear = ca.Function("linear", [x, u], [ca.densify(acceleration), ca.densify(ca.jacobian(acceleration, u))])
     middle = (states[:-1] + states[1:]) / 2
-    wanted = (states[1:, nq : 2 * nq] - states[:-1, nq : 2 * nq]) / interval
+    wanted = np.diff(model.split(states)[1], axis=0) / interval
     lower, upper = problem.force_density_limits
     count = len(middle)
     free, slopes = (value.full().T for value in linear.map(count)(middle.T, np.zeros((model.nu, count))))

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Protocol
 import casadi as ca
 import numpy as np
 
+from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, finite_array, positive_number, whole_number
 
 Intervals = int | Sequence[float]
@@ -130,10 +131,10 @@ def within(fractions: Array, share: float) -> tuple[int, float]:
     return k, 1.0 if part > 1 - 1e-9 else part
 
 
-def cubic(x: Any, y: Any, h: Any, share: float, positions: int) -> Any:
+def cubic(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
     """Return the state at a share of an interval of length h between states x and y, along the cubic with their places and velocities."""
-    s, nq = share, positions
-    q = (1 + 2 * s) * (1 - s) ** 2 * x[:nq] + s**2 * (3 - 2 * s) * y[:nq] + h * s * (1 - s) * ((1 - s) * x[nq : 2 * nq] - s * y[nq : 2 * nq])
-    change = (y[:nq] - x[:nq]) / h
-    v = 6 * s * (1 - s) * change + (1 - s) * (1 - 3 * s) * x[nq : 2 * nq] + s * (3 * s - 2) * y[nq : 2 * nq]
-    return ca.vertcat(q, v, (1 - s) * x[2 * nq :] + s * y[2 * nq :])
+    s, (q0, v0, clock0), (q1, v1, clock1) = share, model.split(x), model.split(y)
+    q = (1 + 2 * s) * (1 - s) ** 2 * q0 + s**2 * (3 - 2 * s) * q1 + h * s * (1 - s) * ((1 - s) * v0 - s * v1)
+    change = (q1 - q0) / h
+    v = 6 * s * (1 - s) * change + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1
+    return ca.vertcat(q, v, (1 - s) * clock0 + s * clock1)

@@ -147,20 +147,20 @@ class _Chain:
         total = forces.total(self.model.scene, mech, N, V, gamma, clock)
         if self.bars:
             total = total + nodal_forces(mech, mech.bar_vectors(N), lam.T)
-        return self.model.pack(total, total, 0)[: self.nq]
+        return self.model.split(self.model.pack(total, total, 0))[0]
 
     def _momentum(self, change: Any) -> Any:
         """M times a change of the free coordinates."""
         _, V, _ = self.model.unpack(self._state(change, change, 0))
         P = ca.mtimes(V, sparse(self.mech.M))
-        return self.model.pack(P, P, 0)[: self.nq]
+        return self.model.split(self.model.pack(P, P, 0))[0]
 
     def _per_mass(self) -> ca.Function:
         """M⁻¹ times what pushes the free coordinates."""
         pushed = ca.SX.sym("pushed", self.nq)
         _, V, _ = self.model.unpack(self._state(pushed, pushed, 0))
         faster = self.mech.with_inverse(V)
-        return ca.Function("per_mass", [pushed], [self.model.pack(faster, faster, 0)[: self.nq]])
+        return ca.Function("per_mass", [pushed], [self.model.split(self.model.pack(faster, faster, 0))[0]])
 
     # --- what the motion leaves out ---
 

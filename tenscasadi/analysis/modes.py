@@ -172,10 +172,10 @@ def modes(model: Model, x: Any = None, u: Any = None) -> Modes:
         K, T = elastic.T @ K @ elastic, T @ elastic
     values, vectors = np.linalg.eigh((K + K.T) / 2)
     displacement = np.zeros((len(values), model.nx))
-    displacement[:, :nq] = (T @ vectors).T
+    model.split(displacement)[0][:] = (T @ vectors).T
     shape = model.nodes(displacement) - model.nodes(np.zeros(model.nx))
     frequency = np.sign(values) * np.sqrt(np.abs(values)) / (2 * np.pi)
-    return Modes(frequency, shape, rigid.shape[1], float(np.abs(linear.residual[nq : 2 * nq]).max(initial=0.0)))
+    return Modes(frequency, shape, rigid.shape[1], float(np.abs(model.split(linear.residual)[1]).max(initial=0.0)))
 
 
 def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None = None, rows: int = 41) -> Trajectory:
@@ -249,7 +249,8 @@ def _tangent(model: Model, state: ca.DM) -> Array:
     """Return an orthonormal basis of the displacements that keep bar lengths and joints at a state."""
     x = ca.MX.sym("x", model.nx)
     kept = model.constraints(x)
-    jacobian = ca.Function("rows", [x], [ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)])(state).full()[:, : model.nq]
+    jacobian = ca.Function("rows", [x], [ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)])(state).full()
+    jacobian, _, _ = model.split(jacobian)
     return np.asarray(scipy.linalg.null_space(jacobian)) if len(jacobian) else np.eye(model.nq)
 
 

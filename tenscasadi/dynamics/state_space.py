@@ -93,8 +93,8 @@ class StateSpace:
                 raise ValueError(f"{name}[{node}, {axis}] moves a pinned coordinate: keep node {node} at {self.structure.nodes[node]}, at rest")
         columns = self.mechanism.physical
         x = np.zeros(self.nx)
-        x[: self.nq] = positions[columns].ravel()[self._free]
-        x[self.nq : 2 * self.nq] = speeds[columns].ravel()[self._free]
+        q, v, _ = self.split(x)
+        q[:], v[:] = positions[columns].ravel()[self._free], speeds[columns].ravel()[self._free]
         return x
 
     def nodes(self, x: Any) -> Any:
@@ -131,11 +131,18 @@ class StateSpace:
 
     # --- expressions ---
 
+    def split(self, x: Any) -> tuple[Any, Any, Any]:
+        """Return positions (nq), velocities (nq) and clock (1 or 0) of states: views of arrays (…, nx), rows of CasADi matrices (nx, …)."""
+        parts = slice(self.nq), slice(self.nq, 2 * self.nq), slice(2 * self.nq, self.nx)
+        if isinstance(x, np.ndarray):
+            return x[..., parts[0]], x[..., parts[1]], x[..., parts[2]]
+        return x[parts[0], :], x[parts[1], :], x[parts[2], :]
+
     def unpack(self, x: Any) -> tuple[Any, Any, Any]:
         """N and V (3×n, the columns of `mechanism`) and the time of a CasADi state."""
-        start = self.mechanism.N.T
-        time = x[self.nx - 1] if self.scene.has_clock else 0
-        N, V = self._place(x[: self.nq], start), self._place(x[self.nq : 2 * self.nq], np.zeros_like(start))
+        start, (q, v, clock) = self.mechanism.N.T, self.split(x)
+        time = clock if self.scene.has_clock else 0
+        N, V = self._place(q, start), self._place(v, np.zeros_like(start))
         if self._supports is not None and self.coordinates == "reduced":
             N[:, self._moved], V[:, self._moved], _ = self._supports(time)
         return N, V, time

@@ -94,11 +94,12 @@ class Collocation:
         if self.degree > _SWEPT or model.nq == 0:
             return self.step(model.ode if power is None else with_work(model.ode, power))
         A, b = self.coefficients
-        nx, nq = model.nx, model.nq
+        nx = model.nx
         z, u, h = ca.MX.sym("z", nx + (power is not None)), ca.MX.sym("u", model.nu), ca.MX.sym("h")
-        x, v = z[:nx], z[nq : 2 * nq]
+        x = z[:nx]
+        _, v, clock = model.split(x)
         k, change = solve_stages(model, A, self.iterations, self.tolerance)(x, u, h)
-        moved = ca.vertcat(h * v + h**2 * ca.mtimes(k, ca.DM(A.T @ b)), h * ca.mtimes(k, ca.DM(b)), ca.DM.ones(nx - 2 * nq) * h)
+        moved = ca.vertcat(h * v + h**2 * ca.mtimes(k, ca.DM(A.T @ b)), h * ca.mtimes(k, ca.DM(b)), ca.DM.ones(clock.shape[0]) * h)
         if power is not None:
             watts = [power(state, u) for state in stage_states(model, A, x, k, h)]
             moved = ca.vertcat(moved, h * ca.mtimes(ca.horzcat(*watts), ca.DM(b)))
@@ -164,15 +165,14 @@ def solve_stages(model: Model, A: Array, sweeps: int, tolerance: float) -> ca.Fu
 
 def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
     """The state at each stage with accelerations k (nq, s)."""
-    nq, c = model.nq, A.sum(axis=1)
-    q, v, clock = x[:nq], x[nq : 2 * nq], x[2 * nq :]
+    c, (q, v, clock) = A.sum(axis=1), model.split(x)
     Q, V = h**2 * ca.mtimes(k, ca.DM((A @ A).T)), h * ca.mtimes(k, ca.DM(A.T))
     return [ca.vertcat(q + c[i] * h * v + Q[:, i], v + V[:, i], clock + c[i] * h) for i in range(len(A))]
 
 
 def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any) -> list[Any]:
     """All stages once: their accelerations, how far this sweep moved them, and the least that any sweep did."""
-    nq, L = model.nq, crout(A)
+    L = crout(A)
     squared = L @ L
     gaps = switching(model)
     ode = model.ode if gaps is None else held_ode(model)
@@ -180,7 +180,7 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
     found: list[Any] = []
     for i, state in enumerate(stage_states(model, A, x, k, h)):
         for j, change in enumerate(found):
-            state = state + ca.vertcat(h**2 * squared[i, j] * change, h * L[i, j] * change, ca.DM.zeros(model.nx - 2 * nq))
+            state = state + ca.vertcat(h**2 * squared[i, j] * change, h * L[i, j] * change, ca.DM.zeros(model.nx - 2 * model.nq))
         w = u
         if gaps is not None:
             # The first sweep keeps the step's first mode. Then strings are held taut while they are too short by less than stages
@@ -188,7 +188,7 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
             least = changes[1]
             doubt = ca.if_else(least < np.inf, _DOUBT * least, 0) * (h + _lead(model))
             w = ca.vertcat(u, ca.if_else(least < np.inf, gaps(state, u) > -doubt, gaps(x, u) > 0))
-        found.append(solve(state, w, h * L[i, i], ode(state, w)[nq : 2 * nq] - k[:, i]))
+        found.append(solve(state, w, h * L[i, i], model.split(ode(state, w))[1] - k[:, i]))
     delta = ca.horzcat(*found)
     moved = h * ca.fmax(1, h) * ca.norm_inf(ca.vec(delta))
     return [k + delta, ca.vertcat(moved, ca.fmin(changes[1], moved))]
@@ -216,7 +216,7 @@ def _solver(model: Model) -> ca.Function:
 
         def slopes(scene: Scene) -> Any:
             F = forces.total(scene, mech, N, V, u, time, mode)
-            return ca.jacobian(model.pack(F, F, 0)[:nq], x)
+            return ca.jacobian(model.split(model.pack(F, F, 0))[0], x)
 
         K, C = ca.horzsplit(slopes(model.scene), [0, nq, 2 * nq, model.nx])[:2]
         if strings:
