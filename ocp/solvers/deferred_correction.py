@@ -54,7 +54,7 @@ def corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, a
         return best
     rows = ca.Function("rows", [program.problem["x"]], [program.problem["g"]])
     again: Callable[[Program], Solution] | None = None
-    known, count = program.states >= 0, len(fractions)
+    count, moving = len(fractions), program.rows("start", "defect")[-1].stop
     linear = program.unpack.size2_out(1) > count
     chain = (ramped_step if linear else shooting_step)(model, DormandPrince853(), FINE).mapaccum(count)
     for done in range(ROUNDS + 1):
@@ -62,7 +62,7 @@ def corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, a
         T = float(duration.squeeze())
         held = (gamma[:-1].T, gamma[1:].T) if linear else (gamma.T,)
         fine = np.column_stack([states[0], np.asarray(chain(states[0], *held, T * fractions[None]).full())]).T
-        gap = np.abs(fine - states) * known
+        gap = np.abs(fine - states) * program.known
         places, speeds, _ = model.split(gap)
         size = float(max(places.max(initial=0.0), T * speeds.max(initial=0.0)))
         if done and size < best.gap:  # the first solution is a rough one
@@ -70,8 +70,8 @@ def corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, a
         if (done and size <= accuracy) or not size < GAIN * before or done == ROUNDS:
             break
         before = size
-        shift = np.asarray(rows(program.with_states(solution.w, fine)).full()).ravel()[: program.moving]
-        lower, upper = (np.concatenate([shift, limit[program.moving :]]) for limit in (program.lower, program.upper))
+        shift = np.asarray(rows(program.with_states(solution.w, fine)).full()).ravel()[:moving]
+        lower, upper = (np.concatenate([shift, limit[moving:]]) for limit in (program.lower, program.upper))
         moved = replace(program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers)
         again = again or replace(solver, warm=True).prepared(moved)
         solution = again(moved)

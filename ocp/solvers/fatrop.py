@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.solvers.base import Solution, check_options
-from ocp.transcription.sparse_nlp import Block, Program, Separable, Unknowns
+from ocp.transcription.sparse_nlp import Block, Program, Separable
 from tenscasadi.util.validate import Array, Indices
 
 REFUSED = "option not supported", "generic_type.cpp"  # what CasADi says of options that Fatrop does not have, or of another type
@@ -94,19 +94,17 @@ class Staged:
 
 
 def staged(program: Program) -> Staged:
-    """The program in stages."""
-    home = program.parts.unknowns.column(4).astype(int)
-    if "duration" in program.w_names:
-        home[program.w_names.index("duration")] = 0
+    """Return the program in stages."""
+    unknowns = program.parts.unknowns
+    home = np.where(np.isfinite(unknowns.interval), unknowns.interval, 0).astype(int)
     last = int(home.max(initial=0))
-    rows = [_Placed(block, home) for block in program.parts.rows]
-    costs = [_Placed(block, home) for block in program.parts.costs]
+    rows, costs = ([_Placed(block, home) for block in blocks] for blocks in (program.parts.rows, program.parts.costs))
     closed = {int(v) for placed in rows if placed.closing for v in placed.block.closes.ravel()}  # type: ignore[union-attr]
 
     until = home.copy()  # the last stage that sees an unknown
     for placed in (*rows, *costs):
         for index, stage in zip(placed.block.index, placed.stage, strict=True):
-            seen = index[index >= 0]
+            seen = index[index < len(home)]
             until[seen] = np.maximum(until[seen], stage)
     # unknowns as (original, stage); states of a stage first: those that the motion leads to, then those handed on
     order: list[list[tuple[int, int]]] = [[] for _ in range(last + 1)]
@@ -118,35 +116,39 @@ def staged(program: Program) -> Staged:
         states[stage] = len(arriving) + len(handed)
         order[stage] = [*arriving, *handed, *chosen]
     place = {entry: k for k, entry in enumerate(entry for stage in order for entry in stage)}
-    entries = list(place)
+    source, stage_of = (np.array(column, dtype=np.intp) for column in zip(*place, strict=True))
+    handed_on = stage_of > home[source]
 
-    unknowns = _reordered(program.parts.unknowns, entries, home)
-    moved_rows = [placed.moved(place, home) for placed in rows]
-    copies = [(place[v, s], place[v, s - 1]) for v, s in entries if s > home[v]]
-    if copies:
-        scale = unknowns.column(1)[[after for after, _ in copies]]
-        index = np.column_stack([np.array(copies, dtype=np.intp), unknowns.constant(1 / scale)])
+    moved = unknowns.selected(source)  # what is handed on has no limits of its own
+    moved = replace(moved, lower=np.where(handed_on, -np.inf, moved.lower), upper=np.where(handed_on, np.inf, moved.upper))
+    moved_rows, moved_costs = ([placed.moved(place, home) for placed in blocks] for blocks in (rows, costs))
+    if handed_on.any():
+        copies = np.array([(place[v, s], place[v, s - 1]) for v, s in place if s > home[v]], dtype=np.intp)
+        constant = moved.count + len(moved.constants) + np.arange(len(copies))
+        moved = replace(moved, constants=np.append(moved.constants, 1 / moved.scale[copies[:, 0]]))
         z = ca.SX.sym("z", 3)
         handing = ca.Function("hand", [z], [(z[0] - z[1]) * z[2]])
-        moved_rows.append(Block(handing, index, ("handed on",) * len(copies), closes=index[:, :1]))
-    moved_costs = [placed.moved(place, home) for placed in costs]
+        moved_rows.append(Block(handing, np.column_stack([copies, constant]), ("handed on",) * len(copies), closes=copies[:, :1]))
 
-    w, p = ca.MX.sym("w", len(entries)), ca.MX.sym("p", 0)
-    separable = Separable(unknowns, moved_rows, moved_costs, 1 / program.objective, w)
+    separable = Separable(moved, moved_rows, moved_costs, 1 / program.objective)
     limits = [block.limits() for block in moved_rows]
     lower, upper = (np.concatenate([np.zeros(0), *(pair[side] for pair in limits)]) for side in (0, 1))
     permutation, gaps, paths = _row_order(moved_rows, [*(placed.stage for placed in rows), np.array([])], order, states, place)
     lower, upper = lower[permutation], upper[permutation]
-    values = [np.asarray(unknowns.column(k)) for k in range(4)]
-    g = separable.g[permutation.tolist()]
-    nlp = ca.Function("nlp", [w, p], [separable.f, g], ["x", "p"], ["f", "g"], {"cache": _cache(separable, w, p, g, permutation)})
-    equality = (np.isin(np.arange(len(permutation)), gaps) | (lower == upper)).tolist()
-    original = np.array([place[v, int(home[v])] for v in range(len(home))], dtype=np.intp)
-    controls = [len(order[k]) - states[k] for k in range(last + 1)]
-    bounds = values[2] / values[1], values[3] / values[1]
-    source = np.array([v for v, _ in entries], dtype=np.intp)
-    row_places = np.argsort(permutation)[: len(program.lower)]
-    return Staged(nlp, program.first[source], *bounds, lower, upper, equality, states, controls, paths, original, row_places)
+    return Staged(
+        _in_row_order(separable, permutation),
+        program.first[source],
+        moved.lower / moved.scale,
+        moved.upper / moved.scale,
+        lower,
+        upper,
+        equality=(np.isin(np.arange(len(permutation)), gaps) | (lower == upper)).tolist(),
+        states=states,
+        controls=[len(order[k]) - states[k] for k in range(last + 1)],
+        paths=paths,
+        original=np.array([place[v, int(home[v])] for v in range(len(home))], dtype=np.intp),
+        rows=np.argsort(permutation)[: len(program.lower)],
+    )
 
 
 class _Placed:
@@ -154,7 +156,7 @@ class _Placed:
 
     def __init__(self, block: Block, home: Indices) -> None:
         self.block = block
-        known = np.where(block.index >= 0, home[np.maximum(block.index, 0)], 0)
+        known = np.append(home, 0)[np.minimum(block.index, len(home))]  # constants are known from the beginning
         self.stage = known.max(axis=1)
         self.closing = False
         if block.closes is not None:
@@ -166,32 +168,15 @@ class _Placed:
 
     def moved(self, place: dict[tuple[int, int], int], home: Indices) -> Block:
         """The block with references to the unknowns of its instances' stages."""
-        index = self.block.index.copy()
-        for row, stage in zip(index, self.stage, strict=True):
-            for k in np.flatnonzero(row >= 0):
-                v = int(row[k])
+        index = self.block.index + len(place) - len(home)
+        for row, old, stage in zip(index, self.block.index, self.stage, strict=True):
+            for k in np.flatnonzero(old < len(home)):
+                v = int(old[k])
                 row[k] = place[v, max(int(stage), int(home[v]))]
         closes = None
         if self.closing and self.block.closes is not None:
             closes = np.array([[place[int(v), int(home[v])] for v in row] for row in self.block.closes], dtype=np.intp)
         return replace(self.block, index=index, closes=closes)
-
-
-def _reordered(unknowns: Unknowns, entries: Sequence[tuple[int, int]], home: Indices) -> Unknowns:
-    """The unknowns in the stages' order; what is handed on has no limits of its own."""
-    result = Unknowns()
-    chosen = [v for v, _ in entries]
-    handed = np.array([stage > home[v] for v, stage in entries], dtype=bool)
-    first, scale, lower, upper, _ = (unknowns.column(k)[chosen] for k in range(5))
-    result.add(
-        [unknowns.names[v] for v in chosen],
-        first,
-        scale,
-        np.where(handed, -np.inf, lower),
-        np.where(handed, np.inf, upper),
-    )
-    result.constant(unknowns.constants)
-    return result
 
 
 def _row_order(
@@ -223,19 +208,21 @@ def _row_order(
     return np.array(result, dtype=np.intp), np.array(gaps, dtype=np.intp), [len(rows) for rows in others]
 
 
-def _cache(separable: Separable, w: Any, p: Any, g: Any, permutation: Indices) -> dict[str, ca.Function]:
-    """Exact derivatives under the names by which CasADi's Fatrop looks for them."""
-    exact = separable.functions
+def _in_row_order(separable: Separable, permutation: Indices) -> ca.Function:
+    """The Function (w, p) → (f, g) with permuted rows, and exact derivatives under the names by which CasADi's Fatrop looks for them."""
+    exact, w, p = separable.derivatives, separable.w, ca.MX.sym("p", 0)
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(permutation))
-    inverse = np.argsort(permutation).tolist()
+    order, inverse = permutation.tolist(), np.argsort(permutation).tolist()
+    g = separable.g[order]
     slope = exact["nlp_grad_f"](w, p)[1]
-    J = exact["nlp_jac_g"](w, p)[1][permutation.tolist(), :]
+    J = exact["nlp_jac_g"](w, p)[1][order, :]
     H = ca.triu2symm(exact["nlp_hess_l"](w, p, lam_f, lam_g[inverse]))
     gradient = lam_f * slope + ca.mtimes(J.T, lam_g)
-    return {
+    known = {
         "nlp_grad_f": ca.Function("nlp_grad_f", [w, p], [slope], ["x", "p"], ["grad_f_x"]),
         "nlp_jac_g": ca.Function("nlp_jac_g", [w, p], [g, J], ["x", "p"], ["g", "jac_g_x"]),
         "nlp_hess_l": ca.Function(
             "nlp_hess_l", [w, p, lam_f, lam_g], [gradient, H], ["x", "p", "lam_f", "lam_g"], ["grad_gamma_x", "hess_gamma_x_x"]
         ),
     }
+    return ca.Function("nlp", [w, p], [separable.f, g], ["x", "p"], ["f", "g"], {"cache": known})

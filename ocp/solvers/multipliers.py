@@ -9,7 +9,7 @@ import numpy as np
 
 from ocp.boundary.target import Target
 from ocp.transcription.sparse_nlp import Program
-from tenscasadi.util.validate import Array, instance
+from tenscasadi.util.validate import Array, Indices, instance
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,18 +75,17 @@ def started(program: Program, target: Target, duals: Duals) -> Program:
 class _Part(NamedTuple):
     target: Target
     label: str
-    rows: Array
+    rows: slice
 
 
 def _parts(program: Program, target: Target) -> list[_Part]:
     """The targets of waypoints and of the end, and where their rows stand."""
-    found = [(waypoint.target, waypoint.label, f"goal of waypoint {k},") for k, waypoint in enumerate(target.waypoints)]
-    return [
-        _Part(part, label, np.array([k for k, name in enumerate(program.names) if name.startswith(prefix)], dtype=np.intp))
-        for part, label, prefix in [*found, (target, "", "goal,")]
-        if part.count
-    ]
+    goals = [(waypoint.target, waypoint.label) for waypoint in target.waypoints] + [(target, "")]
+    imposed = [(part, label) for part, label in goals if part.count]
+    return [_Part(part, label, rows) for (part, label), rows in zip(imposed, program.rows("waypoint", "end"), strict=True)]
 
 
-def _rest(program: Program) -> list[int]:
-    return [k for k, name in enumerate(program.names) if not name.startswith(("goal,", "goal of waypoint"))]
+def _rest(program: Program) -> Indices:
+    """The rows that are not of goals."""
+    goals = [np.arange(rows.start, rows.stop) for rows in program.rows("waypoint", "end")]
+    return np.setdiff1d(np.arange(len(program.names)), np.concatenate([np.zeros(0, dtype=np.intp), *goals]))

@@ -1,93 +1,132 @@
-"""Limits and costs along a plan as blocks over the intervals of a grid, the same for every transcription."""
+"""The program of a plan: path constraints, goals and costs as blocks over the mesh, put together with the defects of a transcription."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Target
 from ocp.problem.bounds import PathBound, RateBound
 from ocp.problem.costs import ControlCost, Cost, FinalCost, RunningCost, Smoothness
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
-from ocp.problem.problem import Problem
-from ocp.problem.scaling import Scales
-from ocp.transcription.mesh import Profile, cubic, within
-from ocp.transcription.sparse_nlp import Block, Unknowns
-from tenscasadi.dynamics.model import Model
+from ocp.transcription.mesh import cubic, within
+from ocp.transcription.sparse_nlp import Block, Program, Separable, gathered
+from ocp.transcription.variables import Variables
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import Indices
 
 
-class Layout(Protocol):
-    """Where a program keeps its unknowns, in references of `Unknowns`: see `ocp.program.Assembly`."""
+class Asked(NamedTuple):
+    """Blocks of what is asked of a motion: path constraints and goals, and costs."""
 
-    problem: Problem
-    model: Model
-    scales: Scales
-    strength: float
-    profile: Profile
-    spread: Array
-    fractions: Array
-    count: int
-    unknowns: Unknowns
-    states: Indices
-    controls: Indices
-    duration: Indices
-    share: Indices
-    time: Indices
-
-    @property
-    def interval_controls(self) -> Indices:
-        """References to what `gamma` needs in each interval."""
-
-    def gamma(self, local: Any, share: float) -> Any:
-        """Force densities (α,) at a share of an interval, from its entries of `interval_controls`."""
-
-    def repeated(self, reference: Indices, count: int | None = None) -> Indices:
-        """The same references (n,) for every instance."""
+    rows: list[Block]
+    costs: list[Block]
 
 
-def bound_blocks(a: Layout) -> list[Block]:
+class Defects(NamedTuple):
+    """Blocks of what makes a motion of the variables: rows that vanish where the discretised equations of motion hold.
+
+    states: None, or, where not all states are unknowns, from the column of all entries (in the order of `Variables.entries`) to all states
+    (nx, K + 1).
+    """
+
+    rows: list[Block]
+    states: Callable[[Any], Any] | None = None
+
+
+def asked_blocks(v: Variables) -> Asked:
+    """Return the blocks of path constraints, goals and costs."""
+    return Asked([*path_blocks(v), *waypoint_blocks(v), *end_blocks(v)], cost_blocks(v))
+
+
+def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
+    """Return the program: costs are least where defects vanish, and path constraints and goals are met."""
+    unknowns, place = v.entries.ordered()
+    rows, costs = ([block.relabelled(place) for block in blocks] for blocks in ([*start_blocks(v), *defects.rows, *asked.rows], asked.costs))
+    parts = Separable(unknowns, rows, costs, 1 / v.objective)
+    entries = unknowns.entries(parts.w)[place.tolist()]
+    states = gathered(entries, v.states) if defects.states is None else defects.states(entries)
+    controls = ca.mtimes(sparse(v.spread), gathered(entries, v.controls))
+    lower, upper, scale = (np.concatenate(columns) for columns in zip(*(block.limits() for block in rows), strict=True))
+    return Program(
+        parts,
+        w_lower=unknowns.lower / unknowns.scale,
+        w_upper=unknowns.upper / unknowns.scale,
+        first=unknowns.first / unknowns.scale,
+        lower=lower,
+        upper=upper,
+        scale=scale,
+        objective=v.objective,
+        unpack=ca.Function("unpack", [parts.w], [states, controls, gathered(entries, v.duration[:, None])]),
+        states=place[v.states],
+        contact=v.model.scene.ground is not None,
+    )
+
+
+def path_blocks(v: Variables) -> list[Block]:
     """Limits of instants, at the ends of every interval, and from each time for which the profile has force densities to the next."""
-    limits = scaled_rows(a.problem, PathBound, a.scales, a.strength)
-    blocks = [_at_end(a, rows, end) for rows in limits for end in rows.ends]
-    if a.problem.free_start:  # a given one has been checked
-        blocks += [_at_start(_at_end(a, rows, "start"), len(rows.names)) for rows in limits if "start" not in rows.ends]
-    if len(a.controls) > 1:
-        blocks += [_between(a, rows) for rows in scaled_rows(a.problem, RateBound, a.scales, a.strength)]
+    limits = scaled_rows(v.problem, PathBound, v.scales, v.strength)
+    blocks = [_at_end(v, rows, end) for rows in limits for end in rows.ends]
+    if v.problem.free_start:  # a given one has been checked
+        blocks += [_at_start(_at_end(v, rows, "start"), len(rows.names)) for rows in limits if "start" not in rows.ends]
+    if len(v.controls) > 1:
+        blocks += [_between(v, rows) for rows in scaled_rows(v.problem, RateBound, v.scales, v.strength)]
     return blocks
 
 
-def cost_blocks(a: Layout) -> list[Block]:
+def cost_blocks(v: Variables) -> list[Block]:
     """All costs: integrals interval by interval, differences of neighbours pair by pair, the end once."""
-    return [_cost(a, cost) for cost in a.problem.costs if not (isinstance(cost, Smoothness) and len(a.controls) == 1)]
+    return [_cost(v, cost) for cost in v.problem.costs if not (isinstance(cost, Smoothness) and len(v.controls) == 1)]
 
 
-def waypoint_blocks(a: Layout, target: Target) -> list[Block]:
-    """The rows of all waypoints, each of the ends of the interval that it lies in."""
-    blocks, nx = [], a.model.nx
-    for number, waypoint in enumerate(target.waypoints):
+def start_blocks(v: Variables) -> list[Block]:
+    """Return the rows that hold at a free start alone."""
+    free = v.target.free_start
+    count = 0 if free is None else free.start.size1_out(0)
+    if free is None or not count:
+        return []
+    return [Block(free.start, v.states[:1], tuple(f"start, combination {k} of bars and goals" for k in range(count)), kind="start")]
+
+
+def waypoint_blocks(v: Variables) -> list[Block]:
+    """Return the rows of all waypoints, each of the ends of the interval that it lies in."""
+    blocks, nx = [], v.model.nx
+    for number, waypoint in enumerate(v.target.waypoints):
         if not waypoint.target.count:
             continue
-        k, share = within(a.fractions, waypoint.share)
+        k, share = within(v.fractions, waypoint.share)
         x, y, T, part = (ca.MX.sym("z", size) for size in (nx, nx, 1, 1))
-        state = y if share == 1.0 else cubic(a.model, x, y, T * part, share)
+        state = y if share == 1.0 else cubic(v.model, x, y, T * part, share)
         function = ca.Function("waypoint", [ca.vertcat(x, y, T, part)], [waypoint.target.rows(state)])
         names = tuple(f"goal of waypoint {number}, combination {row}" for row in range(waypoint.target.count))
-        blocks.append(Block(function, np.concatenate([a.states[k], a.states[k + 1], a.duration, a.share[k]])[None], names, kind="waypoint"))
+        blocks.append(Block(function, np.concatenate([v.states[k], v.states[k + 1], v.duration, v.share[k]])[None], names, kind="waypoint"))
     return blocks
 
 
-def _at_end(a: Layout, rows: ScaledRows, end: str) -> Block:
+def end_blocks(v: Variables) -> list[Block]:
+    """Return the rows of goals at the end, and those of an end that repeats the start."""
+    blocks, target, free = [], v.target, v.target.free_start
+    if target.count:
+        names = tuple(f"goal, combination {k}" for k in range(target.count))
+        blocks.append(Block(target.single, v.states[-1:], names, combination=target.weights, kind="end"))
+    if free is not None and free.reduction.names:
+        names = tuple(f"goal of repeating, combination {k}" for k in range(free.repeats.size1_out(0)))
+        z = ca.SX.sym("z", 2 * v.model.nx)
+        function = ca.Function("repeats", [z], [free.repeats(*ca.vertsplit(z, v.model.nx))])
+        blocks.append(Block(function, np.hstack([v.states[:1], v.states[-1:]]), names, kind="periodic"))
+    return blocks
+
+
+def _at_end(v: Variables, rows: ScaledRows, end: str) -> Block:
     share, at_end = (0.0, slice(-1)) if end == "start" else (1.0, slice(1, None))
-    x, c, T, part = symbols(rows.function, a.model.nx, a.interval_controls.shape[1], 1, 1)
-    function = ca.Function("bound", [ca.vertcat(x, c, T, part)], [rows.function(x, a.gamma(c, share), T * part)])
-    index = np.hstack([a.states[at_end], a.interval_controls, a.repeated(a.duration), a.time[at_end]])
-    names = tuple(f"{name}, {end} of interval {k}" for k in range(a.count) for name in rows.names)
+    x, c, T, part = symbols(rows.function, v.model.nx, v.interval_controls.shape[1], 1, 1)
+    function = ca.Function("bound", [ca.vertcat(x, c, T, part)], [rows.function(x, v.gamma(c, share), T * part)])
+    index = np.hstack([v.states[at_end], v.interval_controls, v.repeated(v.duration), v.time[at_end]])
+    names = tuple(f"{name}, {end} of interval {k}" for k in range(v.count) for name in rows.names)
     return Block(function, index, names, rows.lower, rows.upper, rows.scale, kind="path")
 
 
@@ -95,64 +134,64 @@ def _at_start(block: Block, count: int) -> Block:
     return replace(block, index=block.index[:1], names=block.names[:count])
 
 
-def _between(a: Layout, rows: ScaledRows) -> Block:
-    nx, m, pairs = a.model.nx, a.controls.shape[1], len(a.controls) - 1
-    E = sparse(a.spread)
+def _between(v: Variables, rows: ScaledRows) -> Block:
+    nx, m, pairs = v.model.nx, v.controls.shape[1], len(v.controls) - 1
+    E = sparse(v.spread)
     x, c, y, d, T, part = symbols(rows.function, nx, m, nx, m, 1, 1)
     value = rows.function(x, ca.mtimes(E, c), y, ca.mtimes(E, d), T * part)
-    duration = a.repeated(a.duration, pairs)
-    index = np.hstack([a.states[:pairs], a.controls[:-1], a.states[1 : pairs + 1], a.controls[1:], duration, a.share[:pairs]])
+    duration = v.repeated(v.duration, pairs)
+    index = np.hstack([v.states[:pairs], v.controls[:-1], v.states[1 : pairs + 1], v.controls[1:], duration, v.share[:pairs]])
     names = tuple(f"{name}, end of interval {k}" for k in range(pairs) for name in rows.names)
     return Block(ca.Function("between", [ca.vertcat(x, c, y, d, T, part)], [value]), index, names, rows.lower, rows.upper, rows.scale, kind="path")
 
 
-def _cost(a: Layout, cost: Cost) -> Block:
+def _cost(v: Variables, cost: Cost) -> Block:
     if isinstance(cost, Smoothness):
-        z, value, index = _differences(a, cost)
+        z, value, index = _differences(v, cost)
     elif isinstance(cost, ControlCost):
-        z = ca.SX.sym("z", a.interval_controls.shape[1] + 2)
-        value = _integral(a, cost, z[:-2], z[-2] * z[-1])
-        index = np.hstack([a.interval_controls, a.repeated(a.duration), a.share])
+        z = ca.SX.sym("z", v.interval_controls.shape[1] + 2)
+        value = _integral(v, cost, z[:-2], z[-2] * z[-1])
+        index = np.hstack([v.interval_controls, v.repeated(v.duration), v.share])
     elif isinstance(cost, RunningCost):
-        z, value, index = _simpson(a, cost)
+        z, value, index = _simpson(v, cost)
     elif isinstance(cost, FinalCost):
-        x, c, T = symbols(symbolic(a.model).state, a.model.nx, a.interval_controls.shape[1], 1)
-        z, value = ca.vertcat(x, c, T), cost.final(Instant(a.model, x, a.gamma(c, 1.0), T))
-        index = np.concatenate([a.states[-1], a.interval_controls[-1], a.duration])[None]
+        x, c, T = symbols(symbolic(v.model).state, v.model.nx, v.interval_controls.shape[1], 1)
+        z, value = ca.vertcat(x, c, T), cost.final(Instant(v.model, x, v.gamma(c, 1.0), T))
+        index = np.concatenate([v.states[-1], v.interval_controls[-1], v.duration])[None]
     else:
         raise TypeError(f"Problem.costs has {cost!r}: give a ControlCost, RunningCost or FinalCost")
     return Block(ca.Function("cost", [z], [value]), index, ("cost",) * len(index), kind="cost")
 
 
-def _differences(a: Layout, cost: Smoothness) -> tuple[Any, Any, Indices]:
+def _differences(v: Variables, cost: Smoothness) -> tuple[Any, Any, Indices]:
     """Between neighbours: from middle to middle of intervals, or from end to end of linear profiles."""
-    width = a.controls.shape[1]
+    width = v.controls.shape[1]
     z = ca.SX.sym("z", 2 * width + 2)
-    pair = ca.mtimes(sparse(a.spread), ca.reshape(z[: 2 * width], width, 2))
-    spacing = a.fractions if a.profile.linear else (a.fractions[1:] + a.fractions[:-1]) / 2
-    constants = [a.repeated(a.duration, len(spacing)), a.unknowns.constant(spacing[:, None])]
-    return z, cost.expression(pair, z[-2] * z[-1]), np.hstack([a.controls[:-1], a.controls[1:], *constants])
+    pair = ca.mtimes(sparse(v.spread), ca.reshape(z[: 2 * width], width, 2))
+    spacing = v.fractions if v.profile.linear else (v.fractions[1:] + v.fractions[:-1]) / 2
+    constants = [v.repeated(v.duration, len(spacing)), v.entries.constants(spacing[:, None])]
+    return z, cost.expression(pair, z[-2] * z[-1]), np.hstack([v.controls[:-1], v.controls[1:], *constants])
 
 
-def _integral(a: Layout, cost: ControlCost, local: Any, interval: Any) -> Any:
+def _integral(v: Variables, cost: ControlCost, local: Any, interval: Any) -> Any:
     """Of one interval; of linear profiles by Gauss's rule of two points, exact for squares."""
-    if not a.profile.linear:
-        return cost.expression(a.gamma(local, 0.0), interval)
-    points = ca.horzcat(*(a.gamma(local, 0.5 + offset / np.sqrt(12)) for offset in (-1, 1)))
+    if not v.profile.linear:
+        return cost.expression(v.gamma(local, 0.0), interval)
+    points = ca.horzcat(*(v.gamma(local, 0.5 + offset / np.sqrt(12)) for offset in (-1, 1)))
     return cost.expression(points, interval / 2)
 
 
-def _simpson(a: Layout, cost: RunningCost) -> tuple[Any, Any, Indices]:
+def _simpson(v: Variables, cost: RunningCost) -> tuple[Any, Any, Indices]:
     """By Simpson's rule, the middle on the cubic between the ends: what swings within intervals would be hidden from the ends alone."""
-    now = symbolic(a.model)
+    now = symbolic(v.model)
     rate = ca.Function("rate", [now.state, now.control, now.time], [cost.rate(now)])
-    nx = a.model.nx
-    parts = symbols(rate, nx, nx, a.interval_controls.shape[1], 1, 1, 1, 1)
+    nx = v.model.nx
+    parts = symbols(rate, nx, nx, v.interval_controls.shape[1], 1, 1, 1, 1)
     x, y, c, T, part, start, end = parts
-    ends = rate(x, a.gamma(c, 0.0), T * start) + rate(y, a.gamma(c, 1.0), T * end)
-    middle = rate(cubic(a.model, x, y, T * part, 0.5), a.gamma(c, 0.5), T * (start + end) / 2)
+    ends = rate(x, v.gamma(c, 0.0), T * start) + rate(y, v.gamma(c, 1.0), T * end)
+    middle = rate(cubic(v.model, x, y, T * part, 0.5), v.gamma(c, 0.5), T * (start + end) / 2)
     value = T * part / 6 * (ends + 4 * middle)
-    index = [a.states[:-1], a.states[1:], a.interval_controls, a.repeated(a.duration), a.share, a.time[:-1], a.time[1:]]
+    index = [v.states[:-1], v.states[1:], v.interval_controls, v.repeated(v.duration), v.share, v.time[:-1], v.time[1:]]
     return ca.vertcat(*parts), value, np.hstack(index)
 
 

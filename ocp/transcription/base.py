@@ -1,4 +1,7 @@
-"""The base of all transcriptions: a mesh of intervals and a profile of force densities; and the rows that keep bars at its nodes."""
+"""The base of all transcriptions: a mesh of intervals and a profile of force densities; and the rows that keep bars at its nodes.
+
+A transcription is a subclass of `OnGrid` that gives `defects`: see `ocp.transcription.multiple_shooting` for a short one.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,11 @@ import numpy as np
 from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.transcription.assemble import Defects, asked_blocks, assemble
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import Intervals, PiecewiseConstant, PiecewiseLinear, Profile, check_intervals, fractions
 from ocp.transcription.sparse_nlp import Program
-from ocp.transcription.variables import Assembly
+from ocp.transcription.variables import Variables
 from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices, instance, positive_number
@@ -22,10 +26,17 @@ from tenscasadi.util.validate import Array, Indices, instance, positive_number
 
 @dataclass(frozen=True)
 class OnGrid:
-    """What all transcriptions have: intervals, a number of equal ones or their relative lengths, and the profile of γ on them.
+    """The options that all transcriptions have.
 
-    accuracy: m, how near (speeds: per duration) the motion shall be to that of fine steps; what the intervals leave is put right by solving again
-    from the solution (`ocp.correct`), which takes a few iterations each time. None: as the intervals make it.
+    Parameters
+    ----------
+    intervals : int or sequence of float
+        Number of equal intervals, or their lengths relative to each other.
+    control : PiecewiseConstant or PiecewiseLinear
+        How force densities run over the intervals.
+    accuracy : float, optional
+        How near the motion shall be to that of fine steps, m (speeds: m per duration). The program is solved again from its solution until
+        it is (`ocp.solvers.deferred_correction`). By default the motion is as the intervals make it.
     """
 
     intervals: Intervals = 40
@@ -41,82 +52,89 @@ class OnGrid:
 
     @property
     def count(self) -> int:
-        """Intervals."""
+        """Number of intervals."""
         return len(self.fractions)
 
     @property
     def fractions(self) -> Array:
-        """The share of the duration that each interval takes."""
+        """Share of the duration that each interval takes (K,)."""
         return fractions(self.intervals)
 
     def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
-        """The nonlinear program, scaled about the guess."""
+        """Return the nonlinear program, scaled about the guess. Raise ValueError for a model that the transcription cannot take."""
+        self.check_model(problem.model)
+        variables = Variables(problem, target, scales, guess, self.fractions, self.control)
+        asked = asked_blocks(variables)
+        used = variables.entries.used_by([*asked.rows, *asked.costs])
+        return assemble(variables, asked, self.defects(variables, used))
+
+    def check_model(self, model: Model) -> None:
+        """Raise ValueError for a model that the transcription cannot take."""
+
+    def defects(self, variables: Variables, used: Array) -> Defects:
+        """Add further unknowns, and return the rows that vanish on a motion; used tells which entries costs, bounds and goals depend on."""
         raise NotImplementedError
 
-    def assembly(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Assembly:
-        """An empty program on this grid."""
-        return Assembly(problem, target, scales, guess, self.fractions, self.control)
+
+class ReducedOnly(OnGrid):
+    """Transcriptions that keep bars by rows of their own."""
+
+    def check_model(self, model: Model) -> None:
+        """Raise ValueError unless bars are all that is to be kept: reduced coordinates, supports that stand still."""
+        name = type(self).__name__
+        if model.mechanism.joints:
+            raise ValueError(f'{name} keeps bars, not joints: give a problem with Model(scene, coordinates="reduced"), or MultipleShooting')
+        if model.scene.supports is not None:
+            raise ValueError(f"{name} does not know moved supports (Scene.supports): use MultipleShooting")
+
+
+def split_symbol(*sizes: int, kind: Any = ca.MX) -> tuple[Any, tuple[Any, ...]]:
+    """Return a symbol and its pieces of these sizes."""
+    z = kind.sym("z", sum(sizes))
+    return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
 
 
 def unrolled(model: Model, function: ca.Function) -> ca.Function:
-    """The function as scalar code, where the model's equations are: its derivatives are sparse and quickly built."""
+    """Return the function as scalar code, where the model's equations are: its derivatives are sparse and quickly built."""
     return function.expand() if model.ode.is_a("SXFunction") else function
 
 
-class Closing:
-    """Rows that say where an interval ends, up to multipliers along the bars which keep lengths and rates there."""
-
-    def __init__(self, a: Assembly) -> None:
-        self._a, self.bars = a, a.model.mechanism.bars
-        self.size = 2 * self.bars
-        self.index: Indices = np.zeros((a.count, self.size), dtype=np.intp)
-        self.names = bar_names(self.bars, "length") + bar_names(self.bars, "rate")
-
-    def add(self, k: int) -> None:
-        """The multipliers of interval k: kg, and kg/s."""
-        mass, time = self._a.scales.mass, self._a.scales.time
-        names = [f"{name}, interval {k}" for name in self.names]
-        self.index[k] = self._a.unknowns.add(names, 0.0, np.repeat([mass, mass / time], self.bars), stage=k)
-
-    def rows(self, end: Any, after: Any, multipliers: Any) -> Any:
-        """x⁺ − end − M⁻¹ (what the multipliers push), and the bars' lengths and rates at x⁺, all scaled."""
-        model, scales = self._a.model, self._a.scales
-        mech = model.mechanism
-        gap = after - end
-        if self.bars:
-            N, _, _ = model.unpack(after)
-            B = mech.bar_vectors(N)
-            moves = [mech.with_inverse(nodal_forces(mech, B, m.T)) for m in ca.vertsplit(multipliers, self.bars)]
-            gap = gap - model.pack(moves[0], moves[1], 0)
-        return ca.vertcat(gap / ca.DM(scales.state), *bar_rows(model, after, scales, rates=True))
+def bar_multipliers(v: Variables) -> Indices:
+    """Add two multipliers for each bar and interval, in kg and kg/s, and return their entries (K, 2β)."""
+    size = 2 * v.model.mechanism.bars
+    names = [f"{name}, interval {k}" for k in range(v.count) for name in end_names(v.model)]
+    scale = np.repeat([v.scales.mass, v.scales.mass / v.scales.time], size // 2)
+    return v.entries.unknowns(names, np.zeros((v.count, size)), scale, interval=np.arange(v.count)[:, None])
 
 
-def bar_rows(model: Model, x: Any, scales: Scales, rates: bool) -> list[Any]:
-    """(bᵀb/l² − 1)/2, and, where wanted, bᵀḃ in the same scale, of the bars at x."""
+def end_rows(v: Variables, end: Any, after: Any, multipliers: Any) -> Any:
+    """Return x⁺ − end − M⁻¹ (what the multipliers push), and the bars' lengths and rates at x⁺, all scaled."""
+    model, mech = v.model, v.model.mechanism
+    gap = after - end
+    if mech.bars:
+        N, _, _ = model.unpack(after)
+        B = mech.bar_vectors(N)
+        moves = [mech.with_inverse(nodal_forces(mech, B, m.T)) for m in ca.vertsplit(multipliers, mech.bars)]
+        gap = gap - model.pack(moves[0], moves[1], 0)
+    return ca.vertcat(gap / ca.DM(v.scales.state), *bar_rows(model, after, v.scales))
+
+
+def end_names(model: Model) -> tuple[str, ...]:
+    """Return the names of the rows that keep bars, and of their multipliers."""
+    return bar_names(model.mechanism.bars, "length") + bar_names(model.mechanism.bars, "rate")
+
+
+def bar_rows(model: Model, x: Any, scales: Scales) -> list[Any]:
+    """Return (bᵀb/l² − 1)/2 and bᵀḃ/l², in the same scale, of the bars at x."""
     mech = model.mechanism
     if not mech.bars:
         return []
     N, V, _ = model.unpack(x)
     B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)
     squared = ca.DM(mech.lengths**2)
-    rows = [(ca.sum1(B * B).T / squared - 1) / 2]
-    return [*rows, ca.sum1(B * Bd).T / squared * scales.time] if rates else rows
+    return [(ca.sum1(B * B).T / squared - 1) / 2, ca.sum1(B * Bd).T / squared * scales.time]
 
 
 def bar_names(count: int, what: str) -> tuple[str, ...]:
-    """Names of rows or unknowns, one for each bar."""
+    """Return names of rows or unknowns, one for each bar."""
     return tuple(f"bar {k} {what}" for k in range(count))
-
-
-def parts(*sizes: int, kind: Any = ca.MX) -> tuple[Any, tuple[Any, ...]]:
-    """A symbol and its pieces of these sizes."""
-    z = kind.sym("z", sum(sizes))
-    return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
-
-
-def check_reduced(name: str, model: Model) -> None:
-    """ValueError unless bars are all that is to be kept: reduced coordinates, supports that stand still."""
-    if model.mechanism.joints:
-        raise ValueError(f'{name} keeps bars, not joints: give a problem with Model(scene, coordinates="reduced"), or MultipleShooting')
-    if model.scene.supports is not None:
-        raise ValueError(f"{name} does not know moved supports (Scene.supports): use MultipleShooting")

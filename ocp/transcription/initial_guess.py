@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
-from ocp.transcription.mesh import at
+from ocp.transcription.mesh import Profile, at, node_values
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
@@ -138,6 +138,20 @@ def resampled(
     lower, upper = problem.force_density_limits
     held = np.clip(at(gamma, gamma_shares, (shares[:-1] + shares[1:]) / 2), lower, upper)
     return Guess(on_grid, held, float(np.clip(duration, problem.shortest, problem.longest)))
+
+
+def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> Guess:
+    """Return a guess on equal intervals, moved to another mesh and another profile."""
+    intervals, nodes = len(guess.states) - 1, np.append(0.0, np.cumsum(fractions))
+    if intervals == len(fractions) and np.ptp(fractions) < 1e-12:
+        states, held = guess.states, guess.force_density
+    else:
+        before = np.linspace(0.0, 1.0, intervals + 1)
+        states = np.column_stack([np.interp(nodes, before, column) for column in guess.states.T])
+        if model.mechanism.constrained:
+            states[1:-1] = np.asarray(projection(model, 3).map(len(nodes))(states.T).full()).T[1:-1]
+        held = at(guess.force_density, before, (nodes[:-1] + nodes[1:]) / 2)
+    return Guess(states, node_values(held, fractions) if profile.linear else held, guess.duration)
 
 
 def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:

@@ -8,18 +8,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Target
-from ocp.problem.problem import Problem
-from ocp.problem.scaling import Scales
-from ocp.transcription.base import OnGrid, unrolled
-from ocp.transcription.initial_guess import Guess
-from ocp.transcription.sparse_nlp import Block, Program
-from ocp.transcription.variables import interval_names, state_names
+from ocp.transcription.assemble import Defects
+from ocp.transcription.base import OnGrid, split_symbol, unrolled
+from ocp.transcription.sparse_nlp import Block
+from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.util.validate import whole_number
+from tenscasadi.util.validate import Array, whole_number
 
 _UNIFORM = ca.Function("ode", [ca.SX.sym("x"), ca.SX.sym("u")], [ca.SX.ones(1)])  # x' = 1
 
@@ -46,28 +43,18 @@ class MultipleShooting(OnGrid):
             text = f"MultipleShooting.scheme is {name}(), which steps whole models, not the equations with force densities of an interval"
             raise ValueError(f"{text}: give RungeKutta4(), DormandPrince54(), DormandPrince853() or Collocation()") from None
 
-    def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
-        """The nonlinear program, scaled about the guess."""
-        a = self.assembly(problem, target, scales, guess)
-        model = problem.model
-        # Ordered interval by interval, so that the matrices of the solver are banded: u₀ x₁ u₁ x₂ …
-        for k in range(a.count):
-            a.add_control(k)
-            a.add_state(k + 1)
+    def defects(self, variables: Variables, used: Array) -> Defects:
+        """Return the gaps between the state that an interval leads to and the next one."""
+        v, model = variables, variables.model
+        z, (x, c, after, duration, share) = split_symbol(model.nx, v.interval_controls.shape[1], model.nx, 1, 1)
         if self.control.linear:
-            a.add_control(a.count)
-        a.add_duration()
-        sizes = (model.nx, a.interval_controls.shape[1], model.nx, 1, 1)
-        z = ca.MX.sym("z", sum(sizes))
-        x, c, after, duration, share = ca.vertsplit(z, np.cumsum((0, *sizes)).tolist())
-        if self.control.linear:
-            end = ramped_step(model, self.scheme, self.substeps)(x, a.gamma(c, 0.0), a.gamma(c, 1.0), duration * share)
+            end = ramped_step(model, self.scheme, self.substeps)(x, v.gamma(c, 0.0), v.gamma(c, 1.0), duration * share)
         else:
-            end = shooting_step(model, self.scheme, self.substeps)(x, a.gamma(c, 0.0), duration * share)
-        gap = unrolled(model, ca.Function("gap", [z], [(after - end) / ca.DM(a.scales.state)]))
-        index = np.hstack([a.states[:-1], a.interval_controls, a.states[1:], a.repeated(a.duration), a.share])
-        a.rows.append(Block(gap, index, interval_names(a.count, state_names(model)), scale=a.scales.state, closes=a.states[1:]))
-        return a.finish()
+            end = shooting_step(model, self.scheme, self.substeps)(x, v.gamma(c, 0.0), duration * share)
+        gap = unrolled(model, ca.Function("gap", [z], [(after - end) / ca.DM(v.scales.state)]))
+        index = np.hstack([v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share])
+        names = interval_names(v.count, state_names(model))
+        return Defects([Block(gap, index, names, scale=v.scales.state, closes=v.states[1:])])
 
 
 def shooting_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:

@@ -1,13 +1,14 @@
-"""Programs made of many instances of few small functions: their values and exact sparse derivatives, instance by instance.
+"""Sparse nonlinear programs: many instances of few small functions, their exact derivatives put together instance by instance.
 
-A function of a few dozen numbers is differentiated once and evaluated for each interval; what results is put where it belongs by index.
+A function of a few dozen numbers is differentiated once and evaluated for each interval; its values are put where they belong by index.
 No colouring of large graphs, no derivative of a graph of many calls: building and evaluating cost what the non-zeros cost.
+`Separable.jacobian` and `Separable.hessian` assemble the matrices.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -16,12 +17,43 @@ import numpy as np
 
 from tenscasadi.util.validate import Array, Indices
 
-Kind = Literal["defect", "path", "start", "waypoint", "end", "periodic", "cost"]  # what rows are of
+Kind = Literal["start", "defect", "path", "waypoint", "end", "periodic", "cost"]  # what rows are of
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """The n unknowns of a program in their order, and constants: together the entries y to which blocks refer by index, unknowns first.
+
+    first, lower, upper: where to start, and limits, in physical units. scale: what the solver's w is multiplied by to be physical
+    (see `invertible`). interval: the interval of the plan to which each belongs; infinite for what belongs to all.
+    """
+
+    names: tuple[str, ...]
+    first: Array
+    scale: Array
+    lower: Array
+    upper: Array
+    interval: Array
+    constants: Array
+
+    @property
+    def count(self) -> int:
+        """How many unknowns there are: indices from here on refer to constants."""
+        return len(self.names)
+
+    def entries(self, w: Any) -> Any:
+        """Return y from the scaled w."""
+        return ca.vertcat(ca.DM(self.scale) * w, ca.DM(self.constants))
+
+    def selected(self, order: Indices) -> Unknowns:
+        """Return these unknowns in this order, with all constants."""
+        columns = {field.name: getattr(self, field.name)[order] for field in fields(self) if field.name not in ("names", "constants")}
+        return replace(self, names=tuple(self.names[k] for k in order), **columns)
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Rows lower ≤ function(z_k) ≤ upper of `count` instances k; z_k are the entries `index[k]` of the unknowns and constants.
+    """Rows lower ≤ function(z_k) ≤ upper of `count` instances k; z_k are the entries `index[k]` of unknowns and constants.
 
     function: z (nz) → rows (m); index (count, nz); lower, upper, scale (count, m) or broadcast to it; names: count·m, instance by instance.
     scale: what one stands for, in the unit of what is limited. closes: None, or for each row of an instance the unknown x⁺ of which it is
@@ -49,187 +81,160 @@ class Block:
         """Rows of one instance."""
         return int(self.function.size1_out(0)) if self.combination is None else len(self.combination)
 
+    @property
+    def size(self) -> int:
+        """Rows of all instances."""
+        return self.rows * self.count
+
     def value(self, z: Any) -> Any:
-        """Rows (m, count) at z (nz, count)."""
+        """Return the rows (m, count) at z (nz, count)."""
         own = self.function.map(self.count)(z)
         return own if self.combination is None else ca.mtimes(ca.DM(self.combination), own)
 
     def limits(self) -> tuple[Array, Array, Array]:
-        """Lower and upper limits and scales of all rows, instance by instance."""
+        """Return lower and upper limits and scales of all rows, instance by instance."""
         shape, given = (self.count, self.rows), (self.lower, self.upper, self.scale)
         return tuple(np.broadcast_to(np.asarray(value, dtype=float), shape).ravel() for value in given)  # type: ignore[return-value]
 
-
-@dataclass(eq=False)
-class Unknowns:
-    """Unknowns and constants in the order in which they are added; `add` and `constant` return references for `Block.index`."""
-
-    names: list[str] = field(default_factory=list)
-    _columns: list[list[Array]] = field(default_factory=lambda: [[], [], [], [], []])
-    _constants: list[float] = field(default_factory=list)
-
-    def add(self, names: Sequence[str], first: Any, scale: Any, lower: Any = -np.inf, upper: Any = np.inf, stage: int = 0) -> Indices:
-        """New unknowns in physical units, which the solver sees divided by `scale` (`exact`); stage: their place along the plan."""
-        start, count = len(self.names), len(names)
-        self.names += names
-        for column, value in zip(self._columns, (first, scale, lower, upper, stage), strict=True):
-            column.append(np.zeros(count) + value)
-        return np.arange(start, start + count)
-
-    def constant(self, values: Any) -> Indices:
-        """References to numbers, in the shape of `values`."""
-        array = np.asarray(values, dtype=float)
-        start = len(self._constants)
-        self._constants += array.ravel().tolist()
-        return -1 - np.arange(start, start + array.size).reshape(array.shape)
-
-    @property
-    def constants(self) -> tuple[float, ...]:
-        """All constants, in the order in which they were added."""
-        return tuple(self._constants)
-
-    def column(self, which: int) -> Array:
-        """first, scale, lower, upper or stage of all unknowns."""
-        values = np.concatenate([np.zeros(0), *self._columns[which]])
-        return exact(values) if which == 1 else values
-
-    def physical(self, w: Any) -> Any:
-        """Unknowns in physical units, then the constants, from the scaled w."""
-        return ca.vertcat(ca.DM(self.column(1)) * w, ca.DM(self._constants))
-
-    def place(self, index: Indices) -> Indices:
-        """References as places in `physical`."""
-        return np.where(index < 0, len(self.names) - 1 - index, index)
-
-
-def exact(scale: Any) -> Array:
-    """The next numbers s with s · (1/s) = 1 without rounding: Fatrop wants x⁺ − F(…) to have a coefficient of exactly one."""
-    result = np.array(scale, dtype=float)
-    while np.any(rounded := result * (1 / result) != 1):
-        result = np.where(rounded, np.nextafter(result, np.inf), result)
-    return result
+    def relabelled(self, label: Indices) -> Block:
+        """Return the block with label[k] in place of each index k."""
+        return replace(self, index=label[self.index], closes=None if self.closes is None else label[self.closes])
 
 
 class Separable:
     """f(w) = sum of cost blocks, g(w) = rows of row blocks, one below the other; and their derivatives, as CasADi Functions."""
 
-    def __init__(self, unknowns: Unknowns, rows: Sequence[Block], costs: Sequence[Block], weight: float, w: Any) -> None:
+    def __init__(self, unknowns: Unknowns, rows: Sequence[Block], costs: Sequence[Block], weight: float) -> None:
         self.unknowns, self.rows, self.costs, self._weight = unknowns, tuple(rows), tuple(costs), weight
-        self.size, self.w = len(unknowns.names), w
-        y = unknowns.physical(w)
-        self._z = {id(block): _gathered(y, unknowns.place(block.index)) for block in (*rows, *costs)}
-        values = [ca.vec(block.value(self._z[id(block)])) for block in rows]
-        self.g = ca.vertcat(ca.MX(0, 1), *values)
-        totals = [ca.sum2(block.value(self._z[id(block)])) for block in costs]
+        self.w, self._p = ca.MX.sym("w", unknowns.count), ca.MX.sym("p", 0)
+        y = unknowns.entries(self.w)
+        self._row_inputs, self._cost_inputs = ([gathered(y, block.index) for block in blocks] for blocks in (rows, costs))
+        self.g = ca.vertcat(ca.MX(0, 1), *(ca.vec(block.value(z)) for block, z in zip(rows, self._row_inputs, strict=True)))
+        totals = [ca.sum2(block.value(z)) for block, z in zip(costs, self._cost_inputs, strict=True)]
         self.f = sum(totals, start=ca.MX(0)) * weight if costs else ca.MX(0)
 
     @cached_property
-    def functions(self) -> dict[str, ca.Function]:
-        """nlp_grad_f, nlp_jac_g and nlp_hess_l with the inputs and outputs that CasADi's solvers expect."""
-        p, lam_f, lam_g = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.g.shape[0])
-        gradient, jacobian, hessian = _Entries(), _Entries(), _Entries()
-        scale = self.unknowns.column(1)
-        row = 0
-        for block in self.rows:
-            jacobian.add(block, self._z[id(block)], scale, first_row=row)
-            size = block.rows * block.count
-            multipliers = ca.reshape(lam_g[row : row + size], block.rows, block.count)
-            hessian.add_second(block, self._z[id(block)], multipliers, scale)
-            row += size
-        for block in self.costs:
-            gradient.add(block, self._z[id(block)], scale, factor=self._weight, transposed=True)
-            hessian.add_second(block, self._z[id(block)], ca.repmat(lam_f * self._weight, 1, block.count), scale)
-        w, size = self.w, self.size
-        slope = gradient.matrix(size, 1)
-        return {
-            "nlp_grad_f": ca.Function("nlp_grad_f", [w, p], [self.f, ca.densify(slope)], ["x", "p"], ["f", "grad_f_x"]),
-            "nlp_jac_g": ca.Function("nlp_jac_g", [w, p], [self.g, jacobian.matrix(row, size)], ["x", "p"], ["g", "jac_g_x"]),
-            "nlp_hess_l": ca.Function(
-                "nlp_hess_l", [w, p, lam_f, lam_g], [hessian.matrix(size, size)], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-            ),
-        }
+    def slices(self) -> tuple[slice, ...]:
+        """Where the rows of each block stand in g."""
+        ends = np.cumsum([block.size for block in self.rows]).tolist()
+        return tuple(slice(end - block.size, end) for block, end in zip(self.rows, ends, strict=True))
+
+    @cached_property
+    def derivatives(self) -> dict[str, ca.Function]:
+        """The Functions nlp_grad_f, nlp_jac_g and nlp_hess_l with the inputs and outputs that CasADi's solvers expect."""
+        return {function.name(): function for function in (self.gradient(), self.jacobian(), self.hessian())}
+
+    def gradient(self) -> ca.Function:
+        """Return the Function nlp_grad_f: (w, p) → f and its gradient."""
+        matrix = _SparseMatrix(self.unknowns)
+        for block, z in zip(self.costs, self._cost_inputs, strict=True):
+            matrix.add_jacobian(block, z, self._weight, transposed=True)
+        slope = ca.densify(matrix.assembled(self.unknowns.count, 1))
+        return ca.Function("nlp_grad_f", [self.w, self._p], [self.f, slope], ["x", "p"], ["f", "grad_f_x"])
+
+    def jacobian(self) -> ca.Function:
+        """Return the Function nlp_jac_g: (w, p) → g and its sparse Jacobian."""
+        matrix = _SparseMatrix(self.unknowns)
+        for block, z, rows in zip(self.rows, self._row_inputs, self.slices, strict=True):
+            matrix.add_jacobian(block, z, first_row=rows.start)
+        J = matrix.assembled(self.g.shape[0], self.unknowns.count)
+        return ca.Function("nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"])
+
+    def hessian(self) -> ca.Function:
+        """Return the Function nlp_hess_l: (w, p, λ_f, λ_g) → the upper triangle of the sparse Hessian of λ_f f + λ_gᵀ g."""
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.g.shape[0])
+        matrix = _SparseMatrix(self.unknowns)
+        for block, z, rows in zip(self.rows, self._row_inputs, self.slices, strict=True):
+            matrix.add_hessian(block, z, ca.reshape(lam_g[rows], block.rows, block.count))
+        for block, z in zip(self.costs, self._cost_inputs, strict=True):
+            matrix.add_hessian(block, z, ca.repmat(lam_f * self._weight, 1, block.count))
+        H = matrix.assembled(self.unknowns.count, self.unknowns.count)
+        inputs = [self.w, self._p, lam_f, lam_g]
+        return ca.Function("nlp_hess_l", inputs, [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
     """minimise f(w) subject to lower ≤ g(w) ≤ upper and w_lower ≤ w ≤ w_upper, all in scaled numbers of order one.
 
-    problem: {"x": w, "f": f, "g": g} as `casadi.nlpsol` takes it. first: w to start from. names: one for each row of g, and w_names for each of w.
-    objective, scale, w_scale: what f, g and w are multiplied by to be costs, and in physical units (rows of goals have none). unpack: Function
-    w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration. parts: what w,
-    g and f consist of; g begins with `moving` rows of the motion. states: references to x (intervals + 1, nx). contact: whether nodes may meet a
-    ground. multipliers: those of g and of w's limits to start from, where they are known.
+    parts: what w, f and g consist of. w_lower, w_upper, first (n,): limits of w, and where to start. lower, upper, scale: limits of the rows
+    of g, and what these are multiplied by to be physical (rows of goals have no unit); objective: the same for f. unpack: Function
+    w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration.
+    states: entries of x (intervals + 1, nx). contact: whether nodes may meet a ground. multipliers: those of g and of w's limits to start
+    from, where they are known.
     """
 
-    problem: dict[str, Any]
+    parts: Separable
     w_lower: Array
     w_upper: Array
+    first: Array
     lower: Array
     upper: Array
     scale: Array
-    first: Array
-    names: tuple[str, ...]
-    w_names: tuple[str, ...]
-    w_scale: Array
     objective: float
     unpack: ca.Function
-    parts: Separable
-    moving: int
     states: Indices
     contact: bool = False
     multipliers: tuple[Array, Array] | None = None
 
+    @property
+    def problem(self) -> dict[str, Any]:
+        """w, f and g as `casadi.nlpsol` takes them."""
+        return {"x": self.parts.w, "f": self.parts.f, "g": self.parts.g}
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """One for each row of g."""
+        return tuple(name for block in self.parts.rows for name in block.names)
+
+    @property
+    def w_names(self) -> tuple[str, ...]:
+        """One for each unknown."""
+        return self.parts.unknowns.names
+
+    @property
+    def w_scale(self) -> Array:
+        """What w is multiplied by to be physical."""
+        return self.parts.unknowns.scale
+
+    def rows(self, *kinds: Kind) -> list[slice]:
+        """Return where the rows of blocks of some kinds stand in g, one slice for each block."""
+        return [rows for block, rows in zip(self.parts.rows, self.parts.slices, strict=True) if block.kind in kinds]
+
     def derivatives(self) -> dict[str, ca.Function]:
-        """Gradient, Jacobian and Hessian as CasADi's solvers name and call them."""
-        return self.parts.functions
+        """Return gradient, Jacobian and Hessian as CasADi's solvers name and call them."""
+        return self.parts.derivatives
+
+    @property
+    def known(self) -> Array:
+        """Which entries (intervals + 1, nx) of the states are unknowns of their own."""
+        return self.states < self.parts.unknowns.count
 
     def with_states(self, w: Array, states: Array) -> Array:
-        """w with states (intervals + 1, nx) in place of its own."""
-        result = w.copy()
-        known = self.states >= 0
-        result[self.states[known]] = states[known] / self.w_scale[self.states[known]]
+        """Return w with states (intervals + 1, nx) in place of its own."""
+        result, places = w.copy(), self.states[self.known]
+        result[places] = states[self.known] / self.w_scale[places]
         return result
 
 
-def _gathered(y: Any, places: Indices) -> Any:
-    return ca.reshape(y[places.ravel().tolist()], places.shape[1], places.shape[0])
+def gathered(y: Any, index: Indices) -> Any:
+    """Return the entries y[index] (nz, count) of an index (count, nz)."""
+    return ca.reshape(y[index.ravel().tolist()], index.shape[1], index.shape[0])
 
 
-def _symbol(function: ca.Function) -> Any:
-    return (ca.SX if function.is_a("SXFunction") else ca.MX).sym("z", function.size1_in(0))
+def invertible(scale: Any) -> Array:
+    """Return the next numbers s with s · (1/s) = 1 without rounding: Fatrop wants x⁺ − F(…) to have a coefficient of exactly one."""
+    result = np.array(scale, dtype=float)
+    while np.any(rounded := result * (1 / result) != 1):
+        result = np.where(rounded, np.nextafter(result, np.inf), result)
+    return result
 
 
-def _varied(block: Block, z: Any) -> tuple[Any, Indices]:
-    """What of z some instance has as unknowns, and its places: derivatives by constants would cost time and join what does not depend on each other.
+class _SparseMatrix:
+    """Values and places (row, column) of a matrix; what falls on one place is added."""
 
-    All of an MX, which CasADi differentiates by whole symbols.
-    """
-    if isinstance(z, ca.MX):
-        return z, np.arange(z.shape[0])
-    places = np.flatnonzero((block.index >= 0).any(axis=0))
-    return z[places.tolist()], places
-
-
-def _derivative(block: Block) -> tuple[ca.Function, Indices, Indices]:
-    """z → non-zeros of the Jacobian, and the row and the entry of z of each."""
-    z: Any = _symbol(block.function)
-    varied, places = _varied(block, z)
-    J = ca.jacobian(block.function(z), varied)
-    if block.combination is not None:
-        own, z = ca.Function("own", [z], [J]), ca.MX.sym("z", z.shape[0])
-        J = ca.mtimes(ca.DM(block.combination), own(z))
-    row, column = (np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet())
-    return ca.Function("derivative", [z], [_nonzeros(J)]), row, places[column]
-
-
-def _nonzeros(matrix: Any) -> Any:
-    return ca.vec(matrix.nz[:]) if matrix.nnz() else type(matrix)(0, 1)
-
-
-class _Entries:
-    """Values and places (row, column) of a sparse matrix; what falls on one place is added."""
-
-    def __init__(self) -> None:
+    def __init__(self, unknowns: Unknowns) -> None:
+        self._unknowns = unknowns
         self._values: list[Any] = []
         self._count = 0
         self._positions: list[Indices] = []  # in all values
@@ -237,54 +242,75 @@ class _Entries:
         self._rows: list[Indices] = []
         self._columns: list[Indices] = []
 
-    def add(self, block: Block, z: Any, scale: Array, first_row: int = 0, factor: float = 1.0, transposed: bool = False) -> None:
+    def add_jacobian(self, block: Block, z: Any, factor: float = 1.0, first_row: int = 0, transposed: bool = False) -> None:
         """The Jacobian of all instances of a block."""
-        derivative, local_row, local_column = _derivative(block)
+        derivative, local_row, local_column = self._derivative(block)
         if not len(local_row):
             return
-        values = derivative.map(block.count)(z)
         column = block.index[:, local_column].ravel()
         row = (first_row + block.rows * np.arange(block.count)[:, None] + local_row).ravel()
-        kept = np.flatnonzero(column >= 0)
+        kept = np.flatnonzero(column < self._unknowns.count)
         places = (column, np.zeros_like(column)) if transposed else (row, column)
-        self._keep(values, kept, factor * scale[column[kept]], places)
+        self._keep(derivative.map(block.count)(z), kept, factor * self._unknowns.scale[column[kept]], [place[kept] for place in places])
 
-    def add_second(self, block: Block, z: Any, multipliers: Any, scale: Array) -> None:
+    def add_hessian(self, block: Block, z: Any, multipliers: Any) -> None:
         """The upper triangle of the Hessian of Σ multipliers · rows of all instances."""
         s = _symbol(block.function)
         weight = type(s).sym("weight", block.function.size1_out(0))
         if block.combination is not None:
             multipliers = ca.mtimes(ca.DM(block.combination.T), multipliers)
-        varied, places = _varied(block, s)
+        varied, places = self._varied(block, s)
         H = ca.hessian(ca.dot(weight, block.function(s)), varied)[0]
         local_row, local_column = (places[np.array(entries, dtype=np.intp)] for entries in H.sparsity().get_triplet())
         if not len(local_row):
             return
         row, column = (block.index[:, local].ravel() for local in (local_row, local_column))
         # where one unknown has several places in z, both halves of the block fall on the diagonal: they are both wanted
-        kept = np.flatnonzero((row >= 0) & (column >= 0) & (row <= column))
+        kept = np.flatnonzero((row <= column) & (column < self._unknowns.count))
         needed = np.zeros(H.nnz(), dtype=bool)
         needed[kept % H.nnz()] = True
         chosen = np.flatnonzero(needed)
         if not chosen.size:
             return
         values = ca.Function("second", [s, weight], [_nonzeros(H)[chosen.tolist()]]).map(block.count)(z, multipliers)
-        rank = np.cumsum(needed) - 1
+        rank, scale = np.cumsum(needed) - 1, self._unknowns.scale
         position = (kept // H.nnz()) * chosen.size + rank[kept % H.nnz()]
-        self._keep(values, position, scale[row[kept]] * scale[column[kept]], (row, column), kept)
+        row, column = row[kept], column[kept]
+        self._keep(values, position, scale[row] * scale[column], [row, column])
 
-    def _keep(self, values: Any, position: Indices, factor: Array, places: tuple[Indices, Indices], kept: Indices | None = None) -> None:
-        chosen = position if kept is None else kept
-        if not chosen.size:
+    def _derivative(self, block: Block) -> tuple[ca.Function, Indices, Indices]:
+        """z → non-zeros of the Jacobian, and the row and the entry of z of each."""
+        z: Any = _symbol(block.function)
+        varied, places = self._varied(block, z)
+        J = ca.jacobian(block.function(z), varied)
+        if block.combination is not None:
+            own, z = ca.Function("own", [z], [J]), ca.MX.sym("z", z.shape[0])
+            J = ca.mtimes(ca.DM(block.combination), own(z))
+        row, column = (np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet())
+        return ca.Function("derivative", [z], [_nonzeros(J)]), row, places[column]
+
+    def _varied(self, block: Block, z: Any) -> tuple[Any, Indices]:
+        """The entries of z that are unknowns in some instance, and their places.
+
+        Derivatives by constants would cost time and join what does not depend on each other. All of an MX, which CasADi differentiates by
+        whole symbols.
+        """
+        if isinstance(z, ca.MX):
+            return z, np.arange(z.shape[0])
+        places = np.flatnonzero((block.index < self._unknowns.count).any(axis=0))
+        return z[places.tolist()], places
+
+    def _keep(self, values: Any, position: Indices, factor: Array, places: Sequence[Indices]) -> None:
+        if not position.size:
             return
         self._values.append(ca.vec(values))
         self._positions.append(self._count + position)
         self._count += values.shape[0] * values.shape[1]
         self._factors.append(factor)
-        self._rows.append(places[0][chosen])
-        self._columns.append(places[1][chosen])
+        self._rows.append(places[0])
+        self._columns.append(places[1])
 
-    def matrix(self, rows: int, columns: int) -> Any:
+    def assembled(self, rows: int, columns: int) -> Any:
         """The matrix as an MX of its sparsity."""
         if not self._values:
             return ca.MX(rows, columns)
@@ -298,3 +324,11 @@ class _Entries:
             return ca.MX(sparsity, values[position[first].tolist()] * ca.DM(factors[first].tolist()))
         adding = ca.DM.triplet(inverse.tolist(), position.tolist(), ca.DM(factors.tolist()), len(places), self._count)
         return ca.MX(sparsity, ca.mtimes(adding, values))
+
+
+def _symbol(function: ca.Function) -> Any:
+    return (ca.SX if function.is_a("SXFunction") else ca.MX).sym("z", function.size1_in(0))
+
+
+def _nonzeros(matrix: Any) -> Any:
+    return ca.vec(matrix.nz[:]) if matrix.nnz() else type(matrix)(0, 1)
