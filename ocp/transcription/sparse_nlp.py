@@ -208,7 +208,7 @@ class Program:
     @property
     def known(self) -> Array:
         """Which entries (intervals + 1, nx) of the states are unknowns of their own."""
-        return self.states < self.parts.unknowns.count
+        return np.asarray(self.states < self.parts.unknowns.count)
 
     def with_states(self, w: Array, states: Array) -> Array:
         """Return w with states (intervals + 1, nx) in place of its own."""
