@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 import tenscasadi as tc
-from tenscasadi.dynamics.model import instructions
+from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.util.compile import compile_function, find_compiler
 
 CHAINS = (3, 10, 33, 100, 333, 1000, 1667)  # prisms, of three bars each
@@ -75,7 +75,7 @@ def measure(name: str, structure: tc.Structure) -> Row:
         machine_code = compile_function(several)
         compiling = time.perf_counter() - began
         compiled = share * seconds(machine_code, states)
-    return Row(name, len(structure.bars), members, built, instructions(ode), compiling, virtual, compiled, memory())
+    return Row(name, len(structure.bars), members, built, count_instructions(ode), compiling, virtual, compiled, memory())
 
 
 def seconds(function: ca.Function, states: np.ndarray) -> float:

@@ -73,7 +73,7 @@ def _check_time(problem: Problem, target: Target, seconds: float) -> None:
     reach = (np.abs(model.split(start)[1]).max() + fastest * seconds) * seconds
     away = np.abs(model.split(target.state - start)[0])
     if away.max() > AMPLE * reach:
-        node, axis = divmod(int(np.flatnonzero(model.mechanism.free.ravel())[np.argmax(away)]), 3)
+        node, axis = divmod(int(model.mechanism.free_index[np.argmax(away)]), 3)
         way = f"node {model.mechanism.physical[node]} {'xyz'[axis]} has to move by {away.max():.2g} m in {seconds:.2g} s"
         raise UnreachableGoal(f"{way}, in which force densities within their limits move it by about {reach:.2g} m: give more time")
 
@@ -211,9 +211,7 @@ class _Finder:
 
 def _metric(model: Model) -> Array:
     """The mass matrix on positions and velocities, relative to its mean, and one for clock and duration."""
-    mech = model.mechanism
-    free = np.flatnonzero(mech.free.ravel())
-    mass = np.kron(mech.M.toarray(), np.eye(3))[np.ix_(free, free)]
+    mass = model.mechanism.free_mass.toarray()
     mass = mass / np.diag(mass).mean()
     result = np.eye(model.nx + 1)
     result[: model.nq, : model.nq] = mass

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.dynamics.model import Model, instructions
+from tenscasadi.dynamics.instruction_count import count_instructions
+from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme
@@ -193,7 +194,7 @@ def _counts(model: Model, t_end: float, state: Any, work: float) -> Iterator[int
     """Yield numbers of steps of order 8, from what is stable at the start to what `work` allows; at least one pair."""
     longest = min(stable_step(model, state, None, DormandPrince853()), _FINER * stable_step(model, state, None, DormandPrince54()))
     steps = max(_COARSEST, int(np.ceil(t_end / longest))) if np.isfinite(longest) and longest > 0 else _COARSEST
-    most = work / instructions(DormandPrince853().advance(model))
+    most = work / count_instructions(DormandPrince853().advance(model))
     yield steps
     while steps * _FINER <= most:
         steps *= _FINER

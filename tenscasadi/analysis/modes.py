@@ -160,8 +160,7 @@ def modes(model: Model, x: Any = None, u: Any = None) -> Modes:
     linear = linearize(model, x, u)
     state, _ = model.arguments(model.initial_state if x is None else x, u)
     nq = model.nq
-    free = np.flatnonzero(model.mechanism.free.ravel())
-    M = np.kron(model.mechanism.M.toarray(), np.eye(3))[np.ix_(free, free)]
+    M = model.mechanism.free_mass.toarray()
     T = linear.tangent
     L = scipy.linalg.cholesky(T.T @ M @ T, lower=True)
     T = scipy.linalg.solve_triangular(L, T.T, lower=True).T  # M-orthonormal
@@ -263,6 +262,6 @@ def _rigid(model: Model, state: Array, tangent: Array) -> Array:
     motions = scipy.linalg.orth(np.stack([field.ravel() for field in fields], axis=1))
     held = np.flatnonzero(~mech.free.ravel())
     allowed = motions @ scipy.linalg.null_space(motions[held]) if len(held) else motions
-    free = allowed[np.flatnonzero(mech.free.ravel())]
+    free = allowed[mech.free_index]
     outside = free - tangent @ (tangent.T @ free)  # rigid motions that pins of full coordinates stop
     return np.asarray(free @ scipy.linalg.null_space(outside, rcond=1e-9)) if np.abs(outside).max(initial=0.0) > 1e-9 else np.asarray(free)

@@ -14,7 +14,8 @@ from tqdm import tqdm
 
 from tenscasadi.analysis.certify import Reference, certify, distance, end_nodes
 from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
-from tenscasadi.dynamics.model import Model, instructions
+from tenscasadi.dynamics.instruction_count import count_instructions
+from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
 from tenscasadi.simulation.control_input import ControlInput
@@ -148,8 +149,8 @@ class Case:
         if self.scheme.implicit:
             return 0
         project = None if self.correction is None else self.correction.step(self.model)
-        extra = 0 if self.correction is None or project is None else instructions(project) / self.correction.every
-        return round(instructions(self.scheme.advance(self.model)) + extra)
+        extra = 0 if self.correction is None or project is None else count_instructions(project) / self.correction.every
+        return round(count_instructions(self.scheme.advance(self.model)) + extra)
 
     def seconds_per_step(self, step: float, repeats: int) -> float:
         """Measure the wall time of a step, s: the median of `repeats` runs that are long enough for the clock, and hardly leave the start.

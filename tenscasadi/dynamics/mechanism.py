@@ -73,6 +73,16 @@ class Mechanism:
         """Whether the solution for the multipliers is kept as scalar code, too."""
         return not self.large and self.system_size <= UNROLL_SOLVE
 
+    @cached_property
+    def free_index(self) -> Indices:
+        """Places (nq,) of the free coordinates in N, column by column: 3 · column + axis."""
+        return np.flatnonzero(self.free.ravel())
+
+    @cached_property
+    def free_mass(self) -> sp.csr_array:
+        """The mass matrix (nq×nq) of the free coordinates, kg."""
+        return sp.csr_array(sp.kron(self.M, sp.eye_array(3)))[self.free_index][:, self.free_index]
+
     @property
     def active_mask(self) -> ca.DM:
         """`active` as numbers (3×c): 1 along the axes that a column of P constrains, 0 along others."""

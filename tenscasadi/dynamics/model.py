@@ -9,9 +9,9 @@ import casadi as ca
 
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics, joint_forces
+from tenscasadi.dynamics.instruction_count import TermCounts, count_terms
 from tenscasadi.dynamics.mechanism import Multipliers
 from tenscasadi.dynamics.state_space import StateSpace
-from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.compile import compile_function
 
@@ -27,14 +27,6 @@ class Energy(NamedTuple):
     def total(self) -> float:
         """The sum, J."""
         return self.kinetic + self.elastic + self.gravity
-
-
-class Terms(dict[str, int]):
-    """Instruction counts by the name of a term; prints as a table."""
-
-    def __str__(self) -> str:
-        width = max(map(len, self), default=0)
-        return "\n".join(f"{name:<{width}}  {count:>8}" for name, count in self.items())
 
 
 class Model(StateSpace):
@@ -54,7 +46,7 @@ class Model(StateSpace):
     @cached_property
     def ode(self) -> ca.Function:
         """(x, u) → xdot: self-contained, differentiable, usable by any CasADi tool."""
-        x, u = self._symbols(self.mechanism.unrolled)
+        x, u = self.symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
         A, _, _ = forward_dynamics(self, N, V, u, time)
         rate = [self.pack(V, A, 1)]
@@ -68,7 +60,7 @@ class Model(StateSpace):
     @cached_property
     def observe(self) -> ca.Function:
         """(x, u) → nodes and velocities (3n, node by node), force_density and tension (α), energy (3), bar_length_error, joint_error."""
-        x, u = self._symbols(not self.mechanism.large)
+        x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
         gamma, S = forces.strings(self.scene, self.mechanism, N, V, u)
         first = self.mechanism.first.tolist()
@@ -86,7 +78,7 @@ class Model(StateSpace):
     @cached_property
     def energy_function(self) -> ca.Function:
         """(x, u) → total energy, J, without the rest of what `observe` computes."""
-        x, u = self._symbols(not self.mechanism.large)
+        x, u = self.symbols(not self.mechanism.large)
         energy = ca.sum1(self.observe(x, u)[self.observe.index_out("energy")])
         return ca.Function("energy", [x, u], [energy], ["x", "u"], ["energy"])
 
@@ -95,7 +87,7 @@ class Model(StateSpace):
         """(x, u) → power, W, of all forces that `energy` does not hold; None when there are none. Jumps of the control are not in it."""
         if self.conservative:
             return None
-        x, u = self._symbols(not self.mechanism.large)
+        x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
         if self._supports is None:
             push = forces.total(self.scene, self.mechanism, N, V, u, time)
@@ -109,7 +101,7 @@ class Model(StateSpace):
     @cached_property
     def multiplier_function(self) -> ca.Function:
         """(x, u) → λ (β) and Ω (3×c): see `multipliers`."""
-        x, u = self._symbols(self.mechanism.unrolled)
+        x, u = self.symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
         A, lam, omega = forward_dynamics(self, N, V, u, time)
         if self.coordinates == "reduced" and len(self.structure.bars):
@@ -152,40 +144,11 @@ class Model(StateSpace):
         """Whether no force outside `energy` does work while the control stands still."""
         return forces.conservative(self.scene)
 
-    def describe(self) -> Terms:
+    def describe(self) -> TermCounts:
         """The terms that this scene builds, each with the instructions that it adds to the right-hand side."""
-        x, u = self._symbols(not self.mechanism.large)
-        N, V, time = self.unpack(x)
-        built = forces.terms(self.scene, self.mechanism, N, V, u, time)
-        if forces.is_damped(self.scene):
-            elastic = forces.pull(self.mechanism, *forces.strings(self.scene, self.mechanism, N, V, u, damped=False))
-            built = {"string elasticity": elastic, "string damping": built.pop("strings"), **built}
-        elif "strings" in built:
-            name = "string force densities" if isinstance(self.scene.control, ForceDensity) else "string elasticity"
-            built = {name: built.pop("strings"), **built}
-        terms = Terms()
-        outputs: dict[str, Any] = {}
-        before = 0
-        for name, expression in built.items():
-            if name == "string damping":  # the whole string law; what it adds to elasticity is the damping
-                outputs.pop("string elasticity")
-            outputs[name] = ca.vec(expression)[self._free.tolist()]  # what pulls at a pinned node is not needed
-            count = ca.Function("terms", [x, u], ca.cse(list(outputs.values()))).n_instructions()
-            terms[name] = count - before
-            before = count
-        total = instructions(self.ode)
-        rest = "inverse mass"
-        if self.mechanism.constrained:
-            rest = "bars (λ)" + (" and joints (Ω)" if self.mechanism.joints else "") + " and inverse mass"
-        terms[rest] = max(total - before, 0)
-        terms["total"] = total
-        return terms
+        return count_terms(self, self.ode)
 
     # --- expressions ---
-
-    def _symbols(self, unrolled: bool) -> tuple[Any, Any]:
-        kind = ca.SX if unrolled else ca.MX
-        return kind.sym("x", self.nx), kind.sym("u", self.nu)
 
     def _kinetic(self, V: Any) -> Any:
         return ca.sum2(ca.sum1(V * ca.mtimes(V, sparse(self.mechanism.M)))) / 2
@@ -208,14 +171,3 @@ class Model(StateSpace):
         arguments = self.arguments(x, u)
         value = self.observe(*arguments)[self.observe.index_out(name)]
         return value.full().ravel() if isinstance(value, ca.DM) else value
-
-
-def instructions(function: ca.Function) -> int:
-    """Instructions of a Function and, for each call in it, of the Functions that it calls."""
-    count = int(function.n_instructions())
-    if function.class_name() != "MXFunction":
-        return count
-    for k in range(function.n_instructions()):
-        if function.instruction_id(k) == ca.OP_CALL:
-            count += instructions(function.instruction_MX(k).which_function())
-    return count

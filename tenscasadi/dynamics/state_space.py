@@ -41,7 +41,7 @@ class StateSpace:
         if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:
             raise ValueError('Model.bar_length is "constant": bars that meet or are pinned need coordinates="full" for it')
         self._supports = None if scene.supports is None else scene.supports.rates()
-        self._free = np.flatnonzero(self.mechanism.free.ravel())
+        self._free = self.mechanism.free_index
         self.nq = len(self._free)
         self.nx = 2 * self.nq + (1 if scene.has_clock else 0)
         self.nu = 0 if scene.control is None else len(scene.structure.strings)
@@ -130,6 +130,11 @@ class StateSpace:
         )  # type: ignore[return-value]
 
     # --- expressions ---
+
+    def symbols(self, scalar: bool) -> tuple[Any, Any]:
+        """Return symbols of x and u: scalars (SX) that unroll, or vectors (MX)."""
+        kind = ca.SX if scalar else ca.MX
+        return kind.sym("x", self.nx), kind.sym("u", self.nu)
 
     def split(self, x: Any) -> tuple[Any, Any, Any]:
         """Return positions (nq), velocities (nq) and clock (1 or 0) of states: views of arrays (…, nx), rows of CasADi matrices (nx, …)."""

@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
 
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
@@ -206,8 +205,7 @@ def _lead(model: Model) -> ca.DM:
 def _solver(model: Model) -> ca.Function:
     """(x, w, g, r) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, close enough to converge; w as for `held_ode`."""
     mech, nq = model.mechanism, model.nq
-    free = np.flatnonzero(mech.free.ravel())
-    M = sparse(sp.csr_array(sp.kron(mech.M, sp.eye_array(3)))[free][:, free])
+    M = sparse(mech.free_mass)
     strings, nodes = counts(model)
 
     def linear(x: Any, w: Any, g: Any, r: Any) -> tuple[Any, ...]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.model import Model, instructions
+from tenscasadi.dynamics.instruction_count import count_instructions
+from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 
@@ -16,7 +17,7 @@ _WORK = 5e7  # instructions a call, some 0.05 s compiled: checks, progress bar a
 
 def chunk_steps(model: Model, every: int) -> int:
     """Choose the steps of one call: a multiple of `every` that depends on the model alone, so that one compiled loop serves runs of any length."""
-    work = 4 * max(instructions(model.ode), 20 * model.nx) + 1  # mapped functions count once: 20 a state is what members cost
+    work = 4 * max(count_instructions(model.ode), 20 * model.nx) + 1  # mapped functions count once: 20 a state is what members cost
     steps = 2 ** int(np.log2(np.clip(_WORK / work, 1, _LONGEST)))
     return int(every * max(1, steps // every))
 

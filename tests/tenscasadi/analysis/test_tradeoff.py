@@ -12,7 +12,7 @@ import pytest
 
 import tenscasadi as tc
 from tenscasadi.analysis.certify import distance
-from tenscasadi.dynamics.model import instructions
+from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.util.compile import find_compiler
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -67,9 +67,9 @@ def test_errors_fall_with_the_schemes_order(table):
 
 def test_instructions_are_of_a_step_with_its_share_of_the_correction(table):
     model = spinning()
-    step = instructions(tc.RungeKutta4().advance(model))
+    step = count_instructions(tc.RungeKutta4().advance(model))
     assert table.rows[0].instructions == step
-    assert table.rows[4].instructions == round(step + instructions(tc.Projection().step(model)) / 2)
+    assert table.rows[4].instructions == round(step + count_instructions(tc.Projection().step(model)) / 2)
     assert table.rows[0].work == step * 25
 
 

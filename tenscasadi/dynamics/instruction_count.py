@@ -1,0 +1,61 @@
+"""The cost of expressions, counted in instructions of CasADi: of Functions, and of each term of a right-hand side."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from tenscasadi.dynamics import forces
+from tenscasadi.dynamics.state_space import StateSpace
+from tenscasadi.scene.strings import ForceDensity
+
+
+class TermCounts(dict[str, int]):
+    """Instruction counts by the name of a term; prints as a table."""
+
+    def __str__(self) -> str:
+        width = max(map(len, self), default=0)
+        return "\n".join(f"{name:<{width}}  {count:>8}" for name, count in self.items())
+
+
+def count_instructions(function: ca.Function) -> int:
+    """Return the instructions of a Function and, for each call in it, of the Functions that it calls."""
+    count = int(function.n_instructions())
+    if function.class_name() != "MXFunction":
+        return count
+    for k in range(function.n_instructions()):
+        if function.instruction_id(k) == ca.OP_CALL:
+            count += count_instructions(function.instruction_MX(k).which_function())
+    return count
+
+
+def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
+    """Return the terms that the scene of `space` builds, each with the instructions that it adds to its right-hand side `ode`."""
+    scene, mech = space.scene, space.mechanism
+    x, u = space.symbols(not mech.large)
+    N, V, time = space.unpack(x)
+    built = forces.terms(scene, mech, N, V, u, time)
+    if forces.is_damped(scene):
+        elastic = forces.pull(mech, *forces.strings(scene, mech, N, V, u, damped=False))
+        built = {"string elasticity": elastic, "string damping": built.pop("strings"), **built}
+    elif "strings" in built:
+        name = "string force densities" if isinstance(scene.control, ForceDensity) else "string elasticity"
+        built = {name: built.pop("strings"), **built}
+    counts = TermCounts()
+    outputs: dict[str, Any] = {}
+    before = 0
+    for name, expression in built.items():
+        if name == "string damping":  # the whole string law; what it adds to elasticity is the damping
+            outputs.pop("string elasticity")
+        outputs[name] = ca.vec(expression)[mech.free_index.tolist()]  # what pulls at a pinned node is not needed
+        count = ca.Function("terms", [x, u], ca.cse(list(outputs.values()))).n_instructions()
+        counts[name] = count - before
+        before = count
+    total = count_instructions(ode)
+    rest = "inverse mass"
+    if mech.constrained:
+        rest = "bars (λ)" + (" and joints (Ω)" if mech.joints else "") + " and inverse mass"
+    counts[rest] = max(total - before, 0)
+    counts["total"] = total
+    return counts
