@@ -23,9 +23,8 @@ from ocp.problem.instant import Instant
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.waypoints import Waypoint
 from ocp.solve import solve
-from ocp.solvers.best import Progress
 from ocp.solvers.fatrop import Fatrop
-from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.ipopt import Ipopt, Progress
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.collocation import Collocation, ImplicitMidpoint
 from ocp.transcription.initial_guess import Arrays, Equilibrium, InverseDynamics

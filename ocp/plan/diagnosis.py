@@ -11,7 +11,7 @@ from ocp.boundary.sensitivities import Reach, find_controlled
 from ocp.boundary.target import Target
 from ocp.plan.misses import Misses
 from ocp.solvers.base import Solution
-from ocp.solvers.best import STOPPED
+from ocp.solvers.ipopt import STOPPED
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model

@@ -1,4 +1,4 @@
-"""Fatrop as a value."""
+"""Fatrop as a value, and the program cut into the stages that it solves."""
 
 from __future__ import annotations
 
@@ -19,11 +19,44 @@ BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more problems
 
 @dataclass(frozen=True)
 class Fatrop:
-    """Fatrop (Vanroye et al., 2023, IROS): an interior-point method that factors stage by stage, with exact derivatives.
+    """The interior-point solver Fatrop, which factors interval by interval, with exact derivatives.
 
-    max_iterations, tolerance, verbose: as for `Ipopt`; options: further Fatrop options. What a stage needs of earlier ones is handed on as
-    states. CasADi's Fatrop does not report its iterations: it can be neither watched nor stopped in time, and Fatrop 1.1 fails, or does not
-    return at all, on some problems that IPOPT solves: try it where speed counts. Raises TypeError, ValueError.
+    CasADi's Fatrop does not report its iterations: it can be neither watched nor stopped in time. Fatrop 1.1 fails, or does not
+    return at all, on some problems that IPOPT solves: try it where speed counts.
+
+    Parameters
+    ----------
+    max_iterations : int
+        Most iterations.
+    tolerance : float
+        Tolerance of scaled optimality and constraints.
+    verbose : bool
+        Whether Fatrop prints a line for each iteration.
+    options : mapping
+        Further Fatrop options, such as ``{"mu_init": 0.1}``; they override those chosen here.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is not of its kind.
+
+    Notes
+    -----
+    Every unknown belongs to one interval. What later intervals need of it is handed on from one to the next as a further state.
+
+    References
+    ----------
+    L. Vanroye, A. Sathya, J. De Schutter, W. Decré, FATROP: A Fast Constrained Optimal Control Problem Solver for Robot Trajectory
+    Optimization and Control, IROS 2023.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> ocp.solve(ocp.Problem(model, goals=goals, costs=[ocp.Effort()]), ocp.ImplicitMidpoint(6), ocp.Fatrop()).success
+    True
     """
 
     max_iterations: int = 300
@@ -35,7 +68,23 @@ class Fatrop:
         check_options("Fatrop", self.max_iterations, self.tolerance, self.verbose, self.options, "{'mu_init': 0.1}")
 
     def solve(self, program: Program) -> Solution:
-        """The solution, or the last iterate with success False. Raises ValueError for an option Fatrop refuses."""
+        """Solve a program.
+
+        Parameters
+        ----------
+        program : Program
+            The program.
+
+        Returns
+        -------
+        Solution
+            The solution, or the last iterate with success False.
+
+        Raises
+        ------
+        ValueError
+            If Fatrop refuses an option.
+        """
         parts = staged(program)
         options: dict[str, Any] = {
             "structure_detection": "manual",
@@ -73,10 +122,11 @@ class Fatrop:
 
 @dataclass(frozen=True, eq=False)
 class Staged:
-    """nlp and its derivatives in the stages' order, with what Fatrop needs to know.
+    """A program cut into stages, each of which hands a state to the next and sees nothing else.
 
-    Every unknown belongs to the stage in which it appears first; where a later stage needs it too, it is handed on from stage to
-    stage as a further state. states, controls, paths: how many each stage has. original, rows: where w and g of the program stand.
+    nlp: f and g with their derivatives in the stages' order. Every unknown belongs to the stage in which it appears first; where a later
+    stage needs it too, it is handed on from stage to stage as a further state. states, controls, paths: how many each stage has; equality:
+    which rows are equations. original, rows: where w and g of the program stand.
     """
 
     nlp: ca.Function

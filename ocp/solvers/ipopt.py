@@ -1,20 +1,21 @@
-"""IPOPT as a value."""
+"""IPOPT as a value: its options, how it is watched and stopped, and the best iterate of a run that was."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from ocp.solvers.base import Solution, check_options
-from ocp.solvers.best import Best, Watcher
 from ocp.transcription.sparse_nlp import Program
-from tenscasadi.util.validate import positive_number
+from tenscasadi.util.interrupts import on_interrupt
+from tenscasadi.util.validate import Array, positive_number
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -24,16 +25,85 @@ CONTACT = 1e-3  # the same, for motions with contact, which take several times a
 KNOWN = 1e-9  # the same where multipliers are known; where they are not, a small one keeps iterates at limits that they should leave
 
 
+STOPPED = "User_Requested_Stop"
+NEAR = 1e-6  # violation, scaled, below which iterates are judged by their objective
+
+
+class Progress(NamedTuple):
+    """One iteration of a solver, as `Ipopt.watch` is told.
+
+    Attributes
+    ----------
+    iteration : int
+        Number of the iteration, from 0.
+    objective : float
+        Sum of the costs, in their own units.
+    infeasibility : float
+        Largest violation of a constraint, scaled.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> def watch(now: ocp.Progress) -> bool:
+    ...     return now.infeasibility > 1e-3  # False stops the solver
+    >>> watch(ocp.Progress(iteration=3, objective=1.5, infeasibility=0.1))
+    True
+    """
+
+    iteration: int
+    objective: float
+    infeasibility: float
+
+
+Watcher = Callable[[Progress], Any]
+
+
 @dataclass(frozen=True)
 class Ipopt:
-    """IPOPT with exact derivatives.
+    """The interior-point solver IPOPT, with exact derivatives.
 
-    max_iterations; tolerance: of scaled optimality and constraints; verbose: prints a line for each iteration; options: further IPOPT
-    options, such as {"linear_solver": "spral"}, which override those chosen here. MUMPS runs without its own scaling, which triples its
-    speed on these problems. seconds: wall time after which it stops, None: no limit. watch: called with a `Progress` after each iteration, such
-    as a `tenscasadi.convergence.Convergence`, which draws them; when it returns False the solver stops. warm: the guess is nearly a solution,
-    such as another plan: keep to it, and to its multipliers, if grid and constraints are the same. However it is stopped, also from the
-    keyboard, what is returned is the best iterate. Raises TypeError, ValueError.
+    However it is stopped, also from the keyboard, the result is the best iterate. MUMPS runs without its own scaling, which triples its
+    speed on these problems.
+
+    Parameters
+    ----------
+    max_iterations : int
+        Most iterations.
+    tolerance : float
+        Tolerance of scaled optimality and constraints.
+    verbose : bool
+        Whether IPOPT prints a line for each iteration.
+    options : mapping
+        Further IPOPT options, such as ``{"linear_solver": "spral"}``; they override those chosen here.
+    seconds : float, optional
+        Wall time of one run, s, after which it stops. By default there is no limit.
+    watch : callable, optional
+        Function of a `Progress`, called after each iteration, such as a `tenscasadi.plots.Convergence`, which draws them. When it
+        returns False the solver stops.
+    warm : bool
+        Whether the guess is nearly a solution, such as another plan. The solver keeps to it, and to its multipliers where mesh and
+        constraints are the same.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is not of its kind, or the library of a linear solver cannot be loaded.
+
+    References
+    ----------
+    A. Wächter, L. T. Biegler, Mathematical Programming 106, 2006, 25-57.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> seen = []
+    >>> solver = ocp.Ipopt(tolerance=1e-6, watch=seen.append)
+    >>> plan = ocp.solve(ocp.Problem(model, goals=goals, costs=[ocp.Effort()]), ocp.Variational(6), solver)
+    >>> plan.success, len(seen) == plan.iterations + 1
+    (True, True)
     """
 
     max_iterations: int = 300
@@ -55,15 +125,47 @@ class Ipopt:
         _check_library(self.options)
 
     def solve(self, program: Program) -> Solution:
-        """The solution, or the best iterate with IPOPT's word for what went wrong. Raises ValueError for an option IPOPT refuses."""
+        """Solve a program.
+
+        Parameters
+        ----------
+        program : Program
+            The program.
+
+        Returns
+        -------
+        Solution
+            The solution, or the best iterate with IPOPT's word for what went wrong.
+
+        Raises
+        ------
+        ValueError
+            If IPOPT refuses an option.
+        """
         return self.prepared(program)(program)
 
     def prepared(self, program: Program) -> Callable[[Program], Solution]:
-        """Solves this program, and others that differ from it in limits, start and multipliers alone. Raises ValueError as `solve`."""
-        best = Best(program.problem["x"].shape[0], len(program.lower), program.objective, self.watch)
+        """Build the solver once for several programs.
+
+        Parameters
+        ----------
+        program : Program
+            One of the programs.
+
+        Returns
+        -------
+        callable
+            Function of a program that differs from this one in limits, start and multipliers alone; it returns a `Solution`.
+
+        Raises
+        ------
+        ValueError
+            If IPOPT refuses an option.
+        """
+        best = BestIterate(program.problem["x"].shape[0], len(program.lower), program.objective, self.watch)
         return partial(_run, self._built(program, best), best)
 
-    def _built(self, program: Program, best: Best) -> ca.Function:
+    def _built(self, program: Program, best: BestIterate) -> ca.Function:
         ipopt = {
             "max_iter": self.max_iterations,
             "tol": self.tolerance,
@@ -103,7 +205,76 @@ class Ipopt:
             raise ValueError(f"Ipopt.options is {dict(self.options)}, and IPOPT says: {reason}. Give options that IPOPT has") from None
 
 
-def _run(solver: ca.Function, best: Best, program: Program) -> Solution:
+class BestIterate(ca.Callback):
+    """Follows IPOPT: tells the watcher, remembers the best iterate of a run."""
+
+    def __init__(self, size: int, rows: int, objective: float, watch: Watcher | None) -> None:
+        super().__init__()
+        self._sizes = {"x": size, "f": 1, "g": rows, "lam_x": size, "lam_g": rows, "lam_p": 0}
+        self._objective, self._watch = objective, watch
+        self._begin(np.zeros(rows), np.zeros(rows))
+        self.construct("best", {})
+
+    def _begin(self, lower: Array, upper: Array) -> None:
+        self._lower, self._upper = lower, upper
+        self._merit = np.inf
+        self._count = 0
+        self.w: Array | None = None
+        self.status = ""
+        self.error: Exception | None = None
+
+    @contextmanager
+    def following(self, lower: Array, upper: Array) -> Iterator[None]:
+        """Follow a run with these limits of rows; Ctrl-C meanwhile stops the solver after its iteration; a second time it raises, as usual."""
+        self._begin(lower, upper)
+        with on_interrupt(self._stop, then_raise=False):
+            yield
+
+    def _stop(self) -> None:
+        self.status = STOPPED
+
+    def get_n_in(self) -> int:
+        """As `nlpsol` has outputs."""
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        """One: whether to stop."""
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        """As `nlpsol` names its outputs."""
+        return str(ca.nlpsol_out(i))
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """As `nlpsol` sizes its outputs."""
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
+
+    def has_eval_buffer(self) -> bool:
+        """Memory instead of matrices, whose conversion takes as long as a whole evaluation of the program."""
+        return True
+
+    def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
+        """0 into `res` to go on, 1 to stop."""
+        w, f, g = (np.frombuffer(arg[ca.nlpsol_out().index(name)] or b"") for name in ("x", "f", "g"))
+        violation = float(np.maximum(np.maximum(self._lower - g, g - self._upper), 0.0).max(initial=0.0))
+        # the least violation counts, until it is small; then the objective
+        merit = violation if violation > NEAR else NEAR * float(np.arctan(f[0]) / np.pi)
+        if np.isfinite(merit) and merit < self._merit:
+            self._merit, self.w = merit, w.copy()
+        try:
+            proceed = self._watch is None or self._watch(Progress(self._count, float(f[0]) * self._objective, violation)) is not False
+        except KeyboardInterrupt:
+            proceed = False
+        except Exception as error:  # noqa: BLE001  # raised again once the solver has stopped, which would make a failure of it
+            self.error, proceed = error, False
+        self._count += 1
+        if not proceed:
+            self.status = STOPPED
+        np.frombuffer(res[0])[:] = float(bool(self.status))
+        return 0
+
+
+def _run(solver: ca.Function, best: BestIterate, program: Program) -> Solution:
     known = {} if program.multipliers is None else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
     with best.following(program.lower, program.upper):
         result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper, **known)
@@ -112,7 +283,7 @@ def _run(solver: ca.Function, best: Best, program: Program) -> Solution:
     stats = solver.stats()
     w = last = np.asarray(result["x"].full()).ravel()
     success = bool(stats["success"])
-    if not success and best.w is not None and (best.stopped or "Exceeded" in str(stats["return_status"])):
+    if not success and best.w is not None and (best.status or "Exceeded" in str(stats["return_status"])):
         w = best.w
     multipliers = result["lam_g"].full().ravel(), result["lam_x"].full().ravel()
     status = best.status or str(stats["return_status"])

@@ -14,12 +14,31 @@ from tenscasadi.util.validate import Array, Indices, instance
 
 @dataclass(frozen=True, eq=False)
 class Duals:
-    """Multipliers λ of J + Σ λ c, with J the objective and c what is limited: > 0 where an upper limit holds, < 0 where a lower one does.
+    """Multipliers of an optimum: how much each constraint costs.
 
-    Where a limit, or the value that a goal wants, rises by δ, the least J changes by −λ δ, to first order. names (m,), values (m,): first
-    limits and the motion, then goals, then the n unknowns of the program. Units: J per unit of what is limited (N/m, N, m, m/s); of goals
-    per m or m/s, as far as bars and momenta let them give; of the motion with `MultipleShooting` per unit of the state (costates), with
-    others in the scale of their rows. point (n,): the unknowns at the optimum.
+    A multiplier is positive where an upper limit holds, negative where a lower one does. Where a limit, or the value that a goal wants,
+    rises by δ, the least objective J changes by −λ δ, to first order.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the m multipliers: path constraints and the motion, then goals, then the n unknowns of the program.
+    values : ndarray, shape (m,)
+        Multipliers λ of J + Σ λ c, with c what is limited: J per unit of what is limited (N/m, N, m, m/s), of goals per m or m/s,
+        as far as bars and momenta let them give. Of the motion per unit of the state (costates) with `MultipleShooting`, with other
+        transcriptions in the scale of their rows.
+    point : ndarray, shape (n,)
+        The unknowns at the optimum.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> plan = ocp.solve(ocp.Problem(model, goals=goals, costs=[ocp.Effort()]), ocp.Variational(6))
+    >>> plan.duals["force density of string 0"].shape
+    (6,)
     """
 
     names: tuple[str, ...]
