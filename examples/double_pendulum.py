@@ -37,8 +37,8 @@ def main(folder: Path = Path()) -> dict[str, float]:
     pin = np.array([model.multipliers(x).joint_force[:, pin_column(rods)] for x in run.states[::100]])
     errors["pin force"] = float(np.abs(pin - newton(model, run.states[::100])).max())
     print(f"force in the pin: up to {np.linalg.norm(pin, axis=1).max():.1f} N, within {errors['pin force']:.1e} N of Newton's second law")
-    plots.time_lapse(runs["reduced"], instants=9, title="double pendulum", path=folder / "double_pendulum.png")
-    plots.errors(run, title="double pendulum, full coordinates", path=folder / "double_pendulum_errors.png")
+    plots.time_lapse(runs["reduced"], instants=9, title=f"double pendulum: {T_END:g} seconds from rest", path=folder / "double_pendulum.png")
+    plots.errors(run, title="double pendulum: errors in full coordinates", path=folder / "double_pendulum_errors.png")
     return errors
 
 

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import ocp
@@ -115,7 +114,6 @@ def main(folder: Path = Path(), quick: bool = False) -> list[Row]:
 def draw(rows: list[Row], path: Path) -> None:
     """Seconds against replay error, a line for each method."""
     figure = Figure(figsize=(8, 5.5), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots()
     for name, marker in zip(dict.fromkeys(row.method for row in rows), "oPsD^v<*", strict=False):
         own = [row for row in rows if row.method == name]
@@ -131,4 +129,4 @@ def draw(rows: list[Row], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path())
+    main(*map(Path, sys.argv[1:2]))

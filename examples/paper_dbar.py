@@ -89,8 +89,8 @@ def main(folder: Path = Path()) -> dict[str, Row]:
 
     before = tc.simulate(model, 1.3, STEP, correction=tc.Projection(), compiled=False)
     plots.time_lapse(before, instants=6, title="D-bar, node 0 held: through its fold", path=folder / "paper_dbar.png")
-    plots.node_histories(kept, nodes=[1, 2, 3], title="D-bar", path=folder / "paper_dbar_nodes.png")
-    plots.errors(kept, title="D-bar, projection after every step", path=folder / "paper_dbar_errors.png")
+    plots.node_histories(kept, nodes=[1, 2, 3], title="D-bar, node 0 held: places of its other nodes", path=folder / "paper_dbar_nodes.png")
+    plots.errors(kept, title="D-bar: errors with projection after every step", path=folder / "paper_dbar_errors.png")
     figure_7(runs).savefig(folder / "paper_dbar_figure_7.png", dpi=150)
     return rows
 
@@ -106,9 +106,10 @@ def figure_7(runs: dict[str, tc.Trajectory]) -> Figure:
         ax.set(ylabel=f"error: {label}", xlim=(0, T_END), ylim=(floor / 3, 1.0))
         ax.grid(visible=True, color="0.9")
     ax.set_xlabel(f"time (s)   [errors below {floor:g} lie at {floor:g}]")
+    figure.suptitle("D-bar: what corrections do to its errors")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside right upper", title="correction", frameon=False)
     return figure
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "."))
+    main(*map(Path, sys.argv[1:2]))

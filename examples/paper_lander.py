@@ -67,7 +67,7 @@ def main(folder: Path = Path(), quick: bool = False) -> list[float]:
 
     plots.time_lapse(drop(ball(), 1.2)[0], instants=4, title="lander: first fall and rebound", path=folder / "paper_lander.png")
     figure_11(trajectory, height, tops, (edge, edge_height)).savefig(folder / "paper_lander_height.png", dpi=150)
-    plots.errors(trajectory, title="lander, projection after every step", path=folder / "paper_lander_errors.png")
+    plots.errors(trajectory, title="lander: errors with projection after every step", path=folder / "paper_lander_errors.png")
     return heights
 
 
@@ -84,8 +84,9 @@ def figure_11(trajectory: tc.Trajectory, height: np.ndarray, tops: np.ndarray, e
     for ax in (upper, lower):
         ax.grid(visible=True, color="0.9")
     upper.legend(frameon=False)
+    figure.suptitle("lander: height and energy from bounce to bounce")
     return figure
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "."))
+    main(*map(Path, sys.argv[1:2]))

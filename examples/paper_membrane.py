@@ -109,7 +109,7 @@ def main(folder: Path = Path(), quick: bool = False) -> dict[tuple[int, int], Ro
 
     sizes = list(runs)
     for p, q in (sizes[0], sizes[-1]):
-        plots.structure(membrane(p, q), title=f"p = {p}, q = {q}, at 1 atm", path=folder / f"paper_membrane_{p}_{q}.png")
+        plots.structure(membrane(p, q), title=f"membrane: p = {p}, q = {q}, at 1 atm", path=folder / f"paper_membrane_{p}_{q}.png")
     figure_9(runs).savefig(folder / "paper_membrane.png", dpi=150)
     return rows
 
@@ -123,7 +123,8 @@ def figure_9(runs: dict[tuple[int, int], tc.Trajectory]) -> Figure:
         end = trajectory.nodes[:, -1, 2] - trajectory.nodes[0, -1, 2]
         lower.plot(1e3 * trajectory.time, 1e3 * trajectory.nodes[:, p * (q // 2), 2], lw=1.2)
         lower.plot(1e3 * trajectory.time, 1e3 * end, lw=0.9, ls="--", color=lower.lines[-1].get_color())
-    upper.set(ylabel="radial motion of the centre (mm)", xlim=(0, 1e3 * T_END))
+    upper.set(ylabel="radial motion (mm)", xlim=(0, 1e3 * T_END))
+    upper.set_title(f"membrane after a rise of pressure to {RISE:g} atm: centre", fontsize=10)
     lower.set(ylabel="axial motion (mm)", xlabel="time (ms)")
     lower.set_title("centre: full lines, at 0; end ring: dashed", fontsize=10)
     for ax in (upper, lower):
@@ -133,4 +134,4 @@ def figure_9(runs: dict[tuple[int, int], tc.Trajectory]) -> Figure:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "."))
+    main(*map(Path, sys.argv[1:2]))

@@ -68,9 +68,10 @@ def main(folder: Path = Path(), quick: bool = False) -> dict[tuple[Ends, int], f
 
     five = runs["interior", 5]
     early = tc.simulate(tc.Model(tc.Scene(prism(), segments=5)), 1.0, STEP, correction=tc.Projection(), compiled=False)
-    plots.time_lapse(early, instants=4, title="prism, five segments a string", path=folder / "paper_prism.png")
+    plots.time_lapse(early, instants=4, title="prism: its first second, five segments a string", path=folder / "paper_prism.png")
     for n in (1, 5, MOST):
-        plots.structure(runs["lumped", n], time=2.0, title=f"{n} segment{'s' * (n > 1)} a string, t = 2 s", path=folder / f"paper_prism_{n}.png")
+        title = f"prism: {n} segment{'s' * (n > 1)} a string, t = 2 s"
+        plots.structure(runs["lumped", n], time=2.0, title=title, path=folder / f"paper_prism_{n}.png")
     figure_5(runs, five.time).savefig(folder / "paper_prism_node_1.png", dpi=150)
     convergence(errors).savefig(folder / "paper_prism_convergence.png", dpi=150)
     return errors
@@ -84,7 +85,7 @@ def figure_5(runs: dict[tuple[Ends, int], tc.Trajectory], time: np.ndarray) -> F
         for k, n in enumerate(shown):
             last = n == MOST
             ax.plot(time, runs[ends, n].nodes[:, 0, 1], color="black" if last else f"C{k}", ls="--" if last else "-", lw=1.3, label=f"{n}")
-        ax.set(ylabel="y of node 1 (m)", title=f'string mass: ends="{ends}"', xlim=(0, T_END))
+        ax.set(ylabel="y of node 1 (m)", title=f'prism: string mass with ends="{ends}"', xlim=(0, T_END))
         ax.grid(visible=True, color="0.9")
     ax.set_xlabel("time (s)")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside right upper", title="segments", frameon=False)
@@ -100,6 +101,7 @@ def convergence(errors: dict[tuple[Ends, int], float]) -> Figure:
         ax.semilogy(*zip(*points, strict=True), marker=marker, label=f'ends="{ends}"')
     ax.plot(MOST - 1, 0.5, "v", color="black", ms=8, label="paper: less than")
     ax.set(xlabel="segments a string", ylabel=f"error of node 1 against {MOST} segments (%)", xticks=range(1, MOST))
+    ax.set_title("prism: how many segments are enough")
     ax.grid(visible=True, which="both", color="0.92")
     ax.yaxis.set_major_formatter("{x:g}")
     ax.legend(frameon=False)
@@ -107,4 +109,4 @@ def convergence(errors: dict[tuple[Ends, int], float]) -> Figure:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "."))
+    main(*map(Path, sys.argv[1:2]))

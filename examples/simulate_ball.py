@@ -59,7 +59,7 @@ def main(folder: Path = Path()) -> list[Row]:
     drift = np.abs(finest.nodes[-1].mean(axis=0) - parabola).max()
     print(f"\ncentre of mass: {drift:.1e} m from the parabola of its throw")
     plots.time_lapse(finest, instants=5, title="a thrown six-bar ball", path=folder / "simulate_ball.png")
-    plots.errors(finest, title="a thrown six-bar ball, step 0.1 ms", path=folder / "simulate_ball_errors.png")
+    plots.errors(finest, title="a thrown six-bar ball: errors at a step of 0.1 ms", path=folder / "simulate_ball_errors.png")
     return rows
 
 

@@ -72,4 +72,4 @@ def turning(model: tc.Model) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path())
+    main(*map(Path, sys.argv[1:2]))

@@ -65,7 +65,7 @@ def _write_trajectory(arguments: argparse.Namespace, trajectory: Trajectory) -> 
     files = [folder / f"{name}-simulation{suffix}" for suffix in (".npz", ".png", "-errors.png")]
     trajectory.save(files[0])
     plots.time_lapse(trajectory, title=name, path=files[1])
-    plots.errors(trajectory, title=name, path=files[2])
+    plots.errors(trajectory, title=f"{name}: errors", path=files[2])
     if arguments.gif:
         files.append(animate(trajectory, folder / f"{name}-simulation.gif", title=name))
     return files
@@ -110,7 +110,7 @@ def run_tradeoff(arguments: argparse.Namespace) -> int:
     folder = _folder(arguments.output)
     files = [folder / f"{arguments.shape}-tradeoff{suffix}" for suffix in (".npz", ".png")]
     table.save(files[0])
-    table.plot(files[1], title=arguments.shape)
+    table.plot(files[1], title=f"{arguments.shape}: cost and error of schemes")
     _tell(files, time.perf_counter() - began)
     return INTERRUPTED if not table.complete else 0 if served else FAILED
 

@@ -322,7 +322,8 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
     figure, (ax,) = make_panels(1, "time (s)", title)
     for k, (name, values) in enumerate(curves):
         drawn = np.maximum(values, bottom)  # NaN stays NaN
-        note = ": not computed" if not np.isfinite(values).any() else "" if np.nanmax(values) > 0 else ": exactly 0"
+        largest = np.nanmax(values, initial=0.0)
+        note = ": not computed" if not np.isfinite(values).any() else "" if largest > bottom else ": below 1e-18" if largest > 0 else ": exactly 0"
         ax.plot(trajectory.time, drawn, color=curve_colour(k), label=name + note, lw=1.3, clip_on=False)
     ax.set_yscale("log")
     ax.set_ylim(bottom, top)

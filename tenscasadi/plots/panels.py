@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 FilePath = str | os.PathLike[str]
+LONG_NAME = 40  # characters: more beside the panels would leave them no room
 MOST_NAMED = 12  # curves that one column of the legend names; beyond two columns only their number is told
 
 
@@ -39,11 +40,14 @@ def curve_width(k: int, count: int) -> float:
 
 
 def name_curves(figure: Figure, ax: Axes, count: int) -> None:
-    """Add a legend of the curves of `ax` beside the panels; too many curves for one are told as a number."""
+    """Add a legend of the curves of `ax` beside the panels, or below them where names are long; too many curves are told as a number."""
     if count > 2 * MOST_NAMED:
         ax.annotate(f"{count} curves", (1, 1), xycoords="axes fraction", ha="right", va="top", fontsize=8, color="0.35")
     elif count:
-        figure.legend(*ax.get_legend_handles_labels(), loc="outside right upper", fontsize=8, frameon=False, ncols=1 + (count > MOST_NAMED))
+        handles, labels = ax.get_legend_handles_labels()
+        below = max(map(len, labels), default=0) > LONG_NAME
+        place = "outside lower center" if below else "outside right upper"
+        figure.legend(handles, labels, loc=place, fontsize=8, frameon=False, ncols=2 if below or count > MOST_NAMED else 1)
 
 
 def save_figure(figure: Figure, path: FilePath | None) -> Figure:

@@ -124,7 +124,7 @@ class Canvas:
             if ticks > 1:
                 axis.set_major_locator(MaxNLocator(nbins=ticks, steps=[1, 2, 5, 10]))
             else:  # no room for two; rounding about 0 is not shown as a number
-                axis.set_ticks([tick := round(centre, 2 - floor(log10(size))) + 0.0], labels=[f"{tick:g}"])
+                axis.set_ticks([tick := round(centre, 1 - floor(log10(size))) + 0.0], labels=[f"{tick:g}"])
             axis.set_tick_params(labelsize=8, pad=0)
             axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
         return half

@@ -49,3 +49,10 @@ def test_curves_follow_the_cost_and_the_reference_is_shown_where_it_is_near():
         (line,) = axes.lines
         assert line.get_ydata().tolist() == [1.0, 2.0, 4.0]
         assert len(axes.patches) == shaded
+
+
+def test_long_names_leave_the_curves_their_room():
+    for name in ("short", 60 * "long "):
+        figure = work_precision({name: [(1e-3, 1.0), (1e-5, 2.0)]})
+        figure.draw_without_rendering()
+        assert figure.axes[0].get_position().width > 0.7

@@ -78,6 +78,12 @@ def test_axes_have_one_scale(motion):
         assert axes.get_zlabel() == "z (m)"
 
 
+def test_a_thin_axis_has_one_round_tick():
+    tower = tc.Structure([(-0.0115, 0.0115, 0.0), (-0.0115, 0.0115, 4.0)], [(0, 1)])
+    axes = plots.structure(tower).axes[0]
+    assert [list(ticks) for ticks in (axes.get_xticks(), axes.get_yticks())] == [[0.0], [0.0]]
+
+
 def test_nothing_is_cut_off(motion):
     figure = plots.time_lapse(motion, title="title")
     figure.draw_without_rendering()
@@ -145,6 +151,11 @@ def test_errors_keep_exact_zeros_and_leave_out_the_unknown(motion):
     assert np.all(joints.get_ydata() == ax.get_ylim()[0])
     assert bars.get_ydata()[1:] == pytest.approx(motion.bar_length_error[1:])
     assert ax.get_yscale() == "log"
+
+
+def test_errors_too_small_to_be_drawn_are_told(motion):
+    tiny = dataclasses.replace(motion, joint_error=np.full(len(motion.time), 1e-26))
+    assert plots.errors(tiny).axes[0].lines[2].get_label() == "joint gap (m): below 1e-18"
 
 
 def test_errors_that_are_all_zero_are_drawn(motion):
