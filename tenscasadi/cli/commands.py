@@ -1,11 +1,11 @@
-"""What the command line does: plan, simulate, tradeoff and info, each prints a summary, writes a .npz and pictures, and returns an exit code."""
+"""The commands of the command line: each prints a summary, writes a .npz and pictures, and returns an exit code."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from tenscasadi.plots.animation import animate
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.simulate import simulate
-from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import Single, find_compiler
@@ -35,7 +34,7 @@ FAILED, INTERRUPTED = 1, 130
 
 
 def run_simulate(arguments: argparse.Namespace) -> int:
-    """Simulates a shape; writes trajectory and pictures."""
+    """Simulate a shape; write trajectory and pictures."""
     chosen = demo(arguments.shape)
     began = time.perf_counter()
     model = Model(chosen.scene(arguments.gravity), coordinates=arguments.coordinates)
@@ -51,39 +50,28 @@ def run_simulate(arguments: argparse.Namespace) -> int:
         compiled=False if arguments.uncompiled else None,
         progress=sys.stderr.isatty(),
     )
-    ready = time.perf_counter()
+    set_up = time.perf_counter() - began - trajectory.seconds
     print(f"{arguments.shape}: {model.structure!r}, {model.nx} states, {model.coordinates} coordinates")
     print(trajectory.summary())
-    print(f"set-up        {ready - began - trajectory.seconds:.2f} s: equations and their compilation")
-    files = _write_trajectory(arguments, trajectory)
-    _tell(files, time.perf_counter() - ready)
+    print(f"set-up        {set_up:.2f} s: equations and their compilation")
+    writers: dict[str, Callable[[Path], object]] = {
+        ".npz": trajectory.save,
+        ".png": lambda path: plots.time_lapse(trajectory, title=arguments.shape, path=path),
+        "-errors.png": lambda path: plots.errors(trajectory, title=f"{arguments.shape}: errors", path=path),
+    }
+    if arguments.gif:
+        writers[".gif"] = lambda path: animate(trajectory, path, title=arguments.shape)
+    _write(arguments, "simulation", writers)
     return 0 if trajectory.success else FAILED
 
 
-def _write_trajectory(arguments: argparse.Namespace, trajectory: Trajectory) -> list[Path]:
-    folder, name = _folder(arguments.output), arguments.shape
-    files = [folder / f"{name}-simulation{suffix}" for suffix in (".npz", ".png", "-errors.png")]
-    trajectory.save(files[0])
-    plots.time_lapse(trajectory, title=name, path=files[1])
-    plots.errors(trajectory, title=f"{name}: errors", path=files[2])
-    if arguments.gif:
-        files.append(animate(trajectory, folder / f"{name}-simulation.gif", title=name))
-    return files
-
-
 def run_tradeoff(arguments: argparse.Namespace) -> int:
-    """Measures what schemes and steps cost and are worth on a shape; writes table and picture."""
+    """Measure what schemes and steps cost and are worth on a shape; write table and picture."""
     chosen = demo(arguments.shape)
     if arguments.tolerance is not None:
         positive_number("tolerance", arguments.tolerance)
     model = Model(chosen.scene())
-    schemes: tuple[Scheme, ...] = (
-        RungeKutta4(),
-        DormandPrince54(),
-        DormandPrince853(),
-        Rattle(),
-        *(DormandPrince853(rtol) for rtol in arguments.rtol),
-    )
+    schemes: list[Scheme] = [RungeKutta4(), DormandPrince54(), DormandPrince853(), Rattle(), *map(DormandPrince853, arguments.rtol)]
     table = tradeoff(
         model,
         chosen.t_end if arguments.t_end is None else arguments.t_end,
@@ -106,17 +94,13 @@ def run_tradeoff(arguments: argparse.Namespace) -> int:
         except ValueError as error:  # what was measured is kept all the same
             print(error)
             served = False
-    began = time.perf_counter()
-    folder = _folder(arguments.output)
-    files = [folder / f"{arguments.shape}-tradeoff{suffix}" for suffix in (".npz", ".png")]
-    table.save(files[0])
-    table.plot(files[1], title=f"{arguments.shape}: cost and error of schemes")
-    _tell(files, time.perf_counter() - began)
+    title = f"{arguments.shape}: cost and error of schemes"
+    _write(arguments, "tradeoff", {".npz": table.save, ".png": lambda path: table.plot(path, title=title)})
     return INTERRUPTED if not table.complete else 0 if served else FAILED
 
 
 def run_info(arguments: argparse.Namespace) -> int:
-    """Describes a shape; writes it and its picture."""
+    """Describe a shape; write it and its picture."""
     chosen = demo(arguments.shape)
     scene = chosen.scene()
     model, s = Model(scene), scene.structure
@@ -132,18 +116,21 @@ def run_info(arguments: argparse.Namespace) -> int:
     print(f"\nfastest rate  {fastest_rate(model):.4g} rad/s, largest stable step of RungeKutta4 {stable_step(model, safety=1.0):.3g} s")
     compiler = find_compiler()
     print(f"C compiler    {' '.join(compiler) if compiler else 'none found: simulations run uncompiled'}")
-    began = time.perf_counter()
-    folder = _folder(arguments.output)
-    files = [folder / f"{arguments.shape}-structure{suffix}" for suffix in (".npz", ".png")]
     fields = ("nodes", "bars", "strings", "bar_mass", "bar_radius", "node_mass", "fixed", "stiffness", "damping", "rest_length", "string_mass")
     content: dict[str, Any] = {name: getattr(s, name) for name in fields}
-    np.savez_compressed(files[0], **content, equilibrium_force_density=gamma)
-    plots.structure(s, labels=True, title=arguments.shape, path=files[1])
-    _tell(files, time.perf_counter() - began)
+    _write(
+        arguments,
+        "structure",
+        {
+            ".npz": lambda path: np.savez_compressed(path, **content, equilibrium_force_density=gamma),
+            ".png": lambda path: plots.structure(s, labels=True, title=arguments.shape, path=path),
+        },
+    )
     return 0
 
 
 def _equilibrium(structure: Structure) -> Any:
+    """Print and return the force densities (α,) of the equilibrium without loads; NaN where there is none."""
     if not len(structure.strings):
         return np.zeros(0)
     try:
@@ -156,7 +143,7 @@ def _equilibrium(structure: Structure) -> Any:
 
 
 def run_plan(arguments: argparse.Namespace) -> int:
-    """Plans how a prism changes its height; writes plan and pictures."""
+    """Plan how a prism changes its height; write plan and pictures."""
     if arguments.shape != "prism":
         raise ValueError(f"unknown shape {arguments.shape!r}: plans are made for prism")
     import ocp  # only here: everything else of tenscasadi works without it
@@ -175,18 +162,21 @@ def run_plan(arguments: argparse.Namespace) -> int:
     print(plan.summary())
     if find_compiler() is None:
         print("C compiler    none found: it runs uncompiled")
-    began = time.perf_counter()
-    folder = _folder(arguments.output)
-    files = [folder / f"prism-plan{suffix}" for suffix in (".npz", ".png", "-forces.png")]
-    plan.save(files[0])
-    plots.time_lapse(plan.replay(), title="prism: the plan, replayed", path=files[1])
-    plots.force_densities(plan, lower=arguments.lower, upper=arguments.upper, title="prism: planned force densities", path=files[2])
-    _tell(files, time.perf_counter() - began)
+    limits = {"lower": arguments.lower, "upper": arguments.upper}
+    _write(
+        arguments,
+        "plan",
+        {
+            ".npz": plan.save,
+            ".png": lambda path: plots.time_lapse(plan.replay(), title="prism: the plan, replayed", path=path),
+            "-forces.png": lambda path: plots.force_densities(plan, **limits, title="prism: planned force densities", path=path),
+        },
+    )
     return 0 if plan.success else FAILED
 
 
 def _same_bars(arguments: argparse.Namespace, height: float) -> Structure:
-    """The equilibrium prism of another height with bars of the same length."""
+    """Return the equilibrium prism of another height with bars of the same length."""
     bars, radius = arguments.bars, arguments.radius
     chord = 2 * np.sin(np.pi / 4 + np.pi / (2 * bars))  # of the equilibrium twist, for radius 1
     square = (chord * radius) ** 2 + arguments.height**2 - height**2
@@ -196,15 +186,16 @@ def _same_bars(arguments: argparse.Namespace, height: float) -> Structure:
     return shapes.prism(bars, float(np.sqrt(square)) / chord, height)
 
 
-def _folder(path: Path) -> Path:
-    path.mkdir(parents=True, exist_ok=True)
-    return path
-
-
-def _tell(files: Sequence[Path], seconds: float) -> None:
-    print(f"\nwrote in {seconds:.2f} s:")
-    for file in files:
-        print(f"  {file}")
+def _write(arguments: argparse.Namespace, kind: str, writers: dict[str, Callable[[Path], object]]) -> None:
+    """Write the files of a command by their endings, then print which they are."""
+    began = time.perf_counter()
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    files = {arguments.output / f"{arguments.shape}-{kind}{ending}": write for ending, write in writers.items()}
+    for path, write in files.items():
+        write(path)
+    print(f"\nwrote in {time.perf_counter() - began:.2f} s:")
+    for path in files:
+        print(f"  {path}")
 
 
 def _range(values: Any) -> str:

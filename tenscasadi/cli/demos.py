@@ -19,7 +19,7 @@ from tenscasadi.util.validate import Array, positive_number
 
 @dataclass(frozen=True)
 class Demo:
-    """A shape and how it is set in motion: `text` for people, gravity in m/s² downwards, `t_end` in s, `velocities` of the nodes in m/s."""
+    """Shape and how it is set in motion: `text` for people, gravity in m/s² downwards, `t_end` in s, `velocities` of the nodes in m/s."""
 
     text: str
     structure: Callable[[], Structure]
@@ -28,12 +28,12 @@ class Demo:
     velocities: Callable[[Structure], Array] | None = None
 
     def scene(self, gravity: float | None = None) -> Scene:
-        """The structure under gravity, m/s² downwards (None: the demo's own; 0 builds no gravity). Raises TypeError, ValueError."""
+        """Return the structure under gravity, m/s² downwards (None: the demo's own; 0 builds no gravity). Raises TypeError, ValueError."""
         g = self.gravity if gravity is None else positive_number("gravity", gravity, zero=True)
         return Scene(self.structure(), gravity=Gravity((0.0, 0.0, -g)) if g else None)
 
     def start(self, model: Model) -> Array:
-        """The state that the motion starts from: the structure's nodes, and the velocities nearest to the demo's that keep bar lengths."""
+        """Return the state that the motion starts from: the structure's nodes, and the velocities nearest to the demo's that keep bar lengths."""
         if self.velocities is None:
             return model.initial_state
         state = model.state(model.structure.nodes, self.velocities(model.scene.structure))
@@ -45,7 +45,7 @@ def _spin(structure: Structure, rates: tuple[float, float, float], about: Array)
 
 
 def _wring(structure: Structure) -> Array:
-    """Upper and lower half turn against each other about the z axis."""
+    """Turn upper and lower half against each other about the z axis."""
     middle = structure.nodes.mean(axis=0)
     return np.asarray(_spin(structure, (0.0, 0.0, 4.0), middle) * np.sign(structure.nodes[:, 2:] - middle[2]))
 
@@ -96,7 +96,7 @@ DEMOS = MappingProxyType(
 
 
 def demo(name: str) -> Demo:
-    """The demo of that name. Raises ValueError that lists the known ones."""
+    """Return the demo of that name. Raises ValueError that lists the known ones."""
     if name not in DEMOS:
         raise ValueError(f"unknown shape {name!r}: give one of {', '.join(DEMOS)}")
     return DEMOS[name]
