@@ -18,7 +18,7 @@ from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.scaling import Scales
 from ocp.problem.waypoints import Waypoint
 from ocp.solvers.interior_point_qp import solve_qp
-from ocp.transcription.initial_guess import settled
+from ocp.transcription.inverse_dynamics import inverse_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.tableaux import CLASSICAL
@@ -257,7 +257,7 @@ def _goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
         raise ValueError(f"problem has {asked[0]}, which asks for a motion, not for one state to be held: plan first, then Mpc(problem, plan=plan)")
     target = find_target(problem, scales)
     state = target.start if target.state is None else target.state
-    return state, np.asarray(settled(problem, np.array([state, state]))[0])
+    return state, np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0])
 
 
 def _along(values: Array, nodes: Array, time: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What solvers of nonlinear programs have in common."""
+"""Solvers of nonlinear programs: what they take and return."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from tenscasadi.util.validate import Array, positive_number, whole_number
 
 
 class Solution(NamedTuple):
-    """w and whether it is optimal; status is the solver's own word; iterations; the multipliers of rows and of w's limits.
+    """Result of a solver.
 
-    last: where the solver stood when it gave up, which is not always its best.
+    w, and whether it is optimal; status: the solver's own word; iterations; multipliers: those of rows and of w's limits; last: where the
+    solver stood when it gave up, which is not always its best.
     """
 
     w: Array
@@ -31,7 +32,7 @@ class Solver(Protocol):
         """Of scaled optimality and constraints."""
 
     def solve(self, program: Program) -> Solution:
-        """The solution; where there is none, the best iterate with success False."""
+        """Return the solution; where there is none, the best iterate with success False."""
 
 
 def check_options(name: str, max_iterations: Any, tolerance: Any, verbose: Any, options: Any, example: str) -> None:

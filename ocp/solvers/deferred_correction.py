@@ -1,4 +1,4 @@
-"""A coarse program whose solution moves as exactly as fine steps do: deferred correction."""
+"""Deferred correction: a coarse program is solved again until its solution moves as exactly as fine steps do."""
 
 from __future__ import annotations
 
@@ -25,8 +25,11 @@ GAIN = 0.5  # a round that leaves more than this share of the gap leads nowhere
 
 
 class Corrected(NamedTuple):
-    """A solution, the states (intervals + 1, nx) to which fine steps lead, None where they diverge, and how far its own are from them, m (speeds: m
-    per duration)."""
+    """A corrected solution.
+
+    states (intervals + 1, nx): where fine steps lead, None where they diverge; gap: how far its own states are from them, m (speeds: m per
+    duration).
+    """
 
     solution: Solution
     states: Array | None
@@ -42,7 +45,7 @@ def check_correctable(transcription: OnGrid, solver: Solver) -> None:
 
 
 def corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, accuracy: float) -> Corrected:
-    """Solves, and again from the solution with rows g(w) = τ of the motion in place of g(w) = 0, until states are as near to fine ones as `accuracy`.
+    """Solve, and again with rows g(w) = τ of the motion in place of g(w) = 0, until states are as near to fine ones as `accuracy`.
 
     τ is what the rows leave at the states of fine steps under the planned force densities (Stetter, Numer. Math. 1978, 29, 425): where that is
     settled, the coarse rows hold exactly at the fine motion. Each round gains what the coarse scheme is worth: a factor of about its relative error.

@@ -217,7 +217,7 @@ class _Placed:
                 self.stage = before
 
     def moved(self, place: dict[tuple[int, int], int], home: Indices) -> Block:
-        """The block with references to the unknowns of its instances' stages."""
+        """Return the block with references to the unknowns of its instances' stages."""
         index = self.block.index + len(place) - len(home)
         for row, old, stage in zip(index, self.block.index, self.stage, strict=True):
             for k in np.flatnonzero(old < len(home)):
@@ -259,7 +259,7 @@ def _row_order(
 
 
 def _in_row_order(separable: Separable, permutation: Indices) -> ca.Function:
-    """The Function (w, p) → (f, g) with permuted rows, and exact derivatives under the names by which CasADi's Fatrop looks for them."""
+    """Return the Function (w, p) → (f, g) with permuted rows, and exact derivatives under the names for which CasADi's Fatrop looks."""
     exact, w, p = separable.derivatives, separable.w, ca.MX.sym("p", 0)
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(permutation))
     order, inverse = permutation.tolist(), np.argsort(permutation).tolist()

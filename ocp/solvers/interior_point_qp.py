@@ -12,7 +12,7 @@ FAR = 0.99  # share of the way to the nearest limit
 
 
 def solve_qp(H: Any, g: Any, G: Any, b: Any, start: Any) -> Any:
-    """x (n,) with the least ½ xᵀH x + gᵀx among those with G x ≤ b (m,): Mehrotra's predictor and corrector, SIAM J. Optim. 1992, 2, 575.
+    """Return x (n,) with the least ½ xᵀH x + gᵀx among those with G x ≤ b (m,): Mehrotra's predictor and corrector, SIAM J. Optim. 1992, 2, 575.
 
     H is positive definite; entries of b are finite. start: x to begin with, which need not keep the limits.
     """
@@ -34,7 +34,7 @@ def _step(n: int, limits: ca.Sparsity) -> ca.Function:
     M = ca.densify(H + ca.mtimes(G.T, G * ca.repmat(weights, 1, n)))
 
     def direction(product: Any) -> tuple[Any, Any, Any]:
-        """Changes of x, s and z towards s z = s z − `product`."""
+        """Return changes of x, s and z towards s z = s z − `product`."""
         dx = ca.solve(M, -dual + ca.mtimes(G.T, product / s - weights * primal), "ldl")
         ds = -primal - ca.mtimes(G, dx)
         return dx, ds, -(product + z * ds) / s

@@ -291,7 +291,7 @@ def _run(solver: ca.Function, best: BestIterate, program: Program) -> Solution:
 
 
 def _check_library(options: Mapping[str, Any]) -> None:
-    """A linear solver whose library is missing would end the process, not raise."""
+    """Raise ValueError for a linear solver whose library is missing, which would end the process."""
     name = options.get("linear_solver", "mumps")
     kind = "hsl" if str(name) in HSL else "pardiso" if name == "pardiso" else None
     if kind is None:

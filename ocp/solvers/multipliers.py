@@ -49,7 +49,7 @@ class Duals:
         return f"Duals({len(self.names)} multipliers, {len(self.point)} unknowns)"
 
     def __getitem__(self, name: str) -> Array:
-        """All multipliers of one name, in the order of time: duals["tension of string 3"]. Raises TypeError, KeyError."""
+        """Return all multipliers of one name, in the order of time: duals["tension of string 3"]. Raises TypeError, KeyError."""
         instance("Duals[name]", name, str, 'one of Duals.names, such as duals["tension of string 3"]')
         found = [k for k, own in enumerate(self.names) if own == name or own.startswith(f"{name}, ")]
         if not found:
@@ -59,7 +59,7 @@ class Duals:
 
 
 def duals_of(program: Program, target: Target, w: Array, rows: Array, limits: Array) -> Duals:
-    """The multipliers of an optimum w by name, from the scaled ones of rows and of w's limits; `target` is what is imposed."""
+    """Return the multipliers of an optimum w by name, from the scaled ones of rows and of w's limits; `target` is what is imposed."""
     names, values = [], []
     for part in _parts(program, target):
         reduction = part.target.reduction
@@ -74,7 +74,7 @@ def duals_of(program: Program, target: Target, w: Array, rows: Array, limits: Ar
 
 
 def started(program: Program, target: Target, duals: Duals) -> Program:
-    """The program that starts where another of the same unknowns and constraints ended; as it is where they are others."""
+    """Return the program that starts where another of the same unknowns and constraints ended; as it is where they are others."""
     rest, parts = _rest(program), _parts(program, target)
     goals = [f"{part.label}{name}" for part in parts for name in part.target.reduction.names]
     if duals.names != (*(program.names[k] for k in rest), *goals, *program.w_names):
@@ -98,13 +98,13 @@ class _Part(NamedTuple):
 
 
 def _parts(program: Program, target: Target) -> list[_Part]:
-    """The targets of waypoints and of the end, and where their rows stand."""
+    """Return the targets of waypoints and of the end, and where their rows stand."""
     goals = [(waypoint.target, waypoint.label) for waypoint in target.waypoints] + [(target, "")]
     imposed = [(part, label) for part, label in goals if part.count]
     return [_Part(part, label, rows) for (part, label), rows in zip(imposed, program.rows("waypoint", "end"), strict=True)]
 
 
 def _rest(program: Program) -> Indices:
-    """The rows that are not of goals."""
+    """Return the rows that are not of goals."""
     goals = [np.arange(rows.start, rows.stop) for rows in program.rows("waypoint", "end")]
     return np.setdiff1d(np.arange(len(program.names)), np.concatenate([np.zeros(0, dtype=np.intp), *goals]))

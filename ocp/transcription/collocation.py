@@ -16,15 +16,61 @@ from tenscasadi.util.validate import Array, Indices, whole_number
 
 @dataclass(frozen=True)
 class ImplicitMidpoint(ReducedOnly):
-    """x⁺ = x + h f((x + x⁺)/2, γ) as a constraint: order 2, one evaluation of f, stable for any interval.
+    """The implicit midpoint rule as a constraint of each interval: order 2, stable for any interval.
 
-    The rule itself keeps bᵀḃ, but lets bar lengths drift by O(h²): multipliers along the bars, two for each bar and interval, put lengths and
-    rates right at the end of every interval, in the sense of Gear, Gupta, Leimkuhler (1985, J. Comput. Appl. Math. 12, 77). They vanish
-    with h, and the order stays.
+    It evaluates the equations of motion once for an interval. Multipliers along the bars keep these at the end of every interval.
+
+    Parameters
+    ----------
+    intervals : int or sequence of float
+        Number of equal intervals, or their lengths relative to each other.
+    control : PiecewiseConstant or PiecewiseLinear
+        How force densities run over the intervals.
+    accuracy : float, optional
+        How near the motion shall be to that of fine steps, m (speeds: m per duration): `solve` then solves again, with `Ipopt`, until it
+        is. By default the motion is as the intervals make it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is not of its kind; from `solve`, if the model has full coordinates or moved supports.
+
+    Notes
+    -----
+    The rule x⁺ = x + h f((x + x⁺)/2, γ) itself keeps bᵀḃ, but lets bar lengths drift by O(h²). Two multipliers for each bar and interval
+    put lengths and rates right, in the sense of Gear, Gupta and Leimkuhler [1]_. They vanish with h, and the order stays.
+
+    References
+    ----------
+    .. [1] C. W. Gear, B. Leimkuhler, G. K. Gupta, Journal of Computational and Applied Mathematics 12-13, 1985, 77-90.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> problem = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
+    >>> plan = ocp.solve(problem, ocp.ImplicitMidpoint(6))
+    >>> plan.success, plan.force_density.shape
+    (True, (6, 2))
     """
 
     def defects(self, variables: Variables, used: Array) -> Defects:
-        """Return the rule, and the bars' lengths and rates, at the end of each interval."""
+        """Return the blocks of rows that vanish on a motion: the rule and the bars at the end of each interval.
+
+        Parameters
+        ----------
+        variables : Variables
+            States at the nodes of the mesh, force densities and duration; further unknowns are added to them.
+        used : ndarray of bool
+            Which of their entries bounds, costs and goals depend on.
+
+        Returns
+        -------
+        Defects
+            The blocks, and how states follow from unknowns where not all are.
+        """
         v, model = variables, variables.model
         multipliers = bar_multipliers(v)
         z, (x, c, after, m, duration, share) = split_symbol(model.nx, v.interval_controls.shape[1], model.nx, multipliers.shape[1], 1, 1)
@@ -36,10 +82,42 @@ class ImplicitMidpoint(ReducedOnly):
 
 @dataclass(frozen=True)
 class Collocation(ReducedOnly):
-    """A polynomial of `degree` for the state on each interval: order 2·degree, `degree` evaluations of f, stable for any interval.
+    """Collocation at Gauss's points: the state is a polynomial on each interval, of order 2·degree, stable for any interval.
 
-    Gauss's points (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, II.7). As in `ImplicitMidpoint`, which is degree
-    1 with its inner state eliminated, multipliers keep bars at the ends of intervals. Force densities are constant or linear within them.
+    It evaluates the equations of motion `degree` times for an interval. As in `ImplicitMidpoint`, which is degree 1 with its inner state
+    eliminated, multipliers keep bars at the ends of intervals.
+
+    Parameters
+    ----------
+    intervals : int or sequence of float
+        Number of equal intervals, or their lengths relative to each other.
+    degree : int
+        Degree of the polynomials, 1 to 9.
+    control : PiecewiseConstant or PiecewiseLinear
+        How force densities run over the intervals.
+    accuracy : float, optional
+        How near the motion shall be to that of fine steps, m (speeds: m per duration): `solve` then solves again, with `Ipopt`, until it
+        is. By default the motion is as the intervals make it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is not of its kind; from `solve`, if the model has full coordinates or moved supports.
+
+    References
+    ----------
+    E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, Springer 1993, section II.7.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> problem = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
+    >>> plan = ocp.solve(problem, ocp.Collocation(4, degree=2))
+    >>> plan.success, plan.force_density.shape
+    (True, (4, 2))
     """
 
     degree: int = 2
@@ -50,7 +128,20 @@ class Collocation(ReducedOnly):
             raise ValueError(f"Collocation.degree is {self.degree}: give at most 9, and more intervals")
 
     def defects(self, variables: Variables, used: Array) -> Defects:
-        """Return the equations of motion at the points of each interval, its end, and the bars' lengths and rates there."""
+        """Return the blocks of rows that vanish on a motion: the equations of motion at Gauss's points, and bars at the end of each interval.
+
+        Parameters
+        ----------
+        variables : Variables
+            States at the nodes of the mesh, force densities and duration; further unknowns are added to them.
+        used : ndarray of bool
+            Which of their entries bounds, costs and goals depend on.
+
+        Returns
+        -------
+        Defects
+            The blocks, and how states follow from unknowns where not all are.
+        """
         v, model, d, nx = variables, variables.model, self.degree, variables.model.nx
         points = np.array(ca.collocation_points(d, "legendre"))
         C, D, _ = ca.collocation_coeff(points.tolist())

@@ -1,28 +1,21 @@
-"""Where a solver starts: nodes led from the start to the target on the constraints, and the force densities that follow them best."""
+"""Initial guesses as values, and what they give: states on the constraints and force densities on equal intervals."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-import casadi as ca
 import numpy as np
 import scipy.interpolate
-import scipy.optimize
 from numpy.typing import ArrayLike
 
 from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
+from ocp.transcription.inverse_dynamics import inverse_dynamics
 from ocp.transcription.mesh import Profile, at, node_values
-from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.scene.loads import Gravity
-from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, positive_number
-
-ROUNDS = 20  # of an active-set method, which mostly needs five
-BLEND = 1e-3  # how much the reference force densities weigh against following the path, both in scaled units
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,15 +32,37 @@ class InitialGuess(Protocol):
     """Anything that a solver may be told to start from."""
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """The guess on equal intervals."""
+        """Return the guess on equal intervals."""
 
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics:
-    """The force densities that make nodes follow a path best: accelerations are linear in γ, a small convex problem in each interval.
+    """A guess by inverse dynamics: the force densities that make nodes follow a path best.
 
-    path: nodes (P, n, 3), m, at equal times from the start to the end, projected onto bars and joints; None: from the start to the
-    goals along a smooth line, which is what `solve` does by itself.
+    Accelerations are linear in the force densities, so these are the solution of a small convex problem in each interval.
+
+    Parameters
+    ----------
+    path : array_like, shape (P, n, 3), optional
+        Nodes, m, at equal times from the start to the end; they are projected onto bars and joints. By default they move from the start
+        to the goals along a smooth line, which is what `solve` starts from by itself.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the path is no array of at least two instants.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> structure = tc.shapes.d_bar(pinned=[0])
+    >>> model = tc.Model(tc.Scene(structure, control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> problem = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
+    >>> path = [structure.nodes, tc.shapes.d_bar(angle=0.7).nodes]
+    >>> ocp.solve(problem, ocp.Variational(6), guess=ocp.InverseDynamics(path)).success
+    True
     """
 
     path: ArrayLike | None = None
@@ -60,7 +75,27 @@ class InverseDynamics:
             object.__setattr__(self, "path", array)
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """The guess on equal intervals. Raises ValueError where the path has another number of nodes."""
+        """Return the guess on equal intervals.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem to be solved.
+        target : Target
+            Where its goals lead.
+        intervals : int
+            Number of intervals K.
+
+        Returns
+        -------
+        Guess
+            States (K + 1, nx), force densities (K, α), N/m, and duration, s.
+
+        Raises
+        ------
+        ValueError
+            If the path has another number of nodes.
+        """
         if self.path is None:
             return make_guess(problem, target, intervals)
         model, duration = problem.model, (problem.shortest + problem.longest) / 2
@@ -75,21 +110,76 @@ class InverseDynamics:
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Nothing moves: the start for all times, under the force densities that hold it as nearly as they can."""
+    """A guess in which nothing moves: the start for all times, under the force densities that hold it as nearly as they can.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> structure = tc.shapes.d_bar(pinned=[0])
+    >>> model = tc.Model(tc.Scene(structure, control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> problem = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
+    >>> ocp.solve(problem, ocp.Variational(6), guess=ocp.Equilibrium()).success
+    True
+    """
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """The guess on equal intervals."""
+        """Return the guess on equal intervals.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem to be solved.
+        target : Target
+            Where its goals lead.
+        intervals : int
+            Number of intervals K.
+
+        Returns
+        -------
+        Guess
+            States (K + 1, nx), force densities (K, α), N/m, and duration, s.
+        """
         duration = (problem.shortest + problem.longest) / 2
         states = np.repeat(target.start[None], intervals + 1, axis=0)
         model = problem.model
         _, _, clock = model.split(states)
         clock += np.linspace(0.0, duration, intervals + 1)[:, None][:, : clock.shape[1]]
-        return Guess(states, settled(problem, states), duration)
+        return Guess(states, inverse_dynamics(problem, states, duration / intervals), duration)
 
 
 @dataclass(frozen=True, eq=False)
 class Arrays:
-    """States (P, nx) and force densities (Q, α), N/m, at and between equal times; duration: s, None: the problem's, or its middle."""
+    """A guess given as arrays at equal times.
+
+    Parameters
+    ----------
+    states : array_like, shape (P, nx)
+        States of the model, from the start to the end.
+    force_density : array_like, shape (Q, α)
+        Force densities, N/m, each of one of Q equal intervals.
+    duration : float, optional
+        Duration, s; by default the problem's, or the middle of its range.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is not of its kind; from `solve`, if an array does not fit the model.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> structure = tc.shapes.d_bar(pinned=[0])
+    >>> model = tc.Model(tc.Scene(structure, control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> problem = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
+    >>> known = ocp.solve(problem, ocp.Variational(6))
+    >>> guess = ocp.Arrays(known.trajectory.states, known.force_density)
+    >>> ocp.solve(problem, ocp.Variational(6), guess=guess).success
+    True
+    """
 
     states: ArrayLike
     force_density: ArrayLike
@@ -102,7 +192,27 @@ class Arrays:
             object.__setattr__(self, "duration", positive_number("Arrays.duration", self.duration))
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """The guess on equal intervals. Raises ValueError naming the array that does not fit the model."""
+        """Return the guess on equal intervals.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem to be solved.
+        target : Target
+            Where its goals lead.
+        intervals : int
+            Number of intervals K.
+
+        Returns
+        -------
+        Guess
+            States (K + 1, nx), force densities (K, α), N/m, and duration, s.
+
+        Raises
+        ------
+        ValueError
+            If an array does not fit the model.
+        """
         model = problem.model
         states = finite_array("Arrays.states", self.states, (None, model.nx))
         gamma = finite_array("Arrays.force_density", self.force_density, (None, model.nu))
@@ -113,7 +223,7 @@ class Arrays:
 
 
 def guess_of(value: InitialGuess | None, problem: Problem, target: Target, intervals: int) -> Guess:
-    """The guess that a value stands for. Raises TypeError, ValueError, also for states that no projection puts onto bars and joints."""
+    """Return the guess that a value stands for. Raises TypeError, ValueError, also for states that no projection puts onto bars and joints."""
     if value is None:
         return make_guess(problem, target, intervals)
     if isinstance(value, type) or not isinstance(value, InitialGuess):
@@ -124,7 +234,7 @@ def guess_of(value: InitialGuess | None, problem: Problem, target: Target, inter
 def resampled(
     problem: Problem, target: Target, states: Array, state_shares: Array, gamma: Array, gamma_shares: Array, intervals: int, duration: float
 ) -> Guess:
-    """States and force densities at shares of the duration, moved to equal intervals, within the limits, from the problem's start."""
+    """Return states and force densities at shares of the duration, moved to equal intervals, within the limits, from the problem's start."""
     shares = np.linspace(0.0, 1.0, intervals + 1)
     on_grid = np.column_stack([np.interp(shares, state_shares, column) for column in states.T])
     if problem.model.mechanism.constrained:
@@ -155,24 +265,15 @@ def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> G
 
 
 def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
-    """Nodes from start to target by a quintic in time, projected onto bars and joints; γ by inverse dynamics within its limits.
-
-    The accelerations that a path asks for are linear in γ, so the γ that follow it best are a small least-squares problem with
-    bounds for every interval. What it leaves open (self-stress) follows the equilibrium force densities of start and target.
-    """
+    """Return the default guess: nodes from start to target by a quintic in time, put onto bars and joints, and γ by inverse dynamics."""
     duration = (problem.shortest + problem.longest) / 2
     return follow(problem, target, _line(target, problem.model, intervals, duration), duration)
 
 
 def follow(problem: Problem, target: Target, positions: Array, duration: float) -> Guess:
-    """The motion along free coordinates (K + 1, nq) at equal times, put onto bars and joints, and the force densities that follow it best."""
+    """Return the motion along free coordinates (K + 1, nq) at equal times, put onto bars and joints, and the force densities that follow it best."""
     states = _motion(problem, target, positions, duration)
-    return Guess(states, _inverse_dynamics(problem, states, _reference(problem, states), duration / (len(states) - 1)), duration)
-
-
-def settled(problem: Problem, states: Array) -> Array:
-    """Force densities (K, α) that hold states (K + 1, nx) at rest, as nearly as they can."""
-    return _inverse_dynamics(problem, states, _reference(problem, states), 1.0)
+    return Guess(states, inverse_dynamics(problem, states, duration / (len(states) - 1)), duration)
 
 
 def _line(target: Target, model: Model, intervals: int, duration: float) -> Array:
@@ -208,77 +309,3 @@ def _motion(problem: Problem, target: Target, q: Array, duration: float) -> Arra
     if not np.all(np.isfinite(states)):  # a bar vanished on the way
         return np.repeat(start[None], intervals + 1, axis=0)
     return states
-
-
-def _reference(problem: Problem, states: Array) -> Array:
-    """Equilibrium γ (intervals, α) from that of the start to that of the target; the lower limits where there is none."""
-    lower, upper = problem.force_density_limits
-    model = problem.model
-    structure = model.scene.structure
-    count = len(structure.nodes)
-    ends = []
-    for state in (states[0], states[-1]):
-        try:
-            nodes = model.nodes(state)[:count]
-            shape = structure if np.array_equal(nodes, structure.nodes) else structure.replace(nodes=nodes)
-            gamma = equilibrium_force_density(shape, _weights(structure, model.scene.gravity), minimum=0.0)
-        except (EquilibriumError, ValueError):
-            gamma = lower
-        ends.append(np.clip(gamma, lower, upper))
-    s = (np.arange(len(states) - 1)[:, None] + 0.5) / (len(states) - 1)
-    return np.asarray((1 - s) * ends[0] + s * ends[1])
-
-
-def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
-    if gravity is None:
-        return None
-    return np.outer(np.asarray(structure.mass_matrix().sum(axis=1)).ravel(), gravity.acceleration)
-
-
-def _inverse_dynamics(problem: Problem, states: Array, reference: Array, interval: float) -> Array:
-    """γ (intervals, α) within the limits whose accelerations come nearest to those of the path, in the sense of the kinetic energy."""
-    model = problem.model
-    nq = model.nq
-    kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
-    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
-    _, acceleration, _ = model.split(model.ode(x, u))
-    linear = ca.Function("linear", [x, u], [ca.densify(acceleration), ca.densify(ca.jacobian(acceleration, u))])
-    middle = (states[:-1] + states[1:]) / 2
-    wanted = np.diff(model.split(states)[1], axis=0) / interval
-    lower, upper = problem.force_density_limits
-    count = len(middle)
-    free, slopes = (value.full().T for value in linear.map(count)(middle.T, np.zeros((model.nu, count))))
-    A = slopes.reshape(count, model.nu, nq).transpose(0, 2, 1)
-    size = np.maximum(np.linalg.norm(A, 2, axis=(1, 2)), 1e-300)[:, None]
-    A = np.concatenate([A / size[:, None], np.broadcast_to(np.sqrt(BLEND) * np.eye(model.nu), (count, model.nu, model.nu))], axis=1)
-    b = np.concatenate([(wanted - free) / size, np.sqrt(BLEND) * reference], axis=1)
-    return _bounded_least_squares(A, b, lower, upper)
-
-
-def _bounded_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
-    """x (n, m) with the least |A x − b| of each A (n, k, m), b (n, k), lower ≤ x ≤ upper.
-
-    All n at once by a primal-dual active-set method (Hintermüller, Ito, Kunisch, SIAM J. Optim. 2002, 13, 865), which may cycle: what it has not
-    settled is left to SciPy.
-    """
-    H, c = A.transpose(0, 2, 1) @ A, (A.transpose(0, 2, 1) @ b[:, :, None])[:, :, 0]
-    held = lower == upper
-    side = np.where(held, -1, np.zeros(c.shape))
-    x = np.zeros_like(c)
-    for _ in range(ROUNDS):
-        fixed = np.where(side < 0, lower, np.where(side > 0, upper, 0.0))
-        free = side == 0
-        masked = H * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(c.shape[1])
-        x = np.linalg.solve(masked, np.where(free, c - (H @ fixed[:, :, None])[:, :, 0], fixed)[:, :, None])[:, :, 0]
-        slope = (H @ x[:, :, None])[:, :, 0] - c
-        down, up = (x < lower) | ((side < 0) & (slope >= 0)) | held, (x > upper) | ((side > 0) & (slope <= 0))
-        before, side = side, np.where(down, -1, np.where(up & ~held, 1, 0))
-        open_ = np.any(before != side, axis=1)
-        if not open_.any():
-            return np.asarray(x)
-    loose = ~held  # lsq_linear wants room between its bounds
-    for k in np.flatnonzero(open_):
-        inner = scipy.optimize.lsq_linear(A[k][:, loose], b[k] - A[k][:, held] @ lower[held], (lower[loose], upper[loose]), method="bvls")
-        x[k] = lower
-        x[k, loose] = inner.x
-    return np.asarray(x)

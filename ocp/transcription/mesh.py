@@ -16,7 +16,7 @@ Intervals = int | Sequence[float]
 
 
 def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
-    """A number of equal intervals, or the shares of the duration that intervals take, which sum to one. Raises TypeError, ValueError."""
+    """Return a number of equal intervals, or the shares of the duration that intervals take, which sum to one. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_, int, np.integer, float, str)):
         return whole_number(field, value, 1)
     shares = finite_array(field, value, (None,))
@@ -28,7 +28,7 @@ def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
 
 
 def fractions(intervals: Intervals) -> Array:
-    """The share (K,) of the duration that each interval takes."""
+    """Return the share (K,) of the duration that each interval takes."""
     if isinstance(intervals, (int, np.integer)):
         return np.full(int(intervals), 1 / int(intervals))
     return np.asarray(intervals, dtype=float)
@@ -67,14 +67,48 @@ class _Grouped:
 
 @dataclass(frozen=True)
 class PiecewiseConstant(_Grouped):
-    """γ constant on each interval; the strings of a group, such as those that a symmetry maps onto each other, share theirs."""
+    """Force densities that are constant on each interval.
+
+    Parameters
+    ----------
+    groups : sequence of sequences of int
+        Groups of strings, such as those that a symmetry maps onto each other: the strings of a group share their force density.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a group is no sequence of strings, or a string is given twice.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.PiecewiseConstant(groups=[(0, 1, 2), (3, 4, 5)]).groups
+    ((0, 1, 2), (3, 4, 5))
+    """
 
     linear: ClassVar[bool] = False
 
 
 @dataclass(frozen=True)
 class PiecewiseLinear(_Grouped):
-    """γ continuous, linear on each interval; the strings of a group, such as those that a symmetry maps onto each other, share theirs."""
+    """Force densities that are continuous, and linear on each interval.
+
+    Parameters
+    ----------
+    groups : sequence of sequences of int
+        Groups of strings, such as those that a symmetry maps onto each other: the strings of a group share their force density.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a group is no sequence of strings, or a string is given twice.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.PiecewiseLinear(groups=[(0, 1, 2), (3, 4, 5)]).groups
+    ((0, 1, 2), (3, 4, 5))
+    """
 
     linear: ClassVar[bool] = True
 
@@ -109,7 +143,7 @@ def held_values(values: Array, intervals: int) -> Array:
 
 
 def at(values: Array, nodes: Array, time: Array) -> Array:
-    """A profile (K, α) or (K + 1, α) on the grid `nodes` (K + 1,) at `time` (…,)."""
+    """Return a profile (K, α) or (K + 1, α) on the mesh `nodes` (K + 1,) at `time` (…,)."""
     last = len(nodes) - 2
     k = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, last)
     if len(values) == last + 1:

@@ -23,10 +23,44 @@ _UNIFORM = ca.Function("ode", [ca.SX.sym("x"), ca.SX.sym("u")], [ca.SX.ones(1)])
 
 @dataclass(frozen=True)
 class MultipleShooting(OnGrid):
-    """γ constant or linear on each interval; the states between intervals are unknowns too, and continuity is a constraint.
+    """Multiple shooting: an explicit scheme integrates each interval, and constraints close the gaps between intervals.
 
-    Each interval takes `substeps` steps of `scheme`, followed by a projection onto bars and joints: without it they drift, and imposed
-    as constraints they would repeat the dynamics.
+    The states at the nodes of the mesh are unknowns too. The steps of an interval are followed by a projection onto bars and joints:
+    without it these drift, and imposed as constraints they would repeat the dynamics.
+
+    Parameters
+    ----------
+    intervals : int or sequence of float
+        Number of equal intervals, or their lengths relative to each other.
+    scheme : RungeKutta4, DormandPrince54, DormandPrince853 or Collocation
+        Scheme of `tenscasadi` that integrates an interval.
+    substeps : int
+        Number of its steps in each interval.
+    control : PiecewiseConstant or PiecewiseLinear
+        How force densities run over the intervals.
+    accuracy : float, optional
+        How near the motion shall be to that of fine steps, m (speeds: m per duration): `solve` then solves again, with `Ipopt`, until it
+        is. By default the motion is as the intervals make it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is not of its kind, or the scheme steps whole models only.
+
+    References
+    ----------
+    H. G. Bock, K. J. Plitt, A multiple shooting algorithm for direct solution of optimal control problems, IFAC Proceedings 17, 1984.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> problem = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
+    >>> plan = ocp.solve(problem, ocp.MultipleShooting(4))
+    >>> plan.success, plan.force_density.shape
+    (True, (4, 2))
     """
 
     scheme: Scheme = field(default_factory=RungeKutta4)
@@ -44,7 +78,20 @@ class MultipleShooting(OnGrid):
             raise ValueError(f"{text}: give RungeKutta4(), DormandPrince54(), DormandPrince853() or Collocation()") from None
 
     def defects(self, variables: Variables, used: Array) -> Defects:
-        """Return the gaps between the state that an interval leads to and the next one."""
+        """Return the blocks of rows that vanish on a motion: the gaps between intervals.
+
+        Parameters
+        ----------
+        variables : Variables
+            States at the nodes of the mesh, force densities and duration; further unknowns are added to them.
+        used : ndarray of bool
+            Which of their entries bounds, costs and goals depend on.
+
+        Returns
+        -------
+        Defects
+            The blocks, and how states follow from unknowns where not all are.
+        """
         v, model = variables, variables.model
         z, (x, c, after, duration, share) = split_symbol(model.nx, v.interval_controls.shape[1], model.nx, 1, 1)
         if self.control.linear:
@@ -58,7 +105,7 @@ class MultipleShooting(OnGrid):
 
 
 def shooting_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
-    """Steps of a scheme and a projection: Function (x, u, h) → x_next."""
+    """Return steps of a scheme and a projection: Function (x, u, h) → x_next."""
     advance = scheme.step(model.ode)
     x, u, h = (ca.MX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("h", 1)))
     end: Any = x
@@ -70,7 +117,7 @@ def shooting_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
 
 
 def ramped_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
-    """The same with a control that runs linearly from u to v, which the scheme integrates as part of the state: (x, u, v, h) → x_next."""
+    """Return the same for a control that runs linearly from u to v, which the scheme integrates with the state: (x, u, v, h) → x_next."""
     x, u, v, h = (ca.MX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("v", model.nu), ("h", 1)))
     z, rate = ca.MX.sym("z", model.nx + model.nu), ca.MX.sym("rate", model.nu)
     ode = ca.Function("ramped", [z, rate], [ca.vertcat(model.ode(z[: model.nx], z[model.nx :]), rate)])

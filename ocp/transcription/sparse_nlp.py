@@ -194,7 +194,7 @@ class Program:
 
     @property
     def w_scale(self) -> Array:
-        """What w is multiplied by to be physical."""
+        """The numbers that w is multiplied by to be physical."""
         return self.parts.unknowns.scale
 
     def rows(self, *kinds: Kind) -> list[slice]:
@@ -243,7 +243,7 @@ class _SparseMatrix:
         self._columns: list[Indices] = []
 
     def add_jacobian(self, block: Block, z: Any, factor: float = 1.0, first_row: int = 0, transposed: bool = False) -> None:
-        """The Jacobian of all instances of a block."""
+        """Add the Jacobian of all instances of a block."""
         derivative, local_row, local_column = self._derivative(block)
         if not len(local_row):
             return
@@ -254,7 +254,7 @@ class _SparseMatrix:
         self._keep(derivative.map(block.count)(z), kept, factor * self._unknowns.scale[column[kept]], [place[kept] for place in places])
 
     def add_hessian(self, block: Block, z: Any, multipliers: Any) -> None:
-        """The upper triangle of the Hessian of Σ multipliers · rows of all instances."""
+        """Add the upper triangle of the Hessian of Σ multipliers · rows of all instances."""
         s = _symbol(block.function)
         weight = type(s).sym("weight", block.function.size1_out(0))
         if block.combination is not None:
@@ -279,7 +279,7 @@ class _SparseMatrix:
         self._keep(values, position, scale[row] * scale[column], [row, column])
 
     def _derivative(self, block: Block) -> tuple[ca.Function, Indices, Indices]:
-        """z → non-zeros of the Jacobian, and the row and the entry of z of each."""
+        """Return the Function z → non-zeros of the Jacobian, and the row and the entry of z of each."""
         z: Any = _symbol(block.function)
         varied, places = self._varied(block, z)
         J = ca.jacobian(block.function(z), varied)
@@ -290,7 +290,7 @@ class _SparseMatrix:
         return ca.Function("derivative", [z], [_nonzeros(J)]), row, places[column]
 
     def _varied(self, block: Block, z: Any) -> tuple[Any, Indices]:
-        """The entries of z that are unknowns in some instance, and their places.
+        """Return the entries of z that are unknowns in some instance, and their places.
 
         Derivatives by constants would cost time and join what does not depend on each other. All of an MX, which CasADi differentiates by
         whole symbols.
@@ -311,7 +311,7 @@ class _SparseMatrix:
         self._columns.append(places[1])
 
     def assembled(self, rows: int, columns: int) -> Any:
-        """The matrix as an MX of its sparsity."""
+        """Return the matrix as an MX of its sparsity."""
         if not self._values:
             return ca.MX(rows, columns)
         row, column, factors, position = (np.concatenate(parts) for parts in (self._rows, self._columns, self._factors, self._positions))

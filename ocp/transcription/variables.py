@@ -94,7 +94,7 @@ class Variables:
         self.time = self.entries.constants(np.append(0.0, np.cumsum(fractions))[:, None])
 
     def _start(self) -> Indices:
-        """The given state, or unknowns for a free start, but for its clock."""
+        """Return the given state, or unknowns for a free start, but for its clock."""
         size = 0 if self.target.free_start is None else 2 * self.model.nq
         names = [f"{name}, start" for name in state_names(self.model)[:size]]
         free = self.entries.unknowns(names, self.guess.states[0, :size], self.scales.state[:size])
@@ -105,7 +105,7 @@ class Variables:
         return self.entries.unknowns(names, self.guess.states[1:], self.scales.state, interval=np.arange(1, self.count + 1)[:, None])
 
     def _controls(self) -> Indices:
-        """Force densities of intervals, or, where they are piecewise linear, at the nodes of the mesh."""
+        """Add force densities of intervals, or, where they are piecewise linear, at the nodes of the mesh."""
         members = [np.flatnonzero(column) for column in self.spread.T]
         least, most = self.problem.force_density_limits
         lower, upper = (np.array([choose(limit[own]) for own in members]) for choose, limit in ((np.max, least), (np.min, most)))
@@ -149,5 +149,5 @@ def interval_names(count: int, rows: Sequence[str]) -> tuple[str, ...]:
 
 
 def _strength(scales: Scales, guess: Guess) -> float:
-    """A typical force density, N/m: of the guess, or what moves the structure's mass by its size within the duration."""
+    """Return a typical force density, N/m: of the guess, or what moves the structure's mass by its size within the duration."""
     return max(float(np.sqrt(np.mean(guess.force_density**2))), scales.mass / scales.time**2)

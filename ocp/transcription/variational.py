@@ -25,16 +25,63 @@ EARLY, LATE = 1 / 3, 2 / 3
 
 @dataclass(frozen=True)
 class Variational(ReducedOnly):
-    """M (q⁺ − 2q + q⁻)/h² = F(q, γ) + B λ̂ C_b with bᵀb = l² at every node: order 2, momenta and bars kept exactly.
+    """A discrete principle of least action (leapfrog): order 2, momenta and bars kept exactly; the fastest of the transcriptions.
 
-    The discrete Euler-Lagrange equations of the leapfrog (Störmer-Verlet, Rattle) method with a Lagrangian multiplier λ for each bar and node
-    (Marsden, West, Acta Numerica 2001, 10, 357, sections 1.5 and 3.5). Neither accelerations nor inverse matrices appear: all is polynomial,
-    of low degree, with few non-zeros, which makes this the fastest of the transcriptions. Velocities are those of the discrete momenta, which
-    unlike central differences see force densities that jump; within, they are unknowns only where a goal, a limit or a cost asks for them.
+    Neither accelerations nor inverse matrices appear: all rows are polynomials of low degree with few non-zeros.
+
+    Parameters
+    ----------
+    intervals : int or sequence of float
+        Number of equal intervals, or their lengths relative to each other.
+    control : PiecewiseConstant or PiecewiseLinear
+        How force densities run over the intervals.
+    accuracy : float, optional
+        How near the motion shall be to that of fine steps, m (speeds: m per duration): `solve` then solves again, with `Ipopt`, until it
+        is. By default the motion is as the intervals make it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is not of its kind; from `solve`, if the model has full coordinates or moved supports.
+
+    Notes
+    -----
+    The discrete Euler-Lagrange equations M (q⁺ − 2q + q⁻)/h² = F(q, γ) + B λ̂ C_b, with bᵀb = l² at every node of the mesh, are those of the
+    leapfrog (Störmer-Verlet, Rattle) method, with a Lagrangian multiplier λ for each bar and node [1]_. Velocities are those of the discrete
+    momenta, which unlike central differences see force densities that jump; within, they are unknowns only where a goal, a limit or a cost
+    asks for them.
+
+    References
+    ----------
+    .. [1] J. E. Marsden, M. West, Acta Numerica 10, 2001, 357-514, sections 1.5 and 3.5.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> problem = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
+    >>> plan = ocp.solve(problem, ocp.Variational(6))
+    >>> plan.success, plan.force_density.shape
+    (True, (6, 2))
     """
 
     def defects(self, variables: Variables, used: Array) -> Defects:
-        """Return the discrete Euler-Lagrange equations of all nodes of the mesh, the bars' lengths, and their rates at the end."""
+        """Return the blocks of rows that vanish on a motion: the discrete Euler-Lagrange equations, and the bars at the nodes of the mesh.
+
+        Parameters
+        ----------
+        variables : Variables
+            States at the nodes of the mesh, force densities and duration; further unknowns are added to them.
+        used : ndarray of bool
+            Which of their entries bounds, costs and goals depend on.
+
+        Returns
+        -------
+        Defects
+            The blocks, and how states follow from unknowns where not all are.
+        """
         chain = _Chain(variables, used)
         return Defects(chain.blocks(), chain.all_states)
 
@@ -76,7 +123,7 @@ class _Chain:
         return np.asarray(np.nan_to_num(values, posinf=0.0, neginf=0.0))
 
     def blocks(self) -> list[Block]:
-        """All rows of the motion."""
+        """Return all rows of the motion."""
         v, nq = self.v, self.nq
         q, own, T = v.states[:, :nq], v.interval_controls, v.duration
         m = own.shape[1]

@@ -1,0 +1,96 @@
+"""Inverse dynamics: the force densities that follow a motion best."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.optimize
+
+from ocp.problem.problem import Problem
+from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
+from tenscasadi.scene.loads import Gravity
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array
+
+ROUNDS = 20  # of an active-set method, which mostly needs five
+BLEND = 1e-3  # how much the reference force densities weigh against following the path, both in scaled units
+
+
+def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
+    """Return γ (K, α) within its limits whose accelerations come nearest to those of states (K + 1, nx) that are `interval` s apart.
+
+    Accelerations are linear in γ: a small least-squares problem with bounds for every interval. What it leaves open (self-stress) follows the
+    equilibrium force densities of the first and the last state.
+    """
+    model = problem.model
+    nq = model.nq
+    kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
+    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
+    _, acceleration, _ = model.split(model.ode(x, u))
+    linear = ca.Function("linear", [x, u], [ca.densify(acceleration), ca.densify(ca.jacobian(acceleration, u))])
+    middle = (states[:-1] + states[1:]) / 2
+    wanted = np.diff(model.split(states)[1], axis=0) / interval
+    lower, upper = problem.force_density_limits
+    count = len(middle)
+    free, slopes = (value.full().T for value in linear.map(count)(middle.T, np.zeros((model.nu, count))))
+    A = slopes.reshape(count, model.nu, nq).transpose(0, 2, 1)
+    size = np.maximum(np.linalg.norm(A, 2, axis=(1, 2)), 1e-300)[:, None]
+    A = np.concatenate([A / size[:, None], np.broadcast_to(np.sqrt(BLEND) * np.eye(model.nu), (count, model.nu, model.nu))], axis=1)
+    b = np.concatenate([(wanted - free) / size, np.sqrt(BLEND) * _reference(problem, states)], axis=1)
+    return _bounded_least_squares(A, b, lower, upper)
+
+
+def _reference(problem: Problem, states: Array) -> Array:
+    """Equilibrium γ (intervals, α) from that of the start to that of the target; the lower limits where there is none."""
+    lower, upper = problem.force_density_limits
+    model = problem.model
+    structure = model.scene.structure
+    count = len(structure.nodes)
+    ends = []
+    for state in (states[0], states[-1]):
+        try:
+            nodes = model.nodes(state)[:count]
+            shape = structure if np.array_equal(nodes, structure.nodes) else structure.replace(nodes=nodes)
+            gamma = equilibrium_force_density(shape, _weights(structure, model.scene.gravity), minimum=0.0)
+        except (EquilibriumError, ValueError):
+            gamma = lower
+        ends.append(np.clip(gamma, lower, upper))
+    s = (np.arange(len(states) - 1)[:, None] + 0.5) / (len(states) - 1)
+    return np.asarray((1 - s) * ends[0] + s * ends[1])
+
+
+def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
+    if gravity is None:
+        return None
+    return np.outer(np.asarray(structure.mass_matrix().sum(axis=1)).ravel(), gravity.acceleration)
+
+
+def _bounded_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
+    """Return x (n, m) with the least |A x − b| of each A (n, k, m), b (n, k), lower ≤ x ≤ upper.
+
+    All n at once by a primal-dual active-set method (Hintermüller, Ito, Kunisch, SIAM J. Optim. 2002, 13, 865), which may cycle: what it has not
+    settled is left to SciPy.
+    """
+    H, c = A.transpose(0, 2, 1) @ A, (A.transpose(0, 2, 1) @ b[:, :, None])[:, :, 0]
+    held = lower == upper
+    side = np.where(held, -1, np.zeros(c.shape))
+    x = np.zeros_like(c)
+    for _ in range(ROUNDS):
+        fixed = np.where(side < 0, lower, np.where(side > 0, upper, 0.0))
+        free = side == 0
+        masked = H * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(c.shape[1])
+        x = np.linalg.solve(masked, np.where(free, c - (H @ fixed[:, :, None])[:, :, 0], fixed)[:, :, None])[:, :, 0]
+        slope = (H @ x[:, :, None])[:, :, 0] - c
+        down, up = (x < lower) | ((side < 0) & (slope >= 0)) | held, (x > upper) | ((side > 0) & (slope <= 0))
+        before, side = side, np.where(down, -1, np.where(up & ~held, 1, 0))
+        open_ = np.any(before != side, axis=1)
+        if not open_.any():
+            return np.asarray(x)
+    loose = ~held  # lsq_linear wants room between its bounds
+    for k in np.flatnonzero(open_):
+        inner = scipy.optimize.lsq_linear(A[k][:, loose], b[k] - A[k][:, held] @ lower[held], (lower[loose], upper[loose]), method="bvls")
+        x[k] = lower
+        x[k, loose] = inner.x
+    return np.asarray(x)
