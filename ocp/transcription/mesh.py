@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.util.casadi_tools import hermite_cubic
 from tenscasadi.util.validate import Array, finite_array, positive_number, whole_number
 
 Intervals = int | Sequence[float]
@@ -168,7 +169,7 @@ def within(fractions: Array, share: float) -> tuple[int, float]:
 def cubic(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
     """Return the state at a share of an interval of length h between states x and y, along the cubic with their places and velocities."""
     s, (q0, v0, clock0), (q1, v1, clock1) = share, model.split(x), model.split(y)
-    q = (1 + 2 * s) * (1 - s) ** 2 * q0 + s**2 * (3 - 2 * s) * q1 + h * s * (1 - s) * ((1 - s) * v0 - s * v1)
+    q = hermite_cubic(q0, v0, q1, v1, h, s)
     change = (q1 - q0) / h
     v = 6 * s * (1 - s) * change + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1
     return ca.vertcat(q, v, (1 - s) * clock0 + s * clock1)

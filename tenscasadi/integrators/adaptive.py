@@ -11,6 +11,7 @@ from tenscasadi.integrators.events import held_ode, potential, switching
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta, build_trial
 from tenscasadi.integrators.scheme import with_work
 from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.util.casadi_tools import hermite_cubic
 
 ATTEMPTS = 64  # a call: those that are not needed cost next to nothing
 _BLOCK = 8
@@ -45,6 +46,16 @@ class Limits(NamedTuple):
     atol: Any  # m and m/s
 
 
+class Events(NamedTuple):
+    """What a trial has met, one number each: zeros where the scene has no events."""
+
+    changed: Any  # modes at its end that are not those at its start
+    located: Any  # whether it ends so shortly after the first of these changes that nothing is lost
+    hidden: Any  # the fraction of it at which its interpolation is in another mode; 0: nowhere
+    root: Any  # s, after which the first change comes
+    jump: Any  # of the slope in these changes, relative to the tolerance
+
+
 def attempts_function(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
     """`ATTEMPTS` attempts: Function "attempts" (z, memory, u, limits) -> (z, memory), with `Memory` and `Limits` as columns.
 
@@ -73,24 +84,19 @@ def _symbols(function: ca.Function) -> list[ca.MX]:
 
 def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
     """One trial of a step and what follows from it."""
-    nz = model.nx + power
-    z, u = ca.MX.sym("z", nz), ca.MX.sym("u", model.nu)
+    z, u = ca.MX.sym("z", model.nx + power), ca.MX.sym("u", model.nu)
     packed, limits = ca.MX.sym("memory", len(Memory._fields)), ca.MX.sym("limits", len(Limits._fields))
     m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), Limits(*ca.vertsplit(limits))
     gaps = switching(model)
     x = z[: model.nx]
-    bracketed = m.high > 0
-    trial = ca.if_else(bracketed, m.aim, ca.if_else(m.step >= m.rest, m.rest, m.step))
+    trial = ca.if_else(m.high > 0, m.aim, ca.if_else(m.step >= m.rest, m.rest, m.step))
 
-    held = u
     if gaps is None:
         ode = with_work(model.ode, model.power) if power and model.power is not None else model.ode
+        mode = ca.MX(0, 1)
     else:
-        ode = held_ode(model, power)
-        gap = gaps(x, u)
-        mode = gap > 0
-        held = ca.vertcat(u, mode)
-    after, errors, slope, end_slope = build_trial(scheme.tableau, ode)(z, held, trial)
+        ode, mode = held_ode(model, power), gaps(x, u) > 0
+    after, errors, slope, end_slope = build_trial(scheme.tableau, ode)(z, ca.vertcat(u, mode), trial)
     if gaps is not None and power:
         stored = potential(model)
         after = ca.vertcat(after[: model.nx], after[model.nx :] + stored(after[: model.nx], u) - stored(x, u))
@@ -101,48 +107,13 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
     moving = slice(0, 2 * model.nq)
     scale = atol + rtol * ca.fmax(ca.fabs(z[moving]), ca.fabs(after[moving]))
     error = _norm([ca.vec(column)[moving] / scale for column in ca.horzsplit(errors)])
-    growth = ca.fmin(_LARGEST, ca.fmax(_SMALLEST, _SAFETY * ca.fmax(error, 1e-300) ** (-1 / scheme.order)))
-    passed = error <= 1  # not for NaN
-
-    changed = located = hidden = root = jump = ca.MX(0)
+    events = Events(*[ca.MX(0)] * len(Events._fields))
     if gaps is not None:
-        mode_after = gaps(after[: model.nx], u) > 0
-        changed = ca.sum1(mode_after != mode)
         path = x, slope[: model.nx], after[: model.nx], end_slope[: model.nx], u, trial, mode
-        jump = _jump(ode, moving)(after, held, ca.vertcat(u, mode_after), scale, changed)
-        ends = ca.if_else(changed > 0, m.low, trial), ca.if_else(changed > 0, trial, m.high)
-        root = _root(gaps, model)(*path, *ends, ca.logic_or(changed > 0, bracketed))
-        negligible = ca.logic_or((trial - root) * jump <= _EVENT_SHARE, trial - root <= 1e-15 * longest)
-        located = ca.logic_and(changed > 0, negligible)
-        hidden = _hidden(gaps, model)(*path)
-
-    crossing = ca.logic_and(changed > 0, ca.logic_not(located))
-    early = ca.logic_and(bracketed, ca.logic_and(changed == 0, trial < m.high))
-    unseen = ca.logic_and(hidden > 0, ca.logic_and(changed == 0, trial > _SHORTEST * longest))
-    suspect = ca.logic_and(unseen, ca.logic_not(bracketed))
-    zero = ca.MX(0)
-
-    rejected = m._replace(step=trial * growth, low=zero, high=zero, trials=zero, rejected=m.rejected + 1)
-    inspected = m._replace(step=trial * hidden, located=m.located + 1)
-    allowed = _EVENT_SHARE / ca.fmax(jump, 1e-300)
-    shortened = _aimed(m._replace(high=trial, allowed=allowed, located=m.located + 1), root)
-    lengthened = _aimed(m._replace(low=trial, located=m.located + 1), root)
-    grown = ca.fmin(longest, ca.if_else(trial < m.step, ca.fmax(m.step, trial * growth), trial * growth))
-    taken = m._replace(rest=m.rest - trial, step=grown, low=zero, high=zero, trials=zero, accepted=m.accepted + 1, events=m.events + changed)
-
-    result = ca.vertcat(*taken)
-    for condition, outcome in ((early, lengthened), (crossing, shortened), (suspect, inspected), (ca.logic_not(passed), rejected)):
-        result = ca.if_else(condition, ca.vertcat(*outcome), result)
-    again = ca.logic_or(ca.logic_not(passed), ca.logic_or(suspect, ca.logic_or(crossing, early)))
-    outputs = [ca.if_else(again, z, after), result]
+        events = _find_events(model, gaps, ode, m, path, after, scale, longest)
+    again, memory = _decide(m, trial, error, events, scheme.order, longest)
+    outputs = [ca.if_else(again, z, after), memory]
     return ca.Function("attempt", [z, packed, u, limits], outputs, ["z", "memory", "u", "limits"], ["z_next", "memory_next"])
-
-
-def _aimed(m: Memory, root: Any) -> Memory:
-    """The next trial in a bracket: where an interpolation has its root, and half of what is allowed beyond; the middle where that is no help."""
-    aim = root + m.allowed / 2
-    inside = ca.logic_and(ca.logic_and(aim > m.low, aim < m.high), m.trials < _HALVING)
-    return m._replace(aim=ca.if_else(inside, aim, (m.low + m.high) / 2), trials=m.trials + 1)
 
 
 def _norm(errors: list[Any]) -> Any:
@@ -154,12 +125,56 @@ def _norm(errors: list[Any]) -> Any:
     return squared[0] / ca.sqrt(n * (squared[0] + 0.01 * squared[1]) + 1e-300)
 
 
-def _jump(ode: ca.Function, moving: slice) -> ca.Function:
+def _find_events(model: Model, gaps: ca.Function, ode: ca.Function, m: Memory, path: tuple[Any, ...], after: Any, scale: Any, longest: Any) -> Events:
+    """The events of a trial; path: see `_path`; after: z at its end; scale: of errors."""
+    _, _, end, _, u, trial, mode = path
+    mode_after = gaps(end, u) > 0
+    changed = ca.sum1(mode_after != mode)
+    jump = _jump(ode, scale.shape[0])(after, ca.vertcat(u, mode), ca.vertcat(u, mode_after), scale, changed)
+    bracket = ca.if_else(changed > 0, m.low, trial), ca.if_else(changed > 0, trial, m.high)
+    root = _root(gaps, model)(*path, *bracket, ca.logic_or(changed > 0, m.high > 0))
+    negligible = ca.logic_or((trial - root) * jump <= _EVENT_SHARE, trial - root <= 1e-15 * longest)
+    return Events(changed, ca.logic_and(changed > 0, negligible), _hidden(gaps, model)(*path), root, jump)
+
+
+def _decide(m: Memory, trial: Any, error: Any, events: Events, order: int, longest: Any) -> tuple[Any, Any]:
+    """Whether to try again, and the memory for the next attempt."""
+    growth = ca.fmin(_LARGEST, ca.fmax(_SMALLEST, _SAFETY * ca.fmax(error, 1e-300) ** (-1 / order)))
+    passed, bracketed, zero = error <= 1, m.high > 0, ca.MX(0)  # passed: not for NaN
+    crossing = ca.logic_and(events.changed > 0, ca.logic_not(events.located))
+    early = ca.logic_and(bracketed, ca.logic_and(events.changed == 0, trial < m.high))
+    unseen = ca.logic_and(events.hidden > 0, ca.logic_and(events.changed == 0, trial > _SHORTEST * longest))
+    suspect = ca.logic_and(unseen, ca.logic_not(bracketed))
+
+    rejected = m._replace(step=trial * growth, low=zero, high=zero, trials=zero, rejected=m.rejected + 1)
+    inspected = m._replace(step=trial * events.hidden, located=m.located + 1)
+    allowed = _EVENT_SHARE / ca.fmax(events.jump, 1e-300)
+    shortened = _aimed(m._replace(high=trial, allowed=allowed, located=m.located + 1), events.root)
+    lengthened = _aimed(m._replace(low=trial, located=m.located + 1), events.root)
+    grown = ca.fmin(longest, ca.if_else(trial < m.step, ca.fmax(m.step, trial * growth), trial * growth))
+    met = m.events + events.changed
+    taken = m._replace(rest=m.rest - trial, step=grown, low=zero, high=zero, trials=zero, accepted=m.accepted + 1, events=met)
+
+    memory = ca.vertcat(*taken)
+    for condition, outcome in ((early, lengthened), (crossing, shortened), (suspect, inspected), (ca.logic_not(passed), rejected)):
+        memory = ca.if_else(condition, ca.vertcat(*outcome), memory)
+    again = ca.logic_or(ca.logic_not(passed), ca.logic_or(suspect, ca.logic_or(crossing, early)))
+    return again, memory
+
+
+def _aimed(m: Memory, root: Any) -> Memory:
+    """The next trial in a bracket: where an interpolation has its root, and half of what is allowed beyond; the middle where that is no help."""
+    aim = root + m.allowed / 2
+    inside = ca.logic_and(ca.logic_and(aim > m.low, aim < m.high), m.trials < _HALVING)
+    return m._replace(aim=ca.if_else(inside, aim, (m.low + m.high) / 2), trials=m.trials + 1)
+
+
+def _jump(ode: ca.Function, moving: int) -> ca.Function:
     """(z, w, w_after, scale, changed) -> norm of the change of slope where the mode has changed, else 0 at no cost."""
     z, w, after = ca.MX.sym("z", ode.sparsity_in(0)), ca.MX.sym("w", ode.sparsity_in(1)), ca.MX.sym("after", ode.sparsity_in(1))
-    scale = ca.MX.sym("scale", moving.stop)
+    scale = ca.MX.sym("scale", moving)
     arguments = [z, w, after, scale]
-    difference = ca.Function("difference", arguments, [_norm([(ode(z, after) - ode(z, w))[moving] / scale])])
+    difference = ca.Function("difference", arguments, [_norm([(ode(z, after) - ode(z, w))[:moving] / scale])])
     nothing = ca.Function("nothing", arguments, [ca.MX(0)])
     changed = ca.MX.sym("changed")
     choice = ca.Function.if_else("jump_choice", difference, nothing)
@@ -168,19 +183,19 @@ def _jump(ode: ca.Function, moving: slice) -> ca.Function:
 
 def _hidden(gaps: ca.Function, model: Model) -> ca.Function:
     """The earliest quarter of a step, as a fraction, at which its cubic interpolation is in another mode; 0 when none is."""
-    *step, u, h, mode = path = _path(gaps, model)
+    *ends, u, h, mode = path = _path(gaps, model)
     found = ca.MX(0)
     for t in (0.75, 0.5, 0.25):
-        found = ca.if_else(ca.sum1((gaps(_between(step, h, t), u) > 0) != mode) > 0, t, found)
+        found = ca.if_else(ca.sum1((gaps(hermite_cubic(*ends, h, t), u) > 0) != mode) > 0, t, found)
     return ca.Function("hidden", path, [found])
 
 
 def _root(gaps: ca.Function, model: Model) -> ca.Function:
     """(a step, low, high, wanted) -> the time, s, of the first event that its cubic interpolation meets in between; at no cost unless wanted."""
-    *step, u, h, mode = path = _path(gaps, model)
+    *ends, u, h, mode = path = _path(gaps, model)
     low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
     sign = 2 * mode - 1
-    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(_between(step, h, t / h), u))])
+    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(hermite_cubic(*ends, h, t / h), u))])
     a, b, at_a, at_b = (ca.MX.sym(name) for name in ("a", "b", "at_a", "at_b"))
     middle = (a + b) / 2
     at_middle = value(middle, *path)
@@ -206,10 +221,3 @@ def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:
     """Symbols for a step: x and its slope, where it ends and the slope there, u, the step's length, s, and the mode."""
     ends = [ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end")]
     return [*ends, ca.MX.sym("u", model.nu), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]
-
-
-def _between(step: list[ca.MX], h: Any, t: Any) -> Any:
-    """The cubic interpolation of a step at the fraction `t`: Hermite's, ibid. (II.6.7); step: the first four of `_path`."""
-    x, slope, after, end = step
-    a, b, c, d = (1 + 2 * t) * (1 - t) ** 2, t * (1 - t) ** 2, t * t * (3 - 2 * t), t * t * (t - 1)
-    return a * x + c * after + h * (b * slope + d * end)

@@ -1,4 +1,4 @@
-"""Corrections of a state that has left its constraints: bars of another length, joints that gape, velocities that would do either."""
+"""Stabilisation: corrections of a state that has left its constraints, and what they do to a motion."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import scipy.sparse as sp
 from tenscasadi.dynamics.constraint_forces import project_velocities, remove_residuals, residuals, stretch_bars
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import instance, positive_number, whole_number
+from tenscasadi.util.validate import Array, instance, positive_number, whole_number
 
 
 @dataclass(frozen=True)
@@ -143,3 +144,25 @@ def _rejoined(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
     spread = sp.csr_array(sp.vstack([ends, sp.csr_array(sp.eye_array(Z.shape[1]))[strings]]))  # of centres and string nodes onto nodes
     gap = (target - ca.mtimes(Z, sparse(mech.P))) * mech.active_mask
     return Z + ca.mtimes(ca.mtimes(gap, ca.DM(np.linalg.pinv((spread @ mech.P).toarray()))), sparse(spread))
+
+
+def measure_correction(model: Model, scheme: Scheme, correction: Correction, states: Array, controls: Array, step: float) -> tuple[Array, Array]:
+    """Return the largest movement of a node, m, and the energy added, J, (T,) each: of the correction that follows `every` steps from each state.
+
+    states (T, nx) and controls (T, nu) are those of a trajectory, `step` its step, s. The steps are taken again without correction and
+    the correction's part is measured at their end.
+    """
+    project = correction.step(model)
+    if project is None:
+        return np.zeros(len(states)), np.zeros(len(states))
+    advance, energy = scheme.advance(model), model.energy_function
+    x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
+    chained = advance if correction.every == 1 else advance.fold(correction.every)
+    before: Any = chained(x, ca.repmat(u, 1, correction.every), ca.DM.ones(1, correction.every) * step)
+    after = project(before)
+    shift = model.nodes(after) - model.nodes(before)
+    distance = ca.sqrt(ca.mmax(ca.sum1(shift * shift)))
+    effect = ca.Function("effect", [x, u], [ca.vertcat(distance, energy(after, u) - energy(before, u))])
+    with np.errstate(all="ignore"):
+        values = effect.map(len(states))(ca.DM(states.T), ca.DM(controls.T) if model.nu else ca.DM(0, len(states))).full()
+    return values[0], values[1]

@@ -10,10 +10,9 @@ import numpy as np
 from tqdm import tqdm
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.correction_effect import correction_effect
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
+from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection, measure_correction
 from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, sample_control
 from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
 from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
@@ -126,7 +125,7 @@ def simulate(
     kept = first_rows(recorded, good)
     if correction is not None:
         unknown = scheme.adaptive or inputs.ends is not None
-        shift, added = np.full((2, good), np.nan) if unknown else correction_effect(model, scheme, correction, kept.states, kept.control, kept.step)
+        shift, added = np.full((2, good), np.nan) if unknown else measure_correction(model, scheme, correction, kept.states, kept.control, kept.step)
         kept = replace(kept, correction_shift=shift, correction_energy=added)
     attempts, interrupted = run.report.attempts, run.interrupted
     return replace(kept, success=success, message=message + built.note, compiled=built.compiled, attempts=attempts, interrupted=interrupted)

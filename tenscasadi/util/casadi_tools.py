@@ -81,6 +81,15 @@ def _unrolled_solver(A: Any) -> Callable[[Any], Any]:
     return lambda rhs: ca.ldl_solve(rhs, D, LT, permutation)
 
 
+def hermite_cubic(left: Any, left_slope: Any, right: Any, right_slope: Any, length: Any, share: Any) -> Any:
+    """Return the cubic with these values and slopes at the ends of an interval of that length, at a share of it.
+
+    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, (II.6.7).
+    """
+    s = share
+    return (1 + 2 * s) * (1 - s) ** 2 * left + s**2 * (3 - 2 * s) * right + length * s * (1 - s) * ((1 - s) * left_slope - s * right_slope)
+
+
 def drop_rounding(matrix: Any) -> sp.csr_array:
     """The matrix without entries that are zero but for rounding."""
     result = sp.csr_array(matrix)
