@@ -183,19 +183,19 @@ def _jump(ode: ca.Function, moving: int) -> ca.Function:
 
 def _hidden(gaps: ca.Function, model: Model) -> ca.Function:
     """The earliest quarter of a step, as a fraction, at which its cubic interpolation is in another mode; 0 when none is."""
-    *ends, u, h, mode = path = _path(gaps, model)
+    x, slope, after, end, u, h, mode = path = _path(gaps, model)
     found = ca.MX(0)
     for t in (0.75, 0.5, 0.25):
-        found = ca.if_else(ca.sum1((gaps(hermite_cubic(*ends, h, t), u) > 0) != mode) > 0, t, found)
+        found = ca.if_else(ca.sum1((gaps(hermite_cubic(x, slope, after, end, h, t), u) > 0) != mode) > 0, t, found)
     return ca.Function("hidden", path, [found])
 
 
 def _root(gaps: ca.Function, model: Model) -> ca.Function:
     """(a step, low, high, wanted) -> the time, s, of the first event that its cubic interpolation meets in between; at no cost unless wanted."""
-    *ends, u, h, mode = path = _path(gaps, model)
+    x, slope, after, end, u, h, mode = path = _path(gaps, model)
     low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
     sign = 2 * mode - 1
-    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(hermite_cubic(*ends, h, t / h), u))])
+    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(hermite_cubic(x, slope, after, end, h, t / h), u))])
     a, b, at_a, at_b = (ca.MX.sym(name) for name in ("a", "b", "at_a", "at_b"))
     middle = (a + b) / 2
     at_middle = value(middle, *path)
