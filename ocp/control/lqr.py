@@ -13,7 +13,7 @@ from ocp.boundary.invariants import invariants
 from ocp.boundary.sensitivities import Motion
 from ocp.control.departures import departures
 from ocp.plan.plan import Plan
-from ocp.problem.bounds import ForceDensityLimits
+from ocp.problem.string_bounds import ForceDensityLimits
 from ocp.transcription.mesh import at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number

@@ -100,16 +100,16 @@ class BarClearance(PathBound):
 
     def check(self, structure: Structure) -> None:
         """Raise where a bar does not exist, two bars of a pair share a node, or there is no pair."""
-        for pair in self.chosen(structure):
+        for pair in self._bar_pairs(structure):
             for bar in pair:
                 if whole_number("BarClearance.pairs: bar", bar, 0) >= len(structure.bars):
                     raise ValueError(f"BarClearance.pairs names bar {bar}: bars run from 0 to {len(structure.bars) - 1}")
             if set(structure.bars[pair[0]]) & set(structure.bars[pair[1]]):
                 raise ValueError(f"BarClearance.pairs: bars {pair[0]} and {pair[1]} share a node: leave that pair out")
-        if not self.chosen(structure):
+        if not self._bar_pairs(structure):
             raise ValueError("BarClearance: all bars share nodes: leave it out")
 
-    def chosen(self, structure: Structure) -> list[tuple[int, int]]:
+    def _bar_pairs(self, structure: Structure) -> list[tuple[int, int]]:
         """Pairs of bars."""
         if self.pairs is not None:
             return [(pair[0], pair[1]) for pair in self.pairs]
@@ -119,7 +119,7 @@ class BarClearance(PathBound):
     def constraint(self, model: Model) -> PathConstraint:
         """Return the distance of each pair."""
         now, structure = symbolic(model), model.scene.structure
-        pairs = np.array(self.chosen(structure))
+        pairs = np.array(self._bar_pairs(structure))
         sides = [[now.nodes[:, structure.bars[pairs[:, k], end].tolist()] for end in (0, 1)] for k in (0, 1)]
         value = segment_distance(*sides[0], *sides[1])
         names = tuple(f"clearance of bars {i} and {j}" for i, j in pairs)

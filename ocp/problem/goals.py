@@ -57,7 +57,7 @@ class StringLengths(Goal):
         else:
             per_item("StringLengths.lengths", self.lengths, count)
 
-    def wanted(self, structure: Structure) -> dict[int, float]:
+    def _wanted(self, structure: Structure) -> dict[int, float]:
         """{string: length}."""
         if isinstance(self.lengths, Mapping):
             return dict(self.lengths)
@@ -65,7 +65,7 @@ class StringLengths(Goal):
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Length minus wanted length, m."""
-        wanted = self.wanted(structure)
+        wanted = self._wanted(structure)
         ends = structure.strings[list(wanted)]
         vectors = nodes[:, ends[:, 1].tolist()] - nodes[:, ends[:, 0].tolist()]
         value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(list(wanted.values()))
@@ -95,7 +95,7 @@ class NodePositions(Goal):
         if not isinstance(self.positions, Mapping):
             finite_array("NodePositions.positions", self.positions, (count, 3))
         tolerance = 1e-9 * np.ptp(structure.nodes, axis=0).max()
-        for node, place in self.wanted().items():
+        for node, place in self._wanted().items():
             node_index("NodePositions.positions: node", node, count)
             for axis, value in enumerate(place):
                 held = structure.nodes[node, axis]
@@ -103,7 +103,7 @@ class NodePositions(Goal):
                     place_text = f"{'xyz'[axis]} = {value:g} m of a node that is pinned at {held:g} m"
                     raise ValueError(f"NodePositions.positions[{node}] wants {place_text}: leave that axis None")
 
-    def wanted(self) -> dict[int, tuple[float | None, ...]]:
+    def _wanted(self) -> dict[int, tuple[float | None, ...]]:
         """{node: place}."""
         if isinstance(self.positions, Mapping):
             return {node: tuple(place) for node, place in self.positions.items()}
@@ -113,7 +113,7 @@ class NodePositions(Goal):
         """Coordinate minus wanted coordinate, m; pinned coordinates, which are there already, have no row."""
         entries = [
             (node, axis, value)
-            for node, place in self.wanted().items()
+            for node, place in self._wanted().items()
             for axis, value in enumerate(place)
             if value is not None and not structure.fixed[node, axis]
         ]
@@ -124,9 +124,6 @@ class NodePositions(Goal):
 @dataclass(frozen=True)
 class AtRest(Goal):
     """No node moves at the end."""
-
-    def check(self, structure: Structure) -> None:
-        """Fits every structure."""
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Velocities of all modelled nodes, m/s."""

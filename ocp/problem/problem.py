@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.bounds import Bound, ForceDensityLimits, Limits, TensionLimits
+from ocp.problem.bounds import Bound
 from ocp.problem.costs import Cost, Effort
 from ocp.problem.expressions import check_expressions
 from ocp.problem.goals import Goal, Periodic
+from ocp.problem.string_bounds import ForceDensityLimits, StringLimits, TensionLimits
 from ocp.problem.waypoints import INSTANT, Waypoint
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
@@ -141,7 +142,7 @@ class Problem:
     def limits(self, kind: type) -> tuple[Array, Array]:
         """Lower and upper limits (α,) that all bounds of one kind leave; −inf and inf where there is none."""
         structure = self.model.scene.structure
-        given = [bound.limits(structure) for bound in self.bounds if isinstance(bound, kind) and isinstance(bound, Limits)]
+        given = [bound.limits(structure) for bound in self.bounds if isinstance(bound, kind) and isinstance(bound, StringLimits)]
         count = len(structure.strings)
         lower = np.max([np.full(count, -np.inf), *(low for low, _ in given)], axis=0)
         upper = np.min([np.full(count, np.inf), *(up for _, up in given)], axis=0)
