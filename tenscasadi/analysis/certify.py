@@ -12,7 +12,7 @@ from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
-from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.simulate import simulate
@@ -124,7 +124,7 @@ def certify(
     instance("model", model, Model, "a tenscasadi.Model")
     t_end = positive_number("t_end", t_end)
     state = None if state is None else finite_array("state", state, (model.nx,))
-    size = float(np.ptp(model.scene.structure.nodes, axis=0).max(initial=0.0)) or 1.0
+    size = extent(model)
     accuracy = _ACCURATE * size if accuracy is None else positive_number("accuracy", accuracy)
     enough = min(_ENOUGH * size, accuracy) if enough is None else positive_number("enough", enough)
     work = positive_number("work", work) / (1 if compiled is not False else _FASTER)

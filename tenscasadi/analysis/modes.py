@@ -10,6 +10,7 @@ import numpy as np
 import scipy.linalg
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array, instance, positive_number, whole_number
 
@@ -222,8 +223,7 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
     shape = modes.shape[index]
     if shape.shape != model.structure.nodes.shape:
         raise ValueError(f"modes.shape has {shape.shape[0]} nodes: give the modes of this model, which has {len(model.structure.nodes)}")
-    size = float(np.ptp(model.structure.nodes, axis=0).max())
-    reach = size / 20 if amplitude is None else positive_number("amplitude", amplitude)
+    reach = extent(model) / 20 if amplitude is None else positive_number("amplitude", amplitude)
     omega = 2 * np.pi * max(abs(float(modes.frequency[index])), 1e-9)
     time = np.linspace(0.0, 2 * np.pi / omega, count)
     moved = shape * (reach / np.linalg.norm(shape, axis=1).max())

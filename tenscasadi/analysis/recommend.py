@@ -163,6 +163,23 @@ def recommend(
     wanted = _MARGIN * tolerance - reference.error
 
     ways = [Case(model, scheme, correction, t_end, start, control, compiled) for scheme, correction in product(schemes, corrections)]
+    best, told = _cheapest(ways, reference.nodes, wanted)
+    names = ", ".join(map(short, schemes))
+    if best is None:
+        failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
+        raise NoScheme("; ".join(dict.fromkeys([failed, *told])))
+    scheme, seconds, expected = best.case.scheme, best.seconds(), best.error + reference.error
+    limit = stable_step(model, start, None, scheme, safety=1.0)
+    if best.step > limit and not scheme.adaptive:
+        told.append(f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved")
+    outcome = f"{best.steps} steps of {short(scheme)}: {expected:.2g} m, {seconds:.2g} s"
+    message = "; ".join(dict.fromkeys([outcome, f"compared with {names}", f"reference: {reference.message}", *told]))
+    work = float(best.steps * best.case.instructions()) or np.nan
+    return Recommendation(scheme, best.step, best.case.correction, expected, seconds, work, message)
+
+
+def _cheapest(ways: Sequence[Case], nodes: Array, wanted: float) -> tuple[_Choice | None, list[str]]:
+    """Find the cheapest way that serves, and why others were left out. Explicit schemes come first: implicit ones are measured against them."""
     best: _Choice | None = None
     told = []
     speed = 1.0  # instructions of the best explicit scheme in a second
@@ -175,25 +192,13 @@ def recommend(
             speed = best.cost / best.seconds()
         most = np.inf if best is None else best.cost
         try:
-            if case.correction is not None and (case.scheme.adaptive or case.correction.step(model) is None):
+            if case.correction is not None and (case.scheme.adaptive or case.correction.step(case.model) is None):
                 continue  # nothing to correct
-            found = _found(case, speed, reference.nodes, wanted, most)
+            found = _found(case, speed, nodes, wanted, most)
             best = found if found is not None and found.cost < most else best
         except (TypeError, ValueError, CompileError) as error:  # such as Appendix C's correction where bars meet
             told.append(f"{name} left out: {error}")
-    names = ", ".join(map(short, schemes))
-    if best is None:
-        failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
-        raise NoScheme("; ".join(dict.fromkeys([failed, *told])))
-    seconds = best.seconds()
-    expected = best.error + reference.error
-    outcome = f"{best.steps} steps of {short(best.case.scheme)}: {expected:.2g} m, {seconds:.2g} s"
-    message = f"{outcome}; compared with {names}; reference: {reference.message}"
-    work = float(best.steps * best.case.instructions()) or np.nan
-    limit = stable_step(model, start, None, best.case.scheme, safety=1.0)
-    if best.step > limit and not best.case.scheme.adaptive:
-        told.append(f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved")
-    return Recommendation(best.case.scheme, best.step, best.case.correction, expected, seconds, work, "; ".join(dict.fromkeys([message, *told])))
+    return best, told
 
 
 @dataclass(frozen=True)
@@ -234,7 +239,7 @@ class _Choice:
 
     def seconds(self) -> float:
         """Measure the time loop, s."""
-        if self.case.scheme.adaptive or self.case.scheme.implicit:
+        if not self.case.even:
             return min(self.case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS))
         return self.case.seconds_per_step(self.step, _REPEATS) * self.steps
 

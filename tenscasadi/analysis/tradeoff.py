@@ -144,6 +144,11 @@ class Case:
             raise KeyboardInterrupt
         return run
 
+    @property
+    def even(self) -> bool:
+        """Whether all steps cost the same: none is repeated, and none solves equations by iteration."""
+        return not (self.scheme.adaptive or self.scheme.implicit)
+
     def instructions(self) -> int:
         """Count the instructions of one step with its share of the correction; 0 where they are not known: implicit schemes iterate."""
         if self.scheme.implicit:
@@ -179,12 +184,11 @@ def start_of(model: Model, state: State) -> Array | None:
 
 def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int) -> Iterable[Row]:
     """Yield a row for each step; the time of a step and the set-up are measured once."""
-    chooses = case.scheme.adaptive
     empty = Row(case.scheme, np.nan, case.correction, name, compiled=case.compiled is not False, single=isinstance(case.compiled, Single))
     each = setup = np.nan
-    for step in [LONGEST * case.t_end] if chooses else lengths:
+    for step in [LONGEST * case.t_end] if case.scheme.adaptive else lengths:
         began = time.perf_counter()
-        empty = replace(empty, step=np.nan if chooses else step)
+        empty = replace(empty, step=np.nan if case.scheme.adaptive else step)
         try:
             run, work = case.run(step), case.instructions()
         except (TypeError, ValueError, CompileError) as error:  # such as Rattle where supports are moved
@@ -195,11 +199,11 @@ def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference,
             empty = replace(empty, compiled=run.compiled, setup=setup)
         row = replace(empty, instructions=work, steps=run.attempts, success=run.success, message=run.message)
         if run.success:
-            if case.scheme.implicit or chooses:  # a step costs what it takes to solve its equations
-                seconds = median(case.run(step, energy_balance=False).seconds for _ in range(repeats))
-            else:
+            if case.even:
                 each = case.seconds_per_step(lengths[-1], repeats) if np.isnan(each) else each
                 seconds = each * run.attempts
+            else:
+                seconds = median(case.run(step, energy_balance=False).seconds for _ in range(repeats))
             row = replace(
                 row,
                 seconds=seconds / case.t_end,

@@ -24,6 +24,7 @@ def make_panels(count: int, xlabel: str, title: str = "", size: tuple[float, flo
         ax.grid(visible=True, color="0.9")
         ax.spines[["top", "right"]].set_visible(False)
         ax.margins(x=margin)
+    figure.align_ylabels(axes)
     axes[-1].set_xlabel(xlabel)
     axes[0].set_title(title)
     return figure, axes
@@ -46,8 +47,11 @@ def name_curves(figure: Figure, ax: Axes, count: int) -> None:
     elif count:
         handles, labels = ax.get_legend_handles_labels()
         below = max(map(len, labels), default=0) > LONG_NAME
-        place = "outside lower center" if below else "outside right upper"
-        figure.legend(handles, labels, loc=place, fontsize=8, frameon=False, ncols=2 if below or count > MOST_NAMED else 1)
+        options: dict[str, Any] = {
+            "loc": "outside lower center" if below else "outside right upper",
+            "ncols": 2 if below or count > MOST_NAMED else 1,
+        }
+        figure.legend(handles, labels, fontsize=8, frameon=False, **options)
 
 
 def save_figure(figure: Figure, path: FilePath | None) -> Figure:
