@@ -21,7 +21,7 @@ import ocp
 import tenscasadi as tc
 from ocp.boundary.find_target import find_target
 from ocp.problem.scaling import Scales
-from ocp.transcription.base import OnGrid
+from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import make_guess
 
 BAR = 1.4  # m
@@ -59,7 +59,7 @@ def problem() -> ocp.Problem:
     return ocp.Problem(model, goals=goals, bounds=[ocp.ForceDensityLimits(LEAST, MOST)], costs=[ocp.Effort()])
 
 
-def ours(name: str, transcription: OnGrid, options: dict[str, Any] | None = None) -> Row:
+def ours(name: str, transcription: Transcription, options: dict[str, Any] | None = None) -> Row:
     """A plan of this package, with its own choice of options or with others."""
     plan = ocp.solve(problem(), transcription, ocp.Ipopt(options=options or {}))
     return Row(name, "as they come" if options else "ours", plan.seconds, plan.iterations, plan.replay_error, plan.objective)

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 import ocp
 import tenscasadi as tc
 from ocp.solvers.base import Solution
-from ocp.transcription.base import OnGrid
+from ocp.transcription.base import Transcription
 from ocp.transcription.sparse_nlp import Program
 
 BAR = 1.4  # m
@@ -64,7 +64,7 @@ def problem() -> ocp.Problem:
     return ocp.Problem(model, goals=goals, bounds=[ocp.ForceDensityLimits(5.0, 100.0)], costs=[ocp.Effort()])
 
 
-def methods(intervals: int) -> dict[str, OnGrid]:
+def methods(intervals: int) -> dict[str, Transcription]:
     """All transcriptions on a grid."""
     corrected = {CORRECTED: ocp.Variational(intervals, accuracy=1e-9)} if intervals >= LEAST else {}
     return {
@@ -78,7 +78,7 @@ def methods(intervals: int) -> dict[str, OnGrid]:
     }
 
 
-def measured(name: str, transcription: OnGrid, solver: ocp.Ipopt, repeats: int) -> Row:
+def measured(name: str, transcription: Transcription, solver: ocp.Ipopt, repeats: int) -> Row:
     """The median of `repeats` runs."""
     plans = [ocp.solve(problem(), transcription, solver) for _ in range(repeats)]
     plan = plans[0]

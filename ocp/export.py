@@ -13,12 +13,12 @@ import numpy as np
 from ocp.control.mpc import Mpc
 from ocp.problem.problem import Problem
 from ocp.solve import program_of
-from ocp.transcription.base import OnGrid
+from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess
 from tenscasadi.util.validate import instance
 
 
-def export_program(problem: Problem, transcription: OnGrid, folder: str | Path, guess: InitialGuess | None = None) -> list[Path]:
+def export_program(problem: Problem, transcription: Transcription, folder: str | Path, guess: InitialGuess | None = None) -> list[Path]:
     """Writes `program.c`, `program.h`, `unknowns.csv` and `rows.csv` into `folder` (made if need be); returns their paths.
 
     The program: minimise f(w) subject to lower ≤ g(w) ≤ upper and limits of w, all scaled. Functions: `nlp_f`, `nlp_g`, `nlp_grad_f`, `nlp_jac_g`

@@ -9,7 +9,7 @@ import scipy.optimize
 from ocp.problem.bounds import PathBound
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
-from ocp.transcription.mesh import Profile, spread
+from ocp.transcription.mesh import Profile, group_matrix
 
 CLEAR = 1e-3  # of a limit: contradictions that are smaller are left to the solver
 
@@ -17,7 +17,7 @@ CLEAR = 1e-3  # of a limit: contradictions that are smaller are left to the solv
 def check_groups(problem: Problem, profile: Profile) -> None:
     """Raises ValueError, naming the strings, where the limits of a group's strings leave no force density for all of them."""
     lower, upper = problem.force_density_limits
-    for together in spread(profile, len(lower)).T > 0:
+    for together in group_matrix(profile, len(lower)).T > 0:
         strings = np.flatnonzero(together)
         low, high = strings[np.argmax(lower[strings])], strings[np.argmin(upper[strings])]
         if lower[low] > upper[high]:

@@ -20,13 +20,13 @@ from ocp.presolve import check_groups, check_start
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.solvers.base import Solution, Solver
-from ocp.solvers.deferred_correction import check_correctable, corrected
+from ocp.solvers.deferred_correction import check_correctable, solve_corrected
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
-from ocp.solvers.multipliers import Duals, duals_of, started
-from ocp.transcription.base import OnGrid
-from ocp.transcription.initial_guess import Guess, InitialGuess, guess_of
-from ocp.transcription.mesh import cubic, held_values, spread, within
+from ocp.solvers.multipliers import Duals, named_duals, warm_started
+from ocp.transcription.base import Transcription
+from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
+from ocp.transcription.mesh import group_matrix, held_values, hermite_state, locate_share
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
@@ -46,7 +46,7 @@ class _Outcome(NamedTuple):
 
 def solve(
     problem: Problem,
-    transcription: OnGrid | None = None,
+    transcription: Transcription | None = None,
     solver: Solver | None = None,
     guess: InitialGuess | None = None,
     tolerance: float | None = None,
@@ -62,7 +62,7 @@ def solve(
     instance("problem", problem, Problem, "an ocp.Problem")
     transcription = MultipleShooting() if transcription is None else transcription
     solver = Ipopt() if solver is None else solver
-    instance("transcription", transcription, OnGrid, "a transcription, such as ocp.MultipleShooting()")
+    instance("transcription", transcription, Transcription, "a transcription, such as ocp.MultipleShooting()")
     instance("solver", solver, (Ipopt, Fatrop), "an ocp.Ipopt or ocp.Fatrop")
     check_correctable(transcription, solver)
     limit = None if tolerance is None else positive_number("tolerance", tolerance)
@@ -86,15 +86,15 @@ def solve(
     return replace(plan, seconds=seconds, again=once_more)
 
 
-def program_of(problem: Problem, transcription: OnGrid, guess: InitialGuess | None = None) -> Program:
+def program_of(problem: Problem, transcription: Transcription, guess: InitialGuess | None = None) -> Program:
     """The program that `solve` gives to its solver. Raises as `solve`."""
     instance("problem", problem, Problem, "an ocp.Problem")
-    instance("transcription", transcription, OnGrid, "a transcription, such as ocp.MultipleShooting()")
+    instance("transcription", transcription, Transcription, "a transcription, such as ocp.MultipleShooting()")
     scales, _, imposed, first, _ = _prepared(problem, transcription, guess)
     return transcription.program(problem, imposed, scales, first)
 
 
-def _prepared(problem: Problem, transcription: OnGrid, guess: InitialGuess | None) -> tuple[Scales, Target, Target, Guess, Reach]:
+def _prepared(problem: Problem, transcription: Transcription, guess: InitialGuess | None) -> tuple[Scales, Target, Target, Guess, Reach]:
     """What is asked, and of that what is to be imposed, with the guess and what tells which rows the strings move along it."""
     check_groups(problem, transcription.control)
     scales = Scales.of(problem)
@@ -102,19 +102,19 @@ def _prepared(problem: Problem, transcription: OnGrid, guess: InitialGuess | Non
     if not problem.free_start:
         _check_freedom(problem, target, transcription)
         check_start(problem)
-    first = guess_of(guess, problem, target, transcription.count)
-    together = spread(transcription.control, problem.model.nu)
+    first = evaluate_guess(guess, problem, target, transcription.count)
+    together = group_matrix(transcription.control, problem.model.nu)
     reach = Reach(problem.model, transcription.count, problem.shortest < problem.longest, grouping=together)
     return scales, target, _controlled(target, reach, first), first, reach
 
 
-def _check_freedom(problem: Problem, target: Target, transcription: OnGrid) -> None:
+def _check_freedom(problem: Problem, target: Target, transcription: Transcription) -> None:
     """More goals than force densities before them have no solution."""
     lower, upper = problem.force_density_limits
     free = int(np.sum(lower < upper))
     name = f"{type(transcription).__name__}.intervals is {transcription.count}"
     for share, part, label in target.instants:
-        intervals = within(transcription.fractions, share)[0] + 1
+        intervals = locate_share(transcription.fractions, share)[0] + 1
         if part.count > intervals * free:
             least = int(np.ceil(np.ceil(part.count / free) / share)) if free else 0
             needed = f"give at least {least} intervals" if free else "allow some more force densities"
@@ -151,14 +151,14 @@ def _loosened(problem: Problem, guess: Guess) -> Guess:
 
 
 def _attempt(
-    problem: Problem, transcription: OnGrid, solver: Solver, target: Target, scales: Scales, guess: Guess, duals: Duals | None = None
+    problem: Problem, transcription: Transcription, solver: Solver, target: Target, scales: Scales, guess: Guess, duals: Duals | None = None
 ) -> _Outcome:
     program = transcription.program(problem, target, scales, guess)
-    known = program if duals is None else started(program, target, duals)
+    known = program if duals is None else warm_started(program, target, duals)
     if transcription.accuracy is None or not isinstance(solver, Ipopt):
         solution, states, gap = solver.solve(known), None, 0.0
     else:
-        solution, states, gap = corrected(known, solver, problem.model, transcription.fractions, transcription.accuracy)
+        solution, states, gap = solve_corrected(known, solver, problem.model, transcription.fractions, transcription.accuracy)
     planned, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
     lower, upper = problem.force_density_limits
     # Interior-point methods overstep limits by their tolerance.
@@ -166,14 +166,14 @@ def _attempt(
     return _Outcome(program, solution, Guess(planned.T if states is None else states, np.clip(controls.T, lower, upper), float(duration)), gap)
 
 
-def _planned(problem: Problem, transcription: OnGrid, found: Guess) -> Callable[[float], Array]:
+def _planned(problem: Problem, transcription: Transcription, found: Guess) -> Callable[[float], Array]:
     """The planned state (nx,) at a share of the duration, as waypoints see it."""
 
     def state_at(share: float) -> Array:
-        k, part = within(transcription.fractions, share)
+        k, part = locate_share(transcription.fractions, share)
         before, after = found.states[k : k + 2]
         h = found.duration * transcription.fractions[k]
-        return after if part == 1.0 else np.asarray(cubic(problem.model, ca.DM(before), ca.DM(after), h, part).full()).ravel()
+        return after if part == 1.0 else np.asarray(hermite_state(problem.model, ca.DM(before), ca.DM(after), h, part).full()).ravel()
 
     return state_at
 
@@ -187,9 +187,9 @@ def _met(target: Target, state_at: Callable[[float], Array]) -> bool:
     return True
 
 
-def _plan(problem: Problem, transcription: OnGrid, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, tolerance: float) -> Plan:
+def _plan(problem: Problem, transcription: Transcription, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, tolerance: float) -> Plan:
     program, solution, found, _ = outcome
-    duals = duals_of(program, imposed, solution.w, *solution.multipliers) if solution.success and solution.multipliers else None
+    duals = named_duals(program, imposed, solution.w, *solution.multipliers) if solution.success and solution.multipliers else None
     target, imposed = (part.begin_at(found.states[0]) for part in (target, imposed))
     model = problem.model
     grid = found.duration * np.append(0.0, np.cumsum(transcription.fractions))
@@ -220,7 +220,7 @@ def _plan(problem: Problem, transcription: OnGrid, target: Target, imposed: Targ
 
 
 def _verdict(
-    problem: Problem, plan: Plan, transcription: OnGrid, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, tolerance: float
+    problem: Problem, plan: Plan, transcription: Transcription, target: Target, imposed: Target, reach: Reach, outcome: _Outcome, tolerance: float
 ) -> tuple[bool, str]:
     """Whether the plan is a success, and what is to be said of it."""
     program, solution, found, gap = outcome

@@ -14,7 +14,7 @@ from ocp.boundary.sensitivities import Motion
 from ocp.control.departures import departures
 from ocp.plan.plan import Plan
 from ocp.problem.string_bounds import ForceDensityLimits
-from ocp.transcription.mesh import at
+from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number
 
@@ -79,7 +79,7 @@ def track(
     limits = ForceDensityLimits(known[0] if lower is None else lower, known[1] if upper is None else upper)
     limits.check(model.scene.structure)
     time = np.linspace(0.0, T, count + 1)
-    gamma = at(plan.force_density, plan.time, (time[:-1] + time[1:]) / 2)
+    gamma = profile_at(plan.force_density, plan.time, (time[:-1] + time[1:]) / 2)
     motion = Motion(model, count, 2)
     states, points = motion.states(plan.trajectory.states[0], gamma, T / count)
     if not np.all(np.abs(states) <= LARGEST):

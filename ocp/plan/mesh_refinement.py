@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.mesh import at
+from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
@@ -39,7 +39,7 @@ def defects(model: Model, time: Array, states: Array, force_density: Array) -> A
     advance = RungeKutta4().step(model.ode).map(count)
     now = ca.DM(states[:-1].T)
     for k in range(FINE):
-        gamma = at(force_density, time, time[:-1] + (k + 0.5) / FINE * lengths)
+        gamma = profile_at(force_density, time, time[:-1] + (k + 0.5) / FINE * lengths)
         now = advance(now, gamma.T, lengths[None] / FINE)
     if model.mechanism.constrained:
         now = projection(model, 3).map(count)(now)

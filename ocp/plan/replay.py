@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.mesh import at
+from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
@@ -23,7 +23,7 @@ def run_profile(model: Model, scheme: Scheme, start: Array, time: Array, values:
     h = np.repeat(intervals / counts, counts)
     ends = np.concatenate([[0.0], *(time[k] + (np.arange(n) + 1) * intervals[k] / n for k, n in enumerate(counts))])
     middle = (ends[:-1] + ends[1:]) / 2
-    controls = at(values, time, middle)
+    controls = profile_at(values, time, middle)
     chain = scheme.advance(model).mapaccum(len(h))
     states = np.column_stack([start, np.asarray(chain(start, ca.DM(controls.T), h[None]).full())]).T
     good = int(np.argmin(np.append(np.isfinite(states).all(axis=1), False)))

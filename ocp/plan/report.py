@@ -12,7 +12,7 @@ from ocp.problem.bounds import PathBound, PathConstraint, RateBound
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.solvers.multipliers import Duals
-from ocp.transcription.mesh import at
+from ocp.transcription.mesh import profile_at
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
 
@@ -64,7 +64,7 @@ def report_of(problem: Problem, time: Array, states: Array, force_density: Array
     """The limits of `problem` that hold at the ends of a plan's intervals, and those that it breaks there, or its replay between them."""
     # both ends of every interval, under the force densities in it
     ends, before = np.append(time[:-1], time[1:]), np.append(time[:-1], time[1:] - 1e-9 * time[-1])
-    planned = _at_instants(problem, ends, np.concatenate([states[:-1], states[1:]]), at(force_density, time, before))
+    planned = _at_instants(problem, ends, np.concatenate([states[:-1], states[1:]]), profile_at(force_density, time, before))
     planned += _between_instants(problem, time, states, force_density)
     replayed = _at_instants(problem, replay.time, replay.states, replay.control)
     broken = [finding for course in (*planned, *replayed) for finding in course.findings(broken=True)]

@@ -11,7 +11,7 @@ import numpy as np
 
 from ocp.solvers.base import Solution, Solver
 from ocp.solvers.ipopt import Ipopt
-from ocp.transcription.base import OnGrid
+from ocp.transcription.base import Transcription
 from ocp.transcription.multiple_shooting import ramped_step, shooting_step
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
@@ -36,7 +36,7 @@ class Corrected(NamedTuple):
     gap: float
 
 
-def check_correctable(transcription: OnGrid, solver: Solver) -> None:
+def check_correctable(transcription: Transcription, solver: Solver) -> None:
     """Raise ValueError where an accuracy is asked for, and the solver does not start from a solution and its multipliers."""
     if transcription.accuracy is not None and not isinstance(solver, Ipopt):
         name = f"{type(transcription).__name__}.accuracy is {transcription.accuracy:g}"
@@ -44,7 +44,7 @@ def check_correctable(transcription: OnGrid, solver: Solver) -> None:
         raise ValueError(f"{text}: give ocp.Ipopt(), or accuracy=None and more intervals")
 
 
-def corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, accuracy: float) -> Corrected:
+def solve_corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, accuracy: float) -> Corrected:
     """Solve, and again with rows g(w) = τ of the motion in place of g(w) = 0, until states are as near to fine ones as `accuracy`.
 
     τ is what the rows leave at the states of fine steps under the planned force densities (Stetter, Numer. Math. 1978, 29, 425): where that is

@@ -85,7 +85,7 @@ class Fatrop:
         ValueError
             If Fatrop refuses an option.
         """
-        parts = staged(program)
+        parts = cut_into_stages(program)
         options: dict[str, Any] = {
             "structure_detection": "manual",
             "N": len(parts.states) - 1,
@@ -143,7 +143,7 @@ class Staged:
     rows: Indices
 
 
-def staged(program: Program) -> Staged:
+def cut_into_stages(program: Program) -> Staged:
     """Return the program in stages."""
     unknowns = program.parts.unknowns
     home = np.where(np.isfinite(unknowns.interval), unknowns.interval, 0).astype(int)

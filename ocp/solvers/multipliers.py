@@ -58,7 +58,7 @@ class Duals:
         return np.asarray(self.values[found])
 
 
-def duals_of(program: Program, target: Target, w: Array, rows: Array, limits: Array) -> Duals:
+def named_duals(program: Program, target: Target, w: Array, rows: Array, limits: Array) -> Duals:
     """Return the multipliers of an optimum w by name, from the scaled ones of rows and of w's limits; `target` is what is imposed."""
     names, values = [], []
     for part in _parts(program, target):
@@ -73,7 +73,7 @@ def duals_of(program: Program, target: Target, w: Array, rows: Array, limits: Ar
     )
 
 
-def started(program: Program, target: Target, duals: Duals) -> Program:
+def warm_started(program: Program, target: Target, duals: Duals) -> Program:
     """Return the program that starts where another of the same unknowns and constraints ended; as it is where they are others."""
     rest, parts = _rest(program), _parts(program, target)
     goals = [f"{part.label}{name}" for part in parts for name in part.target.reduction.names]

@@ -13,7 +13,7 @@ from ocp.problem.bounds import PathBound, RateBound
 from ocp.problem.costs import ControlCost, Cost, FinalCost, RunningCost, Smoothness
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
-from ocp.transcription.mesh import cubic, within
+from ocp.transcription.mesh import hermite_state, locate_share
 from ocp.transcription.sparse_nlp import Block, Program, Separable, gathered
 from ocp.transcription.variables import Variables
 from tenscasadi.util.casadi_tools import sparse
@@ -50,7 +50,7 @@ def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
     parts = Separable(unknowns, rows, costs, 1 / v.objective)
     entries = unknowns.entries(parts.w)[place.tolist()]
     states = gathered(entries, v.states) if defects.states is None else defects.states(entries)
-    controls = ca.mtimes(sparse(v.spread), gathered(entries, v.controls))
+    controls = ca.mtimes(sparse(v.group_matrix), gathered(entries, v.controls))
     lower, upper, scale = (np.concatenate(columns) for columns in zip(*(block.limits() for block in rows), strict=True))
     return Program(
         parts,
@@ -98,9 +98,9 @@ def waypoint_blocks(v: Variables) -> list[Block]:
     for number, waypoint in enumerate(v.target.waypoints):
         if not waypoint.target.count:
             continue
-        k, share = within(v.fractions, waypoint.share)
+        k, share = locate_share(v.fractions, waypoint.share)
         x, y, T, part = (ca.MX.sym("z", size) for size in (nx, nx, 1, 1))
-        state = y if share == 1.0 else cubic(v.model, x, y, T * part, share)
+        state = y if share == 1.0 else hermite_state(v.model, x, y, T * part, share)
         function = ca.Function("waypoint", [ca.vertcat(x, y, T, part)], [waypoint.target.rows(state)])
         names = tuple(f"goal of waypoint {number}, combination {row}" for row in range(waypoint.target.count))
         blocks.append(Block(function, np.concatenate([v.states[k], v.states[k + 1], v.duration, v.share[k]])[None], names, kind="waypoint"))
@@ -136,7 +136,7 @@ def _at_start(block: Block, count: int) -> Block:
 
 def _between(v: Variables, rows: ScaledRows) -> Block:
     nx, m, pairs = v.model.nx, v.controls.shape[1], len(v.controls) - 1
-    E = sparse(v.spread)
+    E = sparse(v.group_matrix)
     x, c, y, d, T, part = symbols(rows.function, nx, m, nx, m, 1, 1)
     value = rows.function(x, ca.mtimes(E, c), y, ca.mtimes(E, d), T * part)
     duration = v.repeated(v.duration, pairs)
@@ -167,7 +167,7 @@ def _differences(v: Variables, cost: Smoothness) -> tuple[Any, Any, Indices]:
     """Between neighbours: from middle to middle of intervals, or from end to end of linear profiles."""
     width = v.controls.shape[1]
     z = ca.SX.sym("z", 2 * width + 2)
-    pair = ca.mtimes(sparse(v.spread), ca.reshape(z[: 2 * width], width, 2))
+    pair = ca.mtimes(sparse(v.group_matrix), ca.reshape(z[: 2 * width], width, 2))
     spacing = v.fractions if v.profile.linear else (v.fractions[1:] + v.fractions[:-1]) / 2
     constants = [v.repeated(v.duration, len(spacing)), v.entries.constants(spacing[:, None])]
     return z, cost.expression(pair, z[-2] * z[-1]), np.hstack([v.controls[:-1], v.controls[1:], *constants])
@@ -189,7 +189,7 @@ def _simpson(v: Variables, cost: RunningCost) -> tuple[Any, Any, Indices]:
     parts = symbols(rate, nx, nx, v.interval_controls.shape[1], 1, 1, 1, 1)
     x, y, c, T, part, start, end = parts
     ends = rate(x, v.gamma(c, 0.0), T * start) + rate(y, v.gamma(c, 1.0), T * end)
-    middle = rate(cubic(v.model, x, y, T * part, 0.5), v.gamma(c, 0.5), T * (start + end) / 2)
+    middle = rate(hermite_state(v.model, x, y, T * part, 0.5), v.gamma(c, 0.5), T * (start + end) / 2)
     value = T * part / 6 * (ends + 4 * middle)
     index = [v.states[:-1], v.states[1:], v.interval_controls, v.repeated(v.duration), v.share, v.time[:-1], v.time[1:]]
     return ca.vertcat(*parts), value, np.hstack(index)

@@ -1,6 +1,6 @@
 """The base of all transcriptions: a mesh of intervals and a profile of force densities; and the rows that keep bars at its nodes.
 
-A transcription is a subclass of `OnGrid` that gives `defects`: see `ocp.transcription.multiple_shooting` for a short one.
+A transcription is a subclass of `Transcription` that gives `defects`: see `ocp.transcription.multiple_shooting` for a short one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tenscasadi.util.validate import Array, Indices, instance, positive_number
 
 
 @dataclass(frozen=True)
-class OnGrid:
+class Transcription:
     """The options that all transcriptions have.
 
     Parameters
@@ -76,7 +76,7 @@ class OnGrid:
         raise NotImplementedError
 
 
-class ReducedOnly(OnGrid):
+class ReducedOnly(Transcription):
     """Transcriptions that keep bars by rows of their own."""
 
     def check_model(self, model: Model) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
 from ocp.transcription.inverse_dynamics import inverse_dynamics
-from ocp.transcription.mesh import Profile, at, node_values
+from ocp.transcription.mesh import Profile, node_values, profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.validate import Array, finite_array, positive_number
@@ -222,7 +222,7 @@ class Arrays:
         return resampled(problem, target, states, np.linspace(0, 1, len(states)), gamma, np.linspace(0, 1, len(gamma) + 1), intervals, middle)
 
 
-def guess_of(value: InitialGuess | None, problem: Problem, target: Target, intervals: int) -> Guess:
+def evaluate_guess(value: InitialGuess | None, problem: Problem, target: Target, intervals: int) -> Guess:
     """Return the guess that a value stands for. Raises TypeError, ValueError, also for states that no projection puts onto bars and joints."""
     if value is None:
         return make_guess(problem, target, intervals)
@@ -236,18 +236,16 @@ def resampled(
 ) -> Guess:
     """Return states and force densities at shares of the duration, moved to equal intervals, within the limits, from the problem's start."""
     shares = np.linspace(0.0, 1.0, intervals + 1)
-    on_grid = np.column_stack([np.interp(shares, state_shares, column) for column in states.T])
-    if problem.model.mechanism.constrained:
-        on_grid = np.asarray(projection(problem.model, 3).map(len(shares))(on_grid.T).full()).T
+    moved = _projected(problem.model, np.column_stack([np.interp(shares, state_shares, column) for column in states.T]), 3)
     if not problem.free_start:
-        on_grid[0] = target.start
-    lost = ~np.isfinite(on_grid).all(axis=1)
+        moved[0] = target.start
+    lost = ~np.isfinite(moved).all(axis=1)
     if lost.any():
         share = shares[int(np.argmax(lost))]
         raise ValueError(f"guess has states at {share:.3g} of the duration that are no motion, such as bars without a length: give others")
     lower, upper = problem.force_density_limits
-    held = np.clip(at(gamma, gamma_shares, (shares[:-1] + shares[1:]) / 2), lower, upper)
-    return Guess(on_grid, held, float(np.clip(duration, problem.shortest, problem.longest)))
+    held = np.clip(profile_at(gamma, gamma_shares, (shares[:-1] + shares[1:]) / 2), lower, upper)
+    return Guess(moved, held, float(np.clip(duration, problem.shortest, problem.longest)))
 
 
 def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> Guess:
@@ -258,9 +256,8 @@ def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> G
     else:
         before = np.linspace(0.0, 1.0, intervals + 1)
         states = np.column_stack([np.interp(nodes, before, column) for column in guess.states.T])
-        if model.mechanism.constrained:
-            states[1:-1] = np.asarray(projection(model, 3).map(len(nodes))(states.T).full()).T[1:-1]
-        held = at(guess.force_density, before, (nodes[:-1] + nodes[1:]) / 2)
+        states[1:-1] = _projected(model, states, 3)[1:-1]
+        held = profile_at(guess.force_density, before, (nodes[:-1] + nodes[1:]) / 2)
     return Guess(states, node_values(held, fractions) if profile.linear else held, guess.duration)
 
 
@@ -296,16 +293,21 @@ def _motion(problem: Problem, target: Target, q: Array, duration: float) -> Arra
     model, intervals = problem.model, len(q) - 1
     start = target.start
     clock = model.split(start)[2] + np.linspace(0.0, duration, intervals + 1)[:, None][:, : model.nx - 2 * model.nq]
-    project = projection(model, 10).map(intervals + 1)
-    still = np.column_stack([q, np.zeros_like(q), clock])
-    q, _, _ = model.split(np.asarray(project(still.T).full()).T)
+    q, _, _ = model.split(_projected(model, np.column_stack([q, np.zeros_like(q), clock]), 10))
     v = np.empty_like(q)
     v[0], v[-1] = (model.split(state)[1] for state in (start, start if target.state is None else target.state))
     v[1:-1] = (q[2:] - q[:-2]) * (intervals / (2 * duration))
-    states = np.asarray(project(np.column_stack([q, v, clock]).T).full()).T
+    states = _projected(model, np.column_stack([q, v, clock]), 10)
     states[0] = start
     if target.state is not None:
         states[-1] = target.state
     if not np.all(np.isfinite(states)):  # a bar vanished on the way
         return np.repeat(start[None], intervals + 1, axis=0)
     return states
+
+
+def _projected(model: Model, states: Array, iterations: int) -> Array:
+    """Return states (P, nx) on bars and joints."""
+    if not model.mechanism.constrained:
+        return states
+    return np.asarray(projection(model, iterations).map(len(states))(states.T).full()).T

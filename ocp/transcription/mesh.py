@@ -1,4 +1,4 @@
-"""The time grid of a plan and how force densities run on it, as values."""
+"""The mesh of a plan, how force densities run over its intervals, and states between its nodes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def fractions(intervals: Intervals) -> Array:
 
 
 class Profile(Protocol):
-    """How force densities run over the intervals of a grid."""
+    """How force densities run over the intervals of a mesh."""
 
     @property
     def linear(self) -> bool:
@@ -114,7 +114,7 @@ class PiecewiseLinear(_Grouped):
     linear: ClassVar[bool] = True
 
 
-def spread(profile: Profile, strings: int) -> Array:
+def group_matrix(profile: Profile, strings: int) -> Array:
     """E (strings × groups) of ones and zeros: γ of all strings is E times those of the groups; strings in no group are alone.
 
     Raises ValueError for a group with a string that does not exist.
@@ -143,7 +143,7 @@ def held_values(values: Array, intervals: int) -> Array:
     return values if len(values) == intervals else (values[:-1] + values[1:]) / 2
 
 
-def at(values: Array, nodes: Array, time: Array) -> Array:
+def profile_at(values: Array, nodes: Array, time: Array) -> Array:
     """Return a profile (K, α) or (K + 1, α) on the mesh `nodes` (K + 1,) at `time` (…,)."""
     last = len(nodes) - 2
     k = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, last)
@@ -153,12 +153,7 @@ def at(values: Array, nodes: Array, time: Array) -> Array:
     return np.asarray((1 - share) * values[k] + share * values[k + 1])
 
 
-def between(left: Any, right: Any, share: float) -> Any:
-    """γ at a share of an interval from the values at its ends (equal for constant profiles)."""
-    return left if left is right else (1 - share) * left + share * right
-
-
-def within(fractions: Array, share: float) -> tuple[int, float]:
+def locate_share(fractions: Array, share: float) -> tuple[int, float]:
     """Return the interval in which a share of the duration lies, and the share of that interval: more than 0, up to 1."""
     ends = np.cumsum(fractions)
     k = min(int(np.searchsorted(ends, share - 1e-9)), len(ends) - 1)
@@ -166,7 +161,7 @@ def within(fractions: Array, share: float) -> tuple[int, float]:
     return k, 1.0 if part > 1 - 1e-9 else part
 
 
-def cubic(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
+def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
     """Return the state at a share of an interval of length h between states x and y, along the cubic with their places and velocities."""
     s, (q0, v0, clock0), (q1, v1, clock1) = share, model.split(x), model.split(y)
     q = hermite_cubic(q0, v0, q1, v1, h, s)

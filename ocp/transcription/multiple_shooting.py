@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.transcription.assemble import Defects
-from ocp.transcription.base import OnGrid, split_symbol, unrolled
+from ocp.transcription.base import Transcription, split_symbol, unrolled
 from ocp.transcription.sparse_nlp import Block
 from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.dynamics.model import Model
@@ -22,7 +22,7 @@ _UNIFORM = ca.Function("ode", [ca.SX.sym("x"), ca.SX.sym("u")], [ca.SX.ones(1)])
 
 
 @dataclass(frozen=True)
-class MultipleShooting(OnGrid):
+class MultipleShooting(Transcription):
     """Multiple shooting: an explicit scheme integrates each interval, and constraints close the gaps between intervals.
 
     The states at the nodes of the mesh are unknowns too. The steps of an interval are followed by a projection onto bars and joints:

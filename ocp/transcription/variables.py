@@ -13,7 +13,7 @@ from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, typical_cost
 from ocp.transcription.initial_guess import Guess, on_mesh
-from ocp.transcription.mesh import Profile, between, spread
+from ocp.transcription.mesh import Profile, group_matrix
 from ocp.transcription.sparse_nlp import Block, Unknowns, invertible
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import sparse
@@ -85,7 +85,7 @@ class Variables:
         self.strength = _strength(scales, guess)
         self.objective = typical_cost(problem, self.strength, guess.states, guess.force_density, guess.duration)
         self.guess = on_mesh(self.model, guess, fractions, profile)
-        self.spread = spread(profile, self.model.nu)
+        self.group_matrix = group_matrix(profile, self.model.nu)
         self.entries = Entries()
         self.states = np.vstack([self._start(), self._later_states()])
         self.controls = self._controls()
@@ -106,10 +106,10 @@ class Variables:
 
     def _controls(self) -> Indices:
         """Add force densities of intervals, or, where they are piecewise linear, at the nodes of the mesh."""
-        members = [np.flatnonzero(column) for column in self.spread.T]
+        members = [np.flatnonzero(column) for column in self.group_matrix.T]
         least, most = self.problem.force_density_limits
         lower, upper = (np.array([choose(limit[own]) for own in members]) for choose, limit in ((np.max, least), (np.min, most)))
-        first = self.guess.force_density @ (self.spread / self.spread.sum(axis=0))
+        first = self.guess.force_density @ (self.group_matrix / self.group_matrix.sum(axis=0))
         own = [f"force density of string{'s' * (len(strings) > 1)} {', '.join(map(str, strings))}" for strings in members]
         names = [f"{name}, interval {k}" for k in range(len(first)) for name in own]
         return self.entries.unknowns(names, first, self.strength, lower, upper, np.arange(len(first))[:, None])
@@ -127,9 +127,9 @@ class Variables:
 
     def gamma(self, local: Any, share: float) -> Any:
         """Return force densities (α,) at a share of an interval, from its `interval_controls`."""
-        m = self.spread.shape[1]
-        left = local[:m]
-        return ca.mtimes(sparse(self.spread), between(left, local[m:] if self.profile.linear else left, share))
+        m = self.group_matrix.shape[1]
+        held = (1 - share) * local[:m] + share * local[m:] if self.profile.linear else local
+        return ca.mtimes(sparse(self.group_matrix), held)
 
     def repeated(self, index: Indices, count: int | None = None) -> Indices:
         """Return the same entries (n,) for every interval, or for `count` instances."""

@@ -12,7 +12,7 @@ import ocp
 import tenscasadi as tc
 from ocp.boundary.find_target import find_target
 from ocp.problem.scaling import Scales
-from ocp.solvers.fatrop import staged
+from ocp.solvers.fatrop import cut_into_stages
 from ocp.transcription.initial_guess import make_guess
 
 BAR = 1.4
@@ -62,7 +62,7 @@ def test_fatrop_finds_the_plan_of_ipopt(case):
 def test_stages_see_themselves_and_what_is_handed_on(case):
     transcription, changes = CASES[case]
     built = program(raising(**changes), transcription)
-    parts = staged(built)
+    parts = cut_into_stages(built)
     assert sum(parts.states) + sum(parts.controls) == len(parts.first)
     assert sum(parts.states[1:]) + sum(parts.paths) == len(parts.lower) == len(parts.equality)
     assert parts.states[0] == 0
