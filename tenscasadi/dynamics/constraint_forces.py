@@ -35,7 +35,11 @@ LARGEST = 600  # unknowns of a system that is looked at for redundancy: a dense 
 
 
 class RedundantConstraints(UserWarning):
-    """Bar lengths and joints say the same thing twice, or nearly, in the initial shape: multipliers are not unique there."""
+    """Bars and joints constrain the initial shape more often than once, or nearly.
+
+    Warned of when a `Model` is built. The motion is exact as long as the constraints stay consistent, but their multipliers are not
+    unique. The message names the bars or joints.
+    """
 
 
 def residuals(mech: Mechanism, N: Any, B: Any, D: Any) -> tuple[Any, Any]:

@@ -24,7 +24,25 @@ BarLength = Literal["current", "constant"]
 
 
 class Multipliers(NamedTuple):
-    """λ (β,), N/m: force densities of bars, positive in compression (Eq. 87); Ω (3, c), N: joint and pin forces (Eq. 85)."""
+    """Multipliers that keep the lengths of bars, the joints and the pins.
+
+    Attributes
+    ----------
+    bar_force_density : ndarray, shape (β,)
+        λ̂, the force density of each bar, N/m; positive in compression (Eq. 87).
+    joint_force : ndarray, shape (3, c)
+        Ω, the forces in joints and pins, N (Eq. 85).
+
+    Examples
+    --------
+    A bar of 1 kg and 2 m stands on a pin, which carries its weight of 10 N:
+
+    >>> import tenscasadi as tc
+    >>> mast = tc.Structure([(0, 0, 0), (0, 0, 2)], bars=[(0, 1)], pinned=(0,))
+    >>> model = tc.Model(tc.Scene(mast, gravity=tc.Gravity((0, 0, -10))))
+    >>> model.multipliers(model.initial_state).joint_force[2].round(6)
+    array([10.])
+    """
 
     bar_force_density: Any
     joint_force: Any

@@ -17,7 +17,25 @@ from tenscasadi.util.compile import compile_function
 
 
 class Energy(NamedTuple):
-    """Energies of a state, J: of motion, of taut strings and the ground's springs, and in gravity (zero at the origin)."""
+    """Energies of a state.
+
+    Attributes
+    ----------
+    kinetic : float
+        Energy of motion, J.
+    elastic : float
+        Energy of taut strings and of the ground's springs, J.
+    gravity : float
+        Energy in gravity, J; zero with all mass at the origin.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> pendulum = tc.Structure([(0, 0, 0), (0, 0, -1)], bars=[(0, 1)], pinned=(0,))
+    >>> model = tc.Model(tc.Scene(pendulum, gravity=tc.Gravity((0, 0, -10))))
+    >>> round(model.energy(model.initial_state).total, 6)
+    -5.0
+    """
 
     kinetic: float
     elastic: float
@@ -25,27 +43,71 @@ class Energy(NamedTuple):
 
     @property
     def total(self) -> float:
-        """The sum, J."""
+        """The sum of all three, J."""
         return self.kinetic + self.elastic + self.gravity
 
 
 class Model(StateSpace):
-    """The equations of motion of a `Scene`, Eqs. 58-95, as CasADi Functions.
+    """The equations of motion of a `Scene` as CasADi Functions.
 
-    `coordinates="reduced"`: the state holds the coordinates of physical nodes that are free to move; joints and pins cannot drift.
-    `coordinates="full"`: the state holds the paper's class-one nodes, and Ω keeps joints and pins.
-    Reduced systems couple all bars that hang together: long chains of joined bars, from a hundred on, are cheaper in full coordinates.
-    State x = (positions, velocities), each node by node, and a clock where loads depend on time. Control u: one entry per parent
-    string (`ForceDensity`, N/m; `RestLength`, m) or none. `bar_length="constant"` is the paper's λ̂ as printed, for comparison: it
-    divides by l² where "current" divides by bᵀb, and then errors of length grow exponentially. Raises TypeError, ValueError;
-    warns with `RedundantConstraints`.
+    The state x holds positions and velocities, each node by node, and a clock where loads depend on time. The control u has one
+    entry for each parent string (`ForceDensity`, N/m, or `RestLength`, m), or none.
+
+    Parameters
+    ----------
+    scene : Scene
+        Structure, control and loads.
+    coordinates : {"reduced", "full"}
+        Coordinates of the state. "reduced": physical nodes that are free to move, so that joints and pins cannot drift.
+        "full": the paper's class-one nodes, whose joints and pins are kept by the multipliers Ω.
+    bar_length : {"current", "constant"}
+        The square that λ̂ divides by. "current": bᵀb. "constant": l² as the paper prints it, for comparison; errors of length
+        then grow exponentially.
+
+    Raises
+    ------
+    TypeError
+        If `scene` is no `Scene`.
+    ValueError
+        If an option is unknown, or `bar_length` is "constant" where bars meet or are pinned in reduced coordinates.
+
+    Warns
+    -----
+    RedundantConstraints
+        If bars and joints constrain the initial shape more often than once.
+
+    See Also
+    --------
+    simulate : Integrate the motion of a model in time.
+
+    Notes
+    -----
+    The equations are Eqs. 58-95 of the paper. Reduced coordinates couple all bars that hang together: long chains of joined bars,
+    from a hundred on, are cheaper in full coordinates.
+
+    Sizes are `nx` (state), `nq` (positions in it) and `nu` (control); `structure` is the structure with its strings subdivided as
+    the scene says, `mechanism` holds its constant matrices.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    >>> model.nx, model.nu
+    (36, 9)
+    >>> model.ode
+    Function(ode:(x[36],u[9])->(xdot[36]) SXFunction)
+    >>> model.nodes(model.initial_state).shape
+    (6, 3)
     """
 
     # --- CasADi Functions ---
 
     @cached_property
     def ode(self) -> ca.Function:
-        """(x, u) → xdot: self-contained, differentiable, usable by any CasADi tool."""
+        """Right-hand side of the equation of motion: Function "ode" (x, u) → xdot.
+
+        It is self-contained and differentiable: any CasADi tool can use it.
+        """
         x, u = self.symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
         A, _, _ = forward_dynamics(self, N, V, u, time)
@@ -54,12 +116,27 @@ class Model(StateSpace):
         return ca.Function("ode", [x, u], ca.cse(rate) if self.mechanism.unrolled else rate, ["x", "u"], ["xdot"])
 
     def compile(self) -> ca.Function:
-        """`ode` as machine code: the same inputs, outputs and values, without derivatives. Raises CompileError without a C compiler."""
+        """Compile `ode` to machine code.
+
+        Returns
+        -------
+        casadi.Function
+            The same inputs, outputs and values as `ode`, without derivatives.
+
+        Raises
+        ------
+        CompileError
+            If there is no C compiler, or it fails.
+        """
         return compile_function(self.ode)
 
     @cached_property
     def observe(self) -> ca.Function:
-        """(x, u) → nodes and velocities (3n, node by node), force_density and tension (α), energy (3), bar_length_error, joint_error."""
+        """All that can be observed at a state: Function "observe" (x, u) → seven outputs.
+
+        They are ``nodes``, m, and ``velocities``, m/s, (3n, node by node), ``force_density``, N/m, and ``tension``, N, of the
+        modelled strings (α), ``energy`` (kinetic, elastic, gravity, J), ``bar_length_error`` and ``joint_error``, m.
+        """
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
         gamma, S = forces.strings(self.scene, self.mechanism, N, V, u)
@@ -77,14 +154,17 @@ class Model(StateSpace):
 
     @cached_property
     def energy_function(self) -> ca.Function:
-        """(x, u) → total energy, J, without the rest of what `observe` computes."""
+        """Total energy: Function "energy" (x, u) → J, without the rest of `observe`."""
         x, u = self.symbols(not self.mechanism.large)
         energy = ca.sum1(self.observe(x, u)[self.observe.index_out("energy")])
         return ca.Function("energy", [x, u], [energy], ["x", "u"], ["energy"])
 
     @cached_property
     def power(self) -> ca.Function | None:
-        """(x, u) → power, W, of all forces that `energy` does not hold; None when there are none. Jumps of the control are not in it."""
+        """Power of all forces that `energy` does not hold: Function "power" (x, u) → W; None where there are none.
+
+        A jump of the control changes the energy at once, which is not in the power.
+        """
         if self.conservative:
             return None
         x, u = self.symbols(not self.mechanism.large)
@@ -100,7 +180,7 @@ class Model(StateSpace):
 
     @cached_property
     def multiplier_function(self) -> ca.Function:
-        """(x, u) → λ (β) and Ω (3×c): see `multipliers`."""
+        """Multipliers of bars and joints: Function "multipliers" (x, u) → λ (β), N/m, and Ω (3×c), N; see `multipliers`."""
         x, u = self.symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
         A, lam, omega = forward_dynamics(self, N, V, u, time)
@@ -111,32 +191,107 @@ class Model(StateSpace):
     # --- numbers in, numbers out ---
 
     def force_density(self, x: Any, u: Any = None) -> Any:
-        """γ of the modelled strings (α,), N/m; u None: the initial control. CasADi in, CasADi out."""
+        """Return the force densities γ of the modelled strings.
+
+        Parameters
+        ----------
+        x : array_like, shape (nx,), or CasADi column
+            State.
+        u : array_like, shape (nu,), or CasADi column, optional
+            Control; the initial control if None.
+
+        Returns
+        -------
+        ndarray, shape (α,), or CasADi column
+            Tension divided by length, N/m (Eq. 99); CasADi where x or u is.
+        """
         return self._observed("force_density", x, u)
 
     def tension(self, x: Any, u: Any = None) -> Any:
-        """Tensions of the modelled strings (α,), N; u None: the initial control. CasADi in, CasADi out."""
+        """Return the tensions of the modelled strings.
+
+        Parameters
+        ----------
+        x : array_like, shape (nx,), or CasADi column
+            State.
+        u : array_like, shape (nu,), or CasADi column, optional
+            Control; the initial control if None.
+
+        Returns
+        -------
+        ndarray, shape (α,), or CasADi column
+            Tensions, N; CasADi where x or u is.
+        """
         return self._observed("tension", x, u)
 
     def multipliers(self, x: Any, u: Any = None) -> Multipliers:
-        """λ̂ (β,) and Ω (3, c) in the paper's signs (Eqs. 85, 87); Ω's columns are those of `structure.class_one().P`,
-        then one for each node that is pinned along some axes only.
+        """Return the force densities of bars and the forces in joints and pins.
 
-        Where constraints are redundant these are the smallest of the many that give the same motion, in scaled rows.
+        Parameters
+        ----------
+        x : array_like, shape (nx,)
+            State.
+        u : array_like, shape (nu,), optional
+            Control; the initial control if None.
+
+        Returns
+        -------
+        Multipliers
+            λ̂ and Ω in the paper's signs (Eqs. 85, 87). The columns of Ω are those of `structure.class_one().P`, then one for each
+            node that is pinned along some axes only.
+
+        Notes
+        -----
+        Where constraints are redundant many multipliers give the same motion: these are the smallest, in scaled rows.
         """
         lam, omega = self.multiplier_function(*self.arguments(x, u))
         return Multipliers(lam.full().ravel(), omega.full())
 
     def energy(self, x: Any, u: Any = None) -> Energy:
-        """Kinetic, elastic and gravity energy, J; strings driven by force density store none."""
+        """Return kinetic, elastic and gravity energy.
+
+        Parameters
+        ----------
+        x : array_like, shape (nx,)
+            State.
+        u : array_like, shape (nu,), optional
+            Control; the initial control if None.
+
+        Returns
+        -------
+        Energy
+            The three energies, J. Strings driven by force density store none.
+        """
         return Energy(*self._observed("energy", x, u).tolist())
 
     def bar_length_error(self, x: Any) -> float:
-        """The largest | |b| − l | / l over the bars: 0 is exact."""
+        """Return the largest relative error of a bar's length.
+
+        Parameters
+        ----------
+        x : array_like, shape (nx,)
+            State.
+
+        Returns
+        -------
+        float
+            The largest | |b| − l | / l over the bars; 0 is exact.
+        """
         return float(self._observed("bar_length_error", x, None)[0])
 
     def joint_error(self, x: Any) -> float:
-        """The largest distance of a joint or pin from where it belongs, per axis, m: 0 in reduced coordinates."""
+        """Return the largest distance of a joint or pin from its place.
+
+        Parameters
+        ----------
+        x : array_like, shape (nx,)
+            State.
+
+        Returns
+        -------
+        float
+            The largest entry of | N P − D |, m; 0 in reduced coordinates.
+        """
         return float(self._observed("joint_error", x, None)[0])
 
     @property
@@ -145,7 +300,13 @@ class Model(StateSpace):
         return forces.conservative(self.scene)
 
     def describe(self) -> TermCounts:
-        """The terms that this scene builds, each with the instructions that it adds to the right-hand side."""
+        """Count the instructions that each term of the scene adds to the right-hand side.
+
+        Returns
+        -------
+        TermCounts
+            A dictionary from the name of a term to its instructions, with their ``"total"``; prints as a table.
+        """
         return count_terms(self, self.ode)
 
     # --- expressions ---

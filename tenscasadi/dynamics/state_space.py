@@ -17,12 +17,32 @@ from tenscasadi.util.validate import Array, finite_array, instance
 
 
 class Constraints(NamedTuple):
-    """What bars and joints ask of a state: columns that are zero where it is kept. Joints, pins included: full coordinates only."""
+    """Residuals of the constraints at a state, and their rates of change: zero where bars and joints are kept.
 
-    bars: Any  # (bᵀb − l²)/(2 l) of each bar, m: how much it is too long, to first order
-    bar_rates: Any  # bᵀḃ/l, m/s
-    joints: Any  # N P − D along each axis that is held, m
-    joint_rates: Any  # V P − Ḋ, m/s
+    Attributes
+    ----------
+    bars : ndarray, shape (β,), or CasADi column
+        (bᵀb − l²)/(2 l) of each bar, m: how much it is too long, to first order.
+    bar_rates : ndarray, shape (β,), or CasADi column
+        bᵀḃ/l of each bar, m/s.
+    joints : ndarray, shape (k,), or CasADi column
+        N P − D along each axis that a joint or pin holds, m; empty in reduced coordinates.
+    joint_rates : ndarray, shape (k,), or CasADi column
+        V P − Ḋ along the same axes, m/s.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> bar = tc.Structure([(0, 0, 0), (2, 0, 0)], bars=[(0, 1)])
+    >>> model = tc.Model(tc.Scene(bar))
+    >>> model.constraints(model.state([(0, 0, 0), (2.002, 0, 0)])).bars.round(6)
+    array([0.002001])
+    """
+
+    bars: Any
+    bar_rates: Any
+    joints: Any
+    joint_rates: Any
 
 
 class StateSpace:
@@ -54,7 +74,7 @@ class StateSpace:
 
     @cached_property
     def initial_state(self) -> Array:
-        """The structure's nodes at rest (nx,), or at the velocities nearest to rest that moved supports leave possible."""
+        """State (nx,) of the structure's nodes at rest, or at the velocities nearest to rest that moved supports leave possible."""
         x = self.state(self.structure.nodes)
         if self._supports is None or not self.mechanism.constrained:
             return x
@@ -63,7 +83,7 @@ class StateSpace:
 
     @cached_property
     def initial_control(self) -> Array:
-        """The control that leaves the strings as the structure has them (nu,): γ of its rest lengths, or the rest lengths."""
+        """Control (nu,) that leaves the strings as the structure has them: its rest lengths, m, or their force densities, N/m."""
         s = self.scene.structure
         if isinstance(self.scene.control, RestLength):
             return s.rest_length.copy()
@@ -72,9 +92,24 @@ class StateSpace:
         return np.zeros(0)
 
     def state(self, nodes: Any, velocities: Any = None) -> Array:
-        """x (nx,) of physical nodes (n, 3), m, and velocities (n, 3), m/s (None: at rest); the clock starts at 0.
+        """Return the state of given nodes and velocities; its clock is 0.
 
-        n counts the modelled nodes; moved supports keep their own motion. Raises ValueError where a pinned coordinate is elsewhere or moves.
+        Parameters
+        ----------
+        nodes : array_like, shape (n, 3)
+            Positions of the physical nodes, those inside subdivided strings included, m.
+        velocities : array_like, shape (n, 3), optional
+            Their velocities, m/s; at rest if None. Moved supports keep their own motion.
+
+        Returns
+        -------
+        ndarray, shape (nx,)
+            State.
+
+        Raises
+        ------
+        ValueError
+            If a pinned coordinate is elsewhere or moves.
         """
         n = len(self.structure.nodes)
         positions = finite_array("nodes", nodes, (n, 3))
@@ -98,17 +133,51 @@ class StateSpace:
         return x
 
     def nodes(self, x: Any) -> Any:
-        """Physical nodes of states: (…, nx) → (…, n, 3), m. A CasADi state gives the 3×n expression."""
+        """Return the positions of physical nodes.
+
+        Parameters
+        ----------
+        x : array_like, shape (..., nx), or CasADi column
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., n, 3), or CasADi matrix
+            Positions, m; 3×n where x is CasADi.
+        """
         return self._physical(x, 0, self.mechanism.N.T)
 
     def velocities(self, x: Any) -> Any:
-        """Velocities of physical nodes: (…, nx) → (…, n, 3), m/s. A CasADi state gives the 3×n expression."""
+        """Return the velocities of physical nodes.
+
+        Parameters
+        ----------
+        x : array_like, shape (..., nx), or CasADi column
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., n, 3), or CasADi matrix
+            Velocities, m/s; 3×n where x is CasADi.
+        """
         return self._physical(x, self.nq, np.zeros_like(self.mechanism.N.T))
 
     def constraints(self, x: Any) -> Constraints:
-        """The constraints at a state (nx,) and their rates of change: arrays, or CasADi columns for a CasADi state. Raises ValueError.
+        """Return the residuals of bars and joints, and their rates of change.
 
-        `ca.vertcat(*model.constraints(x))` are the rows that a free start has to satisfy in a tool for optimal control. Every motion
+        Parameters
+        ----------
+        x : array_like, shape (nx,), or CasADi column
+            State.
+
+        Returns
+        -------
+        Constraints
+            Arrays, or CasADi columns where x is CasADi.
+
+        Notes
+        -----
+        ``ca.vertcat(*model.constraints(x))`` are the rows that a free start has to satisfy in a tool for optimal control. Every motion
         keeps them: imposed at later times too they are redundant, and their gradients linearly dependent with those of the dynamics.
         """
         value, _ = self.arguments(x, None)
@@ -121,7 +190,7 @@ class StateSpace:
         return Constraints(*(row.full().ravel() if isinstance(row, ca.DM) else row for row in rows))
 
     def arguments(self, x: Any, u: Any) -> tuple[Any, Any]:
-        """x and u as CasADi values of the right sizes; u None: the initial control. Raises TypeError, ValueError."""
+        """Return x (nx) and u (nu; None: the initial control) as CasADi values; raises TypeError or ValueError where they are no such."""
         if u is None:
             u = self.initial_control
         return tuple(
@@ -144,7 +213,7 @@ class StateSpace:
         return x[parts[0], :], x[parts[1], :], x[parts[2], :]
 
     def unpack(self, x: Any) -> tuple[Any, Any, Any]:
-        """N and V (3×n, the columns of `mechanism`) and the time of a CasADi state."""
+        """Return N, m, and V, m/s, (3×n, the columns of `mechanism`) and the time, s, of a CasADi state."""
         start, (q, v, clock) = self.mechanism.N.T, self.split(x)
         time = clock if self.scene.has_clock else 0
         N, V = self._place(q, start), self._place(v, np.zeros_like(start))
@@ -153,7 +222,7 @@ class StateSpace:
         return N, V, time
 
     def targets(self, time: Any) -> tuple[Any, Any, Any]:
-        """D of N P = D and its first two rates (3×c): joints, pins and moved supports of full coordinates."""
+        """Return D of N P = D, m, and its first two rates (3×c) at a time, s: joints, pins and moved supports of full coordinates."""
         mech = self.mechanism
         still = ca.DM.zeros(*mech.D.shape)
         if self._supports is None or not mech.joints:
@@ -183,13 +252,13 @@ class StateSpace:
         return ca.reshape(vector, 3, len(elsewhere))
 
     def pack(self, upper: Any, lower: Any, clock: Any) -> Any:
-        """The inverse of `unpack`, also for rates of change: two 3×n matrices and, where there is a clock, its entry."""
+        """Return the state (nx) of two 3×n matrices and, where there is a clock, its entry: the inverse of `unpack`, also for rates of change."""
         free = self._free.tolist()
         parts = [ca.vec(matrix)[free] if self.nq < 3 * matrix.shape[1] else ca.vec(matrix) for matrix in (upper, lower)]
         return ca.densify(ca.vertcat(*parts, *([clock] if self.scene.has_clock else [])))
 
     def support_accelerations(self, time: Any) -> Any:
-        """Accelerations (3×n) of supports that are moved in reduced coordinates, where P does not hold them; all other columns are zero."""
+        """Return the accelerations (3×n), m/s², of supports that are moved in reduced coordinates, where P does not hold them; else zero."""
         if self._supports is None or self.coordinates == "full":
             return ca.DM(*self.mechanism.N.shape)  # without entries: adds no instructions
         moved = type(time).zeros(*self.mechanism.N.shape)
