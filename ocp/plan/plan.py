@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -249,24 +248,20 @@ _VALUES = {  # in NumPy's letters what they are
 }
 
 
-def _from_arrays(content: dict[str, Any]) -> Plan:
+def _from_arrays(content: archive.Fields) -> Plan:
     model = model_of(content)
     structure = structure_of(content) if model is None else model.scene.structure
-    for name, kind in _VALUES.items():
-        if content[name].dtype.kind != kind or content[name].ndim:
-            raise ValueError(f"field {name!r} holds values of type {content[name].dtype}, shape {content[name].shape}")
-    prefix = "trajectory."
-    trajectory = Trajectory.from_arrays({name.removeprefix(prefix): value for name, value in content.items() if name.startswith(prefix)})
+    values = {name: content.array(name, kind, 0).item() for name, kind in _VALUES.items()}
+    trajectory = Trajectory.from_arrays(content.within("trajectory."))
     if model is not None and trajectory.states.shape[1] != model.nx:
         raise ValueError(f"field 'trajectory.states' has {trajectory.states.shape[1]} columns, not {model.nx}")
     intervals, strings = len(trajectory.time) - 1, len(structure.strings)
-    time, gamma = content["time"], content["force_density"]
+    time, gamma = content.array("time", "f", 1), content.array("force_density", "f", 2)
     rows = intervals + (len(gamma) == intervals + 1)
     for name, value, shape in (("time", time, (intervals + 1,)), ("force_density", gamma, (rows, strings))):
-        if value.shape != shape or value.dtype.kind != "f":
+        if value.shape != shape:
             raise ValueError(f"field {name!r} has shape {value.shape}, not {shape}")
     duals = None
     if "duals.names" in content:
-        duals = Duals(tuple(content["duals.names"].tolist()), content["duals.values"], content["duals.point"])
-    values = {name: content[name].item() for name in _VALUES}
+        duals = Duals(tuple(content.array("duals.names", "U", 1).tolist()), content["duals.values"], content["duals.point"])
     return Plan(**values, time=time, force_density=gamma, trajectory=trajectory, structure=structure, model=model, duals=duals)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -315,12 +315,16 @@ def short(value: Any, without: str = "") -> str:
     return type(value).__name__ + (f"({changed})" if changed else "")
 
 
-def _from_arrays(content: dict[str, Any]) -> Tradeoff:
-    columns = {field.name: content.pop(f"row_{field.name}").tolist() for field in fields(Row)}
-    for name in ("scheme", "correction"):
+def _from_arrays(content: archive.Fields) -> Tradeoff:
+    kinds = {"scheme": "U", "correction": "U"}
+    columns = {field.name: content.array(f"row_{field.name}", kinds.get(field.name, "fibU"), 1).tolist() for field in fields(Row)}
+    for name in kinds:
         columns[name] = [_value(text) for text in columns[name]]
     rows = tuple(Row(**dict(zip(columns, values, strict=True))) for values in zip(*columns.values(), strict=True))
-    return Tradeoff(rows=rows, **{name: value.item() for name, value in content.items()})
+    known = {field.name: field for field in fields(Tradeoff) if field.name != "rows"}
+    if unknown := {name for name in content if not name.startswith("row_")} - known.keys():
+        raise ValueError(f"it has a field {min(unknown)!r}")
+    return Tradeoff(rows, **{name: content[name].item() for name, field in known.items() if field.default is MISSING or name in content})
 
 
 def _number(value: float, form: str) -> str:
@@ -329,9 +333,16 @@ def _number(value: float, form: str) -> str:
 
 def _value(text: str) -> Any:
     """Return the scheme or correction that `repr` wrote: a class of `integrators.__all__` with plain options."""
-    tree = ast.parse(text, mode="eval").body
+    try:
+        tree = ast.parse(text, mode="eval").body
+    except SyntaxError:
+        raise ValueError(f"{text!r} is no scheme or correction") from None
     if isinstance(tree, ast.Constant) and tree.value is None:
         return None
     if not isinstance(tree, ast.Call) or not isinstance(tree.func, ast.Name) or tree.func.id not in integrators.__all__ or tree.args:
         raise ValueError(f"{text!r} is no scheme or correction")
-    return getattr(integrators, tree.func.id)(**{str(option.arg): ast.literal_eval(option.value) for option in tree.keywords})
+    options = {str(option.arg): ast.literal_eval(option.value) for option in tree.keywords}
+    try:
+        return getattr(integrators, tree.func.id)(**options)
+    except TypeError as error:  # of an option that is unknown or of another type
+        raise ValueError(f"{text!r} is no scheme or correction: {error}") from None

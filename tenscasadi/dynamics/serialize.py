@@ -14,6 +14,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Smooth
 from tenscasadi.structure.class_one import Layout
 from tenscasadi.structure.structure import PARAMETERS, Structure
+from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import Array, Indices, finite_array
 
 Content = Mapping[str, Any]
@@ -22,6 +23,20 @@ _ROUNDING = 1e-9  # relative: numbers that differ by less are the same, computed
 _MEMBERS = [name for name in PARAMETERS if name != "pinned"]
 _GROUND = ("stiffness", "damping", "friction", "height", "normal", "slip_speed")
 _LAYOUT = ("physical", "bar_columns", "string_columns", "mass_share")
+_INDICES = (
+    "bars",
+    "strings",
+    "string_parent",
+    *"layout.physical",
+    "layout.bar_columns",
+    "layout.string_columns",
+    "layout.tied",
+    "segments",
+    "pressure.faces",
+    "supports.nodes",
+)
+_KINDS = dict.fromkeys(_INDICES, "i") | {"fixed": "b", "ends": "U", "functions": "U"}  # in NumPy's letters; others are real numbers
+_DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layout.tied": 0}
 _NOTHING = np.zeros(0)  # stands for None
 
 
@@ -36,8 +51,8 @@ def structure_arrays(structure: Structure) -> dict[str, Array]:
 
 
 def structure_of(content: Content) -> Structure:
-    """The structure that `structure_arrays` told; files from before there were layouts have the default one. Raises KeyError, ValueError."""
-    given = {name.removeprefix("structure."): value for name, value in content.items() if name.startswith("structure.")}
+    """The structure that `structure_arrays` told; files from before there were layouts have the default one. Raises ValueError."""
+    given = _checked(Fields(content).within("structure."))
     pinned = {int(node): "".join(np.array(list("xyz"))[axes]) for node, axes in enumerate(given["fixed"]) if axes.any()}
     structure = Structure(**{name: given[name] for name in _MEMBERS}, pinned=pinned)
     if "layout.ties" not in given:
@@ -83,10 +98,10 @@ def model_arrays(model: Model, times: Array) -> dict[str, Array]:
 
 
 def model_of(content: Content) -> Model | None:
-    """The model under force densities that `model_arrays` told; None where it has functions of time, or was not told. Raises KeyError, ValueError."""
+    """The model under force densities that `model_arrays` told; None where it has functions of time, or was not told. Raises ValueError."""
     if "model.coordinates" not in content or content["scene.functions"].size:
         return None
-    told = {name.removeprefix("scene."): value for name, value in content.items() if name.startswith("scene.")}
+    told = _checked(Fields(content).within("scene."))
     given: dict[str, Any] = {name: told[name].tolist() for name in ("segments", "ends")}
     if told["fractions"].size:
         given["fractions"] = told["fractions"].tolist()
@@ -109,6 +124,14 @@ def differences(content: Content, model: Model) -> list[str]:
     own = model_arrays(model, content.get("scene.clock", _NOTHING))
     told = own.keys() & content.keys() - {"scene.clock", "scene.functions"}
     return [name[0].upper() + name[1:] for name in own if name in told and not _same(content[name], own[name])]
+
+
+def _checked(given: Fields) -> Fields:
+    """The same, once every field is known to hold numbers, indices, flags or text, as it should. Raises ValueError."""
+    for name, value in given.items():
+        if value.size or name in _DIMENSIONS:
+            given.array(name, _KINDS.get(name, "fi"), _DIMENSIONS.get(name))
+    return given
 
 
 def _indices(name: str, given: Content, shape: tuple[int, ...], count: int) -> Indices:

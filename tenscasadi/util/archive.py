@@ -19,6 +19,24 @@ _UNREADABLE = (
 )
 
 
+class Fields(dict[str, Any]):
+    """Arrays of a file by name; asking for one that the file lacks raises ValueError."""
+
+    def __missing__(self, name: str) -> Any:
+        raise ValueError(f"it has no field {name!r}")
+
+    def array(self, name: str, kinds: str, dimensions: int | None = None) -> Any:
+        """The array of this name, whose values are of one of these kinds, in NumPy's letters. Raises ValueError."""
+        value = self[name]
+        if value.dtype.kind not in kinds or (dimensions is not None and value.ndim != dimensions):
+            raise ValueError(f"field {name!r} holds values of type {value.dtype}, shape {value.shape}")
+        return value
+
+    def within(self, prefix: str) -> Fields:
+        """The fields whose names begin with `prefix`, without it."""
+        return Fields({name.removeprefix(prefix): value for name, value in self.items() if name.startswith(prefix)})
+
+
 def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) -> Path:
     """Writes arrays by name, and `form` as the field "format", to exactly `path`, compressed, and returns it.
 
@@ -40,15 +58,16 @@ def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) ->
     return target
 
 
-def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[dict[str, Any]], T], names: Container[str] | None = None) -> T:
-    """What `build` makes of the arrays, by name, of a file that `save` wrote in this form; `names`: only these are opened.
+def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fields], T], names: Container[str] | None = None) -> T:
+    """`build` of the arrays, by name, of a file that `save` wrote in this form; `names`: only these are opened.
 
-    No code in the file is ever run. Raises FileNotFoundError, and ValueError naming the file, the `kind` of thing that it is not, and why.
+    No code in the file is ever run. Raises FileNotFoundError, and ValueError naming the file, the `kind` of thing that it is not, and why;
+    `build` says so with a ValueError, and all else that it raises passes.
     """
     refusal = f"{os.fspath(path)} is not a {kind}"
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files if names is None or name == "format" or name in names}
+            content = Fields({name: archive[name] for name in archive.files if names is None or name == "format" or name in names})
             if not all(isinstance(value, np.ndarray) for value in content.values()):
                 raise ValueError("a file that holds no array")
     except FileNotFoundError:
@@ -57,11 +76,9 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[di
         raise ValueError(f"{refusal}: it cannot be read ({error})") from None
     except _UNREADABLE:  # NumPy's words would advise to allow pickles
         raise ValueError(f"{refusal}: it cannot be read, as tenscasadi did not save it or it is damaged") from None
+    if str(content.pop("format", "")) != form:
+        raise ValueError(f"{refusal}: its field 'format' is not {form!r}")
     try:
-        if str(content.pop("format", "")) != form:
-            raise ValueError(f"its field 'format' is not {form!r}")
         return build(content)
-    except KeyError as error:
-        raise ValueError(f"{refusal}: it has no field {error}") from None
-    except _UNREADABLE as error:
-        raise ValueError(f"{refusal}: {error}") from None
+    except ValueError as error:
+        raise ValueError(f"{refusal}: {error}") from error

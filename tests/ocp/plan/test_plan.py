@@ -376,6 +376,23 @@ def test_a_plan_is_not_loaded_for_a_problem_with_another_model(plan, tmp_path):
     assert ocp.Plan.load(path, ocp.Problem(driven(prism(1.0)))).replay().success
 
 
+def test_a_plan_with_a_field_of_another_kind_is_refused_by_name(plan, tmp_path):
+    path = plan.save(tmp_path / "plan.npz")
+    with np.load(path) as archive:
+        content = {name: archive[name] for name in archive.files if not name.startswith("trajectory.")}
+        trajectory = {name: archive[name] for name in archive.files if name not in content}
+    messages = []
+    for name in content:
+        for wrong in (None, np.asarray("x"), np.asarray(np.nan), np.ones(content[name].shape) * 1j):
+            np.savez(path, **{key: value for key, value in {**trajectory, **content, name: wrong}.items() if value is not None})
+            try:
+                ocp.Plan.load(path)
+            except ValueError as error:  # anything else would be a fault of ours
+                messages.append(str(error))
+    assert len(messages) > 2 * len(content)
+    assert all(message.startswith(f"{path} is not a plan: ") for message in messages)
+
+
 # --- time ---
 
 

@@ -66,6 +66,40 @@ def test_what_is_wrong_is_told(tmp_path: Path) -> None:
         archive.load(tmp_path / "none.npz", "form 1", "thing", dict)
 
 
+def test_what_the_builder_refuses_names_the_file(tmp_path: Path) -> None:
+    path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.ones(2), "in.y": np.ones(1), "in.z": np.asarray("γ")})
+
+    def refuse(content: archive.Fields) -> None:
+        raise ValueError("x has an even number of entries")
+
+    with pytest.raises(ValueError, match=r"a\.npz is not a thing: x has an even number of entries$"):
+        archive.load(path, "form 1", "thing", refuse)
+    with pytest.raises(ValueError, match=r"a\.npz is not a thing: field 'x' holds values of type float64, shape \(2,\)$"):
+        archive.load(path, "form 1", "thing", lambda content: content.array("x", "i"))
+    with pytest.raises(ValueError, match=r"a\.npz is not a thing: field 'z' holds values of type <U1, shape \(\)$"):
+        archive.load(path, "form 1", "thing", lambda content: content.within("in.").array("z", "U", 1))
+    with pytest.raises(ValueError, match=r"a\.npz is not a thing: it has no field 'x'$"):
+        archive.load(path, "form 1", "thing", lambda content: content.within("in.")["x"])
+    assert archive.load(path, "form 1", "thing", lambda content: content.array("x", "fi", 1)).tolist() == [1.0, 1.0]
+    assert list(archive.load(path, "form 1", "thing", lambda content: content.within("in."))) == ["y", "z"]
+
+
+BUGS: dict[str, Callable[[dict[str, np.ndarray]], object]] = {
+    "TypeError": lambda content: len(3),  # type: ignore[arg-type]
+    "KeyError": lambda content: {}["x"],
+    "AttributeError": lambda content: content["x"].colour,  # type: ignore[attr-defined]
+    "IndexError": lambda content: [][0],
+}
+
+
+@pytest.mark.parametrize("name", BUGS)
+def test_a_bug_of_the_builder_is_no_fault_of_the_file(name: str, tmp_path: Path) -> None:
+    path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.ones(2)})
+    with pytest.raises(Exception, match=r"^(?!.*a\.npz)") as caught:
+        archive.load(path, "form 1", "thing", BUGS[name])
+    assert caught.type.__name__ == name
+
+
 class Harm:
     """Makes a folder when unpickled."""
 
