@@ -129,7 +129,7 @@ def differences(content: Content, model: Model) -> list[str]:
 def _checked(given: Fields) -> Fields:
     """The same, once every field is known to hold numbers, indices, flags or text, as it should. Raises ValueError."""
     for name, value in given.items():
-        if value.size or name in _DIMENSIONS:
+        if value.shape != _NOTHING.shape or name in _DIMENSIONS:
             given.array(name, _KINDS.get(name, "fi"), _DIMENSIONS.get(name))
     return given
 
