@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from runs import by_hand, moving, prism
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.simulation.control_input import ControlProfile, sample_control
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
@@ -81,3 +82,42 @@ def test_an_equal_mesh_is_a_table(model):
 def test_profiles_that_do_not_fit_are_refused(model: Model, time: Any, shape: Any, named: str) -> None:
     with pytest.raises(ValueError, match=named):
         simulate(model, 0.3, control=ControlProfile(np.array(time), np.zeros(shape)), compiled=False)
+
+
+@pytest.mark.parametrize("kind", [ForceDensity(), RestLength()])
+def test_every_form_of_control(kind: Any) -> None:
+    model = prism(kind)
+    u, x, steps, h = model.initial_control, moving(model), 1200, 1e-3
+    wave = u * (1 + 0.1 * np.sin(7 * h * np.arange(steps)))[:, None]
+    table = u * np.array([1.0, 1.1, 0.9])[:, None]
+    times: list[float] = []
+
+    def function(t: float) -> np.ndarray:
+        times.append(t)
+        return u * (1 + 0.1 * np.sin(7 * t))
+
+    forms = [(None, [u] * steps), (1.1 * u, [1.1 * u] * steps), (table, np.repeat(table, 400, axis=0)), (table[1:2], [1.1 * u] * steps)]
+    for control, used in [*forms, (function, wave)]:
+        run = simulate(model, steps * h, h, state=x, control=control, save_every=1, compiled=False)
+        assert np.abs(run.states - by_hand(model, x, np.array(used), h)).max() < 1e-11
+        assert run.control == pytest.approx(np.concatenate([used, used[-1:]]))
+        assert run.force_density[5] == pytest.approx(model.force_density(run.states[5], used[5]))
+    assert times == pytest.approx(h * np.arange(steps))  # once each, in order, at the start of each step
+
+
+def test_steps_fit_the_intervals_of_a_table() -> None:
+    model = prism(ForceDensity())
+    u = model.initial_control
+    run = simulate(model, 1.0, 0.01, control=np.outer(np.linspace(1, 1.1, 7), u), compiled=False)
+    assert len(run.time) == 7 * 15 + 1
+    changes = np.flatnonzero(np.abs(np.diff(run.control, axis=0)).max(axis=1) > 0) + 1
+    assert run.time[changes] == pytest.approx(np.arange(1, 7) / 7, abs=1e-15)
+
+
+def test_a_scene_without_control_takes_an_empty_one() -> None:
+    model = prism()
+    reference = simulate(model, 0.1, 0.01, state=moving(model), compiled=False)
+    assert reference.control.shape == (11, 0)
+    for control in ([], np.zeros((3, 0)), lambda t: []):
+        run = simulate(model, 0.1, 0.01, state=moving(model), control=control, compiled=False)
+        assert np.array_equal(run.states, reference.states)

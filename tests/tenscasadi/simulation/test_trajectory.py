@@ -13,8 +13,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from runs import moving
 
-from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.loads import Gravity
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import RestLength
+from tenscasadi.simulation.trajectory import Trajectory, observe_states
+from tenscasadi.structure import shapes
 
 
 def example(rows: int = 4, **changes: Any) -> Trajectory:
@@ -176,3 +182,16 @@ def test_damaged_files_give_a_trajectory_or_a_value_error(tmp_path_factory: pyte
     except ValueError as error:
         message = str(error)
     assert not message or "damaged.npz" in message
+
+
+def test_observed_is_what_the_model_says_row_by_row() -> None:
+    model = Model(Scene(shapes.d_bar(pinned=(0,), prestress=10.0), control=RestLength(), gravity=Gravity((0, 0, -9.81))), "full")
+    states = moving(model) + 1e-3 * np.random.default_rng(0).normal(size=(5, model.nx))
+    observed = observe_states(model, states, np.tile(model.initial_control, (5, 1)))
+    for row, x in enumerate(states):
+        assert observed["nodes"][row].reshape(-1, 3) == pytest.approx(model.nodes(x))
+        assert observed["velocities"][row].reshape(-1, 3) == pytest.approx(model.velocities(x))
+        assert observed["tension"][row] == pytest.approx(model.tension(x))
+        assert observed["energy"][row] == pytest.approx(np.array(model.energy(x)))
+        assert observed["bar_length_error"][row, 0] == pytest.approx(model.bar_length_error(x))
+        assert observed["joint_error"][row, 0] == pytest.approx(model.joint_error(x))

@@ -1,0 +1,102 @@
+"""Messages of runs: why one broke down, what in one that finished is not to be trusted."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from runs import moving, prism
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.runge_kutta import DormandPrince54
+from tenscasadi.integrators.stability import fastest_rate, stable_step
+from tenscasadi.integrators.stabilization import Projection, projection
+from tenscasadi.integrators.sundials import Cvodes
+from tenscasadi.scene.loads import Gravity
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.structure import shapes
+
+G = 9.81
+
+
+def test_a_step_above_the_stability_limit_ends_with_advice() -> None:
+    model = prism()
+    limit = stable_step(model, safety=1.0)
+    for step in (1.3 * limit, 10 * limit):
+        for correction in (None, Projection()):
+            run = simulate(model, 200.0, step, state=moving(model), correction=correction, compiled=False)
+            assert not run.success
+            assert run.message.startswith("diverged between t = ")
+            for part in (f"{limit:.3g} s of RungeKutta4", f"{fastest_rate(model):.4g} rad/s", f"try step={0.9 * limit:.2g}"):
+                assert part in run.message
+            assert 0 <= run.time[-1] < 200
+            assert np.isfinite(run.states).all()
+            assert np.isfinite(run.nodes).all()
+    assert simulate(model, 20.0, 0.9 * limit, state=moving(model, 1e-3), correction=Projection(), compiled=False).success
+
+
+def test_divergence_is_told_however_few_rows_are_kept() -> None:
+    """The loop ends in the chunk of steps in which the state overflows, whether or not a row was to be kept there."""
+    model = Model(Scene(shapes.prism(prestress=30.0, stiffness=1e6, damping=100.0)))
+    start = model.state(model.structure.nodes, np.cross([1.0, 2.0, 3.0], model.structure.nodes))
+    for every in (1, 700, 10**9):
+        run = simulate(model, 100.0, 0.01, state=start, save_every=every, compiled=False)
+        assert not run.success
+        assert run.message.startswith("diverged between t = 0 and" if every > 1 else "diverged between t = ")
+
+
+def test_divergence_below_the_limit_names_other_causes() -> None:
+    model = Model(Scene(shapes.pendulum()))
+    spinning = model.state(model.structure.nodes, [[0, 0, 0], [0, 300.0, 0]])
+    run = simulate(model, 10.0, 0.01, state=spinning, compiled=False)
+    assert not run.success
+    assert "try step=" in run.message or "Projection()" in run.message
+    stretching = model.state(model.structure.nodes, [[0, 0, 0], [1.0, 0, -1.0]])
+    run = simulate(model, 10.0, 0.001, state=stretching, compiled=False)
+    assert "start from tenscasadi.projection(model)(state)" in run.message
+    assert "projection" not in simulate(model, 0.1, 0.001, state=projection(model)(stretching), compiled=False).message
+    run = simulate(model, 10.0, 0.5, Collocation(2), state=spinning, compiled=False)
+    assert not run.success
+    assert "the step 0.5 s is stable, as any of Collocation, so accuracy was lost elsewhere" in run.message
+    assert "no solution" in run.message
+
+
+def test_a_step_above_the_stability_limit_is_told_before_the_run_breaks_down() -> None:
+    model = Model(Scene(shapes.prism(stiffness=1e6, prestress=50.0)))
+    limit = stable_step(model, safety=1.0)
+    shaken = projection(model)(model.state(model.structure.nodes, 1e-3 * np.sin(np.arange(18)).reshape(6, 3)))
+    run = simulate(model, 0.2, 1.1 * limit, state=shaken, compiled=False)
+    assert run.success
+    suggested = re.search(r"J move: the step is above the stability limit, try step=(\S+)$", run.message)
+    assert suggested
+    assert 0.8 * limit < float(suggested[1]) < limit
+
+
+def test_what_is_not_to_be_trusted_is_spoken_of() -> None:
+    model = prism()
+    off = moving(model) + 1e-3
+    off[-1] += 0.1
+    for options in ({}, {"correction": Projection()}, {"scheme": DormandPrince54(1e-6)}):
+        run = simulate(model, 0.01, state=off, compiled=False, **options)
+        assert run.success
+        assert re.search(r"the start is off .* by 0\.\d+: start from tenscasadi\.projection\(model\)\(state\)$", run.message)
+        assert ";" not in simulate(model, 0.01, state=moving(model), compiled=False, **options).message
+    pendulum = Model(Scene(shapes.pendulum(), gravity=Gravity((0, -G, 0))))
+    run = simulate(pendulum, 2.0, 0.1, compiled=False)
+    assert run.success
+    assert 0.01 < run.bar_length_error.max() < 0.1
+    assert f"bars are off by up to {run.bar_length_error.max():.2g} of their length (correction=Projection() holds them): try a" in run.message
+    run = simulate(pendulum, 4.0, 0.02, Cvodes(1e-3))
+    assert "try a smaller Cvodes(rtol)" in run.message
+
+
+def test_energy_that_a_correction_hides_is_spoken_of() -> None:
+    model = prism()
+    run = simulate(model, 50.0, 0.9 * stable_step(model, safety=1.0), state=moving(model), correction=Projection(), compiled=False)
+    assert run.success
+    assert "energy is off by" in run.message
+    assert "energy" not in simulate(model, 1.0, 1e-3, state=moving(model), correction=Projection(), compiled=False).message
+    assert "energy" not in simulate(prism(ForceDensity()), 1.0, 1e-2, compiled=False).message  # at rest but for rounding
