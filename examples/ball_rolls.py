@@ -113,4 +113,4 @@ def film(motion: tc.Trajectory, path: Path, instants: int = 6) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(*sys.argv[1:2]))

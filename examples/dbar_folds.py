@@ -49,4 +49,4 @@ def main(folder: Path = Path()) -> ocp.Plan:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(*sys.argv[1:2]))

@@ -70,4 +70,4 @@ def newton(model: tc.Model, states: np.ndarray) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(*sys.argv[1:2]))

@@ -63,20 +63,15 @@ def free_prism(bars: int, low: float, high: float, duration: float | tuple[float
     return ocp.Problem(driven(prism(bars, low)), duration, goals=goals, bounds=limits, costs=EFFORT)
 
 
-def standing_prism(bars: int, raised: float) -> ocp.Problem:
-    """A prism whose lower nodes are pinned lifts its upper ones, as far as the bars allow, by turning."""
+def standing_prism(bars: int, angle: float) -> ocp.Problem:
+    """A prism whose lower nodes are pinned lifts its upper ones, as far as the bars allow, by turning them by `angle` rad."""
     structure = prism(bars, 1.0, pinned=range(bars))
-    low, high = prism(bars, 1.0), prism(bars, 1.0)
-    model = driven(structure)
-    turned = high.nodes.copy()
-    angle = raised
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    turned[bars:, :2] = turned[bars:, :2] @ turn.T
-    ends = structure.bars
+    turned, ends = structure.nodes.copy(), structure.bars
+    turned[bars:, :2] = turned[bars:, :2] @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
     flat = np.linalg.norm((turned[ends[:, 1]] - turned[ends[:, 0]])[:, :2], axis=1)
     turned[bars:, 2] = np.sqrt(structure.bar_lengths**2 - flat**2)
-    goals = [ocp.NodePositions({node: tuple(turned[node]) for node in range(bars, len(low.nodes))}), ocp.AtRest()]
-    return ocp.Problem(model, 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)], costs=EFFORT)
+    goals = [ocp.NodePositions({node: tuple(turned[node]) for node in range(bars, len(turned))}), ocp.AtRest()]
+    return ocp.Problem(driven(structure), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)], costs=EFFORT)
 
 
 def d_bar(start: float, end: float, pinned: tuple[int, ...] = (0,), duration: float | tuple[float, float] = 1.0) -> ocp.Problem:

@@ -112,4 +112,4 @@ def figure_7(runs: dict[str, tc.Trajectory]) -> Figure:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(*sys.argv[1:2]))

@@ -89,4 +89,4 @@ def figure_11(trajectory: tc.Trajectory, height: np.ndarray, tops: np.ndarray, e
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(*sys.argv[1:2]))

@@ -134,4 +134,4 @@ def figure_9(runs: dict[tuple[int, int], tc.Trajectory]) -> Figure:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(*sys.argv[1:2]))

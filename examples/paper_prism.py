@@ -109,4 +109,4 @@ def convergence(errors: dict[tuple[Ends, int], float]) -> Figure:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(*sys.argv[1:2]))

@@ -56,4 +56,4 @@ def axis(nodes: np.ndarray) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(*sys.argv[1:2]))

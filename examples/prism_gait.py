@@ -131,4 +131,4 @@ def film(plan: ocp.Plan, walk: tc.Trajectory, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(*sys.argv[1:2]))

@@ -64,4 +64,4 @@ def main(folder: Path = Path()) -> list[Row]:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(*sys.argv[1:2]))
