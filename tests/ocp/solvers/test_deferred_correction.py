@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from planning import prism
 
 import ocp
 import tenscasadi as tc
-
-
-def prism(height: float) -> tc.Structure:
-    return tc.shapes.prism(bars=3, radius=np.sqrt(1.4**2 - height**2) / (2 * np.sin(np.radians(75))), height=height)
 
 
 def rising(duration: float | tuple[float, float] = 1.0, *more: object) -> ocp.Problem:

@@ -7,16 +7,12 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from planning import prism
 
 import ocp
 import tenscasadi as tc
 
-BAR = 1.4
 MOST = 10.25  # N, which holds some of the time
-
-
-def prism(height):
-    return tc.shapes.prism(3, np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height)
 
 
 MODEL = tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity()))

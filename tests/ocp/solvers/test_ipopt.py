@@ -1,0 +1,92 @@
+"""IPOPT: progress that is watched, stops that keep the best iterate, warm starts."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+import numpy as np
+import pytest
+from planning import raising
+
+import ocp
+
+
+def test_progress_is_told_and_a_stop_keeps_the_best():
+    seen = []
+
+    def watch(now):
+        seen.append(now)
+        return now.iteration < 3
+
+    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=watch))
+    assert not plan.success
+    assert plan.status == "User_Requested_Stop"
+    assert [now.iteration for now in seen] == [0, 1, 2, 3]
+    assert min(now.infeasibility for now in seen) < seen[0].infeasibility
+    assert all(now.objective > 0 for now in seen)
+    assert np.all(np.isfinite(plan.force_density))
+    whole = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=lambda now: None))
+    assert whole.success
+
+
+def test_an_interruption_keeps_the_best():
+    def watch(now):
+        if now.iteration == 2:
+            raise KeyboardInterrupt
+
+    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=watch))
+    assert plan.status == "User_Requested_Stop"
+    assert plan.iterations <= 3
+    assert np.all(np.isfinite(plan.trajectory.nodes))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are different there")
+def test_ctrl_c_keeps_the_best_and_leaves_the_keyboard_as_it_was(keyboard):
+
+    def watch(now):
+        if now.iteration == 2:  # within the solver, not within this function
+            signal.raise_signal(signal.SIGINT)
+
+    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=watch))
+    assert plan.status == "User_Requested_Stop"
+    assert plan.iterations <= 3
+    assert "from the keyboard" in plan.message
+    assert signal.getsignal(signal.SIGINT) is keyboard
+
+
+def test_what_a_watcher_raises_is_raised(capfd):
+    def watch(now):
+        raise ZeroDivisionError("a mistake of the watcher")
+
+    with pytest.raises(ZeroDivisionError, match="a mistake of the watcher"):
+        ocp.solve(raising(), ocp.Variational(6), ocp.Ipopt(watch=watch))
+    assert not capfd.readouterr().err
+
+
+def test_a_time_limit_stops():
+    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(seconds=1e-6))
+    assert "raise Ipopt(seconds=...)" in plan.message
+    assert not plan.success
+    assert plan.status == "Maximum_WallTime_Exceeded"
+
+
+def test_a_plan_as_guess_takes_fewer_iterations():
+    cold = ocp.solve(raising(), ocp.Variational(12))
+    warm = ocp.solve(raising(), ocp.Variational(12), ocp.Ipopt(warm=True), guess=cold)
+    assert warm.success
+    assert warm.iterations < cold.iterations
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "words"),
+    [
+        (lambda: ocp.Ipopt(seconds=-1.0), ValueError, "Ipopt.seconds"),
+        (lambda: ocp.Ipopt(watch=3), TypeError, "Ipopt.watch is 3: give a function"),
+        (lambda: ocp.Ipopt(warm="yes"), TypeError, "Ipopt.warm is 'yes': give True or False"),
+    ],
+)
+def test_wrong_values_are_refused(make, error, words):
+    with pytest.raises(error, match=words):
+        make()

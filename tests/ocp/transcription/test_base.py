@@ -1,0 +1,90 @@
+"""All transcriptions: the same optimum at their order, bars kept, what they cannot take, and how one is added."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import pytest
+from planning import folding, raising
+
+import ocp
+import tenscasadi as tc
+from ocp.transcription.assemble import Defects
+from ocp.transcription.base import Transcription, split_symbol, unrolled
+from ocp.transcription.sparse_nlp import Block
+from ocp.transcription.variables import interval_names, state_names
+
+
+@pytest.mark.parametrize("make", [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation], ids=lambda kind: kind.__name__)
+def test_all_find_the_same_plan(make):
+    """On one grid the planned force densities differ by the methods' errors only."""
+    problem = raising()
+    found = ocp.solve(problem, make(24))
+    assert found.success
+    assert found.objective == pytest.approx(375.07, abs=0.002)
+    assert found.replay_error < (1e-4 if make in (ocp.ImplicitMidpoint, ocp.Variational) else 2e-6)
+    assert found.trajectory.bar_length_error.max() < 1e-9
+
+
+def end_error(make, intervals):
+    """How far the plan ends from what its force densities do."""
+    plan = ocp.solve(raising(), make(intervals))
+    assert plan.success
+    return plan.replay_error
+
+
+@pytest.mark.parametrize(
+    ("make", "order", "grids"),
+    [
+        (ocp.ImplicitMidpoint, 2, (10, 20, 40)),
+        (ocp.Variational, 2, (10, 20, 40)),
+        (ocp.MultipleShooting, 4, (8, 12, 16)),
+        (lambda n: ocp.Collocation(n, degree=2), 4, (8, 12, 16)),
+    ],
+    ids=["ImplicitMidpoint", "Variational", "MultipleShooting", "Collocation"],
+)
+@pytest.mark.slow
+def test_replay_errors_fall_at_the_order(make, order, grids):
+    found = [end_error(make, n) for n in grids]
+    rate = np.log(found[0] / found[-1]) / np.log(grids[-1] / grids[0])
+    assert rate > order - 0.5
+
+
+@pytest.mark.parametrize(
+    "transcription", [ocp.ImplicitMidpoint(30), ocp.Variational(30), ocp.Collocation(15, degree=2)], ids=lambda v: type(v).__name__
+)
+def test_joined_and_pinned_bars(transcription):
+    found = ocp.solve(folding(), transcription)
+    assert found.success
+    assert found.replay_error < 5e-3
+    assert found.trajectory.bar_length_error.max() < 1e-8
+    assert np.abs(found.trajectory.nodes[:, 0] - found.trajectory.nodes[0, 0]).max() == 0.0
+
+
+@pytest.mark.parametrize("make", [ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation], ids=lambda kind: kind.__name__)
+def test_full_coordinates_are_refused_by_name(make):
+    model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()), "full")
+    goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths)]
+    with pytest.raises(ValueError, match=f"{make.__name__} keeps bars, not joints"):
+        ocp.solve(ocp.Problem(model, goals=goals), make(10))
+
+
+@dataclass(frozen=True)
+class Trapezoidal(Transcription):
+    """x⁺ = x + h (f + f⁺)/2, and nothing that keeps bars."""
+
+    def defects(self, variables, used):
+        v, model = variables, variables.model
+        z, (x, c, after, duration, share) = split_symbol(model.nx, v.interval_controls.shape[1], model.nx, 1, 1)
+        slope = (model.ode(x, v.gamma(c, 0.0)) + model.ode(after, v.gamma(c, 1.0))) / 2
+        gap = unrolled(model, ca.Function("gap", [z], [(after - x - duration * share * slope) / ca.DM(v.scales.state)]))
+        index = np.hstack([v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share])
+        return Defects([Block(gap, index, interval_names(v.count, state_names(model)))])
+
+
+def test_a_transcription_is_a_subclass_that_gives_defects():
+    found = ocp.solve(raising(), Trapezoidal(24))
+    assert found.success, found.message
+    assert found.objective == pytest.approx(375.07, rel=2e-3)

@@ -1,0 +1,43 @@
+"""Plans that many tests make: a free prism that grows, a pinned D-bar that folds, and the programs of such problems."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import ocp
+import tenscasadi as tc
+from ocp.boundary.find_target import find_target
+from ocp.problem.scaling import Scales
+from ocp.transcription.initial_guess import make_guess
+
+BAR = 1.4
+GROUPS = ((0, 1, 2), (3, 4, 5), (6, 7, 8))  # of the prism's strings, by its symmetry
+
+
+def prism(height, **options):
+    """The equilibrium prism of a height whose bars are BAR long."""
+    return tc.shapes.prism(3, np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height, **options)
+
+
+def driven(structure, **options):
+    return tc.Model(tc.Scene(structure, control=tc.ForceDensity(), **options))
+
+
+def raising(**changes):
+    """The prism grows from 1.0 to 1.1 m, from rest to rest."""
+    goals = [ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest()]
+    given = {"model": driven(prism(1.0)), "goals": goals, "bounds": [ocp.ForceDensityLimits(5.0, 100.0)], "costs": [ocp.Effort()], **changes}
+    return ocp.Problem(**given)
+
+
+def folding(**changes):
+    """Class 2: a D-bar pinned at a node."""
+    goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.6).string_lengths), ocp.AtRest()]
+    return ocp.Problem(driven(tc.shapes.d_bar(pinned=[0])), goals=goals, costs=[ocp.Effort()], **changes)
+
+
+def program(problem, transcription):
+    """The program that is solved, without the rows that no string moves left out."""
+    scales = Scales.of(problem)
+    target = find_target(problem, scales)
+    return transcription.program(problem, target, scales, make_guess(problem, target, transcription.count))
