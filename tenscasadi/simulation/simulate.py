@@ -211,13 +211,14 @@ def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, e
                 if inputs.varies or first == 0:
                     u = np.concatenate([u[-1:], inputs.window(first + 1, stepper.steps)])
                     stepper.hold(u, inputs.lengths(first, stepper.steps))
-                after = stepper(z)
-                z = after[-1].copy()
+                taken = min(stepper.steps, inputs.steps - first)
+                after = stepper(z, taken)
+                z = after[taken - 1].copy()
                 end = int(np.searchsorted(kept, first + stepper.steps, side="right"))
                 local = kept[count:end] - first
                 rows[count:end], controls[count:end] = after[local - 1], u[local]
                 count = end
-                bar.update(min(stepper.steps, inputs.steps - first))
+                bar.update(taken)
                 if not np.all(np.isfinite(z)):
                     if count < len(kept):  # what is not finite stays so up to the next row
                         rows[count], controls[count], count = z, u[-1], count + 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Hashable
 from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
@@ -46,8 +47,8 @@ class Stepper(Protocol):
     def hold(self, controls: Array, lengths: Array) -> None:
         """Set the lengths (steps,), s, of the grid steps of the next calls, and the controls (steps + 1, nu) of these and of the one after."""
 
-    def __call__(self, z: Array) -> Array:
-        """Return z after each grid step (steps, nz), valid until the next call. Raises StepFailure."""
+    def __call__(self, z: Array, count: int) -> Array:
+        """Return z after each of the next `count` ≤ `steps` grid steps (count or more, nz), valid until the next call. Raises StepFailure."""
 
     def report(self, taken: int, step: float) -> Report:
         """Tell what was done in `taken` grid steps of `step` s in the mean."""
@@ -114,6 +115,16 @@ def _build_function(task: Task, every: int, steps: int, compiled: Compiled) -> t
 
 
 def _write_function(task: Task, steps: int) -> ca.Function:
+    """Write the Function that takes `steps` steps, once for each model: further runs find it there."""
+    key = ("steps", *task[1:], steps)
+    if not isinstance(task.scheme, Hashable):  # a scheme of somebody's own
+        return _new_function(task, steps)
+    if key not in task.model.functions:
+        task.model.functions[key] = _new_function(task, steps)
+    return task.model.functions[key]
+
+
+def _new_function(task: Task, steps: int) -> ca.Function:
     if isinstance(task.scheme, EmbeddedRungeKutta) and task.scheme.adaptive:
         return attempts_function(task.model, task.scheme, task.correction, task.power)
     return chunk_function(*task, steps)
@@ -139,9 +150,9 @@ class LoopStepper:
         """See `Stepper.hold`."""
         self._u[:], self._h[:] = controls, lengths
 
-    def __call__(self, z: Array) -> Array:
+    def __call__(self, z: Array, count: int) -> Array:
         """See `Stepper.__call__`."""
-        self._z[:] = z
+        self._z[:], self._h[count:] = z, 0.0  # blocks of steps without length are passed over
         self._trigger()
         if self._buffer.ret():
             raise StepFailure("CasADi could not evaluate a step: try a smaller step")
@@ -180,7 +191,7 @@ class AdaptiveStepper:
         self._u[:], self._next_u[:] = controls
         self._step = float(lengths[0])
 
-    def __call__(self, z: Array) -> Array:
+    def __call__(self, z: Array, count: int) -> Array:
         """See `Stepper.__call__`; one step."""
         self._z[:] = z[: self._nz]
         self._memory[_REST] = self._step
@@ -243,7 +254,7 @@ class SundialsStepper:
         """See `Stepper.hold`."""
         self._controls, self._lengths = controls, lengths
 
-    def __call__(self, z: Array) -> Array:
+    def __call__(self, z: Array, count: int) -> Array:
         """See `Stepper.__call__`."""
         nx, u = self._model.nx, self._controls
         start = z[: len(z) - self._extra]

@@ -64,8 +64,16 @@ def _repeat(name: str, step: ca.Function, times: int) -> ca.Function:
     while len(calls) > _BASE:
         blocks, left = divmod(len(calls), _BASE)
         rest = calls[:left] + rest
-        calls = [_chain("block", calls[:_BASE])] * blocks
+        calls = [_pass_over(_chain("block", calls[:_BASE]))] * blocks
     return _chain(name, calls + rest)
+
+
+def _pass_over(block: ca.Function) -> ca.Function:
+    """The block, or its start in place of each result where its first step has no length: a run that ends early does not pay for a whole chunk."""
+    inputs = [ca.MX.sym(block.name_in(i), *block.size_in(i)) for i in range(block.n_in())]
+    still = ca.Function("still", inputs, [ca.repmat(inputs[0], 1, block.size2_out(0))])
+    either = ca.Function.if_else("either", block, still)
+    return ca.Function("guarded", inputs, [either(inputs[1][0] > 0, *inputs)], block.name_in(), block.name_out())
 
 
 def _chain(name: str, steps: list[ca.Function]) -> ca.Function:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from runs import by_hand, moving, prism
 
+import tenscasadi as tc
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.simulate import simulate
-from tenscasadi.simulation.time_loop import chunk_steps
+from tenscasadi.simulation.time_loop import chunk_function, chunk_steps
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import find_compiler
 
@@ -60,3 +63,42 @@ def test_chunks_shrink_with_the_model_and_fit_the_correction() -> None:
     assert 1 <= large < small
     assert chunk_steps(prism(), 7) % 7 == 0
     assert chunk_steps(prism(), 10**5) == 10**5
+
+
+@dataclass(frozen=True)
+class Count(tc.RungeKutta4):
+    """Adds one for each step, whatever its length."""
+
+    def step(self, ode):
+        x, u, h = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("h")
+        return ca.Function("step", [x, u, h], [x + 1], ["x", "u", "h"], ["x_next"])
+
+
+PENDULUM = tc.Model(tc.Scene(tc.shapes.pendulum()))
+
+
+def test_blocks_of_steps_without_length_are_passed_over():
+    lengths = np.zeros(128)
+    lengths[:40] = 1e-3
+    after = chunk_function(PENDULUM, Count(), None, False, False, 128)(np.zeros(PENDULUM.nx), lengths, np.zeros((0, 128))).full()
+    assert after[0, :40].tolist() == list(range(1, 41))
+    assert after[0, -1] == 64  # the block in which the run ends is the last
+
+
+def test_runs_of_any_length_end_at_the_same_states():
+    model = tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0)))
+    start = model.state(model.structure.nodes, model.structure.nodes)
+    long = tc.simulate(model, 0.2, 1e-3, state=start, save_every=1)
+    for steps in (1, 31, 32, 33, 100):
+        short = tc.simulate(model, steps * 1e-3, 1e-3, state=start, save_every=1)
+        assert short.states[-1] == pytest.approx(long.states[steps], rel=1e-13, abs=1e-15)
+
+
+def test_a_second_run_writes_no_new_function():
+    model = tc.Model(tc.Scene(tc.shapes.pendulum()))
+    tc.simulate(model, 0.1, 1e-3)
+    written = dict(model.functions)
+    tc.simulate(model, 0.3, 2e-3)
+    assert model.functions == written
+    tc.simulate(model, 0.3, 2e-3, tc.DormandPrince54())
+    assert len(model.functions) == len(written) + 1
