@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
 import casadi as ca
 import numpy as np
@@ -90,30 +90,31 @@ class Trajectory:
     (11, 6, 3)
     """
 
-    time: Array
-    nodes: Array
-    velocities: Array
-    force_density: Array
-    tension: Array
-    energy: Array
-    energy_parts: Array
-    energy_error: Array
-    bar_length_error: Array
-    joint_error: Array
-    correction_shift: Array
-    correction_energy: Array
-    states: Array
-    control: Array
-    bars: Indices
-    strings: Indices
-    pinned: Indices
-    success: bool
-    message: str
-    step: float
-    seconds: float
-    compiled: bool
-    attempts: int = 0
-    interrupted: bool = False
+    # the shape by the letters of the docstring, and NumPy's letter of the numbers (i: also small integers)
+    time: Annotated[Array, "T", "f"]
+    nodes: Annotated[Array, "Tn3", "f"]
+    velocities: Annotated[Array, "Tn3", "f"]
+    force_density: Annotated[Array, "Tα", "f"]
+    tension: Annotated[Array, "Tα", "f"]
+    energy: Annotated[Array, "T", "f"]
+    energy_parts: Annotated[Array, "T3", "f"]
+    energy_error: Annotated[Array, "T", "f"]
+    bar_length_error: Annotated[Array, "T", "f"]
+    joint_error: Annotated[Array, "T", "f"]
+    correction_shift: Annotated[Array, "T", "f"]
+    correction_energy: Annotated[Array, "T", "f"]
+    states: Annotated[Array, "Tx", "f"]
+    control: Annotated[Array, "Tu", "f"]
+    bars: Annotated[Indices, "β2", "i"]
+    strings: Annotated[Indices, "α2", "i"]
+    pinned: Annotated[Indices, "p", "i"]
+    success: Annotated[bool, "", "b"]
+    message: Annotated[str, "", "U"]
+    step: Annotated[float, "", "f"]
+    seconds: Annotated[float, "", "f"]
+    compiled: Annotated[bool, "", "b"]
+    attempts: Annotated[int, "", "i"] = 0
+    interrupted: Annotated[bool, "", "b"] = False
 
     def __post_init__(self) -> None:
         _check({field.name: getattr(self, field.name) for field in fields(self)})
@@ -291,33 +292,7 @@ def first_rows(trajectory: Trajectory, count: int) -> Trajectory:
     return replace(trajectory, **{name: getattr(trajectory, name)[:count] for name, (letters, _) in _SHAPES.items() if letters.startswith("T")})
 
 
-# The shape of each field by the letters of the class's docstring, and the kind of its numbers (NumPy's letters; i: also small integers).
-_SHAPES: dict[str, tuple[str, str]] = {
-    "time": ("T", "f"),
-    "nodes": ("Tn3", "f"),
-    "velocities": ("Tn3", "f"),
-    "force_density": ("Tα", "f"),
-    "tension": ("Tα", "f"),
-    "energy": ("T", "f"),
-    "energy_parts": ("T3", "f"),
-    "energy_error": ("T", "f"),
-    "bar_length_error": ("T", "f"),
-    "joint_error": ("T", "f"),
-    "correction_shift": ("T", "f"),
-    "correction_energy": ("T", "f"),
-    "states": ("Tx", "f"),
-    "control": ("Tu", "f"),
-    "bars": ("β2", "i"),
-    "strings": ("α2", "i"),
-    "pinned": ("p", "i"),
-    "success": ("", "b"),
-    "message": ("", "U"),
-    "step": ("", "f"),
-    "seconds": ("", "f"),
-    "compiled": ("", "b"),
-    "attempts": ("", "i"),
-    "interrupted": ("", "b"),
-}
+_SHAPES = {name: hint.__metadata__ for name, hint in get_type_hints(Trajectory, include_extras=True).items()}
 
 
 def _check(content: dict[str, Any]) -> None:
