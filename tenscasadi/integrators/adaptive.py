@@ -23,7 +23,7 @@ _RIDDERS = 8  # iterations to the root of an interpolation
 
 
 class Memory(NamedTuple):
-    """What attempts hand on beside the state; one number each."""
+    """Numbers that attempts hand on beside the state."""
 
     rest: Any  # s, until the time at which the attempts end
     step: Any  # s, to try next
@@ -39,7 +39,7 @@ class Memory(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What attempts keep to: inputs, so that one compiled Function serves all tolerances."""
+    """Bounds that attempts keep to: inputs, so that one compiled Function serves all tolerances."""
 
     longest: Any  # s, of a step
     rtol: Any
@@ -47,7 +47,7 @@ class Limits(NamedTuple):
 
 
 class Events(NamedTuple):
-    """What a trial has met, one number each: zeros where the scene has no events."""
+    """Events that a trial has met, one number each: zeros where the scene has no events."""
 
     changed: Any  # modes at its end that are not those at its start
     located: Any  # whether it ends so shortly after the first of these changes that nothing is lost
@@ -57,7 +57,7 @@ class Events(NamedTuple):
 
 
 def attempts_function(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
-    """`ATTEMPTS` attempts: Function "attempts" (z, memory, u, limits) -> (z, memory), with `Memory` and `Limits` as columns.
+    """Return `ATTEMPTS` attempts: Function "attempts" (z, memory, u, limits) -> (z, memory), with `Memory` and `Limits` as columns.
 
     Attempts after the one that reaches `memory.rest` = 0 do nothing.
     """
@@ -117,7 +117,7 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
 
 
 def _norm(errors: list[Any]) -> Any:
-    """The root mean square of one scaled error; of two, Hairer's mixture for DOP853: as small as the better, warned by the worse."""
+    """Return the root mean square of one scaled error; of two, Hairer's mixture for DOP853: as small as the better, warned by the worse."""
     squared = [ca.sumsqr(error) for error in errors]
     n = max(errors[0].shape[0], 1)
     if len(squared) == 1:
@@ -126,7 +126,7 @@ def _norm(errors: list[Any]) -> Any:
 
 
 def _find_events(model: Model, gaps: ca.Function, ode: ca.Function, m: Memory, path: tuple[Any, ...], after: Any, scale: Any, longest: Any) -> Events:
-    """The events of a trial; path: see `_path`; after: z at its end; scale: of errors."""
+    """Find the events of a trial; path: see `_path`; after: z at its end; scale: of errors."""
     _, _, end, _, u, trial, mode = path
     mode_after = gaps(end, u) > 0
     changed = ca.sum1(mode_after != mode)
@@ -138,7 +138,7 @@ def _find_events(model: Model, gaps: ca.Function, ode: ca.Function, m: Memory, p
 
 
 def _decide(m: Memory, trial: Any, error: Any, events: Events, order: int, longest: Any) -> tuple[Any, Any]:
-    """Whether to try again, and the memory for the next attempt."""
+    """Tell whether to try again, and the memory for the next attempt."""
     growth = ca.fmin(_LARGEST, ca.fmax(_SMALLEST, _SAFETY * ca.fmax(error, 1e-300) ** (-1 / order)))
     passed, bracketed, zero = error <= 1, m.high > 0, ca.MX(0)  # passed: not for NaN
     crossing = ca.logic_and(events.changed > 0, ca.logic_not(events.located))
@@ -163,7 +163,7 @@ def _decide(m: Memory, trial: Any, error: Any, events: Events, order: int, longe
 
 
 def _aimed(m: Memory, root: Any) -> Memory:
-    """The next trial in a bracket: where an interpolation has its root, and half of what is allowed beyond; the middle where that is no help."""
+    """Aim the next trial in a bracket: where an interpolation has its root, and half of what is allowed beyond; the middle where that is no help."""
     aim = root + m.allowed / 2
     inside = ca.logic_and(ca.logic_and(aim > m.low, aim < m.high), m.trials < _HALVING)
     return m._replace(aim=ca.if_else(inside, aim, (m.low + m.high) / 2), trials=m.trials + 1)
@@ -182,7 +182,7 @@ def _jump(ode: ca.Function, moving: int) -> ca.Function:
 
 
 def _hidden(gaps: ca.Function, model: Model) -> ca.Function:
-    """The earliest quarter of a step, as a fraction, at which its cubic interpolation is in another mode; 0 when none is."""
+    """Return the earliest quarter of a step, as a fraction, at which its cubic interpolation is in another mode; 0 when none is."""
     x, slope, after, end, u, h, mode = path = _path(gaps, model)
     found = ca.MX(0)
     for t in (0.75, 0.5, 0.25):
@@ -191,7 +191,7 @@ def _hidden(gaps: ca.Function, model: Model) -> ca.Function:
 
 
 def _root(gaps: ca.Function, model: Model) -> ca.Function:
-    """(a step, low, high, wanted) -> the time, s, of the first event that its cubic interpolation meets in between; at no cost unless wanted."""
+    """Return (a step, low, high, wanted) -> time, s, of the first event that its cubic interpolation meets in between; at no cost unless wanted."""
     x, slope, after, end, u, h, mode = path = _path(gaps, model)
     low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
     sign = 2 * mode - 1

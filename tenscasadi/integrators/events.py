@@ -20,7 +20,7 @@ from tenscasadi.util.casadi_tools import sparse
 
 
 def switching(model: Model) -> ca.Function | None:
-    """(x, u) -> g (k,), m: positive where the mode is 1; strings first, then nodes. None where the scene has no events."""
+    """Return (x, u) -> g (k,), m: positive where the mode is 1; strings first, then nodes. None where the scene has no events."""
     scene, mech = model.scene, model.mechanism
     strings, nodes = counts(model)
     if strings + nodes == 0:
@@ -37,7 +37,7 @@ def switching(model: Model) -> ca.Function | None:
 
 
 def held_ode(model: Model, work: bool = False) -> ca.Function:
-    """(z, w) -> zdot, the motion in the mode of w = (u, mode (k,)), whatever the switching functions say; z is x.
+    """Return (z, w) -> zdot: the motion in the mode of w = (u, mode (k,)), whatever the switching functions say; z is x.
 
     With `work`, z has one entry more: the work of all forces, J. `potential` tells how much of it comes out of the model's energy: that
     has kinks of its own, where a damped string lets go while it is still stretched, and would spoil the order as an integrand.
@@ -59,13 +59,13 @@ def held_ode(model: Model, work: bool = False) -> ca.Function:
 
 
 def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
-    """u and the mode in w = (u, mode (k,))."""
+    """Return the control u (nu,) and the mode in w = (u, mode (k,))."""
     nu, (strings, nodes) = model.nu, counts(model)
     return w[:nu], forces.Mode(w[nu : nu + strings].T if strings else None, w[nu + strings :].T if nodes else None)
 
 
 def potential(model: Model) -> ca.Function:
-    """(x, u) -> elastic and gravity energy, J."""
+    """Return (x, u) -> elastic and gravity energy, J."""
     kind: Any = ca.MX if model.mechanism.large else ca.SX
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
     total = ca.densify(sum(forces.potential(model.scene, model.mechanism, model.unpack(x)[0], u)))
@@ -73,7 +73,7 @@ def potential(model: Model) -> ca.Function:
 
 
 def counts(model: Model) -> tuple[int, int]:
-    """How many strings can go slack, and how many nodes can meet the ground."""
+    """Count the strings that can go slack and the nodes that can meet the ground."""
     scene = model.scene
     slack = isinstance(scene.slack, Clip) and not isinstance(scene.control, ForceDensity)
     return len(scene.modelled.strings) if slack else 0, len(model.mechanism.first) if scene.ground is not None else 0

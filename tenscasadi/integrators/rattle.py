@@ -26,19 +26,48 @@ _KICKS = {2: MIDPOINT, 4: CLASSICAL}
 
 @dataclass(frozen=True)
 class Rattle:
-    """Drift half a step, kick, drift half a step: variational, symplectic and reversible, of order 2, or of order 4 by composition of five.
+    """Rattle: symplectic and reversible steps that keep bars and joints to rounding, of order 2 or 4.
 
-    Drifts are the step of Andersen (1983, J. Comput. Phys. 52, 24) without forces: bars and joints hold to rounding after each,
-    positions by impulses along the bars as they were before, velocities by impulses along the bars as they are after. A bar that
-    stands alone takes the root of a quadratic and a division; bars that meet take `iterations` of Newton's method with the matrix
-    of the drift's start, whose error falls by about the angle that bars turn in half a step each time, and a few with that of its
-    end, which matter where bars fold into a line. Moved supports are where they belong after each drift. Kicks are the flow of
-    V' = F(N, V) M⁻ on the tangent space at the middle of the step: exact, with one evaluation of the forces, where no force depends
-    on velocity. Then energy stays within a band that shrinks like step² (step⁴), however long the run (ibid. IX.3, IX.5).
-    String damping and the ground's damping and friction are integrated within the kick by the explicit midpoint rule (order 4: the
-    classical Runge-Kutta method), two (four) evaluations, which keeps the order but is no longer symplectic, as it should not be.
+    A step drifts half its length without forces, kicks the velocities by the forces at its middle, and drifts again. Without damping and
+    friction the energy stays within a band that shrinks like step² (step⁴), however long the run. It is stable for step · ω_max < 2
+    (order 4: 2.72, for five times the work), with ω_max the fastest vibration, rad/s, and while no bar turns by 90° in half a step.
 
-    Stable for step · ω_max < 2 (order 4: 2.72, for five times the work) and while no bar turns by 90° in half a step.
+    Parameters
+    ----------
+    order : int
+        2, or 4 by composition of five steps.
+    iterations : int
+        Newton's iterations for bars that meet; bars that stand alone need none.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `order` is neither 2 nor 4, or `iterations` no whole number of 1 or more.
+
+    Notes
+    -----
+    Drifts are the step of [1]_ without forces: bars and joints hold to rounding after each, positions by impulses along the bars as they
+    were before, velocities by impulses along the bars as they are after. A bar that stands alone takes the root of a quadratic and a
+    division. Bars that meet take Newton's method with the matrix of the drift's start, whose error falls by about the angle that bars turn
+    in half a step each time, and a few iterations with that of its end, which matter where bars fold into a line. Moved supports are where
+    they belong after each drift.
+
+    Kicks are the flow of V' = F(N, V) M⁻ on the tangent space at the middle of the step: exact, with one evaluation of the forces, where
+    no force depends on velocity [2]_. String damping and the ground's damping and friction are integrated within the kick by the explicit
+    midpoint rule (order 4: the classical Runge-Kutta method), two (four) evaluations. That keeps the order but is not symplectic.
+
+    References
+    ----------
+    .. [1] H. C. Andersen, Rattle: a "velocity" version of the Shake algorithm, Journal of Computational Physics 52, 1983, 24-34.
+    .. [2] E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, sections VII.1, IX.3 and IX.5.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.double_pendulum(), gravity=tc.Gravity((0, -9.81, 0))))
+    >>> run = tc.simulate(model, 0.5, step=5e-3, scheme=tc.Rattle(), compiled=False)
+    >>> bool(run.bar_length_error.max() < 1e-14)
+    True
     """
 
     order: int = 2
@@ -52,13 +81,48 @@ class Rattle:
         whole_number("Rattle.iterations", self.iterations, 1)
 
     def step(self, ode: ca.Function) -> ca.Function:
-        """TypeError: an ode does not tell bars and forces apart."""
+        """Refuse an ordinary differential equation: it does not tell bars and forces apart.
+
+        Parameters
+        ----------
+        ode : casadi.Function
+            Function (x, u) → ẋ.
+
+        Returns
+        -------
+        casadi.Function
+            Never.
+
+        Raises
+        ------
+        TypeError
+            Always: use `advance`, or another scheme.
+        """
         raise TypeError(
             f"Rattle steps a tenscasadi.Model, {ode} does not tell bars from forces: use advance(model), or another scheme such as RungeKutta4()"
         )
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """One step of a model: see `Scheme.advance`."""
+        """Build one step of a model with its control held.
+
+        Parameters
+        ----------
+        model : Model
+            Model whose state is advanced.
+        power : casadi.Function, optional
+            Function (x, u) → power, W, whose work is integrated beside the state; None: no work.
+
+        Returns
+        -------
+        casadi.Function
+            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x (nx,); with `power` it holds one entry
+            more, the work done, J.
+
+        Raises
+        ------
+        TypeError
+            If `model` is no Model.
+        """
         instance("model", model, Model, "a tenscasadi.Model")
         leap = _leap(model, power, _KICKS[self.order], self.iterations)
         start = z = ca.MX.sym("z", leap.size1_in(0))
@@ -68,7 +132,18 @@ class Rattle:
         return ca.Function("step", [start, u, h], [z], ["z", "u", "h"], ["z_next"])
 
     def amplification(self, z: Complex) -> Complex:
-        """The largest factor by which one step multiplies q'' = −ω² q − c q', whose roots are λ and its conjugate (or 0, where λ is real)."""
+        """Compute the largest factor by which one step multiplies a vibration.
+
+        Parameters
+        ----------
+        z : ndarray of complex
+            step · λ, of any shape.
+
+        Returns
+        -------
+        ndarray of complex
+            Largest |eigenvalue| of the step of q'' = −ω² q − c q', whose roots are λ and its conjugate (or 0, where λ is real), of the shape of z.
+        """
         z = np.asarray(z, dtype=complex)
         total = np.broadcast_to(np.eye(2), (*z.shape, 2, 2))
         for fraction in _FRACTIONS[self.order]:
@@ -77,7 +152,7 @@ class Rattle:
 
 
 def _swing(z: Complex, fraction: float, kick: Tableau) -> Any:
-    """The matrix (…, 2, 2) by which a leap of `fraction` of the step h moves (q, h v), for z = h λ."""
+    """Return the matrix (…, 2, 2) by which a leap of `fraction` of the step h moves (q, h v), for z = h λ."""
     damping = fraction * np.where(z.imag == 0, -z.real, -2 * z.real)
     squared = fraction * np.where(z.imag == 0, 0.0, np.abs(z) ** 2)
     # v' = −c v − ω² q with q held: R(−c) v − ω² q (R(−c) − 1)/(−c)
@@ -138,7 +213,7 @@ def _weighted(weights: tuple[float, ...], slopes: list[Any]) -> Any:
 
 
 def _constrained(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> Any:
-    """Positions with the bars' lengths and joints, from the `free` ones by impulses along the bars of N."""
+    """Return positions with the bars' lengths and joints, from the `free` ones by impulses along the bars of N."""
     if not mech.constrained:
         return free
     B, lengths = mech.bar_vectors(N), ca.DM(mech.lengths).T
@@ -152,7 +227,7 @@ def _constrained(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) ->
 
 
 def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
-    """The same by Newton's method.
+    """Return the same by Newton's method.
 
     Where bars come to lie in a line, those impulses tell some of them no longer apart, and the iteration would diverge: it keeps the
     best it had, and the rest is taken away by impulses along the bars as they are.

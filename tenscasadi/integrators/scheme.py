@@ -16,7 +16,7 @@ Complex = NDArray[np.complex128]
 
 @runtime_checkable
 class Scheme(Protocol):
-    """What every integration scheme offers. A scheme is a frozen value: it holds options, never state."""
+    """Members of every integration scheme. A scheme is a frozen value: it holds options, never state."""
 
     @property
     def order(self) -> int:
@@ -31,23 +31,23 @@ class Scheme(Protocol):
         """Whether each step solves equations that hold forces, by iterations of unknown number: stability bounds no step then."""
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """One step of a model with u held: Function "step" (z, u, h) -> z_next, z = x.
+        """Build one step of a model with u held: Function "step" (z, u, h) -> z_next, z = x.
 
         With `power` (x, u) -> W, z holds one entry more: the work that it has done, J. TypeError for anything but a Model.
         """
 
     def step(self, ode: ca.Function) -> ca.Function:
-        """One step of any x' = ode(x, u) with u held: Function "step" (x, u, h) -> x_next. TypeError where the scheme needs a model."""
+        """Build one step of any x' = ode(x, u) with u held: Function "step" (x, u, h) -> x_next. TypeError where the scheme needs a model."""
 
     def amplification(self, z: Complex) -> Complex:
-        """R(z): the factor by which one step multiplies y when y' = λ y and z = step · λ."""
+        """Compute R(z): the factor by which one step multiplies y when y' = λ y and z = step · λ."""
 
 
 _MEMBERS = ("order", "adaptive", "implicit", "advance", "step", "amplification")
 
 
 def relative_tolerance(field: str, value: Any) -> float:
-    """`value` as a float ≥ 1e-15 and < 1. Raises TypeError, ValueError."""
+    """Return `value` as a float, 1e-15 or more and less than 1. Raises TypeError, ValueError."""
     rtol = positive_number(field, value)
     if rtol < 1e-15 or rtol >= 1:
         raise ValueError(f"{field} is {rtol:g}: give 1e-15 or more, which is rounding, and less than 1")
@@ -55,26 +55,26 @@ def relative_tolerance(field: str, value: Any) -> float:
 
 
 def extent(model: Model) -> float:
-    """The largest distance along an axis between two nodes of the structure, m; 1 where there is one node. TypeError for anything but a Model."""
+    """Return the largest distance along an axis between two nodes of the structure, m; 1 where there is one node. Raises TypeError for anything but a Model."""
     instance("model", model, Model, "a tenscasadi.Model")
     return float(np.ptp(model.structure.nodes, axis=0).max()) or 1.0
 
 
 def with_work(ode: ca.Function, power: ca.Function) -> ca.Function:
-    """(z, u) -> zdot: the ode with the work of `power` (x, u) -> W as one more state, so that a scheme integrates both alike."""
+    """Return (z, u) -> zdot: the ode with the work of `power` (x, u) -> W as one more state, so that a scheme integrates both alike."""
     x, u, work = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("work")
     return ca.Function("ode_and_work", [ca.vertcat(x, work), u], [ca.vertcat(ode(x, u), power(x, u))], ["z", "u"], ["zdot"])
 
 
 def check_ode(ode: ca.Function) -> None:
-    """TypeError or ValueError unless `ode` is a CasADi Function (x, u) -> xdot with columns x and xdot of one length."""
+    """Raise TypeError or ValueError unless `ode` is a CasADi Function (x, u) -> xdot with columns x and xdot of one length."""
     instance("ode", ode, ca.Function, "a casadi.Function (x, u) -> xdot")
     if ode.n_in() != 2 or ode.n_out() != 1 or ode.size_out(0) != ode.size_in(0) or ode.size2_in(0) != 1:
         raise ValueError(f"ode is {ode}: give a casadi.Function (x, u) -> xdot with columns x and xdot of the same length")
 
 
 def check_scheme(scheme: Any) -> None:
-    """TypeError unless `scheme` is a scheme (and not, for instance, the class without parentheses)."""
+    """Raise TypeError unless `scheme` is a scheme (and not, for instance, the class without parentheses)."""
     if isinstance(scheme, type) or not isinstance(scheme, Scheme):
         lacks = [name for name in _MEMBERS if not hasattr(scheme, name)]
         why = "" if isinstance(scheme, type) or len(lacks) == len(_MEMBERS) else f" and lacks {', '.join(lacks)}"
@@ -82,7 +82,7 @@ def check_scheme(scheme: Any) -> None:
 
 
 def stability_limit(scheme: Scheme, direction: Complex, reach: float = 50.0) -> Array:
-    """Largest r such that |R(s z)| ≤ 1 for all 0 ≤ s ≤ r, along each `direction` z; infinite where no instability shows up to r |z| = `reach`.
+    """Return the largest r such that |R(s z)| ≤ 1 for 0 ≤ s ≤ r, along each `direction` z; infinite where that holds up to r |z| = `reach`.
 
     `direction` is an array (k,) of non-zero complex numbers, for instance eigenvalues: r is then the largest stable step.
     A direction that grows by itself (real part > 0) counts as one on the imaginary axis: growth of the motion is no instability of the scheme.

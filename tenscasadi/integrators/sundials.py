@@ -20,9 +20,6 @@ from tenscasadi.util.validate import instance, positive_number, whole_number
 class Sundials:
     """Implicit multistep methods of variable order (1 to 5) and step, backward differentiation formulas, for stiff scenes.
 
-    rtol: error of a step relative to each entry of the state; atol: what is added to it, m and m/s; None: rtol times the structure's
-    extent. max_steps: between two times of the grid that `simulate` lays, before the run is given up.
-
     Not compiled: most of the time goes by in SUNDIALS itself, and machine code of the equations and their Jacobian saves a quarter of it at
     best. Events are not located: the control of the error finds them, and a restart at each, at order 1, ends up no more accurate.
     (CasADi 3.8.2's own events stop these integrators at the first and let them run past the next without a word.)
@@ -44,13 +41,50 @@ class Sundials:
         whole_number(f"{name}.max_steps", self.max_steps, 1)
 
     def step(self, ode: ca.Function) -> ca.Function:
-        """One step of x' = ode(x, u) with u held, by as many of the integrator's own as it takes: Function "step" (x, u, h) -> x_next."""
+        """Build one step of any ordinary differential equation with its control held, by as many of the integrator's own as it takes.
+
+        Parameters
+        ----------
+        ode : casadi.Function
+            Function (x, u) → ẋ with columns x and ẋ of the same length.
+
+        Returns
+        -------
+        casadi.Function
+            Function "step" (x, u, h) → x_next, with h the length of the step, s.
+
+        Raises
+        ------
+        TypeError
+            If `ode` is no casadi.Function.
+        ValueError
+            If its inputs and outputs are others.
+        """
         check_ode(ode)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
         return self._step({"x": x, "u": u, "ode": ode(x, u)}, self.rtol if self.atol is None else self.atol, None)
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """One step of a model: see `Scheme.advance`."""
+        """Build one step of a model with its control held.
+
+        Parameters
+        ----------
+        model : Model
+            Model whose state is advanced.
+        power : casadi.Function, optional
+            Function (x, u) → power, W, whose work is integrated beside the state; None: no work.
+
+        Returns
+        -------
+        casadi.Function
+            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x (nx,); with `power` it holds one entry
+            more, the work done, J.
+
+        Raises
+        ------
+        TypeError
+            If `model` is no Model.
+        """
         instance("model", model, Model, "a tenscasadi.Model")
         return self._step(self.equations(model, power), self.absolute(model), self.algebraic_start(model))
 
@@ -64,21 +98,21 @@ class Sundials:
         return ca.Function("step", [x, u, h], [integrate(x0=x, p=ca.vertcat(u, h), **guess)["xf"]], ["x", "u", "h"], ["x_next"])
 
     def amplification(self, z: Complex) -> Complex:
-        """0: the integrator keeps its steps stable by itself."""
+        """Return 0, of the shape of z: the integrator keeps its steps stable by itself."""
         return np.zeros(np.shape(z), dtype=complex)
 
     def equations(self, model: Model, power: ca.Function | None) -> dict[str, Any]:
-        """x, u, ode: what CasADi's integrator takes."""
+        """Return x, u and ode for CasADi's integrator."""
         ode = model.ode if power is None else with_work(model.ode, power)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", model.nu)
         return {"x": x, "u": u, "ode": ode(x, u)}
 
     def algebraic_start(self, model: Model) -> ca.Function | None:
-        """(z, u) -> the first guess of algebraic variables; None: there are none."""
+        """Return (z, u) -> the initial guess of algebraic variables; None: there are none."""
         return None
 
     def integrator(self, equations: dict[str, Any], grid: list[float], atol: float) -> ca.Function:
-        """CasADi's integrator from 0 to the times of `grid`. ValueError where the multipliers are undetermined."""
+        """Return CasADi's integrator from 0 to the times of `grid`, s. Raises ValueError where the multipliers are undetermined."""
         try:
             return ca.integrator("integrate", self.plugin, equations, 0.0, grid, self._options(atol))
         except RuntimeError as error:
@@ -87,7 +121,7 @@ class Sundials:
             raise ValueError(f"{type(self).__name__} cannot tell redundant constraints apart: use another scheme, such as Cvodes()") from None
 
     def absolute(self, model: Model) -> float:
-        """atol, or what stands in for it."""
+        """Return the absolute tolerance, m and m/s: `atol`, or rtol times the structure's extent."""
         return self.rtol * extent(model) if self.atol is None else self.atol
 
     def _options(self, atol: float) -> dict[str, Any]:
@@ -96,16 +130,81 @@ class Sundials:
 
 @dataclass(frozen=True)
 class Cvodes(Sundials):
-    """CVODES: backward differentiation formulas for the ode of a model, for stiff scenes. See `Sundials` for the options."""
+    """CVODES of SUNDIALS on a model's ordinary differential equation, with control of the error, for stiff scenes.
+
+    Backward differentiation formulas of order 1 to 5 with exact Jacobians. The integrator chooses its steps; it is not compiled.
+
+    Parameters
+    ----------
+    rtol : float
+        Largest error of a step relative to each entry of the state, 1e-15 ≤ rtol < 1.
+    atol : float, optional
+        Error that is allowed in addition, m and m/s; None: `rtol` times the structure's extent.
+    max_steps : int
+        The integrator's own steps between two times of the grid that `simulate` lays, before the run is given up.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an option has another type or is out of bounds.
+
+    See Also
+    --------
+    Idas : The same formulas with the multipliers as unknowns.
+
+    References
+    ----------
+    .. [1] A. C. Hindmarsh et al., SUNDIALS: Suite of nonlinear and differential/algebraic equation solvers, ACM Transactions on Mathematical
+       Software 31, 2005, 363-396.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(stiffness=1e6, prestress=30.0)))
+    >>> tc.simulate(model, 0.1, scheme=tc.Cvodes(rtol=1e-6)).message
+    'finished 100 times 0.001 s apart, by Cvodes'
+    """
 
     plugin: ClassVar[str] = "cvodes"
 
 
 @dataclass(frozen=True)
 class Idas(Sundials):
-    """IDAS: the same formulas for the index-reduced multiplier form: q'' with λ and Ω as unknowns, and the constraints' second derivatives.
+    """IDAS of SUNDIALS on the index-reduced multiplier form of a model, with control of the error, for stiff scenes.
 
-    See `Sundials` for the options. Redundant constraints leave the multipliers undetermined: such a run ends with a message.
+    Backward differentiation formulas of order 1 to 5 for accelerations with λ and Ω as unknowns, and the constraints' second derivatives
+    (Eqs. 85-87 before the multipliers are eliminated). The integrator chooses its steps; it is not compiled. Redundant constraints leave
+    the multipliers undetermined: such a run is refused.
+
+    Parameters
+    ----------
+    rtol : float
+        Largest error of a step relative to each entry of the state, 1e-15 ≤ rtol < 1.
+    atol : float, optional
+        Error that is allowed in addition, m and m/s; None: `rtol` times the structure's extent.
+    max_steps : int
+        The integrator's own steps between two times of the grid that `simulate` lays, before the run is given up.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an option has another type or is out of bounds.
+
+    See Also
+    --------
+    Cvodes : The same formulas on the ordinary differential equation.
+
+    References
+    ----------
+    .. [1] A. C. Hindmarsh et al., SUNDIALS: Suite of nonlinear and differential/algebraic equation solvers, ACM Transactions on Mathematical
+       Software 31, 2005, 363-396.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(stiffness=1e6, prestress=30.0)))
+    >>> tc.simulate(model, 0.1, scheme=tc.Idas(rtol=1e-6)).message
+    'finished 100 times 0.001 s apart, by Idas'
     """
 
     plugin: ClassVar[str] = "idas"
@@ -114,7 +213,20 @@ class Idas(Sundials):
         return super()._options(atol) | {"suppress_algebraic": True}  # λ jumps with the damping of a contact: that is no error of the motion
 
     def equations(self, model: Model, power: ca.Function | None) -> dict[str, Any]:
-        """x, z, u, ode and alg: Eqs. 85-87 before the multipliers are eliminated."""
+        """Return x, z, u, ode and alg for CasADi's integrator: Eqs. 85-87 before the multipliers are eliminated.
+
+        Parameters
+        ----------
+        model : Model
+            Model to integrate.
+        power : casadi.Function or None
+            Function (x, u) → power, W, whose work is one more state; None: no work.
+
+        Returns
+        -------
+        dict
+            Symbols x, z = (λ, Ω) and u, and expressions ode and alg of them.
+        """
         mech = model.mechanism
         if not mech.constrained:
             return super().equations(model, power)
@@ -136,7 +248,18 @@ class Idas(Sundials):
         return {"x": symbols[0], "z": symbols[1], "u": symbols[2], "ode": ode, "alg": alg}
 
     def algebraic_start(self, model: Model) -> ca.Function | None:
-        """(x, u) -> (λ, Ω) of the model."""
+        """Return the multipliers of the model, the initial guess of the algebraic variables.
+
+        Parameters
+        ----------
+        model : Model
+            Model to integrate.
+
+        Returns
+        -------
+        casadi.Function or None
+            Function (x, u) → (λ, Ω), a column; None where nothing is constrained.
+        """
         mech = model.mechanism
         if not mech.constrained:
             return None

@@ -11,7 +11,7 @@ from references import certified, solve_certified
 
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.collocation import Collocation, crout
+from tenscasadi.integrators.collocation import Collocation, factor_crout
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import stability_limit
 from tenscasadi.integrators.stability import stable_step
@@ -167,7 +167,7 @@ def test_a_step_too_large_for_sweeps_is_not_finite() -> None:
 
 def test_crout() -> None:
     A = np.random.default_rng(1).normal(size=(4, 4)) + 4 * np.eye(4)
-    L = crout(A)
+    L = factor_crout(A)
     U = np.linalg.solve(L, A)
     assert np.triu(L, 1) == pytest.approx(np.zeros((4, 4)))
     assert np.tril(U) == pytest.approx(np.eye(4), abs=1e-12)
