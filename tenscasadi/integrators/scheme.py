@@ -55,7 +55,7 @@ def relative_tolerance(field: str, value: Any) -> float:
 
 
 def extent(model: Model) -> float:
-    """Return the largest distance along an axis between two nodes of the structure, m; 1 where there is one node. Raises TypeError for anything but a Model."""
+    """Return the largest distance along an axis between two nodes of the structure, m; 1 where there is one node. Raises TypeError."""
     instance("model", model, Model, "a tenscasadi.Model")
     return float(np.ptp(model.structure.nodes, axis=0).max()) or 1.0
 
