@@ -15,13 +15,15 @@ from ocp.plan.actuation import reachable, replay_wound
 from ocp.plan.plan import Plan
 from ocp.plan.report import Report
 from ocp.problem.bar_bounds import BarForceLimits, Buckling
-from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Tracking, Work
+from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
-from ocp.problem.goals import AtRest, NodePositions, Periodic, Shape, StringLengths
+from ocp.problem.goals import AtRest, NodePositions, Shape, StringLengths
 from ocp.problem.instant import Instant
+from ocp.problem.periodic import Periodic
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
+from ocp.problem.tracking import Tracking
 from ocp.problem.waypoints import Waypoint
 from ocp.solve import solve
 from ocp.solvers.fatrop import Fatrop

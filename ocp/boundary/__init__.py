@@ -1,1 +1,1 @@
-"""What start and goals say that the bars and momentum do not say already."""
+"""The state and the rows that goals lead to, without what bars and momentum keep already."""

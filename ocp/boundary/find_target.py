@@ -48,7 +48,7 @@ def find_target(problem: Problem, scales: Scales) -> Target:
 
 
 def _find_end(problem: Problem, scales: Scales) -> Target:
-    """The target at the end of a problem, without its waypoints."""
+    """Find the target at the end of a problem, without its waypoints."""
     model, start = problem.model, problem.first_state
     finder = _Finder(problem, start, scales)
     if finder.goals.names:
@@ -61,7 +61,7 @@ def _find_end(problem: Problem, scales: Scales) -> Target:
 
 
 def _check_time(problem: Problem, target: Target, seconds: float) -> None:
-    """Refuses a target farther off, by far, than force densities within their limits move nodes in that time."""
+    """Refuse a target farther off, by far, than force densities within their limits move nodes in that time."""
     model, start = problem.model, problem.first_state
     _, most = problem.force_density_limits
     if target.state is None or problem.free_start or model.scene.has_clock or not np.all(np.isfinite(most)):
@@ -100,7 +100,7 @@ class _Finder:
     # --- the state ---
 
     def find_state(self) -> tuple[Array, float]:
-        """y at the target, and by how much goals had to be adjusted (m), 0 when they are met."""
+        """Find y at the target, and by how much goals had to be adjusted (m), 0 when they are met."""
         y = np.append(self.start, (self.problem.shortest + self.problem.longest) / 2)
         rigid = [k for k, rows in enumerate(self.invariants) if rows.kind in RIGID]
         goals, miss = len(self.goals.names), 0.0
@@ -120,11 +120,11 @@ class _Finder:
         return float(np.abs(self.goal(y)[0]).max(initial=0.0))
 
     def _allowed(self, y: Array) -> Array:
-        """y with a duration that the problem allows."""
+        """Return y with a duration that the problem allows."""
         return np.append(y[:-1], np.clip(y[-1], self.problem.shortest, self.problem.longest))
 
     def _deforming(self, step: Array) -> Array:
-        """Of a change of y what moves nodes; where none is pinned, relative to their mean."""
+        """Keep of a change of y what moves nodes; where none is pinned, relative to their mean."""
         nq = self.problem.model.nq
         result = np.where(np.arange(len(step)) < nq, step, 0.0)
         if not self.problem.model.structure.fixed.any():
@@ -132,7 +132,7 @@ class _Finder:
         return result
 
     def _straightened(self, y: Array) -> Array | None:
-        """Nodes inside strings, which no goal places, back on the line between the string's ends; None where there are none."""
+        """Put nodes inside strings, which no goal places, back on the line between the string's ends; None where there are none."""
         model, s = self.problem.model, self.problem.model.structure
         parent = s.string_parent
         inner = np.flatnonzero(parent[:-1] == parent[1:])  # children follow each other from first to second node
@@ -148,7 +148,7 @@ class _Finder:
         return np.append(x, y[-1])
 
     def _refuse(self, y: Array, active: list[int]) -> None:
-        """Names the row that misses most, and the invariant that holds it: the one with the largest multiplier."""
+        """Name the row that misses most, and the invariant that holds it: the one with the largest multiplier."""
         r, H = self.goal(y)
         worst = int(np.argmax(np.abs(r) > (1 - 1e-6) * np.abs(r).max()))  # the first of equals
         size, unit = abs(r[worst]) * self.goal.row_scale[worst], self.goals.units[worst]
@@ -169,7 +169,7 @@ class _Finder:
     # --- the rows ---
 
     def impose(self, y: Array, adjusted: float) -> Target:
-        """The target at y with the rows that can be imposed there."""
+        """Return the target at y with the rows that can be imposed there."""
         values, H = self.goal(y)
         directions, _, _ = soft_directions(self.rows, y, NEARLY_SINGULAR)
         weights, squared, (more, gradient) = self._shape_rows(y, directions)
@@ -191,8 +191,10 @@ class _Finder:
         return Target(self.start, y[:-1], single, imposed, misfit, names, reduction, added, adjusted)
 
     def _shape_rows(self, y: Array, directions: Array) -> tuple[Array, Any, tuple[Array, Array]]:
-        """Combinations (k, m) of all m squared distances of nodes, which feel `directions` and no rigid motion; the distances, as rows of x; and
-        their values and gradient at y."""
+        """Find rows that feel `directions` and no rigid motion.
+
+        Combinations (k, m) of all m squared distances of nodes; the distances, as rows of x; and their values and gradient at y.
+        """
         if not directions.shape[1]:
             return np.zeros((0, 0)), ca.SX(0, 1), (np.zeros(0), np.zeros((0, len(y))))
         a, b = ([pair[k] for pair in self._pairs()] for k in (0, 1))
@@ -205,12 +207,12 @@ class _Finder:
         return (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK], squared, (value, gradient)
 
     def _pairs(self) -> list[tuple[int, int]]:
-        """All pairs of nodes."""
+        """List all pairs of nodes."""
         return list(combinations(range(len(self.problem.model.scene.structure.nodes)), 2))
 
 
 def _metric(model: Model) -> Array:
-    """The mass matrix on positions and velocities, relative to its mean, and one for clock and duration."""
+    """Return the mass matrix on positions and velocities, relative to its mean, and one for clock and duration."""
     mass = model.mechanism.free_mass.toarray()
     mass = mass / np.diag(mass).mean()
     result = np.eye(model.nx + 1)

@@ -31,7 +31,7 @@ class GaussNewton:
         self._basis = np.linalg.inv(np.linalg.cholesky(metric)).T  # columns of length one in the metric
 
     def find_nearest(self, rows: RowFunction, goals: int, y: Array) -> Array:
-        """y where the first rows, those of `goals`, are as small as the others, which are zero there, let them be."""
+        """Find y where the first rows, those of `goals`, are as small as the others, which are zero there, let them be."""
         crawling = 0
         for _ in range(STEPS):
             best, least = None, rows.size(y)
@@ -64,7 +64,7 @@ class GaussNewton:
             yield from self._shortened(rows, y, soft, follow=True)
 
     def _shortened(self, rows: RowFunction, y: Array, step: Array, follow: bool) -> Iterator[Array]:
-        """y moved by the largest of step, step/2, … that makes the rows smaller; `follow`: after regular directions have followed."""
+        """Move y by the largest of step, step/2, … that makes the rows smaller; `follow`: after regular directions have followed."""
         size = rows.size(y)
         for halvings in range(8):
             trial = self._moved(y, step * 0.5**halvings)
@@ -75,7 +75,7 @@ class GaussNewton:
                 return
 
     def _step(self, rows: RowFunction, y: Array, rank_tolerance: float) -> Array:
-        """−J⁺ r in scaled unknowns; directions that are more singular than `rank_tolerance` stay where they are."""
+        """Return −J⁺ r in scaled unknowns; directions that are more singular than `rank_tolerance` stay where they are."""
         r, J = rows(y)
         step = self._newton(r, J, rank_tolerance)
         wanted = y + step * self._scale
@@ -92,7 +92,7 @@ class GaussNewton:
         return np.asarray(self._basis @ (-right[used].T @ ((left[:, used].T @ r) / values[used])))
 
     def _soft_step(self, rows: RowFunction, y: Array) -> Array | None:
-        """A step d to second order: c + b d + ½ dᵀ K d = 0 for the combinations of rows that have (nearly) no gradient."""
+        """Return a step d to second order: c + b d + ½ dᵀ K d = 0 for the combinations of rows that have (nearly) no gradient."""
         directions, W, K = soft_directions(rows, y, NEARLY_SINGULAR)
         if not directions.shape[1]:
             return None

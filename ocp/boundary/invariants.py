@@ -1,4 +1,4 @@
-"""What every motion of a model keeps, whatever its strings do: bar lengths, joints, momenta, the plane it lies in.
+"""Invariants of every motion of a model, whatever its strings do: bar lengths, joints, momenta, the plane it lies in.
 
 Rows of a goal that repeat these have linearly dependent gradients with the dynamics, so that no solver can impose them: they are
 left out (`ocp.boundary.row_reduction`), after a check that they hold by themselves.
@@ -67,7 +67,7 @@ def _constraints(model: Model, x: Any) -> list[Rows]:
 
 
 def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Rows]:
-    """A structure that starts flat stays in its plane (or on its line): all forces act along members or gravity."""
+    """Return rows that keep a flat start in its plane (or on its line): all forces act along members or gravity."""
     size = np.ptp(N0, axis=1).max(initial=1e-300)
     speeds = np.column_stack([V0, gravity])
     reach = np.column_stack([(N0 - N0[:, :1]) / size, speeds / max(np.abs(speeds).max(), 1e-300)])
@@ -91,7 +91,7 @@ class Body:
 
 
 def bodies(structure: Structure, gravity: Array) -> list[Body]:
-    """What hangs together by members that do not meet in a pinned node."""
+    """Return the parts that hang together by members that do not meet in a pinned node."""
     pinned: Flags = np.asarray(structure.fixed.all(axis=1), dtype=bool).reshape(-1)
     pairs = np.concatenate([structure.bars, structure.strings])
     at_pin: Flags = pinned[pairs[:, 0]] | pinned[pairs[:, 1]]
@@ -111,7 +111,7 @@ def bodies(structure: Structure, gravity: Array) -> list[Body]:
 
 
 def free_motions(nodes: Array, fixed: Flags, gravity: Array) -> tuple[Flags, list[tuple[Array, Array]]]:
-    """The axes (3,) bool along which nothing holds a body's nodes (n, 3), and the rotations (t, ω) whose momentum is kept.
+    """Return the axes (3,) bool along which nothing holds a body's nodes (n, 3), and the rotations (t, ω) whose momentum is kept.
 
     A rotation moves node r by t + ω×(r − c), c the centre of mass along the free axes: its momentum is conserved when it moves no
     `fixed` (n, 3) coordinate, wherever the nodes are, and no weight (Noether's theorem). A single pin leaves three rotations, two pins one.
@@ -147,7 +147,7 @@ def free_motions(nodes: Array, fixed: Flags, gravity: Array) -> tuple[Flags, lis
 def _momentum_rows(
     body: Body, mech: Mechanism, now: tuple[Any, Any], x: Any, start: Array, gravity: Array, time: Any
 ) -> tuple[Any, tuple[str, ...], tuple[str, ...]]:
-    """Rows that stay zero, their names and units: the path and speed of the centre of mass, and angular momentum per mass.
+    """Return rows of the path and speed of the centre of mass, and of the angular momentum per mass.
 
     now: N and V (3×n), expressions of the state x (nx), of the motion `time` seconds after its start (nx,).
     """
@@ -163,7 +163,10 @@ def _momentum_rows(
 
 
 def _momenta(body: Body, mech: Mechanism, N: Any, V: Any) -> tuple[Any, Any, Any]:
-    """Centre of mass, its velocity, and the momenta of the rotations per mass. Pinned nodes do not move and have no part in them."""
+    """Return the centre of mass, its velocity, and the momenta of the rotations per mass.
+
+    Pinned nodes do not move and have no part in them.
+    """
     own = np.isin(mech.physical, body.nodes)
     weight = np.asarray(mech.M.sum(axis=1)).ravel() * own
     mass = float(weight.sum())

@@ -32,7 +32,7 @@ class RowFunction:
         self._code = _Code(y, value / ca.DM(row_scale))
 
     def only(self, rows: slice) -> RowFunction:
-        """Some of the rows, from the same code. Only those of all rows."""
+        """Select some of the rows, from the same code. Only those of all rows."""
         part = copy.copy(self)
         part.row_scale, part._rows = self.row_scale[rows], rows
         return part
@@ -43,11 +43,11 @@ class RowFunction:
         return value.ravel()[self._rows], gradient.T[self._rows] * self.scale
 
     def size(self, y: Array) -> float:
-        """The norm of the scaled rows."""
+        """Return the norm of the scaled rows."""
         return float(np.linalg.norm(self._code.value(y)[0].ravel()[self._rows]))
 
     def curvatures(self, y: Array, weights: Array) -> Iterator[Array]:
-        """Second derivatives (ny, ny) of wᵀ rows in scaled unknowns, for each column w of `weights` (m, k)."""
+        """Yield second derivatives (ny, ny) of wᵀ rows in scaled unknowns, for each column w of `weights` (m, k)."""
         every = np.zeros((self._code.count, weights.shape[1]))
         every[self._rows] = weights
         function, row, column = self._code.second
@@ -122,7 +122,7 @@ def reduce_rows(H: Array, groups: Sequence[tuple[str, Array]], names: tuple[str,
 
 
 def soft_directions(rows: RowFunction, y: Array, rank_tolerance: float = RANK) -> tuple[Array, Array, Array]:
-    """Where first order says nothing but second order does: at a prestressed equilibrium lengths fix the shape, their gradients do not.
+    """Find where first order says nothing but second order does: at a prestressed equilibrium lengths fix the shape, their gradients do not.
 
     Returns scaled unit directions D (ny, k) that the rows' gradients leave free but whose curvature some combination w of the rows
     (W (m, j), zero gradient) feels, and the curvatures (j, k, k) of these combinations on D.
@@ -144,7 +144,7 @@ def soft_directions(rows: RowFunction, y: Array, rank_tolerance: float = RANK) -
 
 
 def null_space(A: Array) -> Array:
-    """An orthonormal basis (n, n − rank) of the null space of A (m, n)."""
+    """Return an orthonormal basis (n, n − rank) of the null space of A (m, n)."""
     _, values, right = _svd(A)
     return np.asarray(right[int(np.sum(values > RANK)) :].T)
 

@@ -87,7 +87,7 @@ class Motion:
         return by_control, by_step / n
 
     def _rates(self, points: Array, controls: Array) -> tuple[Array, Array]:
-        """f (steps, 4, nx) and its derivative (steps, 4, nx, nx + nu) with respect to state and control."""
+        """Return f (steps, 4, nx) and its derivative (steps, 4, nx, nx + nu) with respect to state and control."""
         nx, width = self.model.nx, self.model.nx + self.model.nu
         held = np.repeat(controls, self._substeps, axis=0)
         # stage by stage: to make a map takes as long as its size

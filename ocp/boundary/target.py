@@ -90,12 +90,12 @@ class Target:
 
 
 class TargetOnTheWay(NamedTuple):
-    """What the goals of a waypoint lead to, at a share of the duration."""
+    """The target of a waypoint, at a share of the duration."""
 
     share: float
     target: Target
 
     @property
     def label(self) -> str:
-        """What the names of its goals begin with."""
+        """The words that names of its goals begin with."""
         return f"waypoint at {self.share:.3g} of the duration, "

@@ -13,7 +13,7 @@ from ocp.boundary.find_target import find_target
 from ocp.control.departures import departures
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
 from ocp.plan.plan import Plan
-from ocp.problem.goals import Periodic
+from ocp.problem.periodic import Periodic
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.scaling import Scales
 from ocp.problem.waypoints import Waypoint

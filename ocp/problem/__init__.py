@@ -1,1 +1,1 @@
-"""What is asked of a plan: goals, bounds, costs, and the expressions they become."""
+"""A plan that is asked for: goals, bounds, costs, and the expressions they become."""

@@ -16,7 +16,30 @@ from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_i
 
 @dataclass(frozen=True, eq=False)
 class BarForceLimits(PathBound):
-    """The most that bars carry, N: compression and tension, one number or one per bar; None or inf: no limit."""
+    """Limits of the force that each bar carries, at both ends of every interval.
+
+    Parameters
+    ----------
+    compression : float or array_like, shape (β,), optional
+        Greatest compression, N, ≥ 0; one number, or one for each bar; None or inf for no limit.
+    tension : float or array_like, shape (β,), optional
+        Greatest tension, N, ≥ 0; one number, or one for each bar; None or inf for no limit.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If both are None, or a limit is no number or negative; with a problem, if there are no bars, or not one limit for each.
+
+    See Also
+    --------
+    Buckling : limits of the compression from a bar's material and radius.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.BarForceLimits(compression=30.0).compression
+    30.0
+    """
 
     compression: ArrayLike | None = None
     tension: ArrayLike | None = None
@@ -31,18 +54,40 @@ class BarForceLimits(PathBound):
                 nonnegative(f"BarForceLimits.{name}", array, "bar")
 
     def check(self, structure: Structure) -> None:
-        """Raise where there are no bars or the limits have the wrong number."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there are no bars, or not one limit for each.
+        """
         _check_bars("BarForceLimits", structure)
         self._most(structure)
 
     def _most(self, structure: Structure) -> tuple[Array, Array]:
-        """The most compression and tension (β,), N."""
+        """Return the greatest compression and tension (β,), N."""
         count = len(structure.bars)
         compression = limits_of("BarForceLimits.compression", self.compression, count, np.inf)
         return compression, limits_of("BarForceLimits.tension", self.tension, count, np.inf)
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return the force in each bar, positive in compression."""
+        """Return the force in each bar, N, positive in compression, with the limits, as a path constraint.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+
+        Returns
+        -------
+        PathConstraint
+            Expressions of an instant of symbols, between their limits.
+        """
         now, (compression, tension) = symbolic(model), self._most(model.scene.structure)
         names = tuple(f"compression of bar {k}" for k in range(len(tension)))
         return PathConstraint(now.bar_force, -tension, compression, names, "N", now.symbols, self.ends).without_open()
@@ -50,9 +95,31 @@ class BarForceLimits(PathBound):
 
 @dataclass(frozen=True, eq=False)
 class Buckling(PathBound):
-    """Compression of solid round bars below Euler's load π² E I / (l² safety), I = π r⁴/4, with the structure's radius and length.
+    """Compression of solid round bars below Euler's load, at both ends of every interval.
 
-    modulus: E, Pa, one number or one per bar. Raises ValueError for a bar without radius.
+    Parameters
+    ----------
+    modulus : float or array_like, shape (β,)
+        Young's modulus E, Pa, > 0; one number, or one for each bar.
+    safety : float, optional
+        The load is divided by it; > 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If modulus or safety is no number, zero or negative; with a problem, if there are no bars, not one modulus for each, or a bar has no radius.
+
+    Notes
+    -----
+    The load is π² E I / (l² · safety) with I = π r⁴/4: of a bar with pinned ends, with the radius r and the length l of the structure.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> steel = tc.Structure([[0, 0, 0], [0, 0, 1.0]], bars=[(0, 1)], strings=[], bar_radius=0.01)
+    >>> ocp.Buckling(200e9).loads(steel).round()
+    array([15503.])
     """
 
     modulus: ArrayLike
@@ -64,7 +131,18 @@ class Buckling(PathBound):
         object.__setattr__(self, "safety", positive_number("Buckling.safety", self.safety))
 
     def check(self, structure: Structure) -> None:
-        """Raise where there are no bars, or one has no radius."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there are no bars, not one modulus for each, or a bar has no radius.
+        """
         _check_bars("Buckling", structure)
         bad = np.flatnonzero(structure.bar_radius == 0)
         if bad.size:
@@ -72,13 +150,35 @@ class Buckling(PathBound):
         self.loads(structure)
 
     def loads(self, structure: Structure) -> Array:
-        """The allowed compression (β,), N."""
+        """Return the compression that is allowed in each bar.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure with the bars.
+
+        Returns
+        -------
+        numpy.ndarray, shape (β,)
+            Euler's load divided by the safety, N.
+        """
         E = per_item("Buckling.modulus", self.modulus, len(structure.bars))
         inertia = np.pi * structure.bar_radius**4 / 4
         return np.asarray(np.pi**2 * E * inertia / structure.bar_lengths**2 / self.safety)
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return the compression of each bar."""
+        """Return the compression of each bar, N, with the limits, as a path constraint.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+
+        Returns
+        -------
+        PathConstraint
+            Expressions of an instant of symbols, between their limits.
+        """
         now, loads = symbolic(model), self.loads(model.scene.structure)
         names = tuple(f"buckling of bar {k}" for k in range(len(loads)))
         return PathConstraint(now.bar_force, np.full(len(loads), -np.inf), loads, names, "N", now.symbols, self.ends)

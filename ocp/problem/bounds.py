@@ -1,4 +1,4 @@
-"""What bounds have in common: each becomes path constraints, expressions between limits, which hold at each end of every interval."""
+"""The base of all bounds: each becomes path constraints, expressions between limits, which hold at each end of every interval."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class PathConstraint:
 
     @property
     def function(self) -> ca.Function:
-        """From the symbols to the column of what is limited."""
+        """Function from the symbols to the column that is limited."""
         return ca.Function("limited", self.symbols, [ca.densify(self.value)])
 
     def without_open(self) -> PathConstraint:
@@ -57,7 +57,7 @@ class PathBound(Bound):
     ends: ClassVar[tuple[str, ...]] = ("start", "end")
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return what is limited, at one instant of symbols."""
+        """Return the path constraint, of one instant of symbols."""
         raise NotImplementedError
 
 
@@ -67,12 +67,12 @@ class RateBound(Bound):
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return what is limited, between two instants of symbols."""
+        """Return the path constraint, of two instants of symbols."""
         raise NotImplementedError
 
 
 def without_inf(value: Any, instead: float = 0.0) -> Any:
-    """`value` with inf, which says that there is no limit, replaced by a number that passes the checks."""
+    """Replace inf, which says that there is no limit, by a number that passes the checks."""
     try:
         array = np.asarray(value)
     except ValueError:

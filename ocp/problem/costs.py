@@ -1,8 +1,7 @@
-"""What a plan should keep small, as values: each a weighted number, summed with those of the others."""
+"""Costs of a plan, as values: each a weighted number, summed with those of the others."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +10,7 @@ from numpy.typing import ArrayLike
 
 from ocp.problem.instant import Instant
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import call_user_function, coordinates, node_index, nonnegative, number, number_or_vector, per_item, positive_number
-
-Place = tuple[float | None, float | None, float | None]
-
-UNTRACKED = "an axis that does not matter"
+from tenscasadi.util.validate import nonnegative, number_or_vector, per_item, positive_number
 
 
 class Cost:
@@ -29,7 +24,7 @@ class ControlCost(Cost):
     """A cost of the force densities alone."""
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """The cost of force densities (α×intervals, N/m) held for `interval` (s) each, as a CasADi scalar."""
+        """Return the cost of force densities (α×intervals, N/m) held for `interval` (s) each, as a CasADi scalar."""
         raise NotImplementedError
 
 
@@ -37,7 +32,7 @@ class RunningCost(Cost):
     """A cost that is integrated over time, by Simpson's rule on each interval, its middle on the cubic between its ends."""
 
     def rate(self, now: Instant) -> Any:
-        """The cost per second, a CasADi scalar."""
+        """Return the cost per second, a CasADi scalar."""
         raise NotImplementedError
 
 
@@ -45,141 +40,271 @@ class FinalCost(Cost):
     """A cost of the end."""
 
     def final(self, end: Instant) -> Any:
-        """The cost, a CasADi scalar."""
+        """Return the cost, a CasADi scalar."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class Effort(ControlCost):
-    """weight · ∫ Σ γ² dt over all strings, N²·s/m² for weight 1."""
+    """The cost weight · ∫ Σ γ² dt over all strings.
+
+    Parameters
+    ----------
+    weight : float, optional
+        Factor of the cost, > 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the weight is no number, zero or negative.
+
+    Notes
+    -----
+    The integral is exact for the profile of the force densities; its unit is N²·s/m².
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.Effort(2.0)
+    Effort(weight=2.0)
+    """
 
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        _weighted(self)
+        check_weight(self)
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """weight · h Σ γ²."""
+        """Return the cost of some intervals.
+
+        Parameters
+        ----------
+        force_density : casadi.SX or casadi.MX
+            Force densities, α×intervals, N/m.
+        interval : casadi.SX, casadi.MX or float
+            Length of each interval, s.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX
+            weight · h Σ γ², a scalar, N²·s/m² for weight 1.
+        """
         return self.weight * interval * ca.sumsqr(force_density)
 
 
 @dataclass(frozen=True)
 class Smoothness(ControlCost):
-    """weight · Σ (γ⁺ − γ)²/h over neighbouring intervals of length h, N²/(m²·s): ∫ Σ γ̇² dt of the plan's corners."""
+    """The cost weight · Σ (γ⁺ − γ)²/h over neighbouring intervals, which stands for ∫ Σ γ̇² dt.
+
+    h is the time from the middle of one interval to that of the next; where force densities are linear in each interval, its length.
+
+    Parameters
+    ----------
+    weight : float, optional
+        Factor of the cost, > 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the weight is no number, zero or negative.
+
+    Notes
+    -----
+    Its unit is N²/(m²·s).
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.Smoothness()
+    Smoothness(weight=1.0)
+    """
 
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        _weighted(self)
+        check_weight(self)
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """weight · Σ (γ⁺ − γ)²/h."""
+        """Return the cost of some intervals.
+
+        Parameters
+        ----------
+        force_density : casadi.SX or casadi.MX
+            Force densities, α×intervals, N/m.
+        interval : casadi.SX, casadi.MX or float
+            Length of each interval, s.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX
+            weight · Σ (γ⁺ − γ)²/h of neighbouring columns, a scalar, N²/(m²·s) for weight 1.
+        """
         return self.weight * ca.sumsqr(force_density[:, 1:] - force_density[:, :-1]) / interval
 
 
 @dataclass(frozen=True, eq=False)
 class Prestress(ControlCost):
-    """weight · ∫ Σ (γ − level)² dt, N²·s/m² for weight 1: keeps force densities near a level, N/m, one number or one per string."""
+    """The cost weight · ∫ Σ (γ − level)² dt, which keeps force densities near a level.
+
+    Parameters
+    ----------
+    level : float or array_like, shape (α,)
+        Wanted force density, N/m, ≥ 0; one number, or one for each string.
+    weight : float, optional
+        Factor of the cost, > 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If weight or level is no number, or negative; with a problem, if there is not one level for each string.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.Prestress(20.0, weight=0.1).level
+    20.0
+    """
 
     level: ArrayLike
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        _weighted(self)
+        check_weight(self)
         array = number_or_vector("Prestress.level", self.level)
         nonnegative("Prestress.level", array, "string")
 
     def check(self, structure: Structure) -> None:
-        """Raise where there is not one level for each string."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        ValueError
+            If there is not one level for each string.
+        """
         per_item("Prestress.level", self.level, len(structure.strings))
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """weight · h Σ (γ − level)²."""
+        """Return the cost of some intervals.
+
+        Parameters
+        ----------
+        force_density : casadi.SX or casadi.MX
+            Force densities, α×intervals, N/m.
+        interval : casadi.SX, casadi.MX or float
+            Length of each interval, s.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX
+            weight · h Σ (γ − level)², a scalar, N²·s/m² for weight 1.
+        """
         level = ca.DM(per_item("Prestress.level", self.level, force_density.shape[0]))
         return self.weight * interval * ca.sumsqr(force_density - ca.repmat(level, 1, force_density.shape[1]))
 
 
-@dataclass(frozen=True, eq=False)
-class Tracking(RunningCost):
-    """weight · ∫ Σ ‖node − place‖² dt, m²·s: keeps nodes near places that may move.
-
-    positions: {node: (x, y, z)}, m, None for an axis that does not matter, or {node: function of the time, a CasADi symbol, to three such entries}.
-    """
-
-    positions: Mapping[int, Place | Callable[[Any], Any]]
-    weight: float = 1.0
-
-    def __post_init__(self) -> None:
-        _weighted(self)
-        if not isinstance(self.positions, Mapping) or not self.positions:
-            raise ValueError(f"Tracking.positions is {self.positions!r}: give {{node: (x, y, z)}}")
-        places = {
-            node: place if callable(place) else coordinates(f"Tracking.positions[{node}]", place, UNTRACKED, some=True)
-            for node, place in self.positions.items()
-        }
-        object.__setattr__(self, "positions", places)
-
-    def check(self, structure: Structure) -> None:
-        """Raise where a node does not exist."""
-        for node in self.positions:
-            node_index("Tracking.positions: node", node, len(structure.nodes))
-
-    def rate(self, now: Instant) -> Any:
-        """weight · Σ ‖node − place‖²."""
-        total: Any = 0
-        for node, place in self.positions.items():
-            entries = _moving(f"Tracking.positions[{node}](time)", place, now.time) if callable(place) else place
-            total = total + sum((now.nodes[axis, node] - entry) ** 2 for axis, entry in enumerate(entries) if entry is not None)
-        return self.weight * total
-
-
 @dataclass(frozen=True)
 class Duration(FinalCost):
-    """weight · the duration, s: with Problem(duration=(shortest, longest)), and other costs or limits of force to weigh against."""
+    """The cost weight · T of the duration T, s.
+
+    It asks for ``Problem(duration=(shortest, longest))``, and for other costs or limits of force to weigh against.
+
+    Parameters
+    ----------
+    weight : float, optional
+        Factor of the cost, > 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the weight is no number, zero or negative.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.Duration(10.0)
+    Duration(weight=10.0)
+    """
 
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        _weighted(self)
+        check_weight(self)
 
     def final(self, end: Instant) -> Any:
-        """weight · T."""
+        """Return the cost of the end.
+
+        Parameters
+        ----------
+        end : Instant
+            The end of the plan.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX
+            weight · T, a scalar.
+        """
         return self.weight * end.time
 
 
 @dataclass(frozen=True)
 class Work(RunningCost):
-    """weight · ∫ Σ max(0, −γ s ṡ) dt, J: the work that strings do as they shorten; nothing is won back where they are drawn out.
+    """The cost weight · ∫ Σ max(0, −γ s ṡ) dt: the work, J, that strings do as they shorten.
 
-    smoothing: W, the width over which the maximum is rounded off.
+    Nothing is won back where strings are drawn out.
+
+    Parameters
+    ----------
+    weight : float, optional
+        Factor of the cost, > 0.
+    smoothing : float, optional
+        Power, W, > 0, over which the maximum is rounded off.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If weight or smoothing is no number, zero or negative.
+
+    Notes
+    -----
+    With P = −γ s ṡ and w the smoothing, max(0, P) is taken as (P + √(P² + w²) − w)/2. Integrated by Simpson's rule on each interval, its middle
+    on the cubic between its ends.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.Work()
+    Work(weight=1.0, smoothing=0.1)
     """
 
     weight: float = 1.0
     smoothing: float = 0.1
 
     def __post_init__(self) -> None:
-        _weighted(self)
+        check_weight(self)
         object.__setattr__(self, "smoothing", positive_number("Work.smoothing", self.smoothing))
 
     def rate(self, now: Instant) -> Any:
-        """weight · Σ of the strings' positive power."""
+        """Return the cost per second.
+
+        Parameters
+        ----------
+        now : Instant
+            An instant of the plan.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX
+            weight · Σ max(0, −γ s ṡ), rounded off, a scalar.
+        """
         power = -now.control * now.lengths * now.rates
         return self.weight * ca.sum1(power + ca.sqrt(power**2 + self.smoothing**2) - self.smoothing) / 2
 
 
-def _weighted(cost: Any) -> None:
+def check_weight(cost: Any) -> None:
+    """Refuse a weight that is no positive number."""
     object.__setattr__(cost, "weight", positive_number(f"{type(cost).__name__}.weight", cost.weight))
-
-
-def _moving(field: str, place: Callable[[Any], Any], time: Any) -> tuple[Any, ...]:
-    """The coordinates of a place at a symbolic time: expressions of it, numbers, or None."""
-
-    def read(field: str, entry: Any) -> Any:
-        if not isinstance(entry, (ca.SX, ca.MX)):
-            return number(field, entry)
-        if not isinstance(entry, type(time)) or not entry.is_scalar():
-            raise TypeError(f"{field} has the entry {entry}: give a scalar expression of the time alone")
-        return entry
-
-    found = call_user_function(field, place, time, "give (x, y, z) of the time, s, a CasADi symbol")
-    return coordinates(field, ca.vertsplit(ca.vec(found)) if isinstance(found, (ca.SX, ca.MX)) else found, UNTRACKED, some=True, read=read)

@@ -24,9 +24,33 @@ _NO_NUMBER = "is not a number at the start: keep roots, logarithms and quotients
 
 @dataclass(frozen=True, eq=False)
 class Constraint(PathBound):
-    """lower ≤ expression(now) ≤ upper at each end of every interval, where `now` is an `ocp.Instant`: now.nodes (3×n), now.velocities, now.time …
+    """Own limits lower ≤ expression(now) ≤ upper, at both ends of every interval.
 
-    name: what reports call it. expression: gives a CasADi scalar or column. lower, upper: one number or one per entry, None: no limit.
+    Parameters
+    ----------
+    name : str
+        What reports and multipliers call it; each constraint of a problem has its own.
+    expression : callable
+        Takes an `Instant` and gives a CasADi scalar or column of it.
+    lower : float or array_like, optional
+        One number, or one for each entry; None for no limit.
+    upper : float or array_like, optional
+        One number, or one for each entry; None for no limit.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there is no name or no function, or both limits are None; with a problem, if the expression fails, is no expression of the instant
+        alone, is not a number at the start, or has not as many entries as the limits.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    >>> low = ocp.Constraint("height", lambda now: now.nodes[2, 3], upper=1.2)
+    >>> low.constraint(model).names
+    ('height',)
     """
 
     name: str
@@ -44,7 +68,23 @@ class Constraint(PathBound):
                 number_or_vector(f"Constraint {self.name!r}: {field}", value)
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return the expression's entries. Raises ValueError where they and the limits differ in number, or limits cross."""
+        """Return the entries of the expression with their limits, as a path constraint.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+
+        Returns
+        -------
+        PathConstraint
+            Expressions of an instant of symbols, between their limits.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the expression fails or is none, entries and limits differ in number, or limits cross.
+        """
         now = symbolic(model)
         value = _column(self, now)
         count = value.shape[0]
@@ -66,7 +106,35 @@ class Constraint(PathBound):
 
 @dataclass(frozen=True, eq=False)
 class Integral(RunningCost):
-    """weight · ∫ expression(now) dt, of a CasADi scalar."""
+    """The cost weight · ∫ expression(now) dt of an own expression.
+
+    Parameters
+    ----------
+    name : str
+        What errors call it.
+    expression : callable
+        Takes an `Instant` and gives a CasADi scalar of it.
+    weight : float, optional
+        Factor of the cost, > 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there is no name, no function or no weight; with a problem, if the expression fails, is no scalar of the instant alone, or is not a
+    number at the start.
+
+    Notes
+    -----
+    Integrated by Simpson's rule on each interval, its middle on the cubic between its ends.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import ocp
+    >>> calm = ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities), weight=0.1)
+    >>> calm.name, calm.weight
+    ('speed', 0.1)
+    """
 
     name: str
     expression: Expression
@@ -77,13 +145,46 @@ class Integral(RunningCost):
         object.__setattr__(self, "weight", positive_number(f"Integral {self.name!r}: weight", self.weight))
 
     def rate(self, now: Instant) -> Any:
-        """weight · expression."""
+        """Return the cost per second.
+
+        Parameters
+        ----------
+        now : Instant
+            An instant of the plan.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX
+            weight · expression, a scalar.
+        """
         return self.weight * _scalar(self, now)
 
 
 @dataclass(frozen=True, eq=False)
 class AtEnd(FinalCost):
-    """weight · expression(end), of a CasADi scalar."""
+    """The cost weight · expression(end) of an own expression.
+
+    Parameters
+    ----------
+    name : str
+        What errors call it.
+    expression : callable
+        Takes the `Instant` at the end and gives a CasADi scalar of it.
+    weight : float, optional
+        Factor of the cost, > 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there is no name, no function or no weight; with a problem, if the expression fails or is no scalar of the instant alone.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> high = ocp.AtEnd("height", lambda end: -end.nodes[2, 3])
+    >>> high.weight
+    1.0
+    """
 
     name: str
     expression: Expression
@@ -94,12 +195,26 @@ class AtEnd(FinalCost):
         object.__setattr__(self, "weight", positive_number(f"AtEnd {self.name!r}: weight", self.weight))
 
     def final(self, end: Instant) -> Any:
-        """weight · expression."""
+        """Return the cost of the end.
+
+        Parameters
+        ----------
+        end : Instant
+            The end of the plan.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX
+            weight · expression, a scalar.
+        """
         return self.weight * _scalar(self, end)
 
 
 def check_expressions(model: Model, bounds: Sequence[Bound], costs: Sequence[Cost], start: Array | None) -> None:
-    """Builds what is asked once, so that a fault shows here, and refuses a start (nx,), None where it is free, that is out of bounds."""
+    """Build each bound and cost once, so that a fault shows here.
+
+    Refuses a start (nx,), None where it is free, that is out of bounds.
+    """
     names = [bound.name for bound in bounds if isinstance(bound, Constraint)]
     for name in names:
         if names.count(name) > 1:
@@ -124,7 +239,7 @@ def check_expressions(model: Model, bounds: Sequence[Bound], costs: Sequence[Cos
 
 
 def _first(item: Any, symbols: tuple[Any, ...], value: Any, start: Array | None) -> tuple[Array, NDArray[np.bool_]]:
-    """The entries of an expression at the start under no forces, none without a start; which of them force densities change."""
+    """Return the entries of an expression at the start under no forces, none without a start; and which of them force densities change."""
     column = ca.densify(ca.vec(value))
     function = ca.Function("first", symbols, [column], {"allow_free": True})
     if function.get_free():
@@ -155,13 +270,13 @@ def _named(item: Any) -> None:
 
 
 def _label(item: Any) -> str:
-    """What errors call a bound or a cost."""
+    """Return the name of a bound or a cost in errors."""
     name = getattr(item, "name", None)
     return type(item).__name__ + (f" {name!r}" if name else "")
 
 
 def _column(item: Any, now: Instant) -> Any:
-    """The entries of an own expression, whose faults are told by its name."""
+    """Return the entries of an own expression, whose faults are told by its name."""
     nodes, strings = now.model.scene.structure.nodes, now.model.scene.structure.strings
     hint = f"an instant has nodes and velocities 3×{len(nodes)}, lengths, rates and control ({len(strings)},), tension, bar_force, state, time"
     value = call_user_function(_label(item), item.expression, now, hint)

@@ -22,7 +22,35 @@ ROUNDING = 0.02  # of a bar: over which the nearest point of a segment is led pa
 
 @dataclass(frozen=True, eq=False)
 class InsideBox(PathBound):
-    """Nodes between two corners (x, y, z), m, None for a side that is open; nodes: which, None: all. Pinned coordinates are left out."""
+    """Nodes inside a box with sides along the axes, at the end of every interval.
+
+    Coordinates that are pinned are left out. The start has to be inside, too; one that is found (`FreeStart`) is kept there.
+
+    Parameters
+    ----------
+    lower : sequence of float or None, length 3, optional
+        The corner (x, y, z) with the least coordinates, m; None for a side that is open.
+    upper : sequence of float or None, length 3, optional
+        The corner with the greatest coordinates, m; None for a side that is open.
+    nodes : iterable of int, optional
+        The nodes that stay inside; None for all.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If all sides are open, or a corner is none or not below the other; with a problem, if a node does not exist or is pinned outside, or the
+        start is outside.
+
+    See Also
+    --------
+    AboveGround : a box that is open but for its floor.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.InsideBox(upper=(None, None, 1.2), nodes=[3, 4, 5]).upper
+    (None, None, 1.2)
+    """
 
     lower: Corner = (None, None, None)
     upper: Corner = (None, None, None)
@@ -43,12 +71,31 @@ class InsideBox(PathBound):
         object.__setattr__(self, "nodes", _listed(f"{name}.nodes", self.nodes, "[0, 1]"))
 
     def corners(self) -> tuple[Array, Array]:
-        """Both corners (3,), −inf and inf where the box is open."""
+        """Return both corners of the box.
+
+        Returns
+        -------
+        lower : numpy.ndarray, shape (3,)
+            The least coordinates, m; −inf where the box is open.
+        upper : numpy.ndarray, shape (3,)
+            The greatest coordinates, m; inf where the box is open.
+        """
         lower = np.array([-np.inf if value is None else value for value in self.lower])
         return lower, np.array([np.inf if value is None else value for value in self.upper])
 
     def check(self, structure: Structure) -> None:
-        """Raise where a node does not exist or is pinned outside."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a node does not exist or is pinned outside.
+        """
         lower, upper = self.corners()
         for node in self._chosen(structure):
             node_index(f"{type(self).__name__}.nodes", node, len(structure.nodes))
@@ -58,7 +105,18 @@ class InsideBox(PathBound):
                     raise ValueError(f"{type(self).__name__} leaves out node {node}, pinned at {'xyz'[axis]} = {place:g} m: widen it or name nodes")
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return the coordinates that have a limit and may move."""
+        """Return the coordinates, m, that have a limit and may move, with the limits, as a path constraint.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+
+        Returns
+        -------
+        PathConstraint
+            Expressions of an instant of symbols, between their limits.
+        """
         now, structure = symbolic(model), model.scene.structure
         lower, upper = self.corners()
         sides = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
@@ -69,19 +127,66 @@ class InsideBox(PathBound):
         return PathConstraint(value, lower[axes], upper[axes], names, "m", now.symbols, self.ends)
 
     def _chosen(self, structure: Structure) -> list[int]:
+        """Return the nodes that stay inside."""
         return list(range(len(structure.nodes)) if self.nodes is None else self.nodes)
 
 
 def AboveGround(height: float = 0.0, nodes: Iterable[int] | None = None) -> InsideBox:
-    """Nodes at z ≥ height, m; nodes: which, None: all."""
+    """Return the bound that keeps nodes at z ≥ height, at the end of every interval.
+
+    Parameters
+    ----------
+    height : float, optional
+        Height of the ground, m.
+    nodes : iterable of int, optional
+        The nodes that stay above; None for all.
+
+    Returns
+    -------
+    InsideBox
+        A box that is open but for its floor.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the height is no number, or as `InsideBox`.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.AboveGround(0.1).lower
+    (None, None, 0.1)
+    """
     return InsideBox((None, None, number("AboveGround.height", height)), nodes=nodes)
 
 
 @dataclass(frozen=True, eq=False)
 class BarClearance(PathBound):
-    """Bars stay `distance` m apart, axis to axis; pairs: of bars, None: all that share no node.
+    """Bars that stay apart, axis to axis, at the end of every interval.
 
-    Distances are those of segments, with the ends rounded off over 2 % of a bar to keep derivatives smooth.
+    Parameters
+    ----------
+    distance : float
+        Least distance between the axes, m, > 0: of bars with radii, at least the sum of both.
+    pairs : iterable of (int, int), optional
+        The pairs of bars that stay apart; None for all that share no node.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the distance is no number, zero or negative, or a pair is none; with a problem, if a bar does not exist, two bars of a pair share a
+        node, there is no pair, or the start has bars that are nearer.
+
+    Notes
+    -----
+    Distances are those of the segments between the bars' ends. The nearest points are led past the ends smoothly, over 2 % of a bar, which
+    keeps derivatives continuous.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.BarClearance(0.05, pairs=[(0, 1)]).pairs
+    ((0, 1),)
     """
 
     distance: float
@@ -99,7 +204,18 @@ class BarClearance(PathBound):
             object.__setattr__(self, "pairs", tuple(tuple(pair) for pair in pairs))
 
     def check(self, structure: Structure) -> None:
-        """Raise where a bar does not exist, two bars of a pair share a node, or there is no pair."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a bar does not exist, two bars of a pair share a node, or there is no pair.
+        """
         for pair in self._bar_pairs(structure):
             for bar in pair:
                 if whole_number("BarClearance.pairs: bar", bar, 0) >= len(structure.bars):
@@ -110,14 +226,25 @@ class BarClearance(PathBound):
             raise ValueError("BarClearance: all bars share nodes: leave it out")
 
     def _bar_pairs(self, structure: Structure) -> list[tuple[int, int]]:
-        """Pairs of bars."""
+        """Return the pairs of bars that stay apart."""
         if self.pairs is not None:
             return [(pair[0], pair[1]) for pair in self.pairs]
         ends = [set(bar) for bar in structure.bars.tolist()]
         return [(i, j) for i, j in combinations(range(len(ends)), 2) if not ends[i] & ends[j]]
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return the distance of each pair."""
+        """Return the distance of each pair of bars, m, with the limits, as a path constraint.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+
+        Returns
+        -------
+        PathConstraint
+            Expressions of an instant of symbols, between their limits.
+        """
         now, structure = symbolic(model), model.scene.structure
         pairs = np.array(self._bar_pairs(structure))
         sides = [[now.nodes[:, structure.bars[pairs[:, k], end].tolist()] for end in (0, 1)] for k in (0, 1)]
@@ -128,7 +255,30 @@ class BarClearance(PathBound):
 
 @dataclass(frozen=True, eq=False)
 class Obstacle(PathBound):
-    """A ball that bars (their axes) and nodes keep out of: centre (x, y, z) and radius, m; bars, nodes: which, None: all."""
+    """A ball that bars (their axes) and nodes keep out of, at the end of every interval.
+
+    Parameters
+    ----------
+    centre : array_like, shape (3,)
+        Centre (x, y, z), m.
+    radius : float
+        Radius, m, > 0.
+    bars : iterable of int, optional
+        The bars that keep out; None for all.
+    nodes : iterable of int, optional
+        The nodes that keep out, besides the ends of those bars; None for all.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If centre or radius is none; with a problem, if a bar or node does not exist, or one is inside at the start.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.Obstacle((0.0, 0.0, 2.0), 0.3).radius
+    0.3
+    """
 
     centre: Sequence[float]
     radius: float
@@ -144,14 +294,36 @@ class Obstacle(PathBound):
             object.__setattr__(self, field, _listed(f"Obstacle.{field}", getattr(self, field), "[0, 1]"))
 
     def check(self, structure: Structure) -> None:
-        """Raise where a bar or node does not exist."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a bar or node does not exist.
+        """
         for field, count in (("bars", len(structure.bars)), ("nodes", len(structure.nodes))):
             for index in getattr(self, field) or ():
                 if whole_number(f"Obstacle.{field}", index, 0) >= count:
                     raise ValueError(f"Obstacle.{field} is {index}: give indices from 0 to {count - 1}")
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return the distance of each bar and node from the centre."""
+        """Return the distance of each bar and node from the centre, m, with the limits, as a path constraint.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+
+        Returns
+        -------
+        PathConstraint
+            Expressions of an instant of symbols, between their limits.
+        """
         now, structure = symbolic(model), model.scene.structure
         bars = list(range(len(structure.bars)) if self.bars is None else self.bars)
         on_bars = set(structure.bars[bars].ravel().tolist())
@@ -173,7 +345,7 @@ class Obstacle(PathBound):
 
 
 def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
-    """Distances (m,) between segments a–b and c–d, 3×m each: of their nearest points, smoothly kept within the segments."""
+    """Return distances (m,) between segments a–b and c–d, 3×m each: of their nearest points, smoothly kept within the segments."""
     u, v, w = b - a, d - c, a - c
     uu, vv, uv, uw, vw = ca.sum1(u * u), ca.sum1(v * v), ca.sum1(u * v), ca.sum1(u * w), ca.sum1(v * w)
     s = _within_segment((uv * vw - vv * uw) / (uu * vv - uv * uv + 1e-6 * uu * vv))  # parallel: any point will do
@@ -184,12 +356,12 @@ def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
 
 
 def _within_segment(share: Any) -> Any:
-    """`share` clipped to [0, 1], rounded off."""
+    """Clip `share` to [0, 1], rounded off."""
     return (ca.sqrt(share**2 + ROUNDING**2) - ca.sqrt((share - 1) ** 2 + ROUNDING**2) + 1) / 2
 
 
 def _listed(field: str, value: Any, example: str) -> tuple[Any, ...] | None:
-    """What is named one by one; None stays None."""
+    """Return members that are named one by one as a tuple; None stays None."""
     if value is None:
         return None
     if isinstance(value, str) or not isinstance(value, Iterable):

@@ -1,4 +1,4 @@
-"""What a plan has to reach at its end, as values: each turns a state into rows that are zero there."""
+"""Goals of the end of a plan, as values: each turns a state into rows that are zero there."""
 
 from __future__ import annotations
 
@@ -31,9 +31,25 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class StringLengths(Goal):
-    """Strings of given lengths, m: one number for each string, or {string: length} for some of them.
+    """Strings that have given lengths at the end.
 
     The length of a string that is modelled in segments is the distance between its ends.
+
+    Parameters
+    ----------
+    lengths : float, array_like of shape (α,), or mapping of int to float
+        Lengths, m, > 0: one number for all strings, one for each, or ``{string: length}`` for some.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a length is no number, zero or negative; with a problem, if there is not one for each string, or a string does not exist.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.StringLengths({0: 0.8, 4: 1.1}).lengths
+    {0: 0.8, 4: 1.1}
     """
 
     lengths: ArrayLike | Mapping[int, float]
@@ -48,7 +64,18 @@ class StringLengths(Goal):
         object.__setattr__(self, "lengths", dict(zip(self.lengths, array.tolist(), strict=True)) if isinstance(self.lengths, Mapping) else kept)
 
     def check(self, structure: Structure) -> None:
-        """Raise where a string is missing or does not exist."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is not one length for each string, or a string does not exist.
+        """
         count = len(structure.strings)
         if isinstance(self.lengths, Mapping):
             for string in self.lengths:
@@ -58,13 +85,28 @@ class StringLengths(Goal):
             per_item("StringLengths.lengths", self.lengths, count)
 
     def _wanted(self, structure: Structure) -> dict[int, float]:
-        """{string: length}."""
+        """Return {string: length}."""
         if isinstance(self.lengths, Mapping):
             return dict(self.lengths)
         return dict(enumerate(per_item("StringLengths.lengths", self.lengths, len(structure.strings)).tolist()))
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Length minus wanted length, m."""
+        """Return length minus wanted length, m, of each string.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : casadi.SX
+            Node positions, 3×n, m.
+        velocities : casadi.SX
+            Node velocities, 3×n, m/s.
+
+        Returns
+        -------
+        Rows
+            Named rows that vanish where the goal is met.
+        """
         wanted = self._wanted(structure)
         ends = structure.strings[list(wanted)]
         vectors = nodes[:, ends[:, 1].tolist()] - nodes[:, ends[:, 0].tolist()]
@@ -74,7 +116,24 @@ class StringLengths(Goal):
 
 @dataclass(frozen=True, eq=False)
 class NodePositions(Goal):
-    """Nodes at given places: {node: (x, y, z)}, m, None for an axis that is free; or all nodes (n, 3)."""
+    """Nodes that are in given places at the end.
+
+    Parameters
+    ----------
+    positions : mapping of int to sequence of float or None, or array_like of shape (n, 3)
+        ``{node: (x, y, z)}``, m, None for an axis that is free; or the places of all nodes.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a place has not three coordinates, or all are None; with a problem, if a node does not exist, or is pinned elsewhere.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.NodePositions({3: (None, None, 1.0)}).positions
+    {3: (None, None, 1.0)}
+    """
 
     positions: Mapping[int, Sequence[float | None]] | ArrayLike
 
@@ -90,7 +149,18 @@ class NodePositions(Goal):
         object.__setattr__(self, "positions", places)
 
     def check(self, structure: Structure) -> None:
-        """Raise where a node does not exist or is pinned elsewhere."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a node does not exist, or is pinned elsewhere.
+        """
         count = len(structure.nodes)
         if not isinstance(self.positions, Mapping):
             finite_array("NodePositions.positions", self.positions, (count, 3))
@@ -104,13 +174,28 @@ class NodePositions(Goal):
                     raise ValueError(f"NodePositions.positions[{node}] wants {place_text}: leave that axis None")
 
     def _wanted(self) -> dict[int, tuple[float | None, ...]]:
-        """{node: place}."""
+        """Return {node: place}."""
         if isinstance(self.positions, Mapping):
             return {node: tuple(place) for node, place in self.positions.items()}
         return {node: tuple(place) for node, place in enumerate(np.asarray(self.positions).tolist())}
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Coordinate minus wanted coordinate, m; pinned coordinates, which are there already, have no row."""
+        """Return coordinate minus wanted coordinate, m; pinned ones, which are there already, have no row.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : casadi.SX
+            Node positions, 3×n, m.
+        velocities : casadi.SX
+            Node velocities, 3×n, m/s.
+
+        Returns
+        -------
+        Rows
+            Named rows that vanish where the goal is met.
+        """
         entries = [
             (node, axis, value)
             for node, place in self._wanted().items()
@@ -123,10 +208,32 @@ class NodePositions(Goal):
 
 @dataclass(frozen=True)
 class AtRest(Goal):
-    """No node moves at the end."""
+    """No node moves at the end.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.AtRest()
+    AtRest()
+    """
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Velocities of all modelled nodes, m/s."""
+        """Return the velocities of all modelled nodes, m/s.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : casadi.SX
+            Node positions, 3×n, m.
+        velocities : casadi.SX
+            Node velocities, 3×n, m/s.
+
+        Returns
+        -------
+        Rows
+            Named rows that vanish where the goal is met.
+        """
         held = {(int(node), int(axis)) for node, axis in np.argwhere(structure.fixed)}
         free = [(node, axis) for node in range(velocities.shape[1]) for axis in range(3) if (node, axis) not in held]
         value = ca.vertcat(*(velocities[axis, node] for node, axis in free))
@@ -135,9 +242,30 @@ class AtRest(Goal):
 
 @dataclass(frozen=True, eq=False)
 class Shape(Goal):
-    """The shape of nodes (n, 3), m, wherever it is and however it is turned: all distances of nodes that no bar keeps.
+    """The shape of the structure at the end, wherever it is and however it is turned.
 
-    A shape and its mirror image have the same distances. For a shape in its place: `NodePositions(nodes)`.
+    It is given by all distances of nodes that no bar keeps. A shape and its mirror image have the same distances.
+
+    Parameters
+    ----------
+    nodes : array_like, shape (n, 3)
+        Nodes of the shape, m, with bars of the structure's lengths (to 0.1 %).
+
+    Raises
+    ------
+    TypeError, ValueError
+        If nodes are no such array; with a problem, if there is not one row for each node, fewer than three, or a bar gets another length.
+
+    See Also
+    --------
+    NodePositions : a shape in its place.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> ocp.Shape(tc.shapes.prism(twist=2.5).nodes).nodes.shape
+    (6, 3)
     """
 
     nodes: ArrayLike
@@ -146,7 +274,18 @@ class Shape(Goal):
         object.__setattr__(self, "nodes", finite_array("Shape.nodes", self.nodes, (None, 3)))
 
     def check(self, structure: Structure) -> None:
-        """Raise where the number of nodes or the bars differ."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the number of nodes or the lengths of the bars differ, or there are fewer than three nodes.
+        """
         nodes = finite_array("Shape.nodes", self.nodes, structure.nodes.shape)
         lengths = np.linalg.norm(nodes[structure.bars[:, 1]] - nodes[structure.bars[:, 0]], axis=1)
         bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > OTHER_BAR)
@@ -159,7 +298,22 @@ class Shape(Goal):
             raise ValueError(f"Shape.nodes has {len(nodes)} nodes: a shape needs three, use StringLengths or NodePositions")
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Distance minus wanted distance, m."""
+        """Return distance minus wanted distance, m, of each pair of nodes that is no bar.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : casadi.SX
+            Node positions, 3×n, m.
+        velocities : casadi.SX
+            Node velocities, 3×n, m/s.
+
+        Returns
+        -------
+        Rows
+            Named rows that vanish where the goal is met.
+        """
         kept = {frozenset(bar) for bar in structure.bars.tolist()}
         pairs = [(a, b) for a, b in combinations(range(len(structure.nodes)), 2) if frozenset((a, b)) not in kept]
         first, second = ([pair[k] for pair in pairs] for k in (0, 1))
@@ -167,44 +321,3 @@ class Shape(Goal):
         vectors = nodes[:, second] - nodes[:, first]
         value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(np.linalg.norm(wanted[second] - wanted[first], axis=1))
         return Rows(value, tuple(f"Shape: distance of nodes {a} and {b}" for a, b in pairs), ("m",) * len(pairs))
-
-
-@dataclass(frozen=True, eq=False)
-class Periodic(Goal):
-    """The end repeats the start, so that the plan may be run again and again: each node back in its place and at its velocity.
-
-    shift: (x, y, z), m, by which all nodes have moved, as in a gait; None for an axis: as far as the first node has. start: nodes and
-    velocities (n, 3) to come back to; None: those of the problem, also where they are sought (`FreeStart`).
-    """
-
-    shift: Sequence[float | None] = (0.0, 0.0, 0.0)
-    start: tuple[ArrayLike, ArrayLike] | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shift", coordinates("Periodic.shift", self.shift, "an axis that is free"))
-        if self.start is not None and (not isinstance(self.start, (tuple, list)) or len(self.start) != 2):
-            raise TypeError("Periodic.start is no pair: give (nodes, velocities), or None for the start of the problem")
-
-    def check(self, structure: Structure) -> None:
-        """Raise where a pinned node would have to move, or `start` does not fit."""
-        for name, given in zip(("nodes", "velocities"), self.start or (), strict=False):
-            finite_array(f"Periodic.start: {name}", given, structure.nodes.shape)
-        for axis, value in enumerate(self.shift):
-            if value and structure.fixed[:, axis].any():
-                node = int(np.argmax(structure.fixed[:, axis]))
-                raise ValueError(f"Periodic.shift moves node {node}, which is pinned along {'xyz'[axis]}: give 0 for that axis")
-
-    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return coordinates and velocities minus those of the start."""
-        if self.start is None:
-            raise ValueError("Periodic.start is None: give it to a Problem, which knows its start")
-        before, speeds = (value if isinstance(value, (ca.SX, ca.MX)) else np.asarray(value) for value in self.start)
-        places, rates = [], []
-        for node, axis in np.argwhere(~structure.fixed).tolist():
-            name, shift = f"Periodic: node {node} {'xyz'[axis]}", self.shift[axis]
-            moved = nodes[axis, 0] - before[0, axis] if shift is None else shift
-            if shift is not None or node:
-                places.append((nodes[axis, node] - before[node, axis] - moved, name))
-            rates.append((velocities[axis, node] - speeds[node, axis], f"{name} velocity"))
-        values, names = zip(*places, *rates, strict=True)
-        return Rows(ca.vertcat(*values), names, ("m",) * len(places) + ("m/s",) * len(rates))

@@ -1,4 +1,4 @@
-"""What a plan is at one instant: nodes, lengths, forces, as CasADi expressions that are built only where something asks for them."""
+"""A plan at one instant: nodes, lengths, forces, as CasADi expressions that are built only where something asks for them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,32 @@ from tenscasadi.dynamics.model import Model
 
 
 class Instant:
-    """state (nx), control γ (α,) N/m and time s of `model`, CasADi or numbers, and what follows from them."""
+    """The structure at one instant of a plan: nodes, lengths and forces, as CasADi expressions.
+
+    `Constraint`, `Integral` and `AtEnd` are functions of it. Expressions are built where they are asked for.
+
+    Parameters
+    ----------
+    model : Model
+        The model of the problem.
+    state : casadi.SX or casadi.MX, shape (nx,)
+        State of the model.
+    control : casadi.SX or casadi.MX, shape (α,)
+        Force densities γ, N/m.
+    time : casadi.SX or casadi.MX
+        Time since the start, s.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    >>> x, u, t = ca.SX.sym("x", model.nx), ca.SX.sym("u", model.nu), ca.SX.sym("t")
+    >>> now = ocp.Instant(model, x, u, t)
+    >>> now.nodes.shape, now.tension.shape
+    ((3, 6), (9, 1))
+    """
 
     def __init__(self, model: Model, state: Any, control: Any, time: Any) -> None:
         self.model, self.state, self.control, self.time = model, state, control, time
@@ -55,7 +80,18 @@ class Instant:
         return self.model.multiplier_function(self.state, self.control)[0] * norms(b)
 
     def rest_lengths(self, stiffness: Any) -> Any:
-        """ρ (α,), m, that give γ to strings of `stiffness` (α,), N/m (Eq. 99); summed over the segments of a string."""
+        """Return the rest lengths ρ = s (1 − γ/k) that give the force densities, summed over the segments of a string.
+
+        Parameters
+        ----------
+        stiffness : array_like, shape (α,)
+            k of each string, N/m.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX, shape (α,)
+            Rest lengths, m (Eq. 99).
+        """
         s = self.model.structure
         along = norms(self._across(self.model.nodes(self.state), s.strings))
         whole = ca.DM(np.asarray(stiffness)[s.string_parent] / s.string_fraction)
@@ -68,11 +104,11 @@ class Instant:
 
 
 def norms(vectors: Any) -> Any:
-    """Lengths (m,) of the columns of a 3×m expression."""
+    """Return the lengths (m,) of the columns of a 3×m expression."""
     return ca.sqrt(ca.sum1(vectors * vectors)).T
 
 
 def symbolic(model: Model) -> Instant:
-    """An instant of symbols: SX where the model's equations are, MX for large ones."""
+    """Return an instant of symbols: SX where the model's equations are, MX for large ones."""
     kind: Any = ca.SX if model.ode.is_a("SXFunction") and model.observe.is_a("SXFunction") else ca.MX
     return Instant(model, kind.sym("x", model.nx), kind.sym("u", model.nu), kind.sym("t"))

@@ -53,7 +53,7 @@ def _scaled(limited: PathConstraint, scales: Scales, strength: float) -> ScaledR
 
 
 def _row_scale(limited: PathConstraint, scales: Scales, strength: float) -> Array:
-    """What one row of each entry stands for: by its unit; of own constraints, which have none, by its limits."""
+    """Return the size that one row of each entry stands for: by its unit; of own constraints, which have none, by its limits."""
     sizes = {"N": strength * scales.length, "N/m": strength, **scales.units}
     if limited.unit:
         return np.full(len(limited.names), sizes[limited.unit])

@@ -1,4 +1,4 @@
-"""What is asked of a plan: a model, how long, from where, to where, within which limits, at the least of which costs."""
+"""The problem of a plan: a model, how long, from where, to where, within which limits, at the least of which costs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from ocp.problem.bounds import Bound
 from ocp.problem.costs import Cost, Effort
 from ocp.problem.expressions import check_expressions
-from ocp.problem.goals import Goal, Periodic
+from ocp.problem.goals import Goal
+from ocp.problem.periodic import Periodic
 from ocp.problem.string_bounds import ForceDensityLimits, StringLimits, TensionLimits
 from ocp.problem.waypoints import INSTANT, Waypoint
 from tenscasadi.dynamics.model import Model
@@ -27,9 +28,25 @@ BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, a 
 class FreeStart:
     """A start that the solver chooses, as for a gait, which repeats a motion that is not known before.
 
-    near: nodes (n, 3) at rest, m, or a state (nx,), where it is looked for; None: the model's initial state. goals: `NodePositions`,
-    `AtRest` …, what it has to meet, such as the place of a node where nothing else says where on the ground a motion begins. Bars have their
-    lengths at the start by constraints of their own; a clock starts as it does near.
+    Bars have their lengths at the start by constraints of their own; a clock starts as it does near ``near``.
+
+    Parameters
+    ----------
+    near : array_like of shape (n, 3) or (nx,), optional
+        Nodes at rest, m, or a state, where the start is looked for; None for the model's initial state.
+    goals : iterable of goals, optional
+        What the start has to meet, such as `NodePositions` of a node where nothing else says where on the ground a motion begins.
+
+    Raises
+    ------
+    TypeError
+        If goals are no goals, or `Waypoint` or `Periodic`, which are goals of the problem.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.FreeStart(goals=[ocp.AtRest()]).goals
+    (AtRest(),)
     """
 
     near: ArrayLike | None = None
@@ -46,13 +63,45 @@ class FreeStart:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A plan to be found for `model`, whose control is `ForceDensity()`.
+    """A plan that is asked for: a model, how long, from where, to where, within which limits, at the least of which costs.
 
-    duration: seconds, or (shortest, longest) to let the solver choose. start: nodes (n, 3) at rest, m, or a state (nx,); None: the
-    model's initial state; rounded numbers are put right; or `FreeStart(...)`: found with the plan. goals: `StringLengths`, `AtRest`,
-    `Waypoint` …, all met, at the end unless they say when. bounds: `ForceDensityLimits`, `TensionLimits`, `BarClearance` …, along the way. costs:
-    `Effort`, `Tracking` …, summed; none: any motion will do, or `Effort()` where force densities have no upper limits.
-    Raises TypeError, ValueError that name the field.
+    Parameters
+    ----------
+    model : Model
+        The model, of a scene with ``control=ForceDensity()``.
+    duration : float or (float, float), optional
+        Seconds, or (shortest, longest) to let the solver choose.
+    start : array_like of shape (n, 3) or (nx,), or FreeStart, optional
+        Nodes at rest, m, or a state; None for the model's initial state; ``FreeStart(...)`` for a start that is found with the plan. Rounded
+        numbers are put right.
+    goals : iterable of goals, optional
+        `StringLengths`, `NodePositions`, `Shape`, `AtRest`, `Periodic`, `Waypoint`: all met, at the end unless they say when.
+    bounds : iterable of bounds, optional
+        `ForceDensityLimits`, `TensionLimits`, `BarClearance`, `Constraint`, ...: all hold along the way.
+    costs : iterable of costs, optional
+        `Effort`, `Tracking`, `Integral`, ...: their sum is least. Without any, every motion will do; where force densities have no upper
+        limits, `Effort` takes their place.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If something is no number, value or model as described, does not fit the structure, or contradicts another; the message names the
+        field and the cure.
+
+    See Also
+    --------
+    solve : the plan of a problem.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    >>> problem = ocp.Problem(
+    ...     model, duration=(0.5, 1.5), goals=[ocp.StringLengths({6: 0.9}), ocp.AtRest()], bounds=[ocp.ForceDensityLimits(0, 200)]
+    ... )
+    >>> problem.shortest, problem.longest
+    (0.5, 1.5)
     """
 
     model: Model
@@ -113,7 +162,7 @@ class Problem:
 
     @property
     def start_goals(self) -> tuple[Goal, ...]:
-        """What a free start has to meet."""
+        """The goals that a free start has to meet."""
         return tuple(self.start.goals) if isinstance(self.start, FreeStart) else ()
 
     @property
@@ -140,7 +189,20 @@ class Problem:
         ]
 
     def limits(self, kind: type) -> tuple[Array, Array]:
-        """Lower and upper limits (α,) that all bounds of one kind leave; −inf and inf where there is none."""
+        """Return the limits that all bounds of one kind leave.
+
+        Parameters
+        ----------
+        kind : type
+            `ForceDensityLimits`, `TensionLimits` or `RestLengthLimits`.
+
+        Returns
+        -------
+        lower : numpy.ndarray, shape (α,)
+            Lower limits; −inf where there is none.
+        upper : numpy.ndarray, shape (α,)
+            Upper limits; inf where there is none.
+        """
         structure = self.model.scene.structure
         given = [bound.limits(structure) for bound in self.bounds if isinstance(bound, kind) and isinstance(bound, StringLimits)]
         count = len(structure.strings)
@@ -155,7 +217,7 @@ class Problem:
         return np.maximum(lower, 0.0), upper
 
     def _state(self, field: str, given: ArrayLike | None) -> Array:
-        """The state (nx,) that is given as nodes or as a state, on the constraints."""
+        """Read the state (nx,) that is given as nodes or as a state, on the constraints."""
         if given is None:
             return self.model.initial_state
         if nesting(given) == 1:
@@ -181,7 +243,7 @@ class Problem:
         return np.asarray(projection(self.model, 10)(state).full()).ravel()
 
     def _with_start(self, goal: Goal) -> Goal:
-        """Periodic goals learn where the plan starts."""
+        """Tell periodic goals where the plan starts."""
         if isinstance(goal, Waypoint):
             goal.at(self.shortest, self.longest)
             if self.free_start and any(isinstance(inner, Periodic) and inner.start is None for inner in goal.goals):

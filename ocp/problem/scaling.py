@@ -33,7 +33,7 @@ class Scales:
 
     @property
     def units(self) -> dict[str, float]:
-        """What a number of order one stands for in each unit of length and time: m, m/s, m²/s, s."""
+        """The size that a number of order one stands for in each unit of length and time: m, m/s, m²/s, s."""
         speed = self.length / self.time
         return {"m": self.length, "m/s": speed, "m²/s": self.length * speed, "s": self.time}
 

@@ -41,27 +41,82 @@ class StringLimits(Bound):
             raise ValueError(f"{type(self).__name__}: lower is {lower[i]:g} and upper is {upper[i]:g} for string {i}: give lower ≤ upper")
 
     def limits(self, structure: Structure) -> tuple[Array, Array]:
-        """Lower and upper limits (α,); −inf and inf where there is none."""
+        """Return lower and upper limits (α,); −inf and inf where there is none."""
         count, name = len(structure.strings), type(self).__name__
         return limits_of(f"{name}.lower", self.lower, count, -np.inf), limits_of(f"{name}.upper", self.upper, count, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
 class ForceDensityLimits(StringLimits):
-    """Limits of γ, N/m, one number or one per string (≥ 0: strings do not push). A problem without them keeps γ ≥ 0."""
+    """Limits of the force density γ of each string.
+
+    They are limits of the solver's unknowns: they hold exactly, at every time. Strings do not push, so that γ ≥ 0 also holds for a problem
+    without them.
+
+    Parameters
+    ----------
+    lower : float or array_like, shape (α,), optional
+        Least force density, N/m, ≥ 0; one number, or one for each string; None for 0.
+    upper : float or array_like, shape (α,), optional
+        Greatest force density, N/m; None or inf for no limit.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a limit is no number or negative; with a problem, if there is not one for each string or ``lower`` is above ``upper``.
+
+    See Also
+    --------
+    TensionLimits : limits of γ s.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.ForceDensityLimits(5.0, 100.0).upper
+    100.0
+    """
 
     lower: ArrayLike | None = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class TensionLimits(StringLimits, PathBound):
-    """Limits of the tension γ s, N, at both ends of every interval; one number or one per string (≥ 0).
+    """Limits of the tension γ s of each string, at both ends of every interval.
 
     The limits of a string that is modelled in segments hold in each of them.
+
+    Parameters
+    ----------
+    lower : float or array_like, shape (α,), optional
+        Least tension, N, ≥ 0; one number, or one for each string; None for no limit but γ ≥ 0.
+    upper : float or array_like, shape (α,), optional
+        Greatest tension, N; None or inf for no limit.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If both are None, or a limit is no number or negative; with a problem, if there is not one for each string or ``lower`` is above ``upper``.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.TensionLimits(upper=12.0).lower is None
+    True
     """
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return the tension of each modelled string."""
+        """Return the tension of each modelled string, N, with the limits, as a path constraint.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+
+        Returns
+        -------
+        PathConstraint
+            Expressions of an instant of symbols, between their limits.
+        """
         now, parent = symbolic(model), model.structure.string_parent
         lower, upper = (limit[parent] for limit in self.limits(model.scene.structure))
         lower = np.where(lower > 0, lower, -np.inf)  # γ ≥ 0 says so already
@@ -71,10 +126,31 @@ class TensionLimits(StringLimits, PathBound):
 
 @dataclass(frozen=True, eq=False)
 class RestLengthLimits(StringLimits, PathBound):
-    """Limits of the rest length ρ = s (1 − γ/k), m, at both ends of every interval; one number or one per string (≥ 0).
+    """Limits of the rest length ρ = s (1 − γ/k) of each string, at both ends of every interval.
 
-    stiffness: k, N/m, one number or one per string; None: the structure's. `RestLengthLimits(0)` says that every γ can be
-    reached by winding a string of that stiffness.
+    ``RestLengthLimits(0)`` says that every force density can be reached by winding a string of that stiffness.
+
+    Parameters
+    ----------
+    lower : float or array_like, shape (α,), optional
+        Least rest length, m, ≥ 0; one number, or one for each string; None for no limit.
+    upper : float or array_like, shape (α,), optional
+        Greatest rest length, m; None or inf for no limit.
+    stiffness : float or array_like, shape (α,), optional
+        k, N/m, one number, or one for each string; None for that of the structure.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If both limits are None, or one is no number or negative; with a problem, if there is not one for each string, ``lower`` is above
+        ``upper``, or a string has no stiffness.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> bound = ocp.RestLengthLimits(0.2, stiffness=1000.0)
+    >>> bound.lower, bound.upper
+    (0.2, None)
     """
 
     lower: ArrayLike | None = 0.0
@@ -82,12 +158,34 @@ class RestLengthLimits(StringLimits, PathBound):
     stiffness: ArrayLike | None = None
 
     def check(self, structure: Structure) -> None:
-        """Raise where limits or stiffness do not fit the strings."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If limits or stiffness do not fit the strings.
+        """
         super().check(structure)
         stiffness_of("RestLengthLimits.stiffness", self.stiffness, structure)
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return the rest length of each string."""
+        """Return the rest length of each string, m, with the limits, as a path constraint.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+
+        Returns
+        -------
+        PathConstraint
+            Expressions of an instant of symbols, between their limits.
+        """
         now, structure = symbolic(model), model.scene.structure
         rest = now.rest_lengths(stiffness_of("RestLengthLimits.stiffness", self.stiffness, structure))
         lower, upper = self.limits(structure)
@@ -97,10 +195,28 @@ class RestLengthLimits(StringLimits, PathBound):
 
 @dataclass(frozen=True, eq=False)
 class RestLengthRateLimits(RateBound):
-    """How fast a motor winds: |ρ at the start of an interval − ρ at the start of the one before| ≤ speed · h.
+    """Limits of how fast motors wind: of the mean rate of each rest length over an interval.
 
-    Where force densities are linear, ρ at the end of the last interval is limited, too.
-    speed: m/s, one number or one per string (inf: no limit). stiffness: N/m; None: the structure's.
+    From the start of each interval, of h s, to that of the next, ρ changes by at most ``speed`` · h. Where force densities are linear in each
+    interval (`PiecewiseLinear`), this also holds to the end of the last one.
+
+    Parameters
+    ----------
+    speed : float or array_like, shape (α,)
+        Greatest rate, m/s, > 0; one number, or one for each string; inf for no limit.
+    stiffness : float or array_like, shape (α,), optional
+        k of ρ = s (1 − γ/k), N/m, one number, or one for each string; None for that of the structure.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a speed is no number, zero or negative; with a problem, if there is not one for each string, or a string has no stiffness.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.RestLengthRateLimits(0.4, stiffness=1000.0).speed
+    0.4
     """
 
     speed: ArrayLike
@@ -111,12 +227,34 @@ class RestLengthRateLimits(RateBound):
         nonnegative("RestLengthRateLimits.speed", array, "string", strict=True)
 
     def check(self, structure: Structure) -> None:
-        """Raise where speed or stiffness do not fit the strings."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If speed or stiffness do not fit the strings.
+        """
         limits_of("RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf)
         stiffness_of("RestLengthRateLimits.stiffness", self.stiffness, structure)
 
     def constraint(self, model: Model) -> PathConstraint:
-        """Return the mean rate of each rest length, m/s."""
+        """Return the mean rate of each rest length, m/s, with the limits, as a path constraint.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+
+        Returns
+        -------
+        PathConstraint
+            Expressions of two instants of symbols, between their limits.
+        """
         before, after, structure = symbolic(model), symbolic(model), model.scene.structure
         interval: Any = type(before.state).sym("h")
         k = stiffness_of("RestLengthRateLimits.stiffness", self.stiffness, structure)
@@ -128,6 +266,6 @@ class RestLengthRateLimits(RateBound):
 
 
 def stiffness_of(field: str, given: ArrayLike | None, structure: Structure) -> Array:
-    """Stiffness (α,), N/m: the given one or the structure's. Raises ValueError for a string without."""
+    """Return the stiffness (α,), N/m: the given one or the structure's. Raises ValueError for a string without."""
     values = per_item(field, structure.stiffness if given is None else given, len(structure.strings))
     return nonnegative(field, values, "string", strict=True)

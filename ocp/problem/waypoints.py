@@ -14,9 +14,30 @@ INSTANT = 1e-9  # of the duration: what lies nearer together is one instant
 
 @dataclass(frozen=True, eq=False)
 class Waypoint(Goal):
-    """Goals that are met on the way, at `time` s, or at `share` of the duration (between 0 and 1), which is the one for free durations.
+    """Goals that are met on the way, at a time or a share of the duration.
 
-    Between the ends of intervals the motion is taken as cubic.
+    Between the ends of intervals the motion is taken as cubic. Give either ``time`` or ``share``.
+
+    Parameters
+    ----------
+    goals : sequence of goals
+        All met at that instant: `NodePositions`, `Shape`, ...
+    time : float, optional
+        Seconds from the start; only where the duration is given.
+    share : float, optional
+        Share of the duration, between 0 and 1.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If goals are no list of goals, both or none of time and share are given, or the share is not between 0 and 1; with a problem, if the
+        time is outside the plan, or the duration is free and a time is given.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.Waypoint([ocp.NodePositions({3: (0.0, 0.0, 1.2)})], share=0.5).share
+    0.5
     """
 
     goals: Sequence[Goal]
@@ -37,12 +58,41 @@ class Waypoint(Goal):
             raise ValueError(f"Waypoint.share is {self.share:g}: give a share of the duration between 0 and 1, or a goal of the end")
 
     def check(self, structure: Structure) -> None:
-        """Raise where a goal does not fit the structure."""
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If one of the goals does not fit.
+        """
         for goal in self.goals:
             goal.check(structure)
 
     def at(self, shortest: float, longest: float) -> float:
-        """The share of the duration. Raises ValueError for a time outside the plan, or one given where the duration is free."""
+        """Return when the goals are met.
+
+        Parameters
+        ----------
+        shortest : float
+            Least duration of the plan, s.
+        longest : float
+            Greatest duration of the plan, s.
+
+        Returns
+        -------
+        float
+            Share of the duration.
+
+        Raises
+        ------
+        ValueError
+            If the time is outside the plan, or the duration is free and a time is given.
+        """
         if self.share is not None:
             return float(self.share)
         time = float(self.time or 0.0)

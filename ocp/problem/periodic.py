@@ -1,0 +1,100 @@
+"""The goal of a motion that ends as it began."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ocp.problem.goals import Goal
+from ocp.problem.rows import Rows
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import coordinates, finite_array
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic(Goal):
+    """The end repeats the start, so that the motion may be run again and again.
+
+    Each node is back in its place, or moved by ``shift``, at the velocity it had.
+
+    Parameters
+    ----------
+    shift : sequence of float or None, length 3, optional
+        (x, y, z), m, by which all nodes have moved, as in a gait; None for an axis: as far as the first node has.
+    start : tuple of two array_like of shape (n, 3), optional
+        Nodes, m, and velocities, m/s, to come back to; None for those of the problem, also where they are found (`FreeStart`).
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``shift`` has not three entries or ``start`` is no pair; with a problem, if a pinned node would have to move, or ``start`` has other nodes.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.Periodic(shift=(0.3, None, 0.0)).shift
+    (0.3, None, 0.0)
+    """
+
+    shift: Sequence[float | None] = (0.0, 0.0, 0.0)
+    start: tuple[ArrayLike, ArrayLike] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shift", coordinates("Periodic.shift", self.shift, "an axis that is free"))
+        if self.start is not None and (not isinstance(self.start, (tuple, list)) or len(self.start) != 2):
+            raise TypeError("Periodic.start is no pair: give (nodes, velocities), or None for the start of the problem")
+
+    def check(self, structure: Structure) -> None:
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a pinned node would have to move, or ``start`` has other nodes.
+        """
+        for name, given in zip(("nodes", "velocities"), self.start or (), strict=False):
+            finite_array(f"Periodic.start: {name}", given, structure.nodes.shape)
+        for axis, value in enumerate(self.shift):
+            if value and structure.fixed[:, axis].any():
+                node = int(np.argmax(structure.fixed[:, axis]))
+                raise ValueError(f"Periodic.shift moves node {node}, which is pinned along {'xyz'[axis]}: give 0 for that axis")
+
+    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
+        """Return coordinates, m, and velocities, m/s, minus those of the start.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : casadi.SX
+            Node positions, 3×n, m.
+        velocities : casadi.SX
+            Node velocities, 3×n, m/s.
+
+        Returns
+        -------
+        Rows
+            Named rows that vanish where the goal is met.
+        """
+        if self.start is None:
+            raise ValueError("Periodic.start is None: give it to a Problem, which knows its start")
+        before, speeds = (value if isinstance(value, (ca.SX, ca.MX)) else np.asarray(value) for value in self.start)
+        places, rates = [], []
+        for node, axis in np.argwhere(~structure.fixed).tolist():
+            name, shift = f"Periodic: node {node} {'xyz'[axis]}", self.shift[axis]
+            moved = nodes[axis, 0] - before[0, axis] if shift is None else shift
+            if shift is not None or node:
+                places.append((nodes[axis, node] - before[node, axis] - moved, name))
+            rates.append((velocities[axis, node] - speeds[node, axis], f"{name} velocity"))
+        values, names = zip(*places, *rates, strict=True)
+        return Rows(ca.vertcat(*values), names, ("m",) * len(places) + ("m/s",) * len(rates))

@@ -1,0 +1,110 @@
+"""The cost that keeps nodes near places that may move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from ocp.problem.costs import RunningCost, check_weight
+from ocp.problem.instant import Instant
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import call_user_function, coordinates, node_index, number
+
+Place = tuple[float | None, float | None, float | None]
+UNTRACKED = "an axis that does not matter"
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking(RunningCost):
+    """The cost weight · ∫ Σ ‖node − place‖² dt, which keeps nodes near places that may move.
+
+    Parameters
+    ----------
+    positions : mapping of int to place
+        ``{node: (x, y, z)}``, m, None for an axis that does not matter; or ``{node: function}``, where the function takes the time, s, as a
+        CasADi symbol, and gives three such entries.
+    weight : float, optional
+        Factor of the cost, > 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If weight or places are none; with a problem, if a node does not exist, or a function does not give a place.
+
+    Notes
+    -----
+    Integrated by Simpson's rule on each interval, its middle on the cubic between its ends; its unit is m²·s.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import ocp
+    >>> circle = lambda t: (ca.cos(t), ca.sin(t), None)
+    >>> sorted(ocp.Tracking({3: circle, 4: (0.0, 0.0, 1.0)}).positions)
+    [3, 4]
+    """
+
+    positions: Mapping[int, Place | Callable[[Any], Any]]
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_weight(self)
+        if not isinstance(self.positions, Mapping) or not self.positions:
+            raise ValueError(f"Tracking.positions is {self.positions!r}: give {{node: (x, y, z)}}")
+        places = {
+            node: place if callable(place) else coordinates(f"Tracking.positions[{node}]", place, UNTRACKED, some=True)
+            for node, place in self.positions.items()
+        }
+        object.__setattr__(self, "positions", places)
+
+    def check(self, structure: Structure) -> None:
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a node does not exist.
+        """
+        for node in self.positions:
+            node_index("Tracking.positions: node", node, len(structure.nodes))
+
+    def rate(self, now: Instant) -> Any:
+        """Return the cost per second.
+
+        Parameters
+        ----------
+        now : Instant
+            An instant of the plan.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX
+            weight · Σ ‖node − place‖², a scalar.
+        """
+        total: Any = 0
+        for node, place in self.positions.items():
+            entries = _moving(f"Tracking.positions[{node}](time)", place, now.time) if callable(place) else place
+            total = total + sum((now.nodes[axis, node] - entry) ** 2 for axis, entry in enumerate(entries) if entry is not None)
+        return self.weight * total
+
+
+def _moving(field: str, place: Callable[[Any], Any], time: Any) -> tuple[Any, ...]:
+    """Return the coordinates of a place at a symbolic time: expressions of it, numbers, or None."""
+
+    def read(field: str, entry: Any) -> Any:
+        if not isinstance(entry, (ca.SX, ca.MX)):
+            return number(field, entry)
+        if not isinstance(entry, type(time)) or not entry.is_scalar():
+            raise TypeError(f"{field} has the entry {entry}: give a scalar expression of the time alone")
+        return entry
+
+    found = call_user_function(field, place, time, "give (x, y, z) of the time, s, a CasADi symbol")
+    return coordinates(field, ca.vertsplit(ca.vec(found)) if isinstance(found, (ca.SX, ca.MX)) else found, UNTRACKED, some=True, read=read)
