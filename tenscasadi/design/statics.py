@@ -15,7 +15,12 @@ TOLERANCE = 1e-9  # relative: singular values and unbalanced forces below it are
 
 
 class EquilibriumError(ValueError):
-    """No admissible force densities hold the structure; `residual`: the least unbalanced force, in N (2-norm over all nodes)."""
+    """No admissible force densities hold the structure in equilibrium.
+
+    Attributes
+    ----------
+    residual : float
+        Least unbalanced force that any of them leaves, N (2-norm over all free coordinates)."""
 
     def __init__(self, message: str, residual: float) -> None:
         super().__init__(message)
@@ -23,16 +28,67 @@ class EquilibriumError(ValueError):
 
 
 def self_stress(structure: Structure) -> Array:
-    """Orthonormal basis (k, α + β) of the self-stresses, γ then λ in N/m: N K = 0 at all free coordinates. λ > 0: compression."""
+    """Return a basis of the self-stresses: force densities that are in equilibrium without loads.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure in its nodes.
+
+    Returns
+    -------
+    ndarray, shape (k, α + β)
+        One self-stress a row, γ of strings, then λ of bars, N/m, orthonormal; λ > 0 is compression.
+
+    Notes
+    -----
+    N K = 0 at all free coordinates, with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58 and 60 at rest). Singular values below 1e-9 of the
+    largest one count as zero.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.self_stress(tc.shapes.prism()).shape
+    (1, 12)"""
     return np.asarray(null_space(_balance(structure), rcond=TOLERANCE).T)
 
 
 def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = None, minimum: ArrayLike = 1.0) -> Array:
-    """The smallest (least Σγ²) force densities γ (α,) N/m, all ≥ `minimum`, that hold the structure at rest in its nodes.
+    """Compute the least force densities that hold a structure at rest in its nodes.
 
-    loads: forces on the nodes (n, 3) in N, or None. minimum: N/m ≥ 0, one number or (α,). Bars carry what they must and pins
-    react freely. Raises EquilibriumError, with the residual in N, when there are none; TypeError, ValueError for bad input.
-    """
+    Bars carry what they must and pins react freely. Among all γ that balance the loads and are nowhere below the minimum, that of
+    least Σγ² is returned.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure in its nodes.
+    loads : array_like, shape (n, 3), optional
+        Forces on the nodes, N; by default none.
+    minimum : array_like, shape (α,)
+        Least force density of each string, N/m, at least 0, or one number for all.
+
+    Returns
+    -------
+    ndarray, shape (α,)
+        γ of each string, N/m.
+
+    Raises
+    ------
+    EquilibriumError
+        Where no such force densities balance the loads.
+    TypeError, ValueError
+        Where loads or minimum do not fit the structure.
+
+    References
+    ----------
+    .. [1] C. L. Lawson and R. J. Hanson, Solving Least Squares Problems, chapter 23: least distance programming.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.equilibrium_force_density(tc.shapes.prism(), minimum=2.0).round(3).tolist()
+    [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 3.464, 3.464, 3.464]"""
     alpha = len(structure.strings)
     least = nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
     load = np.zeros(structure.nodes.shape) if loads is None else finite_array("loads", loads, structure.nodes.shape)

@@ -14,23 +14,59 @@ Matrix = Any  # ndarray, or scipy csr_array where the caller asks for sparse mat
 
 
 class ClassOne(NamedTuple):
-    """The matrices of the paper, β bars, α strings, σ string nodes, n' = 2β + σ columns, c joint and pin columns.
+    """The paper's matrices of a structure: one column of N for each bar end, joints and pins as N P = D.
 
-    N C_nbᵀ C_bᵀ = B (Eq. 65), N C_nbᵀ C_rᵀ = R_b (Eq. 63), N C_nsᵀ = R_s (Eq. 64), N C_sᵀ = S (Eq. 66), N P = D (Eq. 84).
-    `M_s` is Eq. 81 plus the point masses that sit on bar ends. A pinned string node without mass has a zero on the diagonal of
-    M_s; any positive number there gives the same motion, as P holds that node.
-    """
+    There are β bars, α strings, σ string nodes, n' = 2β + σ columns and c columns of joints and pins. Bars, their centres, string
+    nodes and strings follow from N: B = N C_nbᵀ C_bᵀ (Eq. 65), R_b = N C_nbᵀ C_rᵀ (Eq. 63), R_s = N C_nsᵀ (Eq. 64),
+    S = N C_sᵀ (Eq. 66). Matrices are ndarrays, or ``csr_array`` where they were asked for.
 
-    N: Array  # 3×n', metres
-    C_b: Matrix  # β×2β
-    C_s: Matrix  # α×n'
-    C_r: Matrix  # β×2β, ½|C_b|
-    C_nb: Matrix  # 2β×n'
-    C_ns: Matrix  # σ×n'
-    P: Matrix  # n'×c
-    D: Array  # 3×c, metres
-    M_s: Matrix  # n'×n', kg
-    physical: Indices  # (n',) the physical node of each column
+    Attributes
+    ----------
+    N : ndarray, shape (3, n')
+        Positions of bar ends and string nodes, m.
+    C_b : ndarray or csr_array, shape (β, 2β)
+        Connectivity of bars.
+    C_s : ndarray or csr_array, shape (α, n')
+        Connectivity of strings.
+    C_r : ndarray or csr_array, shape (β, 2β)
+        Means of bar ends, ½ |C_b|.
+    C_nb : ndarray or csr_array, shape (2β, n')
+        Selects the bar ends.
+    C_ns : ndarray or csr_array, shape (σ, n')
+        Selects the string nodes.
+    P : ndarray or csr_array, shape (n', c)
+        Joints and pins (Eq. 84).
+    D : ndarray, shape (3, c)
+        Right-hand side of N P = D, m.
+    M_s : ndarray or csr_array, shape (n', n')
+        Mass matrix, kg: Eq. 81 plus the point masses that sit on bar ends.
+    physical : ndarray of int, shape (n',)
+        Node of the structure that each column belongs to.
+
+    Notes
+    -----
+    A pinned string node without mass has a zero on the diagonal of M_s. Any positive number there gives the same motion, as P
+    holds that node.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> split = tc.shapes.double_pendulum().class_one()
+    >>> split.physical.tolist()
+    [0, 1, 1, 2]
+    >>> split.P.T.tolist()
+    [[0.0, 1.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0]]"""
+
+    N: Array
+    C_b: Matrix
+    C_s: Matrix
+    C_r: Matrix
+    C_nb: Matrix
+    C_ns: Matrix
+    P: Matrix
+    D: Array
+    M_s: Matrix
+    physical: Indices
 
 
 class Layout(NamedTuple):
@@ -55,26 +91,26 @@ class MatrixInput(NamedTuple):
 
 
 def connectivity(pairs: Indices, count: int) -> csr_array:
-    """Connectivity matrix (members × `count`) of `pairs` (members, 2): −1 at the first node, +1 at the second."""
+    """Return the connectivity matrix (members, `count`) of `pairs` (members, 2): −1 at the first node, +1 at the second."""
     members = len(pairs)
     rows = np.repeat(np.arange(members), 2)
     return csr_array((np.tile([-1.0, 1.0], members), (rows, pairs.ravel())), shape=(members, count))
 
 
 def selection_matrix(columns: Indices, count: int) -> csr_array:
-    """Rows of the identity of size `count`: picks `columns`, in order."""
+    """Return the rows of the identity of size `count` that pick `columns`, in order."""
     return csr_array((np.ones(len(columns)), (np.arange(len(columns)), columns)), shape=(len(columns), count))
 
 
 def bar_mass_matrix(bars: Indices, inertia: Array, mass: Array, count: int) -> csr_array:
-    """C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r with C_r = ½|C_b| (Eq. 59), count×count; `bars` may share nodes."""
+    """Return C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r with C_r = ½|C_b| (Eq. 59), kg, (count, count); `bars` may share nodes."""
     C_b = connectivity(bars, count)
     C_r = 0.5 * abs(C_b)
     return csr_array(C_b.T @ diags_array(inertia) @ C_b + C_r.T @ diags_array(mass) @ C_r)
 
 
 def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices) -> Layout:
-    """First ends of all bars, then second ends (the paper's N = [N₁ N₂]), then string nodes; ties in node order, then pins."""
+    """Lay out first ends of all bars, then second ends (the paper's N = [N₁ N₂]), then string nodes; ties in node order, then pins."""
     physical = np.concatenate([bars[:, 0], bars[:, 1], np.setdiff1d(np.arange(count), bars)])
     first = np.unique(physical, return_index=True)[1]  # first copy of each node: strings, masses and pins attach to it
     share = np.zeros(len(physical))
@@ -91,7 +127,7 @@ def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices)
 
 
 def extend_layout(layout: Layout, count: int, strings: Indices, parent: Indices) -> Layout:
-    """`layout` of `count` nodes once its strings are cut into `strings` (segments, 2): new nodes get columns after the others.
+    """Return the `layout` of `count` nodes once its strings are cut into `strings` (segments, 2): new nodes get columns after the others.
 
     An end at an old node stays in the column where the string that was cut, `parent`, has it.
     """
@@ -108,7 +144,7 @@ def extend_layout(layout: Layout, count: int, strings: Indices, parent: Indices)
 
 
 def class_one(layout: Layout, nodes: Array, inertia: Array, mass: Array, node_mass: Array, sparse: bool) -> ClassOne:
-    """The matrices of `layout` for nodes (n, 3), bar inertia J and mass m (β,) and point masses (n,)."""
+    """Compute the matrices of `layout` for nodes (n, 3), bar inertia J and mass m (β,) and point masses (n,)."""
     count = len(layout.physical)
     N = nodes[layout.physical].T
     bar_ends = np.unique(layout.bar_columns)
@@ -132,7 +168,7 @@ def class_one(layout: Layout, nodes: Array, inertia: Array, mass: Array, node_ma
 
 
 def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: Any) -> MatrixInput:
-    """The physical structure behind the paper's matrices (see `Structure.from_matrices`). Raises TypeError, ValueError."""
+    """Return the physical structure behind the paper's matrices (see `Structure.from_matrices`). Raises TypeError, ValueError."""
     columns = finite_array("N", N, (3, None)).T
     count = len(columns)
     if count == 0:

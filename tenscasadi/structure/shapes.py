@@ -1,8 +1,4 @@
-"""Ready-made structures. Every keyword of `Structure` but nodes, bars and strings may be added: bar_mass, stiffness, pinned …
-
-Where a shape takes `prestress`, its rest lengths are such that the strings hold it in equilibrium and the smallest force
-density is that many N/m (below the stiffness); without it the rest lengths are those of the keyword, or the strings' lengths.
-"""
+"""Ready-made structures: pendulums, prism, D-bar, T-bar, six-bar ball and membrane, with any further keyword of `Structure`."""
 
 from __future__ import annotations
 
@@ -17,31 +13,69 @@ from tenscasadi.util.validate import Array, Indices, finite_array, number, posit
 
 
 def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> Structure:
-    """One bar of `length` m in the x-z plane, `angle` rad from hanging down towards +x, pinned at node 0, the origin.
+    """Build a pendulum: one bar in the x-z plane, pinned at node 0, the origin.
 
-        0 ●────> x
-           ╲
-            ╲
-             1
+    ::
 
-    No strings. Raises TypeError, ValueError for a length that is not positive.
-    """
+            0 ●────> x
+               ╲
+                ╲
+                 1
+
+    Parameters
+    ----------
+    length : float
+        Length of the bar, m.
+    angle : float
+        Angle from hanging down towards +x, rad.
+    **options : array_like
+        Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
+
+    Returns
+    -------
+    Structure
+        The pendulum, which has no strings.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.shapes.pendulum(2.0, angle=0.0).nodes.round(6).tolist()
+    [[0.0, 0.0, 0.0], [0.0, 0.0, -2.0]]"""
     length = positive_number("length", length)
     angle = number("angle", angle)
     return Structure(np.array([np.zeros(3), _hanging(length, angle)]), bars=[(0, 1)], **{"pinned": (0,), **options})
 
 
 def double_pendulum(lengths: ArrayLike = (1.0, 1.0), angles: ArrayLike = (np.pi / 4, np.pi / 4), **options: Any) -> Structure:
-    """Two bars in the x-z plane that share node 1, pinned at node 0, the origin: class 2. Bar 0 is (0, 1), bar 1 (1, 2).
+    """Build a double pendulum: two bars in the x-z plane that share node 1, pinned at node 0, the origin. Class 2.
 
-        0 ●────> x
-           ╲
-            1
-             ╲
-              2
+    ::
 
-    `lengths` in m; `angles` in rad of each bar from hanging down towards +x. No strings. Raises TypeError, ValueError.
-    """
+            0 ●────> x
+               ╲
+                1
+                 ╲
+                  2
+
+    Parameters
+    ----------
+    lengths : array_like, shape (2,)
+        Lengths of bar 0, (0, 1), and of bar 1, (1, 2), m.
+    angles : array_like, shape (2,)
+        Angle of each bar from hanging down towards +x, rad.
+    **options : array_like
+        Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
+
+    Returns
+    -------
+    Structure
+        The double pendulum, which has no strings.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.shapes.double_pendulum(angles=(0.0, 0.0)).nodes[:, 2].tolist()
+    [0.0, -1.0, -2.0]"""
     first, second = finite_array("lengths", lengths, (2,))
     upper, lower = finite_array("angles", angles, (2,))
     elbow = _hanging(positive_number("lengths", first), upper)
@@ -52,17 +86,49 @@ def double_pendulum(lengths: ArrayLike = (1.0, 1.0), angles: ArrayLike = (np.pi 
 def prism(
     bars: int = 3, radius: float = 0.5, height: float = 1.0, twist: float | None = None, prestress: float | None = None, **options: Any
 ) -> Structure:
-    """Two regular polygons of strings, `height` m apart, held by `bars` bars and as many vertical strings. Class 1.
+    """Build a prism: two regular polygons of strings, held apart by bars and by as many vertical strings. Class 1.
 
-        top      p ──── p+1 ── …      nodes p … 2p−1, at z = height, node p+i above node i, turned by twist − 2π/p
-                 │ ╲  ╱ │
-        bottom   0 ──── 1 ──── …      nodes 0 … p−1, at z = 0, node i at (radius, 2π i/p) in polar coordinates
+    ::
 
-    Bars: i → p+(i+1 mod p). Strings: bottom polygon i → i+1 (p), top polygon (p), vertical i → p+i (p).
-    `twist` in rad: from a bar's bottom end to its top end about the z axis. The default, π/2 + π/p (150° for three bars), is
-    the only one with a self-stress: γ_vertical = 2 sin(π/p) γ_polygon, √3 γ_polygon for three bars. The prism of the
-    paper's Sect. 7.1 is prism(radius=1/√3, height=1, twist=2π/3). Raises TypeError, ValueError.
-    """
+            top      p ──── p+1 ── …      nodes p … 2p−1, at z = height, node p+i above node i, turned by twist − 2π/p
+                     │ ╲  ╱ │
+            bottom   0 ──── 1 ──── …      nodes 0 … p−1, at z = 0, node i at (radius, 2π i/p) in polar coordinates
+
+    Bars: i → p+(i+1 mod p). Strings: bottom polygon i → i+1, top polygon, vertical i → p+i, p of each.
+
+    Parameters
+    ----------
+    bars : int
+        Number p of bars, at least 3.
+    radius : float
+        Radius of both polygons, m.
+    height : float
+        Distance between the polygons, m.
+    twist : float, optional
+        Angle from a bar's bottom end to its top end about the z axis, rad; by default π/2 + π/p, the only one with a self-stress.
+    prestress : float, optional
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets the rest lengths. By default
+        strings are as long as their rest lengths.
+    **options : array_like
+        Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
+
+    Returns
+    -------
+    Structure
+        The prism with its bottom in the plane z = 0.
+
+    Notes
+    -----
+    In the self-stress the vertical strings have 2 sin(π/p) times the force density of the polygons, √3 times for three bars.
+    The prism of the paper's Sect. 7.1 is ``prism(radius=1/√3, height=1, twist=2π/3)``.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> prism = tc.shapes.prism(prestress=10.0)
+    >>> gamma = prism.stiffness * (1 - prism.rest_length / prism.string_lengths)
+    >>> gamma.round(3).tolist()
+    [10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 17.321, 17.321, 17.321]"""
     p = whole_number("bars", bars, 3)
     radius, height = positive_number("radius", radius), positive_number("height", height)
     balanced = np.pi / 2 + np.pi / p
@@ -79,18 +145,41 @@ def prism(
 
 
 def d_bar(bar_length: float = 1.0, angle: float = np.pi / 4, prestress: float | None = None, **options: Any) -> Structure:
-    """Four bars in a diamond in the plane z = 0, about the origin, with strings along both diagonals: class 2 (Sect. 7.2).
+    """Build a D-bar: four bars in a diamond in the plane z = 0, about the origin, with strings along both diagonals. Class 2.
 
-               3
-             ╱ │ ╲
-            0 ─┼─ 2      y ↑
-             ╲ │ ╱         └→ x
-               1
+    ::
 
-    Bars: (0, 1), (1, 2), (2, 3), (3, 0), `angle` rad (between 0 and π/2) off the x axis. Strings: 0 is (0, 2), 1 is (1, 3).
-    Equal force densities are in equilibrium. Nothing is pinned unless `pinned` says so: the paper pins node 0.
-    Raises TypeError, ValueError.
-    """
+                   3
+                 ╱ │ ╲
+                0 ─┼─ 2      y ↑
+                 ╲ │ ╱         └→ x
+                   1
+
+    Bars: (0, 1), (1, 2), (2, 3), (3, 0). Strings: (0, 2), (1, 3). Equal force densities are in equilibrium. Nothing is pinned
+    unless `pinned` says so: the paper pins node 0 (Sect. 7.2).
+
+    Parameters
+    ----------
+    bar_length : float
+        Length of each bar, m.
+    angle : float
+        Angle of the bars off the x axis, rad, between 0 and π/2.
+    prestress : float, optional
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets the rest lengths. By default
+        strings are as long as their rest lengths.
+    **options : array_like
+        Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
+
+    Returns
+    -------
+    Structure
+        The D-bar.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.shapes.d_bar().string_lengths.round(6).tolist()
+    [1.414214, 1.414214]"""
     length, angle = positive_number("bar_length", bar_length), positive_number("angle", angle)
     if angle >= np.pi / 2:
         raise ValueError(f"angle is {angle:g}: it must be less than π/2, where the diamond folds")
@@ -101,17 +190,40 @@ def d_bar(bar_length: float = 1.0, angle: float = np.pi / 4, prestress: float | 
 
 
 def t_bar(length: float = 1.0, width: float = 0.5, prestress: float | None = None, **options: Any) -> Structure:
-    """Four bars that meet in node 4, the origin, in the plane z = 0, with a diamond of strings about them: class 4.
+    """Build a T-bar: four bars that meet in node 4, the origin, in the plane z = 0, with a diamond of strings about them. Class 4.
 
-               3
-             ╱ ┃ ╲
-            0 ━4━ 2      y ↑
-             ╲ ┃ ╱         └→ x
-               1
+    ::
 
-    `length` from node 0 to node 2 and `width` from node 1 to node 3, in m. Bars: (4, 0), (4, 1), (4, 2), (4, 3). Strings:
-    (0, 1), (1, 2), (2, 3), (3, 0). Equal force densities are in equilibrium. Raises TypeError, ValueError.
-    """
+                   3
+                 ╱ ┃ ╲
+                0 ━4━ 2      y ↑
+                 ╲ ┃ ╱         └→ x
+                   1
+
+    Bars: (4, 0), (4, 1), (4, 2), (4, 3). Strings: (0, 1), (1, 2), (2, 3), (3, 0). Equal force densities are in equilibrium.
+
+    Parameters
+    ----------
+    length : float
+        Distance from node 0 to node 2, m.
+    width : float
+        Distance from node 1 to node 3, m.
+    prestress : float, optional
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets the rest lengths. By default
+        strings are as long as their rest lengths.
+    **options : array_like
+        Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
+
+    Returns
+    -------
+    Structure
+        The T-bar.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.shapes.t_bar().bar_lengths.tolist()
+    [0.5, 0.25, 0.5, 0.25]"""
     x, y = 0.5 * positive_number("length", length), 0.5 * positive_number("width", width)
     nodes = [(-x, 0, 0), (0, -y, 0), (x, 0, 0), (0, y, 0), (0, 0, 0)]
     structure = Structure(nodes, [(4, 0), (4, 1), (4, 2), (4, 3)], [(0, 1), (1, 2), (2, 3), (3, 0)], **options)
@@ -119,20 +231,43 @@ def t_bar(length: float = 1.0, width: float = 0.5, prestress: float | None = Non
 
 
 def six_bar_ball(bar_length: float = 1.0, prestress: float | None = None, **options: Any) -> Structure:
-    """Six bars in three parallel pairs and 24 equal strings about the origin: the expanded octahedron. Class 1.
+    """Build a ball of six bars in three parallel pairs and 24 equal strings about the origin: the expanded octahedron. Class 1.
 
-        bar   nodes     along   at                   seen along x, towards −x:
-         0    0 →  1    x       z = −l/4
-         1    2 →  3    x       z = +l/4                    9     11
-         2    4 →  5    y       x = −l/4                    │ 2,3 │         z ↑
-         3    6 →  7    y       x = +l/4             4,6 ───┼─────┼─── 5,7    └→ y
-         4    8 →  9    z       y = −l/4                    │ 0,1 │
-         5   10 → 11    z       y = +l/4                    8     10
+    ::
 
-    Each bar runs from −l/2 to +l/2 along its axis; the two bars of a pair lie half a bar length apart.
-    Strings join all pairs of nodes that lie √6/4 l = 0.612 l apart, in lexical order: each node has four. Equal force
-    densities are in equilibrium. Raises TypeError, ValueError.
-    """
+            bar   nodes     along   at                   seen along x, towards −x:
+             0    0 →  1    x       z = −l/4
+             1    2 →  3    x       z = +l/4                    9     11
+             2    4 →  5    y       x = −l/4                    │ 2,3 │         z ↑
+             3    6 →  7    y       x = +l/4             4,6 ───┼─────┼─── 5,7    └→ y
+             4    8 →  9    z       y = −l/4                    │ 0,1 │
+             5   10 → 11    z       y = +l/4                    8     10
+
+    Each bar of length l runs from −l/2 to +l/2 along its axis; the two bars of a pair lie half a bar length apart. Strings join
+    all pairs of nodes that lie √6/4 l = 0.612 l apart, in lexical order: each node has four. Equal force densities are in
+    equilibrium.
+
+    Parameters
+    ----------
+    bar_length : float
+        Length l of each bar, m.
+    prestress : float, optional
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets the rest lengths. By default
+        strings are as long as their rest lengths.
+    **options : array_like
+        Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
+
+    Returns
+    -------
+    Structure
+        The ball.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> ball = tc.shapes.six_bar_ball()
+    >>> len(ball.bars), len(ball.strings), round(float(ball.string_lengths[0]), 3)
+    (6, 24, 0.612)"""
     length = positive_number("bar_length", bar_length)
     shape = np.array([(end * 2, 0, side) for side in (-1, 1) for end in (-1, 1)])  # bars along x, in quarters of a bar
     quarters = np.concatenate([np.roll(shape, axis, axis=1) for axis in range(3)])
@@ -142,15 +277,43 @@ def six_bar_ball(bar_length: float = 1.0, prestress: float | None = None, **opti
 
 
 def membrane(p: int = 8, q: int = 5, radius: float = 1.0, length: float = 2.0, node_mass: ArrayLike = 0.1, **options: Any) -> Structure:
-    """A cylinder of strings about the z axis, open at both ends: `q` rings of `p` nodes and double helices. Class 0 (Sect. 7.3).
+    """Build a cylinder of strings about the z axis, open at both ends: rings of nodes and double helices. Class 0 (Sect. 7.3).
 
-        ring 1    p ────── p+1 ───── …      node j p + i is on ring j, at the angle (2 i + j) π/p;
-                 ╱  ╲     ╱  ╲     ╱        rings run from z = −length/2 to +length/2
-        ring 0  0 ────── 1 ────── 2 …
+    ::
+
+            ring 1    p ────── p+1 ───── …      node j p + i is on ring j, at the angle (2 i + j) π/p;
+                     ╱  ╲     ╱  ╲     ╱        rings run from z = −length/2 to +length/2
+            ring 0  0 ────── 1 ────── 2 …
 
     Strings: the rings, ring by ring (q p); then for each node of ring j its two to ring j+1, to nodes (j+1) p + i and
-    (j+1) p + i−1 (2 p (q−1)). `node_mass` in kg, on every node or one each. Raises TypeError, ValueError.
-    """
+    (j+1) p + i−1 (2 p (q−1)).
+
+    Parameters
+    ----------
+    p : int
+        Number of nodes on each ring, at least 3.
+    q : int
+        Number of rings, at least 2.
+    radius : float
+        Radius of the cylinder, m.
+    length : float
+        Distance from the first ring to the last, m.
+    node_mass : array_like, shape (p q,)
+        Mass of each node, kg, or one number for all.
+    **options : array_like
+        Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
+
+    Returns
+    -------
+    Structure
+        The membrane, which has no bars.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> net = tc.shapes.membrane(p=4, q=3)
+    >>> len(net.nodes), len(net.strings)
+    (12, 28)"""
     p, q = whole_number("p", p, 3), whole_number("q", q, 2)
     radius, length = positive_number("radius", radius), positive_number("length", length)
     nodes = np.concatenate([_ring(p, radius, j * np.pi / p, length * (j / (q - 1) - 0.5)) for j in range(q)])
@@ -161,7 +324,25 @@ def membrane(p: int = 8, q: int = 5, radius: float = 1.0, length: float = 2.0, n
 
 
 def membrane_faces(p: int = 8, q: int = 5) -> Indices:
-    """The triangles (2 p (q−1), 3) between the strings of `membrane(p, q)`, counterclockwise as seen from outside."""
+    """Return the triangles between the strings of `membrane`, counterclockwise as seen from outside.
+
+    Parameters
+    ----------
+    p : int
+        Number of nodes on each ring.
+    q : int
+        Number of rings.
+
+    Returns
+    -------
+    ndarray of int, shape (2 p (q−1), 3)
+        Nodes of each triangle, as `Pressure` takes them.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.shapes.membrane_faces(p=3, q=2).tolist()
+    [[0, 1, 3], [1, 2, 4], [2, 0, 5], [0, 3, 5], [1, 4, 3], [2, 5, 4]]"""
     p, q = whole_number("p", p, 3), whole_number("q", q, 2)
     ring, before, after = _membrane_neighbours(p, q)
     lower, upper = slice(0, p * (q - 1)), slice(p, p * q)

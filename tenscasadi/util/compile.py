@@ -46,11 +46,16 @@ _TYPED = ("", "_work", "_work_bytes", "_default_in", "_casadi_real_size")
 
 @dataclass(frozen=True)
 class Single:
-    """As machine code that computes in float, some seven digits, as the small processors do that `export_c` writes for.
+    """Run as machine code that computes in single precision, as small processors do.
 
-    States are rounded to float from step to step, and so is each instruction between; errors and energies of the result are
-    computed from these states in double.
-    """
+    Give it as `compiled` to `simulate`, or as `precision` to `export_c`. Numbers have some seven digits: each instruction rounds
+    to ``float``, and so do states from step to step. Errors and energies of the result are computed from these states in double.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.Single()
+    Single()"""
 
 
 Compiled = bool | Single | None  # how to run: True, as machine code; False, in CasADi's virtual machine; None, as there is a compiler
@@ -61,7 +66,9 @@ class CompileError(RuntimeError):
 
 
 def find_compiler() -> tuple[str, ...] | None:
-    """The C compiler as a command: what the environment variable CC names if that can be run, else cc, gcc or clang; None when there is none."""
+    """Return the C compiler as a command, None when there is none.
+
+    It is what the environment variable CC names if that can be run, else cc, gcc or clang."""
     try:
         named = shlex.split(os.environ.get("CC", ""), posix=os.name != "nt")
     except ValueError:  # unbalanced quotes
@@ -74,14 +81,32 @@ def find_compiler() -> tuple[str, ...] | None:
 
 
 def compile_function(function: ca.Function, flags: Sequence[str] | None = None, single: bool = False) -> ca.Function:
-    """`function` as machine code, with the same inputs, outputs and values; derivatives are not included.
+    """Compile a CasADi Function to machine code.
 
-    `flags` for the compiler, None: optimised for this machine and rounded as CasADi does. `single`: computes in float, see `Single`.
-    The library is kept in the user's cache folder (see `cache_folder`) under the hash of its source, the compiler, the flags, what these
-    mean on this machine, and CasADi's version, so it is compiled once. Any number of processes may do so at the same time. Libraries
-    beyond 500 MB are removed, those first that have not been used for longest; what a process has loaded, it keeps.
-    Raises TypeError for anything but a casadi.Function and strings, CompileError with the compiler's words when compilation fails.
-    """
+    The library is kept in `cache_folder` under the hash of its source, the compiler, the flags, what these mean on this machine,
+    and CasADi's version, so that it is compiled once. Any number of processes may do so at the same time. Libraries beyond 500 MB
+    are removed, those first that have not been used for longest; what a process has loaded, it keeps.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        What to compile; its derivatives are not included.
+    flags : sequence of str, optional
+        Flags for the compiler; by default optimised for this machine, and rounded as CasADi does.
+    single : bool
+        Whether to compute in float, see `Single`.
+
+    Returns
+    -------
+    casadi.Function
+        A Function with the same inputs, outputs and values.
+
+    Raises
+    ------
+    TypeError
+        For anything but a casadi.Function and strings.
+    CompileError
+        Where compilation fails, with the compiler's words."""
     instance("function", function, ca.Function, "a casadi.Function")
     if flags is not None and (isinstance(flags, str) or not all(isinstance(flag, str) for flag in flags)):
         raise TypeError(f'flags is {flags!r}: give a sequence of strings, such as ("-O2",), or None')
@@ -116,12 +141,11 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None, 
 
 
 def cache_folder() -> Path:
-    """The folder of compiled libraries, created if need be, which no other user can write to.
+    """Return the folder of compiled libraries, created if need be, which no other user can write to.
 
-    $TENSCASADI_CACHE, else a folder `tenscasadi` in $XDG_CACHE_HOME or ~/.cache (Linux), ~/Library/Caches (macOS), %LOCALAPPDATA% (Windows).
-    Libraries are code that will be run: where that folder belongs to another user, can be written by others, or cannot be made, this is a
-    private temporary folder that lasts as long as the process.
-    """
+    It is $TENSCASADI_CACHE, else a folder `tenscasadi` in $XDG_CACHE_HOME or ~/.cache (Linux), ~/Library/Caches (macOS),
+    %LOCALAPPDATA% (Windows). Libraries are code that will be run: where that folder belongs to another user, can be written by
+    others, or cannot be made, this is a private temporary folder that lasts as long as the process."""
     try:
         folder = _preferred_folder()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -196,7 +220,7 @@ def _default_flags(compiler: tuple[str, ...]) -> tuple[str, ...]:
 
 @functools.cache
 def _identity(compiler: tuple[str, ...], flags: tuple[str, ...]) -> str:
-    """What tells this compiler from another: its path, arguments, and predefined macros, which hold its version and the processor's features."""
+    """Tell this compiler from another by its path, arguments, and predefined macros, which hold its version and the processor's features."""
     macros = _run([*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull])
     return "\n".join((os.path.realpath(compiler[0]), *compiler[1:], macros))
 
