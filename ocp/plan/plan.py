@@ -18,7 +18,7 @@ from ocp.problem.problem import Problem
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.initial_guess import Guess, resampled
 from tenscasadi.dynamics.model import Model
-from tenscasadi.dynamics.serialize import differences, model_arrays, model_of, structure_arrays, structure_of
+from tenscasadi.dynamics.serialize import find_differences, model_from_arrays, model_to_arrays, structure_from_arrays, structure_to_arrays
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.scene.strings import rest_length
@@ -209,9 +209,9 @@ class Plan:
         content = {name: np.asarray(getattr(self, name)) for name in (*_VALUES, "time", "force_density")}
         content |= {f"trajectory.{field.name}": np.asarray(getattr(self.trajectory, field.name)) for field in fields(Trajectory)}
         if self.model is None:
-            content |= structure_arrays(self.structure)
+            content |= structure_to_arrays(self.structure)
         else:
-            content |= model_arrays(self.model, self.trajectory.states[:, -1])
+            content |= model_to_arrays(self.model, self.trajectory.states[:, -1])
         if self.duals is not None:
             content |= {f"duals.{field.name}": np.asarray(getattr(self.duals, field.name)) for field in fields(Duals)}
         return archive.save(path, _FORMAT, content)
@@ -228,7 +228,7 @@ class Plan:
         plan, content = archive.load(path, _FORMAT, "plan", lambda content: (_from_arrays(content), content))
         if problem is None:
             return plan
-        wrong = differences(content, problem.model)
+        wrong = find_differences(content, problem.model)
         if not wrong and plan.trajectory.states.shape[1] != problem.model.nx:
             wrong.append("Model.nx")  # older files hold less
         if wrong:
@@ -249,8 +249,8 @@ _VALUES = {  # in NumPy's letters what they are
 
 
 def _from_arrays(content: archive.Fields) -> Plan:
-    model = model_of(content)
-    structure = structure_of(content) if model is None else model.scene.structure
+    model = model_from_arrays(content)
+    structure = structure_from_arrays(content) if model is None else model.scene.structure
     values = {name: content.array(name, kind, 0).item() for name, kind in _VALUES.items()}
     trajectory = Trajectory.from_arrays(content.within("trajectory."))
     if model is not None and trajectory.states.shape[1] != model.nx:

@@ -108,7 +108,7 @@ def stretch_bars(mech: Mechanism, N: Any, B: Any, nu: Any) -> Any:
 
 
 def _bar_scale(mech: Mechanism, B: Any) -> Any:
-    """h = bᵀb G_ii (1×β) of bars that stand alone; l² G_ii with the paper's constant length."""
+    """Return h = bᵀb G_ii (1×β) of bars that stand alone; l² G_ii with the paper's constant length."""
     squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
     return squared * constant_row(mech.G[0].diagonal())
 

@@ -27,8 +27,8 @@ class Mode(NamedTuple):
 FREE = Mode(None, None)
 
 
-def strings(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool = True, taut: Any = None) -> tuple[Any, Any]:
-    """γ (1×α) of the modelled strings under the control u, and their vectors S (3×α); taut: see `Mode`."""
+def string_force_density(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool = True, taut: Any = None) -> tuple[Any, Any]:
+    """Return γ (1×α), N/m, of the modelled strings under the control u, and their vectors S (3×α), m; taut: see `Mode`."""
     s = scene.modelled
     S = ca.mtimes(N, sparse(mech.C_s.T))  # 3×α, Eq. 66
     if isinstance(scene.control, ForceDensity):
@@ -41,21 +41,21 @@ def strings(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool 
 
 
 def is_damped(scene: Scene) -> bool:
-    """Whether any string damps: force densities that are commanded do not."""
+    """Return whether any string damps: force densities that are commanded do not."""
     return not isinstance(scene.control, ForceDensity) and bool(np.any(scene.modelled.damping > 0))
 
 
-def pull(mech: Mechanism, gamma: Any, S: Any) -> Any:
-    """−S γ̂ C_s (3×n, Eq. 56)."""
+def string_forces(mech: Mechanism, gamma: Any, S: Any) -> Any:
+    """Return −S γ̂ C_s (3×n, Eq. 56), N."""
     return weighted_product(S, gamma, -mech.C_s)
 
 
 def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE) -> dict[str, Any]:
-    """The columns of F (3×n) by the name of their origin."""
+    """Return the terms of F (3×n), N, by the name of their origin."""
     first = mech.first.tolist()
     result: dict[str, Any] = {}
     if len(scene.modelled.strings):
-        result["strings"] = pull(mech, *strings(scene, mech, N, V, u, taut=mode.taut))
+        result["strings"] = string_forces(mech, *string_force_density(scene, mech, N, V, u, taut=mode.taut))
     if scene.gravity is not None:
         result["gravity"] = scene.gravity.forces(mech.M.sum(axis=1))
     if scene.ground is not None:
@@ -72,8 +72,8 @@ def total(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode
     return sum(terms(scene, mech, N, V, u, time, mode).values(), start=ca.DM.zeros(*mech.N.shape))
 
 
-def potential(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any, Any]:
-    """Elastic energy (taut strings and the ground's springs) and gravity energy, J."""
+def potential_energy(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any, Any]:
+    """Return elastic energy (taut strings and the ground's springs) and gravity energy, J."""
     s = scene.modelled
     elastic: Any = ca.DM(0)
     if len(s.strings) and not isinstance(scene.control, ForceDensity):
@@ -84,8 +84,8 @@ def potential(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any, Any]:
     return elastic, ca.DM(0) if scene.gravity is None else scene.gravity.energy(N, mech.M.sum(axis=1))
 
 
-def conservative(scene: Scene) -> bool:
-    """Whether no force outside the energies does work while the control stands still."""
+def is_conservative(scene: Scene) -> bool:
+    """Return whether no force outside the energies does work while the control stands still."""
     driven = isinstance(scene.control, ForceDensity) and len(scene.modelled.strings) > 0
     rough = scene.ground is not None and not scene.ground.conservative
     return not (driven or is_damped(scene) or rough or scene.pressure is not None or scene.forces is not None or scene.supports is not None)

@@ -37,7 +37,7 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
     N, V, time = space.unpack(x)
     built = forces.terms(scene, mech, N, V, u, time)
     if forces.is_damped(scene):
-        elastic = forces.pull(mech, *forces.strings(scene, mech, N, V, u, damped=False))
+        elastic = forces.string_forces(mech, *forces.string_force_density(scene, mech, N, V, u, damped=False))
         built = {"string elasticity": elastic, "string damping": built.pop("strings"), **built}
     elif "strings" in built:
         name = "string force densities" if isinstance(scene.control, ForceDensity) else "string elasticity"

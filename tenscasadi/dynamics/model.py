@@ -139,14 +139,14 @@ class Model(StateSpace):
         """
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
-        gamma, S = forces.strings(self.scene, self.mechanism, N, V, u)
+        gamma, S = forces.string_force_density(self.scene, self.mechanism, N, V, u)
         first = self.mechanism.first.tolist()
         outputs = {
             "nodes": ca.vec(N[:, first]),
             "velocities": ca.vec(V[:, first]),
             "force_density": gamma.T,
             "tension": (gamma * ca.sqrt(ca.sum1(S * S))).T,
-            "energy": ca.vertcat(self._kinetic(V), *forces.potential(self.scene, self.mechanism, N, u)),
+            "energy": ca.vertcat(self._kinetic(V), *forces.potential_energy(self.scene, self.mechanism, N, u)),
             "bar_length_error": self._bar_length_error(N),
             "joint_error": self._joint_error(N, time),
         }
@@ -174,7 +174,7 @@ class Model(StateSpace):
         else:  # with the reactions of the supports, which work too: all that moves the mass
             push = ca.mtimes(forward_dynamics(self, N, V, u, time)[0], sparse(self.mechanism.M))
         n: Any = type(N).sym("n", N.shape)
-        total = sum(forces.potential(self.scene, self.mechanism, n, u))
+        total = sum(forces.potential_energy(self.scene, self.mechanism, n, u))
         slope = ca.substitute(ca.jtimes(total, n, V), n, N)
         return ca.Function("power", [x, u], [ca.densify(ca.sum2(ca.sum1(push * V)) + slope)], ["x", "u"], ["power"])
 
@@ -297,7 +297,7 @@ class Model(StateSpace):
     @property
     def conservative(self) -> bool:
         """Whether no force outside `energy` does work while the control stands still."""
-        return forces.conservative(self.scene)
+        return forces.is_conservative(self.scene)
 
     def describe(self) -> TermCounts:
         """Count the instructions that each term of the scene adds to the right-hand side.

@@ -1,8 +1,9 @@
-"""A model as arrays by name, and back: what files hold of it, without functions of time."""
+"""A model as arrays by name, as files hold them, and back; functions of time cannot be stored."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -21,13 +22,13 @@ Content = Mapping[str, Any]
 
 _ROUNDING = 1e-9  # relative: numbers that differ by less are the same, computed elsewhere
 _MEMBERS = [name for name in PARAMETERS if name != "pinned"]
-_GROUND = ("stiffness", "damping", "friction", "height", "normal", "slip_speed")
-_LAYOUT = ("physical", "bar_columns", "string_columns", "mass_share")
+_GROUND = [field.name for field in fields(Ground)]
+_LAYOUT = [name for name in Layout._fields if name != "P"]
 _INDICES = (
     "bars",
     "strings",
     "string_parent",
-    *"layout.physical",
+    "layout.physical",
     "layout.bar_columns",
     "layout.string_columns",
     "layout.tied",
@@ -40,8 +41,8 @@ _DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layou
 _NOTHING = np.zeros(0)  # stands for None
 
 
-def structure_arrays(structure: Structure) -> dict[str, Array]:
-    """All that tells a structure, also what `subdivide` and `from_matrices` leave in it."""
+def structure_to_arrays(structure: Structure) -> dict[str, Array]:
+    """Return all that tells a structure, by name, also what `subdivide` and `from_matrices` leave in it."""
     layout = structure._layout
     ties = layout.P.tocoo()
     content = {name: getattr(structure, name) for name in (*_MEMBERS, "fixed", "string_parent", "string_fraction")}
@@ -50,8 +51,8 @@ def structure_arrays(structure: Structure) -> dict[str, Array]:
     return {f"structure.{name}": np.asarray(value) for name, value in content.items()}
 
 
-def structure_of(content: Content) -> Structure:
-    """The structure that `structure_arrays` told; files from before there were layouts have the default one. Raises ValueError."""
+def structure_from_arrays(content: Content) -> Structure:
+    """Return the structure of `structure_to_arrays`; files from before there were layouts have the default one. Raises ValueError."""
     given = _checked(Fields(content).within("structure."))
     pinned = {int(node): "".join(np.array(list("xyz"))[axes]) for node, axes in enumerate(given["fixed"]) if axes.any()}
     structure = Structure(**{name: given[name] for name in _MEMBERS}, pinned=pinned)
@@ -71,63 +72,70 @@ def structure_of(content: Content) -> Structure:
     return structure._derived(string_parent=_indices("string_parent", given, (strings,), strings), string_fraction=fraction, _layout=layout)
 
 
-def model_arrays(model: Model, times: Array) -> dict[str, Array]:
-    """All that the motion under force densities depends on; of functions of time what they give at `times` (K,), s."""
+def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
+    """Return all that the motion under force densities depends on, by name; of functions of time their values at `times` (K,), s."""
     scene = model.scene
-    ground, pressure, forces, supports = scene.ground, scene.pressure, scene.forces, scene.supports
+    gravity, ground, pressure, forces, supports = scene.gravity, scene.ground, scene.pressure, scene.forces, scene.supports
     functions = [name for name, given in (("forces", forces and callable(forces.values)), ("supports", supports)) if given]
     content: dict[str, Any] = {
         "functions": np.asarray(functions, dtype=str),
-        "clock": times if functions else _NOTHING,
+        "clock": times if functions else None,
         "segments": scene.segments,
         "ends": scene.ends,
-        "fractions": _NOTHING if scene.fractions is None else scene.fractions,
-        "slack": [scene.slack.width] if isinstance(scene.slack, Smooth) else _NOTHING,
-        "gravity": _NOTHING if scene.gravity is None else scene.gravity.acceleration,
-        **{f"ground.{name}": _NOTHING if ground is None else np.asarray(getattr(ground, name), dtype=float) for name in _GROUND},  # None becomes NaN
-        "pressure": _NOTHING if pressure is None else [pressure.difference],
-        "pressure.faces": _NOTHING if pressure is None else np.reshape(pressure.faces, (-1, 3)),
-        "forces": _NOTHING if forces is None else _sampled(forces, len(scene.structure.nodes), times),
-        "forces.times": _NOTHING if forces is None or forces.times is None else forces.times,
-        "supports": _NOTHING if supports is None else [rates(t)[0].full() for rates in [supports.rates()] for t in times],
-        "supports.nodes": _NOTHING if supports is None else supports.nodes,
+        "fractions": scene.fractions,
+        "slack": [scene.slack.width] if isinstance(scene.slack, Smooth) else None,
+        "gravity": gravity and gravity.acceleration,
+        **{f"ground.{name}": ground and np.asarray(getattr(ground, name), dtype=float) for name in _GROUND},  # None becomes NaN
+        "pressure": pressure and [pressure.difference],
+        "pressure.faces": pressure and np.reshape(pressure.faces, (-1, 3)),
+        "forces": forces and _sampled(forces, len(scene.structure.nodes), times),
+        "forces.times": forces and forces.times,
+        "supports": supports and [rates(t)[0].full() for rates in [supports.rates()] for t in times],
+        "supports.nodes": supports and supports.nodes,
     }
-    told = {f"scene.{name}": np.asarray(value) for name, value in content.items()}
+    told = {f"scene.{name}": _NOTHING if value is None else np.asarray(value) for name, value in content.items()}
     own = {"model.coordinates": model.coordinates, "model.bar_length": "constant" if model.mechanism.constant_length else "current"}
-    return structure_arrays(scene.structure) | told | {name: np.asarray(value) for name, value in own.items()}
+    return structure_to_arrays(scene.structure) | told | {name: np.asarray(value) for name, value in own.items()}
 
 
-def model_of(content: Content) -> Model | None:
-    """The model under force densities that `model_arrays` told; None where it has functions of time, or was not told. Raises ValueError."""
+def model_from_arrays(content: Content) -> Model | None:
+    """Return the model under force densities of `model_to_arrays`, None where it has functions of time or is not there.
+
+    Raises ValueError.
+    """
     if "model.coordinates" not in content or content["scene.functions"].size:
         return None
     told = _checked(Fields(content).within("scene."))
-    given: dict[str, Any] = {name: told[name].tolist() for name in ("segments", "ends")}
-    if told["fractions"].size:
-        given["fractions"] = told["fractions"].tolist()
-    if told["gravity"].size:
-        given["gravity"] = Gravity(told["gravity"])
-    if told["ground.normal"].size:
-        numbers: dict[str, Any] = {name: told[f"ground.{name}"] for name in _GROUND}
-        given["ground"] = Ground(**{**numbers, "friction": None if np.isnan(numbers["friction"]) else numbers["friction"]})
-    if told["pressure"].size:
-        given["pressure"] = Pressure(told["pressure.faces"].tolist(), told["pressure"].item())
-    if told["forces"].size:
-        given["forces"] = NodalForce(told["forces"], told["forces.times"] if told["forces.times"].size else None)
-    slack = Smooth(told["slack"].item()) if told["slack"].size else Clip()
-    scene = Scene(structure_of(content), control=ForceDensity(), slack=slack, **given)
+    fractions, gravity, pressure, forces, times, slack = (
+        told[name] if told[name].size else None for name in ("fractions", "gravity", "pressure", "forces", "forces.times", "slack")
+    )
+    ground: dict[str, Any] = {name: told[f"ground.{name}"] for name in _GROUND}
+    if ground["friction"].size and np.isnan(ground["friction"]):
+        del ground["friction"]
+    scene = Scene(
+        structure_from_arrays(content),
+        control=ForceDensity(),
+        segments=told["segments"].tolist(),
+        ends=told["ends"].item(),
+        fractions=None if fractions is None else fractions.tolist(),
+        gravity=None if gravity is None else Gravity(gravity),
+        ground=Ground(**ground) if ground["normal"].size else None,
+        pressure=None if pressure is None else Pressure(told["pressure.faces"].tolist(), pressure.item()),
+        forces=None if forces is None else NodalForce(forces, times),
+        slack=Clip() if slack is None else Smooth(slack.item()),
+    )
     return Model(scene, content["model.coordinates"].item(), content["model.bar_length"].item())
 
 
-def differences(content: Content, model: Model) -> list[str]:
-    """What `model` has otherwise than the model that was told, such as "Structure.bar_mass"; of older files what they hold."""
-    own = model_arrays(model, content.get("scene.clock", _NOTHING))
+def find_differences(content: Content, model: Model) -> list[str]:
+    """Return in what `model` differs from the one of `model_to_arrays`, such as "Structure.bar_mass"; of older files in what they hold."""
+    own = model_to_arrays(model, content.get("scene.clock", _NOTHING))
     told = own.keys() & content.keys() - {"scene.clock", "scene.functions"}
     return [name[0].upper() + name[1:] for name in own if name in told and not _same(content[name], own[name])]
 
 
 def _checked(given: Fields) -> Fields:
-    """The same, once every field is known to hold numbers, indices, flags or text, as it should. Raises ValueError."""
+    """Return the same, once every field is known to hold numbers, indices, flags or text, as it should. Raises ValueError."""
     for name, value in given.items():
         if value.shape != _NOTHING.shape or name in _DIMENSIONS:
             given.array(name, _KINDS.get(name, "fi"), _DIMENSIONS.get(name))

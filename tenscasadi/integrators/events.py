@@ -28,7 +28,7 @@ def switching(model: Model) -> ca.Function | None:
     kind: Any = ca.MX if mech.large else ca.SX
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
     N, V, _ = model.unpack(x)
-    rows = [forces.strings(replace(scene, slack=_Switching()), mech, N, V, u)[0]] if strings else []
+    rows = [forces.string_force_density(replace(scene, slack=_Switching()), mech, N, V, u)[0]] if strings else []
     if scene.ground is not None:
         first = mech.first.tolist()
         depth, speed = scene.ground.depth(N[:, first]), ca.mtimes(ca.DM(scene.ground.normal).T, V[:, first])
@@ -68,7 +68,7 @@ def potential(model: Model) -> ca.Function:
     """Return (x, u) -> elastic and gravity energy, J."""
     kind: Any = ca.MX if model.mechanism.large else ca.SX
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
-    total = ca.densify(sum(forces.potential(model.scene, model.mechanism, model.unpack(x)[0], u)))
+    total = ca.densify(sum(forces.potential_energy(model.scene, model.mechanism, model.unpack(x)[0], u)))
     return ca.Function("potential", [x, u], [total], ["x", "u"], ["potential"])
 
 

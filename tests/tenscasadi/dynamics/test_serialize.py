@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.dynamics.serialize import differences, model_arrays, model_of, structure_of
+from tenscasadi.dynamics.serialize import find_differences, model_from_arrays, model_to_arrays, structure_from_arrays
 from tenscasadi.structure.structure import PARAMETERS, Structure
 
 CLOCK = np.array([0.0, 0.3, 0.7])
@@ -82,11 +82,11 @@ def test_everything_that_a_model_has_is_covered():
 @pytest.mark.parametrize("name", OTHER)
 def test_a_model_comes_back_and_is_told_from_others(name):
     own = OTHER[name]()
-    content = model_arrays(own, CLOCK)
-    again = model_of(content)
-    assert not differences(content, again)
-    assert not differences(content, own)
-    assert name in differences(content, model())
+    content = model_to_arrays(own, CLOCK)
+    again = model_from_arrays(content)
+    assert not find_differences(content, again)
+    assert not find_differences(content, own)
+    assert name in find_differences(content, model())
     state = own.initial_state + 1e-3 * np.random.default_rng(0).normal(size=own.nx)
     control = np.arange(own.nu) + 10.0
     for function in ("ode", "observe"):
@@ -98,28 +98,28 @@ def test_a_model_comes_back_and_is_told_from_others(name):
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_of_time_are_told_by_what_they_give(name):
     own = FUNCTIONS[name]()
-    content = model_arrays(own, CLOCK)
-    assert model_of(content) is None
-    assert not differences(content, own)
-    assert name in differences(content, model())
-    assert differences(model_arrays(model(forces=wind(2.0)), CLOCK), model(forces=wind(2.1))) == ["Scene.forces"]
+    content = model_to_arrays(own, CLOCK)
+    assert model_from_arrays(content) is None
+    assert not find_differences(content, own)
+    assert name in find_differences(content, model())
+    assert find_differences(model_to_arrays(model(forces=wind(2.0)), CLOCK), model(forces=wind(2.1))) == ["Scene.forces"]
 
 
 def test_rounding_is_no_difference():
     own = model(made=structure(nodes=np.array(NODES) + 1e-14))
-    assert not differences(model_arrays(model(), CLOCK), own)
+    assert not find_differences(model_to_arrays(model(), CLOCK), own)
 
 
 def test_what_was_stored_before_there_were_layouts_is_compared_as_far_as_it_goes():
-    content = {name: value for name, value in model_arrays(model(), CLOCK).items() if not name.startswith(("scene", "model", "structure.layout"))}
-    assert model_of(content) is None
-    assert np.array_equal(structure_of(content).nodes, structure().nodes)
-    assert not differences(content, model("reduced"))
+    content = {name: value for name, value in model_to_arrays(model(), CLOCK).items() if not name.startswith(("scene", "model", "structure.layout"))}
+    assert model_from_arrays(content) is None
+    assert np.array_equal(structure_from_arrays(content).nodes, structure().nodes)
+    assert not find_differences(content, model("reduced"))
 
 
 @pytest.mark.parametrize("name", ["layout.physical", "layout.bar_columns", "layout.string_columns", "string_parent"])
 def test_indices_that_point_nowhere_are_refused(name):
-    content = model_arrays(model(), CLOCK)
+    content = model_to_arrays(model(), CLOCK)
     content[f"structure.{name}"] = content[f"structure.{name}"] + 100
     with pytest.raises(ValueError, match=f"field '{name}' does not hold indices below"):
-        model_of(content)
+        model_from_arrays(content)
