@@ -14,7 +14,7 @@ from ocp.problem.costs import ControlCost, Cost, FinalCost, RunningCost, Smoothn
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.transcription.mesh import hermite_state, locate_share
-from ocp.transcription.sparse_nlp import Block, Program, Separable, gathered
+from ocp.transcription.sparse_nlp import Block, Program, Separable, gathered, split_symbol, symbol_kind
 from ocp.transcription.variables import Variables
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Indices
@@ -68,7 +68,7 @@ def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
 
 
 def path_blocks(v: Variables) -> list[Block]:
-    """Limits of instants, at the ends of every interval, and from each time for which the profile has force densities to the next."""
+    """Return limits of instants, at the ends of every interval, and from each time for which the profile has force densities to the next."""
     limits = scaled_rows(v.problem, PathBound, v.scales, v.strength)
     blocks = [_at_end(v, rows, end) for rows in limits for end in rows.ends]
     if v.problem.free_start:  # a given one has been checked
@@ -79,7 +79,7 @@ def path_blocks(v: Variables) -> list[Block]:
 
 
 def cost_blocks(v: Variables) -> list[Block]:
-    """All costs: integrals interval by interval, differences of neighbours pair by pair, the end once."""
+    """Return all costs: integrals interval by interval, differences of neighbours pair by pair, the end once."""
     return [_cost(v, cost) for cost in v.problem.costs if not (isinstance(cost, Smoothness) and len(v.controls) == 1)]
 
 
@@ -99,9 +99,9 @@ def waypoint_blocks(v: Variables) -> list[Block]:
         if not waypoint.target.count:
             continue
         k, share = locate_share(v.fractions, waypoint.share)
-        x, y, T, part = (ca.MX.sym("z", size) for size in (nx, nx, 1, 1))
+        z, (x, y, T, part) = split_symbol(ca.MX, nx, nx, 1, 1)
         state = y if share == 1.0 else hermite_state(v.model, x, y, T * part, share)
-        function = ca.Function("waypoint", [ca.vertcat(x, y, T, part)], [waypoint.target.rows(state)])
+        function = ca.Function("waypoint", [z], [waypoint.target.rows(state)])
         names = tuple(f"goal of waypoint {number}, combination {row}" for row in range(waypoint.target.count))
         blocks.append(Block(function, np.concatenate([v.states[k], v.states[k + 1], v.duration, v.share[k]])[None], names, kind="waypoint"))
     return blocks
@@ -115,16 +115,16 @@ def end_blocks(v: Variables) -> list[Block]:
         blocks.append(Block(target.single, v.states[-1:], names, combination=target.weights, kind="end"))
     if free is not None and free.reduction.names:
         names = tuple(f"goal of repeating, combination {k}" for k in range(free.repeats.size1_out(0)))
-        z = ca.SX.sym("z", 2 * v.model.nx)
-        function = ca.Function("repeats", [z], [free.repeats(*ca.vertsplit(z, v.model.nx))])
+        z, ends = split_symbol(ca.SX, v.model.nx, v.model.nx)
+        function = ca.Function("repeats", [z], [free.repeats(*ends)])
         blocks.append(Block(function, np.hstack([v.states[:1], v.states[-1:]]), names, kind="periodic"))
     return blocks
 
 
 def _at_end(v: Variables, rows: ScaledRows, end: str) -> Block:
     share, at_end = (0.0, slice(-1)) if end == "start" else (1.0, slice(1, None))
-    x, c, T, part = symbols(rows.function, v.model.nx, v.interval_controls.shape[1], 1, 1)
-    function = ca.Function("bound", [ca.vertcat(x, c, T, part)], [rows.function(x, v.gamma(c, share), T * part)])
+    z, (x, c, T, part) = split_symbol(symbol_kind(rows.function), v.model.nx, v.interval_controls.shape[1], 1, 1)
+    function = ca.Function("bound", [z], [rows.function(x, v.gamma(c, share), T * part)])
     index = np.hstack([v.states[at_end], v.interval_controls, v.repeated(v.duration), v.time[at_end]])
     names = tuple(f"{name}, {end} of interval {k}" for k in range(v.count) for name in rows.names)
     return Block(function, index, names, rows.lower, rows.upper, rows.scale, kind="path")
@@ -137,12 +137,12 @@ def _at_start(block: Block, count: int) -> Block:
 def _between(v: Variables, rows: ScaledRows) -> Block:
     nx, m, pairs = v.model.nx, v.controls.shape[1], len(v.controls) - 1
     E = sparse(v.group_matrix)
-    x, c, y, d, T, part = symbols(rows.function, nx, m, nx, m, 1, 1)
+    z, (x, c, y, d, T, part) = split_symbol(symbol_kind(rows.function), nx, m, nx, m, 1, 1)
     value = rows.function(x, ca.mtimes(E, c), y, ca.mtimes(E, d), T * part)
     duration = v.repeated(v.duration, pairs)
     index = np.hstack([v.states[:pairs], v.controls[:-1], v.states[1 : pairs + 1], v.controls[1:], duration, v.share[:pairs]])
     names = tuple(f"{name}, end of interval {k}" for k in range(pairs) for name in rows.names)
-    return Block(ca.Function("between", [ca.vertcat(x, c, y, d, T, part)], [value]), index, names, rows.lower, rows.upper, rows.scale, kind="path")
+    return Block(ca.Function("between", [z], [value]), index, names, rows.lower, rows.upper, rows.scale, kind="path")
 
 
 def _cost(v: Variables, cost: Cost) -> Block:
@@ -155,8 +155,8 @@ def _cost(v: Variables, cost: Cost) -> Block:
     elif isinstance(cost, RunningCost):
         z, value, index = _simpson(v, cost)
     elif isinstance(cost, FinalCost):
-        x, c, T = symbols(symbolic(v.model).state, v.model.nx, v.interval_controls.shape[1], 1)
-        z, value = ca.vertcat(x, c, T), cost.final(Instant(v.model, x, v.gamma(c, 1.0), T))
+        z, (x, c, T) = split_symbol(type(symbolic(v.model).state), v.model.nx, v.interval_controls.shape[1], 1)
+        value = cost.final(Instant(v.model, x, v.gamma(c, 1.0), T))
         index = np.concatenate([v.states[-1], v.interval_controls[-1], v.duration])[None]
     else:
         raise TypeError(f"Problem.costs has {cost!r}: give a ControlCost, RunningCost or FinalCost")
@@ -184,18 +184,11 @@ def _integral(v: Variables, cost: ControlCost, local: Any, interval: Any) -> Any
 def _simpson(v: Variables, cost: RunningCost) -> tuple[Any, Any, Indices]:
     """By Simpson's rule, the middle on the cubic between the ends: what swings within intervals would be hidden from the ends alone."""
     now = symbolic(v.model)
-    rate = ca.Function("rate", [now.state, now.control, now.time], [cost.rate(now)])
+    rate = ca.Function("rate", now.symbols, [cost.rate(now)])
     nx = v.model.nx
-    parts = symbols(rate, nx, nx, v.interval_controls.shape[1], 1, 1, 1, 1)
-    x, y, c, T, part, start, end = parts
+    z, (x, y, c, T, part, start, end) = split_symbol(symbol_kind(rate), nx, nx, v.interval_controls.shape[1], 1, 1, 1, 1)
     ends = rate(x, v.gamma(c, 0.0), T * start) + rate(y, v.gamma(c, 1.0), T * end)
     middle = rate(hermite_state(v.model, x, y, T * part, 0.5), v.gamma(c, 0.5), T * (start + end) / 2)
     value = T * part / 6 * (ends + 4 * middle)
     index = [v.states[:-1], v.states[1:], v.interval_controls, v.repeated(v.duration), v.share, v.time[:-1], v.time[1:]]
-    return ca.vertcat(*parts), value, np.hstack(index)
-
-
-def symbols(like: Any, *sizes: int) -> tuple[Any, ...]:
-    """Symbols of these sizes: SX where `like`, a Function or an expression, is scalar code, else MX."""
-    scalar = like.is_a("SXFunction") if isinstance(like, ca.Function) else isinstance(like, ca.SX)
-    return tuple((ca.SX if scalar else ca.MX).sym("z", size) for size in sizes)
+    return z, value, np.hstack(index)

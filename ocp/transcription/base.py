@@ -88,12 +88,6 @@ class ReducedOnly(Transcription):
             raise ValueError(f"{name} does not know moved supports (Scene.supports): use MultipleShooting")
 
 
-def split_symbol(*sizes: int, kind: Any = ca.MX) -> tuple[Any, tuple[Any, ...]]:
-    """Return a symbol and its pieces of these sizes."""
-    z = kind.sym("z", sum(sizes))
-    return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
-
-
 def unrolled(model: Model, function: ca.Function) -> ca.Function:
     """Return the function as scalar code, where the model's equations are: its derivatives are sparse and quickly built."""
     return function.expand() if model.ode.is_a("SXFunction") else function

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from ocp.transcription.assemble import Defects
-from ocp.transcription.base import ReducedOnly, bar_multipliers, end_names, end_rows, split_symbol, unrolled
-from ocp.transcription.sparse_nlp import Block
+from ocp.transcription.base import ReducedOnly, bar_multipliers, end_names, end_rows, unrolled
+from ocp.transcription.sparse_nlp import Block, split_symbol
 from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.util.validate import Array, Indices, whole_number
 
@@ -73,7 +73,7 @@ class ImplicitMidpoint(ReducedOnly):
         """
         v, model = variables, variables.model
         multipliers = bar_multipliers(v)
-        z, (x, c, after, m, duration, share) = split_symbol(model.nx, v.interval_controls.shape[1], model.nx, multipliers.shape[1], 1, 1)
+        z, (x, c, after, m, duration, share) = split_symbol(ca.MX, model.nx, v.interval_controls.shape[1], model.nx, multipliers.shape[1], 1, 1)
         end = x + duration * share * model.ode((x + after) / 2, v.gamma(c, 0.5))
         function = unrolled(model, ca.Function("midpoint", [z], [end_rows(v, end, after, m)]))
         index = np.hstack([v.states[:-1], v.interval_controls, v.states[1:], multipliers, v.repeated(v.duration), v.share])
@@ -147,7 +147,7 @@ class Collocation(ReducedOnly):
         C, D, _ = ca.collocation_coeff(points.tolist())
         inner = self._inner_states(v, points)
         multipliers = bar_multipliers(v)
-        z, (x, c, stages, after, m, duration, share) = split_symbol(nx, v.interval_controls.shape[1], d * nx, nx, multipliers.shape[1], 1, 1)
+        z, (x, c, stages, after, m, duration, share) = split_symbol(ca.MX, nx, v.interval_controls.shape[1], d * nx, nx, multipliers.shape[1], 1, 1)
         X = ca.horzcat(x, ca.reshape(stages, nx, d))
         slopes = ca.horzcat(*(model.ode(X[:, j + 1], v.gamma(c, point)) for j, point in enumerate(points.tolist())))
         defects = (duration * share * slopes - ca.mtimes(X, C)) / ca.repmat(ca.DM(v.scales.state), 1, d)

@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from ocp.transcription.assemble import Defects
-from ocp.transcription.base import Transcription, split_symbol, unrolled
-from ocp.transcription.sparse_nlp import Block
+from ocp.transcription.base import Transcription, unrolled
+from ocp.transcription.sparse_nlp import Block, split_symbol
 from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
@@ -93,7 +93,7 @@ class MultipleShooting(Transcription):
             The blocks, and how states follow from unknowns where not all are.
         """
         v, model = variables, variables.model
-        z, (x, c, after, duration, share) = split_symbol(model.nx, v.interval_controls.shape[1], model.nx, 1, 1)
+        z, (x, c, after, duration, share) = split_symbol(ca.MX, model.nx, v.interval_controls.shape[1], model.nx, 1, 1)
         if self.control.linear:
             end = ramped_step(model, self.scheme, self.substeps)(x, v.gamma(c, 0.0), v.gamma(c, 1.0), duration * share)
         else:

@@ -222,6 +222,17 @@ def gathered(y: Any, index: Indices) -> Any:
     return ca.reshape(y[index.ravel().tolist()], index.shape[1], index.shape[0])
 
 
+def symbol_kind(function: ca.Function) -> Any:
+    """Return SX for a Function that is scalar code, else MX."""
+    return ca.SX if function.is_a("SXFunction") else ca.MX
+
+
+def split_symbol(kind: Any, *sizes: int) -> tuple[Any, tuple[Any, ...]]:
+    """Return a symbol of a kind, ca.SX or ca.MX, and its pieces of these sizes."""
+    z = kind.sym("z", sum(sizes))
+    return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
+
+
 def invertible(scale: Any) -> Array:
     """Return the next numbers s with s · (1/s) = 1 without rounding: Fatrop wants x⁺ − F(…) to have a coefficient of exactly one."""
     result = np.array(scale, dtype=float)
@@ -255,7 +266,7 @@ class _SparseMatrix:
 
     def add_hessian(self, block: Block, z: Any, multipliers: Any) -> None:
         """Add the upper triangle of the Hessian of Σ multipliers · rows of all instances."""
-        s = _symbol(block.function)
+        s = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         weight = type(s).sym("weight", block.function.size1_out(0))
         if block.combination is not None:
             multipliers = ca.mtimes(ca.DM(block.combination.T), multipliers)
@@ -280,7 +291,7 @@ class _SparseMatrix:
 
     def _derivative(self, block: Block) -> tuple[ca.Function, Indices, Indices]:
         """Return the Function z → non-zeros of the Jacobian, and the row and the entry of z of each."""
-        z: Any = _symbol(block.function)
+        z: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         varied, places = self._varied(block, z)
         J = ca.jacobian(block.function(z), varied)
         if block.combination is not None:
@@ -324,10 +335,6 @@ class _SparseMatrix:
             return ca.MX(sparsity, values[position[first].tolist()] * ca.DM(factors[first].tolist()))
         adding = ca.DM.triplet(inverse.tolist(), position.tolist(), ca.DM(factors.tolist()), len(places), self._count)
         return ca.MX(sparsity, ca.mtimes(adding, values))
-
-
-def _symbol(function: ca.Function) -> Any:
-    return (ca.SX if function.is_a("SXFunction") else ca.MX).sym("z", function.size1_in(0))
 
 
 def _nonzeros(matrix: Any) -> Any:

@@ -8,9 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.assemble import Defects, symbols
-from ocp.transcription.base import ReducedOnly, bar_names, bar_rows, split_symbol
-from ocp.transcription.sparse_nlp import Block, gathered
+from ocp.transcription.assemble import Defects
+from ocp.transcription.base import ReducedOnly, bar_names, bar_rows
+from ocp.transcription.sparse_nlp import Block, gathered, split_symbol, symbol_kind
 from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.constraint_forces import nodal_forces
@@ -116,7 +116,7 @@ class _Chain:
             return np.zeros((self.v.count + 1, 0))
         guess = self.v.guess
         gamma = guess.force_density if self.v.profile.linear else np.concatenate([guess.force_density, guess.force_density[-1:]])
-        x, u = symbols(self.model.ode, self.model.nx, self.model.nu)
+        x, u = (symbol_kind(self.model.ode).sym(name, size) for name, size in (("x", self.model.nx), ("u", self.model.nu)))
         N, V, time = self.model.unpack(x)
         _, lam, _ = forward_dynamics(self.model, N, V, u, time)
         values = ca.Function("forces", [x, u], [ca.densify(lam.T)]).map(len(gamma))(guess.states.T, gamma.T).full().T
@@ -128,10 +128,10 @@ class _Chain:
         q, own, T = v.states[:, :nq], v.interval_controls, v.duration
         m = own.shape[1]
         names = state_names(self.model)[:nq]
-        kind = ca.SX if self.model.ode.is_a("SXFunction") else ca.MX
+        kind = symbol_kind(self.model.ode)
 
         # First and last: v is given, at the end backwards in time. T² and shares instead of h: polynomial also where the duration is free.
-        z, (q0, rate, q1, c, lam, duration, share, passed) = split_symbol(nq, nq, nq, m, self.bars, 1, 1, 1, kind=kind)
+        z, (q0, rate, q1, c, lam, duration, share, passed) = split_symbol(kind, nq, nq, nq, m, self.bars, 1, 1, 1)
         force = self._force(q0, rate, v.gamma(c, EARLY), lam, duration * passed)
         row = self._momentum((q1 - q0) / share - duration * rate) - duration**2 * share / 2 * force
         first = np.concatenate([q[0], v.states[0, nq : 2 * nq], q[1], own[0], self.lam[0], T, v.share[0], v.time[0]])
@@ -141,7 +141,7 @@ class _Chain:
         result = [self._leaving]
 
         if v.count > 1:
-            z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = split_symbol(nq, nq, nq, m, m, self.bars, 1, 1, 1, 1, kind=kind)
+            z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = split_symbol(kind, nq, nq, nq, m, m, self.bars, 1, 1, 1, 1)
             both = before + after
             gamma = (before * v.gamma(c, LATE) + after * v.gamma(d, EARLY)) / both
             force = self._force(q1, (q2 - q0) / (duration * both), gamma, lam, duration * passed)

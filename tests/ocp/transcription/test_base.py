@@ -12,8 +12,8 @@ from planning import folding, raising
 import ocp
 import tenscasadi as tc
 from ocp.transcription.assemble import Defects
-from ocp.transcription.base import Transcription, split_symbol, unrolled
-from ocp.transcription.sparse_nlp import Block
+from ocp.transcription.base import Transcription, unrolled
+from ocp.transcription.sparse_nlp import Block, split_symbol
 from ocp.transcription.variables import interval_names, state_names
 
 
@@ -77,7 +77,7 @@ class Trapezoidal(Transcription):
 
     def defects(self, variables, used):
         v, model = variables, variables.model
-        z, (x, c, after, duration, share) = split_symbol(model.nx, v.interval_controls.shape[1], model.nx, 1, 1)
+        z, (x, c, after, duration, share) = split_symbol(ca.MX, model.nx, v.interval_controls.shape[1], model.nx, 1, 1)
         slope = (model.ode(x, v.gamma(c, 0.0)) + model.ode(after, v.gamma(c, 1.0))) / 2
         gap = unrolled(model, ca.Function("gap", [z], [(after - x - duration * share * slope) / ca.DM(v.scales.state)]))
         index = np.hstack([v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share])
