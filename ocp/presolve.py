@@ -1,4 +1,4 @@
-"""Limits that contradict each other, within a group of strings or where a plan starts: found before anything is solved."""
+"""What has no solution, found before anything is solved: limits that contradict each other, and more goals than force densities."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ import casadi as ca
 import numpy as np
 import scipy.optimize
 
+from ocp.boundary.target import Target
 from ocp.problem.bounds import PathBound
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
-from ocp.transcription.mesh import Profile, group_matrix
+from ocp.transcription.base import Transcription
+from ocp.transcription.mesh import Profile, group_matrix, locate_share
 
 CLEAR = 1e-3  # of a limit: contradictions that are smaller are left to the solver
 
 
 def check_groups(problem: Problem, profile: Profile) -> None:
-    """Raises ValueError, naming the strings, where the limits of a group's strings leave no force density for all of them."""
+    """Raise ValueError, naming the strings, where the limits of a group's strings leave no force density for all of them."""
     lower, upper = problem.force_density_limits
     for together in group_matrix(profile, len(lower)).T > 0:
         strings = np.flatnonzero(together)
@@ -29,7 +31,7 @@ def check_groups(problem: Problem, profile: Profile) -> None:
 
 
 def check_start(problem: Problem) -> None:
-    """Raises ValueError, naming the limit that is missed most, where no force densities meet all limits that are linear in them at the start."""
+    """Raise ValueError, naming the limit that is missed most, where no force densities meet all limits that are linear in them at the start."""
     lower, upper = problem.force_density_limits
     slopes, room, rows = [np.zeros((0, len(lower)))], [np.zeros(0)], []
     for limited in path_constraints(problem, PathBound):
@@ -61,3 +63,17 @@ def check_start(problem: Problem) -> None:
         f"Problem.bounds leave no force densities at the start: {name} has to be {wanted}, and with all others kept as well as this one "
         f"it is {limit + size * excess[worst]:.4g}: widen one, or start elsewhere"
     )
+
+
+def check_freedom(problem: Problem, target: Target, transcription: Transcription) -> None:
+    """Raise ValueError where goals have more rows than there are force densities before them, which has no solution."""
+    lower, upper = problem.force_density_limits
+    free = int(np.sum(lower < upper))
+    name = f"{type(transcription).__name__}.intervals is {transcription.count}"
+    for share, part, label in target.instants:
+        intervals = locate_share(transcription.fractions, share)[0] + 1
+        if part.count > intervals * free:
+            least = int(np.ceil(np.ceil(part.count / free) / share)) if free else 0
+            needed = f"give at least {least} intervals" if free else "allow some more force densities"
+            each = "each" if share == 1.0 else f"each of the {intervals} up to there"
+            raise ValueError(f"{name}: {label}{free} force densities in {each} cannot meet {part.count} rows of goals, {needed}")

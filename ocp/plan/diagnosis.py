@@ -1,15 +1,16 @@
-"""Why no plan was found: which constraint is left violated, which limits hold it back, which goals the strings move, what to try."""
+"""How far a motion is from the goals, and why no plan was found: what is violated, what holds it back, what to try."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from ocp.boundary.sensitivities import Reach, find_controlled
 from ocp.boundary.target import Target
-from ocp.plan.misses import Misses
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import STOPPED
 from ocp.transcription.initial_guess import Guess
@@ -21,6 +22,7 @@ from tenscasadi.util.validate import Array
 VIOLATED = 1e-6  # in scaled rows: below it a constraint counts as met
 AT_LIMIT = 1e-3  # of a limit: nearer counts as held by it
 LONG = 2.0  # radians of the fastest vibration in a step: beyond, steps are unstable, or nearly
+NOTHING = 1e-6  # m: smaller distances do not count beside speeds
 RUNAWAY = 1e3  # in scaled unknowns: what nothing holds grows beyond
 
 _ROOM = "give a longer duration, wider limits, or a nearer goal"
@@ -41,6 +43,30 @@ _STOPS = {
     STOPPED: "stopped on request, by Ipopt(watch=...) or from the keyboard, with the best so far",
 }
 _STEPS = f"the solver could not go on: {_ROOM}, or more intervals"
+
+
+class Misses(NamedTuple):
+    """Distances from goals, m, and differences of speed, m/s, each with the name of the goal's row."""
+
+    places: list[tuple[float, str]]
+    speeds: list[tuple[float, str]]
+
+    def worst(self) -> str:
+        """Return the row that is missed most, and by how much; places come first. There has to be one."""
+        place, speed = (max(rows, default=(0.0, "")) for rows in (self.places, self.speeds))
+        (amount, name), unit = (place, "m") if place[0] > NOTHING or not self.speeds else (speed, "m/s")
+        return f"{name} misses its goal by {amount:.2g} {unit}"
+
+
+def measure_misses(target: Target, state_at: Callable[[float], Array]) -> Misses:
+    """Return what the motion misses whose state (nx,) at a share of the duration is state_at(share)."""
+    found = Misses([], [])
+    for share, part, label in target.instants:
+        metres, speeds = (np.abs(np.asarray(value.full()).ravel()).tolist() for value in part.misfit(state_at(share)))
+        names = [label + name for name in part.names]
+        found.places.extend(zip(metres, names, strict=False))
+        found.speeds.extend(zip(speeds, names[len(metres) :], strict=True))
+    return found
 
 
 def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Program, solution: Solution, found: Guess, too_long: str) -> str:

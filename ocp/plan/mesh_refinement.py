@@ -1,19 +1,72 @@
-"""Where the grid of a plan is too coarse, and one that is fine enough."""
+"""Mesh refinement: where the mesh of a plan is too coarse, and one that is fine enough."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
 
+from ocp.solvers.multipliers import Duals
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
+from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
 
-FINE = 10  # steps for one interval of the plan, to tell its defect
+DEFECT_STEPS = 10  # steps for one interval of the plan, to tell its defect
+LOST = 1e6  # tolerances that a replay which diverges counts as its error
 MOST_PARTS = 4  # that an interval is cut into at once
 CAUTION = 0.3  # of the tolerance is aimed at
+
+
+class Refinable(Protocol):
+    """What refining needs of a plan."""
+
+    @property
+    def time(self) -> Array:
+        """Nodes of the mesh (K + 1,), s."""
+
+    @property
+    def force_density(self) -> Array:
+        """γ (K, α) or (K + 1, α), N/m."""
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The motion at the nodes of the mesh."""
+
+    @property
+    def duals(self) -> Duals | None:
+        """Multipliers; None where no optimum was found."""
+
+    @property
+    def worst_error(self) -> float:
+        """How far its replay ends from the goals, m."""
+
+
+P = TypeVar("P", bound=Refinable)
+
+
+def refine_mesh(plan: P, model: Model, again: Callable[[Array, P], P], tolerance: float, attempts: int) -> tuple[P, str]:
+    """Return a plan whose replay ends within `tolerance`, m, of the goals, and ""; or the best that was found, and why it does not.
+
+    again: (relative lengths of intervals, plan) → the plan on these intervals, solved from that plan. A plan without optimum is returned as it is.
+    """
+    why = f"in {attempts} attempts: give more, or substeps"
+    for _ in range(attempts):
+        error = plan.worst_error
+        if plan.duals is None or error <= tolerance:
+            return plan, ""
+        times_too_large = error / tolerance if np.isfinite(error) else LOST
+        finest = again(finer(model, plan.time, plan.trajectory.states, plan.force_density, times_too_large), plan)
+        if finest.duals is not None and not finest.worst_error <= max(tolerance, error / 2):
+            why = f"and {len(finest.time) - 1} intervals in place of {len(plan.time) - 1} do not halve the error: give a larger tolerance"
+            plan = min(plan, finest, key=lambda one: one.worst_error)
+            break
+        plan = finest
+    return plan, "" if plan.duals is None or plan.worst_error <= tolerance else why
 
 
 def finer(model: Model, time: Array, states: Array, force_density: Array, too_large: float) -> Array:
@@ -38,9 +91,9 @@ def defects(model: Model, time: Array, states: Array, force_density: Array) -> A
     count, lengths = len(time) - 1, np.diff(time)
     advance = RungeKutta4().step(model.ode).map(count)
     now = ca.DM(states[:-1].T)
-    for k in range(FINE):
-        gamma = profile_at(force_density, time, time[:-1] + (k + 0.5) / FINE * lengths)
-        now = advance(now, gamma.T, lengths[None] / FINE)
+    for k in range(DEFECT_STEPS):
+        gamma = profile_at(force_density, time, time[:-1] + (k + 0.5) / DEFECT_STEPS * lengths)
+        now = advance(now, gamma.T, lengths[None] / DEFECT_STEPS)
     if model.mechanism.constrained:
         now = projection(model, 3).map(count)(now)
     gap = np.asarray(now.full()).T - states[1:]

@@ -1,0 +1,174 @@
+"""A plan as arrays by name, and back; how it was solved as text: options as names and numbers, rebuilt through a fixed table of classes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from ocp.problem import bar_bounds, costs, expressions, geometric_bounds, goals, string_bounds, waypoints
+from ocp.problem.periodic import Periodic
+from ocp.problem.problem import FreeStart, Problem
+from ocp.problem.tracking import Tracking
+from ocp.solvers.fatrop import Fatrop
+from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.multipliers import Duals
+from ocp.transcription.base import Transcription
+from ocp.transcription.collocation import Collocation, ImplicitMidpoint
+from ocp.transcription.mesh import PiecewiseConstant, PiecewiseLinear
+from ocp.transcription.multiple_shooting import MultipleShooting
+from ocp.transcription.variational import Variational
+from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.serialize import model_from_arrays, model_to_arrays, structure_from_arrays, structure_to_arrays
+from tenscasadi.integrators import collocation
+from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.archive import Fields
+from tenscasadi.util.validate import Array, instance
+
+_TABLE = (
+    *(goals.StringLengths, goals.NodePositions, goals.Shape, goals.AtRest, Periodic, waypoints.Waypoint, FreeStart),
+    *(string_bounds.ForceDensityLimits, string_bounds.TensionLimits, string_bounds.RestLengthLimits, string_bounds.RestLengthRateLimits),
+    *(bar_bounds.BarForceLimits, bar_bounds.Buckling),
+    *(geometric_bounds.InsideBox, geometric_bounds.BarClearance, geometric_bounds.Obstacle),
+    *(costs.Effort, costs.Smoothness, costs.Prestress, Tracking, costs.Duration, costs.Work),
+    *(expressions.Constraint, expressions.Integral, expressions.AtEnd),  # for the name of what no file holds: their functions
+    *(MultipleShooting, ImplicitMidpoint, Variational, Collocation, PiecewiseConstant, PiecewiseLinear),
+    *(RungeKutta4, DormandPrince54, DormandPrince853, Ipopt, Fatrop),
+)
+_CLASSES: dict[str, type] = {**{cls.__name__: cls for cls in _TABLE}, "Collocation (scheme)": collocation.Collocation}
+_NAMES = {cls: name for name, cls in _CLASSES.items()}
+_PARTS: dict[str, tuple[type, ...]] = {"problem": (Problem,), "transcription": (Transcription,), "solver": (Ipopt, Fatrop)}
+_ASKED = ("duration", "start", "goals", "bounds", "costs")  # the fields of a problem but for its model
+
+
+FORMAT = "tenscasadi plan 1"
+_VALUES = {  # in NumPy's letters what they are
+    "success": "b",
+    "status": "U",
+    "message": "U",
+    "objective": "f",
+    "iterations": "i",
+    "seconds": "f",
+    "replay_error": "f",
+    "replay_speed_error": "f",
+}
+
+
+def plan_arrays(plan: Mapping[str, Any]) -> dict[str, Array]:
+    """Return a plan's fields as arrays by name."""
+    model, duals, motion = plan["model"], plan["duals"], plan["trajectory"]
+    content = {name: np.asarray(plan[name]) for name in (*_VALUES, "time", "force_density")}
+    content |= {f"trajectory.{field.name}": np.asarray(getattr(motion, field.name)) for field in fields(Trajectory)}
+    content |= structure_to_arrays(plan["structure"]) if model is None else model_to_arrays(model, motion.states[:, -1])
+    if duals is not None:
+        content |= {f"duals.{field.name}": np.asarray(getattr(duals, field.name)) for field in fields(Duals)}
+    return content | _told(plan)
+
+
+def plan_fields(content: Fields) -> dict[str, Any]:
+    """Return the fields of a plan that `plan_arrays` told, but for how it was solved. Raises ValueError."""
+    model = model_from_arrays(content)
+    structure = structure_from_arrays(content) if model is None else model.scene.structure
+    values = {name: content.array(name, kind, 0).item() for name, kind in _VALUES.items()}
+    trajectory = Trajectory.from_arrays(content.within("trajectory."))
+    if model is not None and trajectory.states.shape[1] != model.nx:
+        raise ValueError(f"field 'trajectory.states' has {trajectory.states.shape[1]} columns, not {model.nx}")
+    intervals, strings = len(trajectory.time) - 1, len(structure.strings)
+    time, gamma = content.array("time", "f", 1), content.array("force_density", "f", 2)
+    rows = intervals + (len(gamma) == intervals + 1)
+    for name, value, shape in (("time", time, (intervals + 1,)), ("force_density", gamma, (rows, strings))):
+        if value.shape != shape:
+            raise ValueError(f"field {name!r} has shape {value.shape}, not {shape}")
+    duals = None
+    if "duals.names" in content:
+        duals = Duals(tuple(content.array("duals.names", "U", 1).tolist()), content["duals.values"], content["duals.point"])
+    return {**values, "time": time, "force_density": gamma, "trajectory": trajectory, "structure": structure, "model": model, "duals": duals}
+
+
+def _told(parts: Mapping[str, Any]) -> dict[str, Array]:
+    """Return text fields from which `rebuilt` makes the problem, but for its model, the transcription and the solver, but for who watches it.
+
+    Where something is no option of this package, such as an own function or scheme, or was not known, the text says so instead.
+    """
+    texts = {}
+    for name in _PARTS:
+        part = parts[name]
+        try:
+            if part is None:
+                raise _NotStored(parts["unknown"])
+            if isinstance(part, Problem):
+                part = {field: getattr(part, field) for field in _ASKED}
+            texts[name] = _tell(replace(part, watch=None) if isinstance(part, Ipopt) else part, name.capitalize())
+        except _NotStored as error:
+            texts[name] = {"unknown": str(error)}
+    return {"solved": np.asarray(json.dumps(texts))}
+
+
+def rebuilt(content: Mapping[str, Any], model: Model | None, problem: Problem | None) -> dict[str, Any]:
+    """Return how a plan was asked for and solved, as fields of it; of what cannot be rebuilt, `unknown` says why.
+
+    problem: the one that is given; None: that of the file, for `model`.
+    """
+    found: dict[str, Any] = {"problem": problem, "unknown": ""}
+    try:
+        texts = json.loads(str(content["solved"]))
+    except (KeyError, ValueError, RecursionError):
+        return {**found, "unknown": "its file is of an older version"}
+    for name in _PARTS:
+        if found.get(name) is not None:
+            continue
+        try:
+            part = _read(texts[name])
+            found[name] = part if name != "problem" else None if model is None else Problem(model, **part)
+            instance(name, found[name], _PARTS[name], f"a {name}")
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
+            found |= {name: None, "unknown": str(error)}
+    return found
+
+
+class _NotStored(Exception):
+    """Something has no form as text; says which."""
+
+
+def _tell(value: Any, name: str) -> Any:
+    """The value in JSON's words: lists, and objects that say what they are."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, np.ndarray) and value.dtype.kind in "bif":
+        return {"array": value.ravel().tolist(), "shape": list(value.shape), "kind": value.dtype.kind}
+    if isinstance(value, (list, tuple)):
+        return {"tuple" if isinstance(value, tuple) else "list": [_tell(item, f"{name}[{k}]") for k, item in enumerate(value)]}
+    if isinstance(value, Mapping):
+        return {
+            "mapping": [[_tell(key, name), _tell(item, f"{name}.{key}" if isinstance(key, str) else f"{name}[{key}]")] for key, item in value.items()]
+        }
+    if type(value) in _NAMES:
+        kind = _NAMES[type(value)]
+        return {"class": kind, "fields": {field.name: _tell(getattr(value, field.name), f"{name}.{field.name}") for field in fields(value)}}
+    own = "a function" if callable(value) and not isinstance(value, type) else f"of an own class, {type(value).__name__}"
+    raise _NotStored(f"{name} is {own}, which no file holds")
+
+
+def _read(told: Any) -> Any:
+    """The value again. Raises what a damaged text leads to: KeyError, TypeError, ValueError, AttributeError."""
+    if not isinstance(told, dict):
+        return told
+    if "unknown" in told:
+        raise ValueError(told["unknown"])
+    if "array" in told:
+        return np.array(told["array"], dtype={"b": bool, "i": np.intp, "f": float}[told["kind"]]).reshape(told["shape"])
+    if "mapping" in told:
+        return {_read(key): _read(value) for key, value in told["mapping"]}
+    if "class" in told:
+        given = {name: _read(value) for name, value in told["fields"].items()}
+        files = [name for name in given.get("options", ()) if "lib" in name or "file" in name]
+        if files:
+            raise ValueError(f"{told['class']}.options has {files[0]!r}, which names a file: nothing is loaded or written because a file says so")
+        return _CLASSES[told["class"]](**given)
+    return tuple(map(_read, told["tuple"])) if "tuple" in told else list(map(_read, told["list"]))
