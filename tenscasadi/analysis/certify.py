@@ -129,7 +129,7 @@ def certify(
     enough = min(_ENOUGH * size, accuracy) if enough is None else positive_number("enough", enough)
     work = positive_number("work", work) / (1 if compiled is not False else _FASTER)
     pairs = _Pairs(model, t_end, state, control, compiled)
-    for count in _counts(model, t_end, state, work):
+    for count in _step_counts(model, t_end, state, work):
         before = pairs.apart
         pairs.try_steps(count)
         if pairs.error <= enough or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size)):
@@ -190,7 +190,7 @@ class _Pairs:
             self.best = Reference(ends[0], self.apart, self._t_end, f"{what} end {self.apart:.2g} m apart")
 
 
-def _counts(model: Model, t_end: float, state: Any, work: float) -> Iterator[int]:
+def _step_counts(model: Model, t_end: float, state: Any, work: float) -> Iterator[int]:
     """Yield numbers of steps of order 8, from what is stable at the start to what `work` allows; at least one pair."""
     longest = min(stable_step(model, state, None, DormandPrince853()), _FINER * stable_step(model, state, None, DormandPrince54()))
     steps = max(_COARSEST, int(np.ceil(t_end / longest))) if np.isfinite(longest) and longest > 0 else _COARSEST

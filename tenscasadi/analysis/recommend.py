@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscasadi.analysis.certify import certify, distance, end_nodes
 from tenscasadi.analysis.tradeoff import LONGEST, Case, check_ways
-from tenscasadi.analysis.tradeoff_table import short
+from tenscasadi.analysis.tradeoff_table import abbreviate
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
@@ -163,8 +163,8 @@ def recommend(
     wanted = _MARGIN * tolerance - reference.error
 
     ways = [Case(model, scheme, correction, t_end, start, control, compiled) for scheme, correction in product(schemes, corrections)]
-    best, told = _cheapest(ways, reference.nodes, wanted)
-    names = ", ".join(map(short, schemes))
+    best, told = _find_cheapest(ways, reference.nodes, wanted)
+    names = ", ".join(map(abbreviate, schemes))
     if best is None:
         failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
         raise NoScheme("; ".join(dict.fromkeys([failed, *told])))
@@ -172,29 +172,29 @@ def recommend(
     limit = stable_step(model, start, None, scheme, safety=1.0)
     if best.step > limit and not scheme.adaptive:
         told.append(f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved")
-    outcome = f"{best.steps} steps of {short(scheme)}: {expected:.2g} m, {seconds:.2g} s"
+    outcome = f"{best.steps} steps of {abbreviate(scheme)}: {expected:.2g} m, {seconds:.2g} s"
     message = "; ".join(dict.fromkeys([outcome, f"compared with {names}", f"reference: {reference.message}", *told]))
     work = float(best.steps * best.case.instructions()) or np.nan
     return Recommendation(scheme, best.step, best.case.correction, expected, seconds, work, message)
 
 
-def _cheapest(ways: Sequence[Case], nodes: Array, wanted: float) -> tuple[_Choice | None, list[str]]:
+def _find_cheapest(ways: Sequence[Case], nodes: Array, wanted: float) -> tuple[_Choice | None, list[str]]:
     """Find the cheapest way that serves, and why others were left out. Explicit schemes come first: implicit ones are measured against them."""
     best: _Choice | None = None
     told = []
     speed = 1.0  # instructions of the best explicit scheme in a second
     for case in sorted(ways, key=lambda case: case.scheme.implicit):
-        name = short(case.scheme)
+        name = abbreviate(case.scheme)
         if case.scheme.implicit and best is not None and not best.case.scheme.implicit:
-            if best.steps > _BOUND * _coarsest(best.case, best.end):
-                told.append(f"{name} left out: stability does not bound the steps of {short(best.case.scheme)}")
+            if best.steps > _BOUND * _count_coarsest(best.case, best.end):
+                told.append(f"{name} left out: stability does not bound the steps of {abbreviate(best.case.scheme)}")
                 continue
             speed = best.cost / best.seconds()
         most = np.inf if best is None else best.cost
         try:
             if case.correction is not None and (case.scheme.adaptive or case.correction.step(case.model) is None):
                 continue  # nothing to correct
-            found = _found(case, speed, nodes, wanted, most)
+            found = _find_option(case, speed, nodes, wanted, most)
             best = found if found is not None and found.cost < most else best
         except (TypeError, ValueError, CompileError) as error:  # such as Appendix C's correction where bars meet
             told.append(f"{name} left out: {error}")
@@ -209,21 +209,21 @@ class _Price:
     second: float
 
 
-def _found(case: Case, speed: float, nodes: Array, wanted: float, most: float) -> _Choice | None:
+def _find_option(case: Case, speed: float, nodes: Array, wanted: float, most: float) -> _Choice | None:
     """Find about the cheapest step or rtol that serves; None: none for less than `most`.
 
     `speed`: instructions in a second, where they are not counted.
     """
     if not case.scheme.implicit:
         price = _Price(case.instructions() * (_OVERHEAD if case.scheme.adaptive else 1.0), 0.0)
-        return (_loosest if case.scheme.adaptive else _fewest)(case, price, nodes, wanted, most)
+        return (_find_loosest if case.scheme.adaptive else _find_fewest)(case, price, nodes, wanted, most)
     clock = _Price(0.0, speed)
     if case.scheme.adaptive:
-        return _loosest(case, clock, nodes, wanted, most)
+        return _find_loosest(case, clock, nodes, wanted, most)
     if case.compiled is False:
-        return _fewest(case, clock, nodes, wanted, most)
-    promising = _fewest(replace(case, compiled=False), _Price(0.0, speed / _GAIN), nodes, wanted, most)  # it takes seconds to compile
-    return None if promising is None else _measured(case, promising.step, clock, nodes, wanted, False)
+        return _find_fewest(case, clock, nodes, wanted, most)
+    promising = _find_fewest(replace(case, compiled=False), _Price(0.0, speed / _GAIN), nodes, wanted, most)  # it takes seconds to compile
+    return None if promising is None else _measure(case, promising.step, clock, nodes, wanted, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +244,7 @@ class _Choice:
         return self.case.seconds_per_step(self.step, _REPEATS) * self.steps
 
 
-def _measured(case: Case, step: float, price: _Price, nodes: Array, wanted: float, uncompiled: bool) -> _Choice:
+def _measure(case: Case, step: float, price: _Price, nodes: Array, wanted: float, uncompiled: bool) -> _Choice:
     """Run once; the error is infinite when that fails. `uncompiled`: in the virtual machine, where there is a choice."""
     swift = replace(case, compiled=False) if uncompiled and case.compiled is None else case
 
@@ -260,7 +260,7 @@ def _measured(case: Case, step: float, price: _Price, nodes: Array, wanted: floa
     return _Choice(case, step, first.attempts, error, first.states[-1], cost)
 
 
-def _loosest(case: Case, price: _Price, nodes: Array, wanted: float, most: float) -> _Choice | None:
+def _find_loosest(case: Case, price: _Price, nodes: Array, wanted: float, most: float) -> _Choice | None:
     """Find about the largest rtol whose error is at most `wanted`; None when that costs `most` or more."""
     best: _Choice | None = None
     least = 1e-6 if isinstance(case.compiled, Single) else 1e-15
@@ -268,7 +268,7 @@ def _loosest(case: Case, price: _Price, nodes: Array, wanted: float, most: float
     for _ in range(_TRIES // 4):
         rtol = min(max(rtol, least), 0.1)
         tried = replace(case, scheme=replace(case.scheme, rtol=rtol, atol=None))  # type: ignore[type-var]
-        now = _measured(tried, LONGEST * case.t_end, price, nodes, wanted, most < _SHORT)
+        now = _measure(tried, LONGEST * case.t_end, price, nodes, wanted, most < _SHORT)
         if now.error <= wanted:
             tight, best = rtol, now
         else:
@@ -282,15 +282,17 @@ def _loosest(case: Case, price: _Price, nodes: Array, wanted: float, most: float
     return best
 
 
-def _fewest(case: Case, price: _Price, nodes: Array, wanted: float, most: float) -> _Choice | None:
+def _find_fewest(case: Case, price: _Price, nodes: Array, wanted: float, most: float) -> _Choice | None:
     """Find about the fewest equal steps whose error is at most `wanted`; None when that costs `most` or more."""
     limit = most / price.step if price.step else np.inf
-    steps = min(_coarsest(case), max(1, int(limit) - 1) if np.isfinite(limit) else _coarsest(case))  # from there on downwards
+    steps = _count_coarsest(case)  # from there on downwards
+    if np.isfinite(limit):
+        steps = min(steps, max(1, int(limit) - 1))
     low, best = 0, None
     for _ in range(_TRIES):
         if steps >= limit:
             return None
-        now = _measured(case, case.t_end / steps, price, nodes, wanted, steps * price.step < _SHORT)
+        now = _measure(case, case.t_end / steps, price, nodes, wanted, steps * price.step < _SHORT)
         if now.error <= wanted:
             best = now
         else:
@@ -309,7 +311,7 @@ def _fewest(case: Case, price: _Price, nodes: Array, wanted: float, most: float)
     return best
 
 
-def _coarsest(case: Case, state: Array | None = None) -> int:
+def _count_coarsest(case: Case, state: Array | None = None) -> int:
     """Count the steps at the limit of stability of the start, and of `state`."""
     if case.scheme.implicit:
         return _FEW

@@ -98,12 +98,12 @@ def tradeoff(
     True
     """
     named = dict(models) if isinstance(models, Mapping) else {"": models}
-    _check(named, schemes, corrections)
+    _check_models(named, schemes, corrections)
     t_end, repeats = positive_number("t_end", t_end), whole_number("repeats", repeats, 1)
-    ways = _sequence("compiled", compiled)
+    ways = _check_sequence("compiled", compiled)
     for way in ways:
         instance("compiled", way, (bool, Single, type(None)), "True, False, None or Single()")
-    lengths = sorted({positive_number(f"steps[{i}]", step) for i, step in enumerate(_sequence("steps", steps))}, reverse=True)
+    lengths = sorted({positive_number(f"steps[{i}]", step) for i, step in enumerate(_check_sequence("steps", steps))}, reverse=True)
     rows: list[Row] = []
     known: Reference | None = None
     end = "interrupted from the keyboard before the reference was found"
@@ -111,10 +111,10 @@ def tradeoff(
     total = sum(1 if scheme.adaptive else len(lengths) for _, scheme, _, _ in plans)
     try:
         with tqdm(total=total, unit=" runs", disable=not progress) as bar:
-            known = _reference(named, t_end, reference, state, control, False if all(way is False for way in ways) else None)
+            known = _find_reference(named, t_end, reference, state, control, False if all(way is False for way in ways) else None)
             for (name, model), scheme, correction, way in plans:
                 case = Case(model, scheme, correction, t_end, start_of(model, state), control, way)
-                for row in _rows(case, name, lengths, known, repeats):
+                for row in _measure_rows(case, name, lengths, known, repeats):
                     rows.append(row)
                     bar.update()
         end = ""
@@ -182,7 +182,7 @@ def start_of(model: Model, state: State) -> Array | None:
     return None if value is None else finite_array("state", value, (model.nx,))
 
 
-def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int) -> Iterable[Row]:
+def _measure_rows(case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int) -> Iterable[Row]:
     """Yield a row for each step; the time of a step and the set-up are measured once."""
     empty = Row(case.scheme, np.nan, case.correction, name, compiled=case.compiled is not False, single=isinstance(case.compiled, Single))
     each = setup = np.nan
@@ -215,7 +215,7 @@ def _rows(case: Case, name: str, lengths: Sequence[float], reference: Reference,
         yield row
 
 
-def _reference(
+def _find_reference(
     named: dict[str, Model], t_end: float, reference: Reference | str | None, state: State, control: ControlInput, compiled: bool | None
 ) -> Reference:
     if isinstance(reference, Reference):
@@ -231,7 +231,7 @@ def _reference(
     return certify(model, t_end, start_of(model, state), control, compiled=compiled)
 
 
-def _check(named: dict[str, Model], schemes: Any, corrections: Any) -> None:
+def _check_models(named: dict[str, Model], schemes: Any, corrections: Any) -> None:
     if not named:
         raise ValueError("models is empty: give a tenscasadi.Model, or models by name")
     for name, model in named.items():
@@ -244,13 +244,13 @@ def _check(named: dict[str, Model], schemes: Any, corrections: Any) -> None:
 
 def check_ways(schemes: Any, corrections: Any) -> None:
     """Raise TypeError or ValueError unless these are sequences of schemes and of corrections, each with one at least."""
-    for scheme in _sequence("schemes", schemes):
+    for scheme in _check_sequence("schemes", schemes):
         check_scheme(scheme)
-    for correction in _sequence("corrections", corrections):
+    for correction in _check_sequence("corrections", corrections):
         instance("corrections", correction, (Projection, BarLengthCorrection, type(None)), "(None, Projection())")
 
 
-def _sequence(field: str, values: Any) -> Sequence[Any]:
+def _check_sequence(field: str, values: Any) -> Sequence[Any]:
     if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
         raise TypeError(f"{field} is {values!r}: give a sequence, such as a list")
     if not len(values):

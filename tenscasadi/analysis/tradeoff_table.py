@@ -92,16 +92,16 @@ class Row:
     @property
     def name(self) -> str:
         """All but the step in words."""
-        return ", ".join([short(self.scheme), *self._variant()])
+        return ", ".join([abbreviate(self.scheme), *self._variant()])
 
     @property
     def curve(self) -> str:
         """Name that rows share which differ only in step or tolerance."""
         swept = "rtol" if np.isnan(self.step) else ""
-        return ", ".join([short(self.scheme, swept) + (f" with {swept}" if swept else ""), *self._variant()])
+        return ", ".join([abbreviate(self.scheme, swept) + (f" with {swept}" if swept else ""), *self._variant()])
 
     def _variant(self) -> list[str]:
-        named = [] if self.correction is None else [short(self.correction)]
+        named = [] if self.correction is None else [abbreviate(self.correction)]
         way = ["single precision"] if self.single else [] if self.compiled else ["virtual machine"]
         return [*named, *([self.fidelity] if self.fidelity else []), *way]
 
@@ -164,7 +164,7 @@ class Tradeoff:
             If there is no such cost.
         """
         front: list[Row] = []
-        for *_, row in self._by(cost):
+        for row in self._sorted_by(cost):
             if not front or row.position < front[-1].position > self.reference_error:
                 front.append(row)
         return tuple(front)
@@ -190,14 +190,14 @@ class Tradeoff:
             If an argument is wrong, or no row is within the tolerance.
         """
         tolerance = positive_number("tolerance", tolerance)
-        for *_, row in self._by(cost):
+        for row in self._sorted_by(cost):
             if row.position + self.reference_error <= tolerance:
                 return row
         if tolerance <= self.reference_error < np.inf:
             raise ValueError(f"tolerance is {tolerance:g} m: the reference itself may be off by {self.reference_error:.2g} m, give more than that")
-        if not self._good():
+        if not self._successful():
             raise ValueError(f"tolerance is {tolerance:g} m: {f'all {len(self.rows)} runs failed' if self.rows else 'there is no run'}")
-        least = min(row.position for row in self._good())
+        least = min(row.position for row in self._successful())
         raise ValueError(f"tolerance is {tolerance:g} m: the most accurate of {len(self.rows)} runs is off by {least:.2g} m, add smaller steps")
 
     def summary(self) -> str:
@@ -244,7 +244,7 @@ class Tradeoff:
         from tenscasadi.plots.diagrams import work_precision  # loads matplotlib
 
         curves: dict[str, list[tuple[float, float]]] = {}
-        for row in self._good():
+        for row in self._successful():
             curves.setdefault(row.curve, []).append((row.position, row.seconds))
         front = [(row.position, row.seconds) for row in self.pareto()]
         return work_precision(curves, front, self.reference_error, title=title, path=path)
@@ -297,18 +297,18 @@ class Tradeoff:
         """
         return archive.load(path, _FORMAT, "trade-off", _from_arrays)
 
-    def _good(self) -> list[Row]:
+    def _successful(self) -> list[Row]:
         return [row for row in self.rows if row.success]
 
-    def _by(self, cost: Cost) -> list[tuple[float, float, int, Row]]:
-        """Return (cost, position, place, row) of each good row whose cost is known, from the cheapest."""
+    def _sorted_by(self, cost: Cost) -> list[Row]:
+        """Return the successful rows whose cost is known, from the cheapest; of equal ones the more accurate comes first."""
         if cost not in ("seconds", "work"):
             raise ValueError(f'cost is {cost!r}: give "seconds" or "work"')
-        known = [(float(getattr(row, cost)), row.position, place, row) for place, row in enumerate(self._good())]
-        return sorted(entry for entry in known if not np.isnan(entry[0]))
+        known = [row for row in self._successful() if not np.isnan(getattr(row, cost))]
+        return sorted(known, key=lambda row: (getattr(row, cost), row.position))
 
 
-def short(value: Any, without: str = "") -> str:
+def abbreviate(value: Any, without: str = "") -> str:
     """Return a frozen value as text, with only the options that are not the default, and not that of the name `without`."""
     own = [(field.name, getattr(value, field.name), field.default) for field in fields(value)] if is_dataclass(value) else []
     changed = ", ".join(f"{name}={option!r}" for name, option, default in own if option != default and name != without)

@@ -90,7 +90,7 @@ def structure(
     """
     check_drawable("what", what, (Structure, Trajectory), "a tenscasadi.Structure or Trajectory")
     if isinstance(what, Trajectory):
-        row = len(what.time) - 1 if time is None else _row(what, time)
+        row = len(what.time) - 1 if time is None else _nearest_row(what, time)
         nodes, pull = what.nodes[row], what.tension[row]
         title = title or f"t = {what.time[row]:.4g} s"
     else:
@@ -148,7 +148,7 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
     """
     check_drawable("trajectory", trajectory)
     count = whole_number("instants", instants, 2)
-    rows = np.unique([_row(trajectory, t) for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)])
+    rows = np.unique([_nearest_row(trajectory, t) for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)])
     figure = Figure(figsize=(7.0, 5.4))
     canvas = Canvas(figure, members_of(trajectory), trajectory.nodes[rows])
     ramp = cut_colours("viridis_r", 0.05, 1.0)
@@ -198,7 +198,7 @@ def node_histories(trajectory: Trajectory, nodes: Sequence[int] | None = None, *
     ['x (m)', 'y (m)', 'z (m)']
     """
     check_drawable("trajectory", trajectory)
-    chosen = _furthest(trajectory) if nodes is None else [node_index("nodes", node, trajectory.nodes.shape[1]) for node in nodes]
+    chosen = _furthest_nodes(trajectory) if nodes is None else [node_index("nodes", node, trajectory.nodes.shape[1]) for node in nodes]
     figure, axes = make_panels(3, "time (s)", title)
     for axis, (ax, name) in enumerate(zip(axes, "xyz", strict=True)):
         for k, node in enumerate(chosen):
@@ -261,7 +261,7 @@ def force_densities(
     rows, alpha = gamma.shape
     if rows not in (len(time), len(time) - 1):
         raise ValueError(f"history.force_density has {rows} rows: give one for each of the {len(time)} times, or for each of the intervals between")
-    chosen = list(range(alpha)) if strings is None else [_string(index, alpha) for index in strings]
+    chosen = list(range(alpha)) if strings is None else [_check_string(index, alpha) for index in strings]
     figure, (ax,) = make_panels(1, "time (s)", title)
     for k, i in enumerate(chosen):
         if rows == len(time):
@@ -332,19 +332,19 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
     return save_figure(figure, path)
 
 
-def _row(trajectory: Trajectory, time: float) -> int:
+def _nearest_row(trajectory: Trajectory, time: float) -> int:
     """Return the kept row next to `time`."""
     wanted = positive_number("time", time, zero=True)
     return int(np.argmin(np.abs(trajectory.time - wanted)))
 
 
-def _string(index: Any, count: int) -> int:
+def _check_string(index: Any, count: int) -> int:
     if whole_number("strings", index, 0) >= count:
         raise ValueError(f"strings names string {index}: strings run from 0 to {count - 1}")
     return int(index)
 
 
-def _furthest(trajectory: Trajectory) -> list[int]:
+def _furthest_nodes(trajectory: Trajectory) -> list[int]:
     """Return the nodes that move, at most the 12 that move furthest, in their order."""
     way = np.ptp(trajectory.nodes, axis=0).max(axis=1)
     order = np.argsort(-way, kind="stable")[:MOST_NAMED]
