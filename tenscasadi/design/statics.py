@@ -20,7 +20,8 @@ class EquilibriumError(ValueError):
     Attributes
     ----------
     residual : float
-        Least unbalanced force that any of them leaves, N (2-norm over all free coordinates)."""
+        Least unbalanced force that any of them leaves, N (2-norm over all free coordinates).
+    """
 
     def __init__(self, message: str, residual: float) -> None:
         super().__init__(message)
@@ -49,7 +50,8 @@ def self_stress(structure: Structure) -> Array:
     --------
     >>> import tenscasadi as tc
     >>> tc.self_stress(tc.shapes.prism()).shape
-    (1, 12)"""
+    (1, 12)
+    """
     return np.asarray(null_space(_balance(structure), rcond=TOLERANCE).T)
 
 
@@ -88,7 +90,8 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
     --------
     >>> import tenscasadi as tc
     >>> tc.equilibrium_force_density(tc.shapes.prism(), minimum=2.0).round(3).tolist()
-    [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 3.464, 3.464, 3.464]"""
+    [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 3.464, 3.464, 3.464]
+    """
     alpha = len(structure.strings)
     least = nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
     load = np.zeros(structure.nodes.shape) if loads is None else finite_array("loads", loads, structure.nodes.shape)
@@ -113,7 +116,7 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
 
 
 def _balance(structure: Structure) -> Array:
-    """Free coordinates × (α + β): N K of one unit of each force density."""
+    """Return N K of one unit of each force density: free coordinates × (α + β)."""
     n = len(structure.nodes)
     columns = []
     for pairs, sign in ((structure.strings, 1.0), (structure.bars, -1.0)):
@@ -124,7 +127,7 @@ def _balance(structure: Structure) -> Array:
 
 
 def _nonnegative(A: Array, b: Array) -> tuple[Array, float]:
-    """x ≥ 0 of least ‖A x − b‖, and that norm."""
+    """Return x ≥ 0 of least ‖A x − b‖, and that norm."""
     if A.shape[1] == 0 or A.shape[0] == 0:
         return np.zeros(A.shape[1]), float(np.linalg.norm(b))
     x, residual = nnls(A, b, maxiter=30 * A.shape[1] + 100)
@@ -132,7 +135,7 @@ def _nonnegative(A: Array, b: Array) -> tuple[Array, float]:
 
 
 def _least_norm(E: Array, f: Array, least: Array) -> Array | None:
-    """γ of least ‖γ‖ with E γ = f, γ ≥ `least`: least distance programming (Lawson and Hanson, Solving Least Squares, ch. 23).
+    """Return γ of least ‖γ‖ with E γ = f, γ ≥ `least`: least distance programming (Lawson and Hanson, Solving Least Squares, ch. 23).
 
     With γ = γ₀ + Z y, Z a basis of null(E): min ‖y‖ with Z y ≥ least − γ₀. None where rounding hides that it is feasible.
     """

@@ -1,1 +1,1 @@
-"""What is modelled: a structure, how its strings are driven, its loads and its supports."""
+"""Scenes: a structure, how its strings are driven, its loads and its supports."""

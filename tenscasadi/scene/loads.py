@@ -15,7 +15,19 @@ from tenscasadi.util.validate import Array, Indices, finite_array, node_index, n
 
 @dataclass(frozen=True)
 class Gravity:
-    """Uniform gravity: `acceleration` (3,), m/s²."""
+    """Uniform gravity.
+
+    Parameters
+    ----------
+    acceleration : sequence of float, shape (3,)
+        Acceleration of a free body, m/s².
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.Gravity((0, 0, -1.62))
+    Gravity(acceleration=(0.0, 0.0, -1.62))
+    """
 
     acceleration: Sequence[float] = (0.0, 0.0, -9.81)
 
@@ -24,22 +36,70 @@ class Gravity:
         object.__setattr__(self, "acceleration", tuple(float(v) for v in vector))
 
     def forces(self, node_weight: Array) -> ca.DM:
-        """W (3×n) on nodes that carry `node_weight` (n,), kg: the row sums of the mass matrix."""
+        """Return the weights of nodes.
+
+        Parameters
+        ----------
+        node_weight : ndarray, shape (n,)
+            Mass that each node carries, kg: the row sums of the mass matrix.
+
+        Returns
+        -------
+        casadi.DM, shape (3, n)
+            W, N.
+        """
         return ca.DM(np.outer(self.acceleration, node_weight))
 
     def energy(self, N: Any, node_weight: Array) -> Any:
-        """Potential energy −Σ mᵢ gᵀnᵢ, J, zero at the origin."""
+        """Return the potential energy −Σ mᵢ gᵀnᵢ.
+
+        Parameters
+        ----------
+        N : casadi expression, shape (3, n)
+            Nodes, m.
+        node_weight : ndarray, shape (n,)
+            Mass that each node carries, kg.
+
+        Returns
+        -------
+        casadi expression
+            Energy, J, zero at the origin.
+        """
         return -ca.sum1(ca.sum2(N * self.forces(node_weight)))
 
 
 @dataclass(frozen=True)
 class Ground:
-    """A plane that pushes on every node below it: force k d − c v along the normal, never a pull (paper §7.4).
+    """A plane that pushes on every node below it, and never pulls (Sect. 7.4).
 
-    d is the depth (m) and v the speed along the normal (m/s); `stiffness` N/m, `damping` N·s/m, the plane is normalᵀx = `height` (m).
-    `friction` is Coulomb's coefficient μ, or None for a frictionless plane. It is regularised: the tangential force is
-    μ f v_t/√(v_t² + v_s²) with `slip_speed` v_s (m/s), so a body that should stick creeps, at v_s r/√(1 − r²) where it
-    needs the share r of the friction that there is.
+    The plane is normalᵀx = height. A node at depth d that moves along the normal at speed v is pushed with k d − c v.
+
+    Parameters
+    ----------
+    stiffness : float
+        k, N/m.
+    damping : float
+        c, N·s/m.
+    friction : float, optional
+        Coulomb's coefficient μ; by default the plane is frictionless.
+    height : float
+        Distance of the plane from the origin along the normal, m.
+    normal : sequence of float, shape (3,)
+        Direction away from the ground, of any length.
+    slip_speed : float
+        Speed v_s, m/s, over which friction is regularised.
+
+    Notes
+    -----
+    Friction is μ f v_t/√(v_t² + v_s²) for a push f and a tangential velocity v_t. A body that should stick therefore creeps, at
+    v_s r/√(1 − r²) where it needs the share r of the friction that there is.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> ground = tc.Ground(stiffness=1e3, height=0.5)
+    >>> float(ground.forces([0.0, 0.0, 0.4], [0.0, 0.0, 0.0])[2])
+    100.0
     """
 
     stiffness: float = 1e4
@@ -71,7 +131,22 @@ class Ground:
         return self.damping == 0 and self.friction is None
 
     def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
-        """W (3×n) of nodes at N with velocities V (3×n); `touching` (1×n) 1 or 0: nodes held in contact, or off it, None: by their depth."""
+        """Return the ground's forces on nodes.
+
+        Parameters
+        ----------
+        N : casadi expression, shape (3, n)
+            Nodes, m.
+        V : casadi expression, shape (3, n)
+            Velocities, m/s.
+        touching : casadi expression, shape (1, n), optional
+            1 or 0 where nodes are held in contact, or off it; by default as their depths say.
+
+        Returns
+        -------
+        casadi expression, shape (3, n)
+            W, N.
+        """
         normal = ca.DM(self.normal)
         depth = self.depth(N)
         push = self.stiffness * depth
@@ -87,21 +162,57 @@ class Ground:
         return W
 
     def energy(self, N: Any) -> Any:
-        """Energy stored in the plane's springs, J."""
+        """Return the energy stored in the plane's springs.
+
+        Parameters
+        ----------
+        N : casadi expression, shape (3, n)
+            Nodes, m.
+
+        Returns
+        -------
+        casadi expression
+            Energy, J.
+        """
         depth = ca.fmax(self.depth(N), 0)
         return self.stiffness * ca.sum2(depth * depth) / 2
 
     def depth(self, N: Any) -> Any:
-        """How deep nodes at N (3×n) are, m (1×n); negative above the plane."""
+        """Return how deep nodes are below the plane.
+
+        Parameters
+        ----------
+        N : casadi expression, shape (3, n)
+            Nodes, m.
+
+        Returns
+        -------
+        casadi expression, shape (1, n)
+            Depths, m, negative above the plane.
+        """
         return self.height - ca.mtimes(ca.DM(self.normal).T, N)
 
 
 @dataclass(frozen=True)
 class Pressure:
-    """A pressure `difference` (Pa) across triangles, a follower force: p/6 (b − a)×(c − a) on each of a face's nodes a, b, c.
+    """A pressure across triangles, which follows them as they move.
 
-    `faces` (f, 3) node indices; the force points to the side from which a, b, c run counter-clockwise (outwards, for a closed
-    surface under inner pressure).
+    Each node a, b, c of a face takes p/6 (b − a)×(c − a), towards the side from which a, b, c run counterclockwise: outwards, for
+    a closed surface under inner pressure.
+
+    Parameters
+    ----------
+    faces : array_like of int, shape (f, 3)
+        Nodes of each triangle.
+    difference : float
+        Pressure p, Pa.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> pressure = tc.Pressure(tc.shapes.membrane_faces(p=8, q=5), difference=50.0)
+    >>> tc.Scene(tc.shapes.membrane(p=8, q=5), pressure=pressure).pressure.difference
+    50.0
     """
 
     faces: Sequence[Sequence[int]] | Indices
@@ -119,13 +230,30 @@ class Pressure:
         object.__setattr__(self, "difference", number("Pressure.difference", self.difference))
 
     def check(self, nodes: int) -> None:
-        """Raise unless every face refers to one of `nodes` nodes."""
+        """Raise ValueError where a face names a node that is not there.
+
+        Parameters
+        ----------
+        nodes : int
+            Number of nodes.
+        """
         for k, face in enumerate(self.faces):
             for node in face:
                 node_index(f"Pressure.faces[{k}]", node, nodes)
 
     def forces(self, N: Any) -> Any:
-        """W (3×n) of nodes at N."""
+        """Return the forces on nodes.
+
+        Parameters
+        ----------
+        N : casadi expression, shape (3, n)
+            Nodes, m.
+
+        Returns
+        -------
+        casadi expression, shape (3, n)
+            W, N.
+        """
         a, b, c = ([face[k] for face in self.faces] for k in range(3))
         push = self.difference / 6 * _cross(N[:, b] - N[:, a], N[:, c] - N[:, a])  # 3×f
         rows = list(range(len(a)))
@@ -135,10 +263,25 @@ class Pressure:
 
 @dataclass(frozen=True, eq=False)
 class NodalForce:
-    """Forces on nodes, N: `values` (n, 3), a function of time t (s) that returns them, or a table (K, n, 3) at `times` (K,).
+    """Forces on nodes, constant or over time.
 
-    The function is called once with a CasADi symbol, so write it with NumPy's or CasADi's mathematics, without `if` on t.
-    A table is linear between its `times` (increasing, s) and constant before and after them.
+    A function is called once with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time.
+    A table is linear between its times and constant before and after them.
+
+    Parameters
+    ----------
+    values : array_like, shape (n, 3) or (K, n, 3), or callable
+        Forces, N; a function of the time t, s, that returns them; or a table of them at `times`.
+    times : array_like, shape (K,), optional
+        Increasing times of a table, s.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import tenscasadi as tc
+    >>> wind = tc.NodalForce(lambda t: [[0, 0, 0], [np.sin(t), 0, 0]])
+    >>> tc.Scene(tc.shapes.pendulum(), forces=wind).has_clock
+    True
     """
 
     values: Any
@@ -160,7 +303,13 @@ class NodalForce:
         return self.times is not None or callable(self.values)
 
     def check(self, nodes: int) -> None:
-        """Raise unless there is one row of finite numbers for each of `nodes` nodes (at t = 0 for a function)."""
+        """Raise TypeError or ValueError unless there is one row of finite numbers for each node (at t = 0 for a function).
+
+        Parameters
+        ----------
+        nodes : int
+            Number of nodes.
+        """
         if callable(self.values):
             try:
                 sample = self.values(0.0)
@@ -171,7 +320,18 @@ class NodalForce:
             raise ValueError(f"NodalForce.values has {self.values.shape[-2]} rows: give one row for each of the {nodes} nodes")
 
     def forces(self, time: Any) -> Any:
-        """W (3×n) at `time` (a CasADi symbol; unused when the forces are constant)."""
+        """Return the forces at a time.
+
+        Parameters
+        ----------
+        time : casadi expression
+            t, s; not needed where the forces are constant.
+
+        Returns
+        -------
+        casadi expression, shape (3, n)
+            W, N.
+        """
         if self.times is not None:
             return _interpolated(time, self.times, self.values)
         if not callable(self.values):

@@ -16,15 +16,47 @@ from tenscasadi.util.validate import instance
 
 @dataclass(frozen=True)
 class Scene:
-    """What is modelled, and how finely. What is None is not modelled and builds no expression.
+    """A structure, how it is driven, its loads, and how finely its strings are modelled.
 
-    `control`: `ForceDensity()`, `RestLength()`, or None: strings keep the structure's rest lengths and there is no input.
-    `segments`: pieces that each string is modelled by, one number or one per string; `ends`: where the string's mass goes,
-    "interior" (m/(n−1) on inner nodes, the paper's §5; one segment is massless) or "lumped" (m/n inside, m/2n on the ends).
-    `fractions`: the segments' shares of each string, from its first node to its second (they sum to 1); None: equal.
-    `gravity`, `ground`, `pressure`, `forces`: loads; `slack`: `Clip()` (exact) or `Smooth(width)` (for optimisers);
-    `supports`: motion of pinned nodes.
-    Raises TypeError, ValueError.
+    A load that is None builds no expression.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure in its initial nodes.
+    control : ForceDensity or RestLength, optional
+        What the input is; by default strings keep the structure's rest lengths and there is no input.
+    segments : int or sequence of int, shape (α,)
+        Number of pieces that each string is modelled by.
+    ends : {"interior", "lumped"}
+        Where the mass of a string goes, see `Structure.subdivide`.
+    gravity : Gravity, optional
+        Gravity.
+    ground : Ground, optional
+        A plane that nodes may touch.
+    pressure : Pressure, optional
+        Pressure across triangles.
+    forces : NodalForce, optional
+        Forces on nodes.
+    slack : Clip or Smooth
+        Law of a string about its rest length: exact, or smooth for optimisers.
+    supports : SupportMotion, optional
+        Motion of pinned nodes.
+    fractions : sequence of float, shape (segments,), optional
+        Shares of each string's length that its segments have; by default equal.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Where a field is wrong or does not fit the structure, by its name.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> prism = tc.shapes.prism(string_mass=0.1)
+    >>> scene = tc.Scene(prism, control=tc.RestLength(), segments=2, gravity=tc.Gravity())
+    >>> len(scene.structure.strings), len(scene.modelled.strings)
+    (9, 18)
     """
 
     structure: Structure

@@ -13,12 +13,31 @@ from tenscasadi.util.validate import Array, positive_number
 
 @dataclass(frozen=True)
 class ForceDensity:
-    """The control is γ of every parent string, N/m, taken as it is commanded: no stiffness, damping or slack is built."""
+    """Control by force densities: the input is γ of every parent string, N/m.
+
+    γ acts as it is commanded: no stiffness, damping or slack is built.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity())).nu
+    9
+    """
 
 
 @dataclass(frozen=True)
 class RestLength:
-    """The control is the rest length ρ of every parent string, m (> 0); the string law turns it into γ."""
+    """Control by rest lengths: the input is ρ of every parent string, m, greater than 0.
+
+    The string law (`Clip` or `Smooth`) turns it into a force density.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.RestLength()))
+    >>> bool((model.initial_control == model.structure.rest_length).all())
+    True
+    """
 
 
 Control = ForceDensity | RestLength
@@ -26,15 +45,38 @@ Control = ForceDensity | RestLength
 
 @dataclass(frozen=True)
 class Clip:
-    """Slack as it is: γ is exactly 0 unless the string is longer than its rest length and its tension positive (Eq. 99)."""
+    """Slack as it is: a string pulls only while it is longer than its rest length and its tension is positive (Eq. 99).
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> gamma = tc.Clip().force_density(squared=4.0, rest=1.0, stiffness=10.0, rate=None, unit=1.0)
+    >>> round(float(gamma), 6)
+    5.0
+    """
 
     def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
-        """γ of strings from s² (`squared`), ρ, k and c sᵀṡ (`rate`, None when undamped); any matching shape (Eq. 99).
+        """Return the force densities of strings, γ = k (s − ρ)/s + c sᵀṡ/s² where they are taut (Eq. 99).
 
-        `taut` 1 or 0: strings held to pull, or not to, whatever their length: those too short push; None: as they are.
+        Parameters
+        ----------
+        squared : casadi expression
+            Squared lengths s², m².
+        rest : casadi expression
+            Rest lengths ρ, m.
+        stiffness : casadi expression
+            Stiffness k, N/m.
+        rate : casadi expression or None
+            c sᵀṡ of each string, N·m; None when none is damped.
+        unit : casadi expression
+            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to have finite derivatives.
+        taut : casadi expression, optional
+            1 or 0 where strings are held to pull, or not to, whatever their length; by default as they are.
 
-        `unit` is a typical length, constant: s² is raised by (1e-9 unit)², below rounding for any taut string, so that a string of
-        no length has finite derivatives.
+        Returns
+        -------
+        casadi expression
+            γ, N/m, in the shape of the arguments.
         """
         safe = squared + (1e-9 * unit) ** 2
         length = ca.sqrt(safe)
@@ -45,17 +87,46 @@ class Clip:
         return gamma * taut  # a product: the shortest code, and finite in all derivatives
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
-        """Elastic energy ½ k (s − ρ)² of taut strings, J."""
+        """Return the elastic energy of strings, ½ k (s − ρ)² where they are taut.
+
+        Parameters
+        ----------
+        squared : casadi expression
+            Squared lengths s², m².
+        rest : casadi expression
+            Rest lengths ρ, m.
+        stiffness : casadi expression
+            Stiffness k, N/m.
+        unit : casadi expression
+            Not needed here.
+
+        Returns
+        -------
+        casadi expression
+            Energy of each string, J.
+        """
         stretch = ca.sqrt(ca.fmax(squared, rest * rest)) - rest
         return stiffness * stretch * stretch / 2
 
 
 @dataclass(frozen=True)
 class Smooth:
-    """Slack as a smooth maximum, for optimisers: tension t = (t′ + √(t′² + (k w)²))/2, with t′ the unclipped tension.
+    """Slack as a smooth maximum, for optimisers: t = (t′ + √(t′² + (k w)²))/2 with the unclipped tension t′.
 
-    `width` w, m: tension is wrong by at most k w/2, at the rest length, and by k w²/(4 |s − ρ|) far from it.
-    Damping fades over the same width.
+    The tension is wrong by at most k w/2, at the rest length, and by k w²/(4 |s − ρ|) far from it. Damping fades over the same
+    width.
+
+    Parameters
+    ----------
+    width : float
+        w, m, over which the corner at the rest length is rounded.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> gamma = tc.Smooth(0.01).force_density(squared=1.0, rest=1.0, stiffness=10.0, rate=None, unit=1.0)
+    >>> round(float(gamma), 6)
+    0.05
     """
 
     width: float
@@ -64,7 +135,28 @@ class Smooth:
         object.__setattr__(self, "width", positive_number("Smooth.width", self.width))
 
     def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
-        """γ of strings; arguments as for `Clip.force_density`, but for `taut`: here strings are both."""
+        """Return the force densities of strings, t/s with the smooth tension t.
+
+        Parameters
+        ----------
+        squared : casadi expression
+            Squared lengths s², m².
+        rest : casadi expression
+            Rest lengths ρ, m.
+        stiffness : casadi expression
+            Stiffness k, N/m.
+        rate : casadi expression or None
+            c sᵀṡ of each string, N·m; None when none is damped.
+        unit : casadi expression
+            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to have finite derivatives.
+        taut : None
+            Not needed here: strings are both.
+
+        Returns
+        -------
+        casadi expression
+            γ, N/m, in the shape of the arguments.
+        """
         length = self._length(squared, unit)
         stretch = length - rest
         tension = stiffness * stretch
@@ -74,7 +166,24 @@ class Smooth:
         return (tension + ca.sqrt(tension * tension + (stiffness * self.width) ** 2)) / (2 * length)
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
-        """Elastic energy, J: the integral of the undamped tension over the stretch, 0 at the rest length as w → 0."""
+        """Return the elastic energy of strings: the integral of the undamped tension over the stretch.
+
+        Parameters
+        ----------
+        squared : casadi expression
+            Squared lengths s², m².
+        rest : casadi expression
+            Rest lengths ρ, m.
+        stiffness : casadi expression
+            Stiffness k, N/m.
+        unit : casadi expression
+            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to have finite derivatives.
+
+        Returns
+        -------
+        casadi expression
+            Energy of each string, J, 0 at the rest length as w → 0.
+        """
         e = self._length(squared, unit) - rest
         w = self.width
         return stiffness * (e * e + e * ca.sqrt(e * e + w * w) + w * w * ca.asinh(e / w)) / 4
@@ -87,9 +196,21 @@ Slack = Clip | Smooth
 
 
 def rest_length(force_density: Array, length: Array, stiffness: Array) -> Array:
-    """ρ = s (1 − γ/k), m: the rest lengths at which strings of these lengths (m) and stiffness (N/m) carry γ (N/m) (Eq. 99).
+    """Return the rest lengths ρ = s (1 − γ/k) at which strings carry force densities (Eq. 99).
 
-    Not positive where γ ≥ k: no rest length reaches that force density. Where k = 0: NaN, unless γ = 0.
+    Parameters
+    ----------
+    force_density : ndarray
+        γ, N/m.
+    length : ndarray
+        s, m.
+    stiffness : ndarray
+        k, N/m.
+
+    Returns
+    -------
+    ndarray
+        ρ, m: not positive where γ ≥ k, as no rest length reaches that, and NaN where k = 0, unless γ = 0.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(force_density == 0, length, length * (1 - force_density / stiffness))

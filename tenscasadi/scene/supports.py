@@ -16,10 +16,23 @@ from tenscasadi.util.validate import finite_array, node_index
 
 @dataclass(frozen=True, eq=False)
 class SupportMotion:
-    """Positions of pinned nodes as functions of time: {node: t -> (x, y, z)}, m and s.
+    """Motion of pinned nodes, such as a shaking base or a driven hinge.
 
-    Each function is called with a CasADi symbol, so write it with NumPy's or CasADi's mathematics, without `if` on t; velocity
-    and acceleration are its exact derivatives. At t = 0 it must be where the structure has the node.
+    Each function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time.
+    Velocity and acceleration are its exact derivatives.
+
+    Parameters
+    ----------
+    positions : mapping of int to callable
+        For each moved node a function of the time, s, that returns (x, y, z), m; at t = 0 where the structure has the node.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import tenscasadi as tc
+    >>> shaken = tc.SupportMotion({0: lambda t: (0.1 * np.sin(5 * t), 0, 0)})
+    >>> tc.Scene(tc.shapes.pendulum(), supports=shaken).has_clock
+    True
     """
 
     positions: Mapping[int, Callable[[Any], Any]]
@@ -38,7 +51,13 @@ class SupportMotion:
         return list(self.positions)
 
     def check(self, structure: Structure) -> None:
-        """Raise unless every node is pinned along all axes and starts where the structure has it."""
+        """Raise TypeError or ValueError unless every node is pinned along all axes and starts where the structure has it.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure whose nodes are moved.
+        """
         start = self.rates()(0.0)[0].full().T
         size = float(np.ptp(structure.nodes, axis=0).max(initial=0.0))
         for node, place in zip(self.nodes, start, strict=True):
@@ -51,7 +70,13 @@ class SupportMotion:
                 raise ValueError(f"{name}(0.0) is {place}: the structure has node {node} at {structure.nodes[node]}, start there")
 
     def rates(self) -> ca.Function:
-        """(t) → positions, velocities and accelerations (3×k) of `nodes`."""
+        """Return positions, velocities and accelerations of the moved nodes.
+
+        Returns
+        -------
+        casadi.Function
+            t (s) → position (m), velocity (m/s), acceleration (m/s²), each (3, k) in the order of `nodes`.
+        """
         t = ca.SX.sym("t")
         columns = []
         for node, function in self.positions.items():

@@ -55,7 +55,8 @@ class ClassOne(NamedTuple):
     >>> split.physical.tolist()
     [0, 1, 1, 2]
     >>> split.P.T.tolist()
-    [[0.0, 1.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0]]"""
+    [[0.0, 1.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0]]
+    """
 
     N: Array
     C_b: Matrix

@@ -17,10 +17,10 @@ def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> S
 
     ::
 
-            0 ●────> x
-               ╲
-                ╲
-                 1
+        0 ●────> x
+           ╲
+            ╲
+             1
 
     Parameters
     ----------
@@ -40,7 +40,8 @@ def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> S
     --------
     >>> import tenscasadi as tc
     >>> tc.shapes.pendulum(2.0, angle=0.0).nodes.round(6).tolist()
-    [[0.0, 0.0, 0.0], [0.0, 0.0, -2.0]]"""
+    [[0.0, 0.0, 0.0], [0.0, 0.0, -2.0]]
+    """
     length = positive_number("length", length)
     angle = number("angle", angle)
     return Structure(np.array([np.zeros(3), _hanging(length, angle)]), bars=[(0, 1)], **{"pinned": (0,), **options})
@@ -51,11 +52,11 @@ def double_pendulum(lengths: ArrayLike = (1.0, 1.0), angles: ArrayLike = (np.pi 
 
     ::
 
-            0 ●────> x
-               ╲
-                1
-                 ╲
-                  2
+        0 ●────> x
+           ╲
+            1
+             ╲
+              2
 
     Parameters
     ----------
@@ -75,7 +76,8 @@ def double_pendulum(lengths: ArrayLike = (1.0, 1.0), angles: ArrayLike = (np.pi 
     --------
     >>> import tenscasadi as tc
     >>> tc.shapes.double_pendulum(angles=(0.0, 0.0)).nodes[:, 2].tolist()
-    [0.0, -1.0, -2.0]"""
+    [0.0, -1.0, -2.0]
+    """
     first, second = finite_array("lengths", lengths, (2,))
     upper, lower = finite_array("angles", angles, (2,))
     elbow = _hanging(positive_number("lengths", first), upper)
@@ -90,9 +92,9 @@ def prism(
 
     ::
 
-            top      p ──── p+1 ── …      nodes p … 2p−1, at z = height, node p+i above node i, turned by twist − 2π/p
-                     │ ╲  ╱ │
-            bottom   0 ──── 1 ──── …      nodes 0 … p−1, at z = 0, node i at (radius, 2π i/p) in polar coordinates
+        top      p ──── p+1 ── …      nodes p … 2p−1, at z = height, node p+i above node i, turned by twist − 2π/p
+                 │ ╲  ╱ │
+        bottom   0 ──── 1 ──── …      nodes 0 … p−1, at z = 0, node i at (radius, 2π i/p) in polar coordinates
 
     Bars: i → p+(i+1 mod p). Strings: bottom polygon i → i+1, top polygon, vertical i → p+i, p of each.
 
@@ -128,7 +130,8 @@ def prism(
     >>> prism = tc.shapes.prism(prestress=10.0)
     >>> gamma = prism.stiffness * (1 - prism.rest_length / prism.string_lengths)
     >>> gamma.round(3).tolist()
-    [10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 17.321, 17.321, 17.321]"""
+    [10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 17.321, 17.321, 17.321]
+    """
     p = whole_number("bars", bars, 3)
     radius, height = positive_number("radius", radius), positive_number("height", height)
     balanced = np.pi / 2 + np.pi / p
@@ -149,11 +152,11 @@ def d_bar(bar_length: float = 1.0, angle: float = np.pi / 4, prestress: float | 
 
     ::
 
-                   3
-                 ╱ │ ╲
-                0 ─┼─ 2      y ↑
-                 ╲ │ ╱         └→ x
-                   1
+               3
+             ╱ │ ╲
+            0 ─┼─ 2      y ↑
+             ╲ │ ╱         └→ x
+               1
 
     Bars: (0, 1), (1, 2), (2, 3), (3, 0). Strings: (0, 2), (1, 3). Equal force densities are in equilibrium. Nothing is pinned
     unless `pinned` says so: the paper pins node 0 (Sect. 7.2).
@@ -179,7 +182,8 @@ def d_bar(bar_length: float = 1.0, angle: float = np.pi / 4, prestress: float | 
     --------
     >>> import tenscasadi as tc
     >>> tc.shapes.d_bar().string_lengths.round(6).tolist()
-    [1.414214, 1.414214]"""
+    [1.414214, 1.414214]
+    """
     length, angle = positive_number("bar_length", bar_length), positive_number("angle", angle)
     if angle >= np.pi / 2:
         raise ValueError(f"angle is {angle:g}: it must be less than π/2, where the diamond folds")
@@ -194,11 +198,11 @@ def t_bar(length: float = 1.0, width: float = 0.5, prestress: float | None = Non
 
     ::
 
-                   3
-                 ╱ ┃ ╲
-                0 ━4━ 2      y ↑
-                 ╲ ┃ ╱         └→ x
-                   1
+               3
+             ╱ ┃ ╲
+            0 ━4━ 2      y ↑
+             ╲ ┃ ╱         └→ x
+               1
 
     Bars: (4, 0), (4, 1), (4, 2), (4, 3). Strings: (0, 1), (1, 2), (2, 3), (3, 0). Equal force densities are in equilibrium.
 
@@ -223,7 +227,8 @@ def t_bar(length: float = 1.0, width: float = 0.5, prestress: float | None = Non
     --------
     >>> import tenscasadi as tc
     >>> tc.shapes.t_bar().bar_lengths.tolist()
-    [0.5, 0.25, 0.5, 0.25]"""
+    [0.5, 0.25, 0.5, 0.25]
+    """
     x, y = 0.5 * positive_number("length", length), 0.5 * positive_number("width", width)
     nodes = [(-x, 0, 0), (0, -y, 0), (x, 0, 0), (0, y, 0), (0, 0, 0)]
     structure = Structure(nodes, [(4, 0), (4, 1), (4, 2), (4, 3)], [(0, 1), (1, 2), (2, 3), (3, 0)], **options)
@@ -235,13 +240,13 @@ def six_bar_ball(bar_length: float = 1.0, prestress: float | None = None, **opti
 
     ::
 
-            bar   nodes     along   at                   seen along x, towards −x:
-             0    0 →  1    x       z = −l/4
-             1    2 →  3    x       z = +l/4                    9     11
-             2    4 →  5    y       x = −l/4                    │ 2,3 │         z ↑
-             3    6 →  7    y       x = +l/4             4,6 ───┼─────┼─── 5,7    └→ y
-             4    8 →  9    z       y = −l/4                    │ 0,1 │
-             5   10 → 11    z       y = +l/4                    8     10
+        bar   nodes     along   at                   seen along x, towards −x:
+         0    0 →  1    x       z = −l/4
+         1    2 →  3    x       z = +l/4                    9     11
+         2    4 →  5    y       x = −l/4                    │ 2,3 │         z ↑
+         3    6 →  7    y       x = +l/4             4,6 ───┼─────┼─── 5,7    └→ y
+         4    8 →  9    z       y = −l/4                    │ 0,1 │
+         5   10 → 11    z       y = +l/4                    8     10
 
     Each bar of length l runs from −l/2 to +l/2 along its axis; the two bars of a pair lie half a bar length apart. Strings join
     all pairs of nodes that lie √6/4 l = 0.612 l apart, in lexical order: each node has four. Equal force densities are in
@@ -267,7 +272,8 @@ def six_bar_ball(bar_length: float = 1.0, prestress: float | None = None, **opti
     >>> import tenscasadi as tc
     >>> ball = tc.shapes.six_bar_ball()
     >>> len(ball.bars), len(ball.strings), round(float(ball.string_lengths[0]), 3)
-    (6, 24, 0.612)"""
+    (6, 24, 0.612)
+    """
     length = positive_number("bar_length", bar_length)
     shape = np.array([(end * 2, 0, side) for side in (-1, 1) for end in (-1, 1)])  # bars along x, in quarters of a bar
     quarters = np.concatenate([np.roll(shape, axis, axis=1) for axis in range(3)])
@@ -281,9 +287,9 @@ def membrane(p: int = 8, q: int = 5, radius: float = 1.0, length: float = 2.0, n
 
     ::
 
-            ring 1    p ────── p+1 ───── …      node j p + i is on ring j, at the angle (2 i + j) π/p;
-                     ╱  ╲     ╱  ╲     ╱        rings run from z = −length/2 to +length/2
-            ring 0  0 ────── 1 ────── 2 …
+        ring 1    p ────── p+1 ───── …      node j p + i is on ring j, at the angle (2 i + j) π/p;
+                 ╱  ╲     ╱  ╲     ╱        rings run from z = −length/2 to +length/2
+        ring 0  0 ────── 1 ────── 2 …
 
     Strings: the rings, ring by ring (q p); then for each node of ring j its two to ring j+1, to nodes (j+1) p + i and
     (j+1) p + i−1 (2 p (q−1)).
@@ -313,7 +319,8 @@ def membrane(p: int = 8, q: int = 5, radius: float = 1.0, length: float = 2.0, n
     >>> import tenscasadi as tc
     >>> net = tc.shapes.membrane(p=4, q=3)
     >>> len(net.nodes), len(net.strings)
-    (12, 28)"""
+    (12, 28)
+    """
     p, q = whole_number("p", p, 3), whole_number("q", q, 2)
     radius, length = positive_number("radius", radius), positive_number("length", length)
     nodes = np.concatenate([_ring(p, radius, j * np.pi / p, length * (j / (q - 1) - 0.5)) for j in range(q)])
@@ -342,7 +349,8 @@ def membrane_faces(p: int = 8, q: int = 5) -> Indices:
     --------
     >>> import tenscasadi as tc
     >>> tc.shapes.membrane_faces(p=3, q=2).tolist()
-    [[0, 1, 3], [1, 2, 4], [2, 0, 5], [0, 3, 5], [1, 4, 3], [2, 5, 4]]"""
+    [[0, 1, 3], [1, 2, 4], [2, 0, 5], [0, 3, 5], [1, 4, 3], [2, 5, 4]]
+    """
     p, q = whole_number("p", p, 3), whole_number("q", q, 2)
     ring, before, after = _membrane_neighbours(p, q)
     lower, upper = slice(0, p * (q - 1)), slice(p, p * q)

@@ -354,7 +354,7 @@ class Structure:
         return self
 
     def _refuse_massless_nodes(self) -> None:
-        """A node of no bar needs a mass, or M is singular."""
+        """Refuse a node of no bar and no mass, where M would be singular."""
         heavy = (self.node_mass > SMALLEST) | self.fixed.all(axis=1)
         heavy[self.bars] = True
         heavy[self.strings[self.string_mass > SMALLEST]] = True

@@ -11,7 +11,7 @@ from tenscasadi.util.validate import Array, Indices, finite_array, nonnegative, 
 
 
 def cut_strings(nodes: Array, strings: Indices, string_mass: Array, shares: list[Array], lumped: bool) -> tuple[Array, Indices, Array]:
-    """All nodes (m, 3), the segments' pairs of nodes, and the strings' mass (m,) on nodes; `shares` of each string's length."""
+    """Return all nodes (m, 3), the segments' pairs of nodes, and the strings' mass (m,) on nodes; `shares` of each string's length."""
     places, pairs, masses = [nodes], [np.zeros((0, 2), dtype=np.intp)], [np.zeros(len(nodes))]
     new = len(nodes)
     for (a, b), share, m in zip(strings, shares, string_mass, strict=True):
@@ -30,7 +30,7 @@ def cut_strings(nodes: Array, strings: Indices, string_mass: Array, shares: list
 
 
 def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> list[int]:
-    """The number of segments of each string, as `Structure.subdivide` is given it. Raises TypeError, ValueError."""
+    """Return the number of segments of each string, as `Structure.subdivide` is given it. Raises TypeError, ValueError."""
     if not isinstance(segments, (Sequence, np.ndarray)):
         return [whole_number("segments", segments, 1)] * strings
     counts = list(segments)
@@ -40,7 +40,7 @@ def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> lis
 
 
 def segment_shares(count: int, fractions: ArrayLike | None) -> Array:
-    """The share of each of `count` segments, equal unless `fractions` are given. Raises TypeError, ValueError."""
+    """Return the share of each of `count` segments, equal unless `fractions` are given. Raises TypeError, ValueError."""
     if fractions is None:
         return np.full(count, 1.0 / count)
     shares = nonnegative("fractions", finite_array("fractions", fractions, (count,)), "segment", strict=True)

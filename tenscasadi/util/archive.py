@@ -26,19 +26,19 @@ class Fields(dict[str, Any]):
         raise ValueError(f"it has no field {name!r}")
 
     def array(self, name: str, kinds: str, dimensions: int | None = None) -> Any:
-        """The array of this name, whose values are of one of these kinds, in NumPy's letters. Raises ValueError."""
+        """Return the array of this name, whose values are of one of these kinds, in NumPy's letters. Raises ValueError."""
         value = self[name]
         if value.dtype.kind not in kinds or (dimensions is not None and value.ndim != dimensions):
             raise ValueError(f"field {name!r} holds values of type {value.dtype}, shape {value.shape}")
         return value
 
     def within(self, prefix: str) -> Fields:
-        """The fields whose names begin with `prefix`, without it."""
+        """Return the fields whose names begin with `prefix`, without it."""
         return Fields({name.removeprefix(prefix): value for name, value in self.items() if name.startswith(prefix)})
 
 
 def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) -> Path:
-    """Writes arrays by name, and `form` as the field "format", to exactly `path`, compressed, and returns it.
+    """Write arrays by name, and `form` as the field "format", to exactly `path`, compressed, and return it.
 
     A file that was there stays as it is until the new one is complete. Raises OSError when it cannot be written.
     """
@@ -59,7 +59,7 @@ def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) ->
 
 
 def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fields], T], names: Container[str] | None = None) -> T:
-    """`build` of the arrays, by name, of a file that `save` wrote in this form; `names`: only these are opened.
+    """Return `build` of the arrays, by name, of a file that `save` wrote in this form; `names`: only these are opened.
 
     No code in the file is ever run. Raises FileNotFoundError, and ValueError naming the file, the `kind` of thing that it is not, and why;
     `build` says so with a ValueError, and all else that it raises passes.

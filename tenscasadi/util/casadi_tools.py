@@ -16,7 +16,7 @@ REFINEMENTS = 2
 
 
 def solve_semidefinite(A: Any, b: Any) -> Any:
-    """x with A x = b for a symmetric positive semidefinite A, also where rows repeat each other (then b must be consistent).
+    """Solve A x = b for x with a symmetric positive semidefinite A, also where rows repeat each other (then b must be consistent).
 
     The diagonal is scaled to one, the factored matrix is A + εI, and two refinements take ε out of all but the null space.
     """
@@ -34,7 +34,7 @@ def solve_semidefinite(A: Any, b: Any) -> Any:
 
 
 def call_as_sx(large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
-    """`function` of the arguments; MX arguments of a structure that is not large go through an SX Function: scalar code, called once."""
+    """Return `function` of the arguments, unless `large` as one call of an SX Function where these are MX: scalar code is shorter."""
     if large or not any(isinstance(argument, ca.MX) for argument in arguments):
         return function(*arguments)
     inputs = [ca.MX(argument) for argument in arguments]
@@ -43,7 +43,7 @@ def call_as_sx(large: bool, function: Callable[..., tuple[Any, ...]], *arguments
 
 
 def sparse(matrix: Any) -> ca.DM:
-    """A SciPy sparse matrix as a CasADi one."""
+    """Return a matrix of SciPy or NumPy as a sparse one of CasADi."""
     csc = sp.csc_array(matrix)
     csc.sort_indices()
     rows, columns = csc.shape
@@ -51,12 +51,12 @@ def sparse(matrix: Any) -> ca.DM:
 
 
 def constant_row(values: Any) -> ca.DM:
-    """Constants (k,) as 1×k, or as 1×1 where all are the same: that is shorter code, and less memory to read."""
+    """Return constants (k,) as 1×k, or as 1×1 where all are the same: that is shorter code, and less memory to read."""
     return ca.DM(values[0]) if len(values) and np.ptp(values) == 0 else ca.DM(values).T
 
 
 def weighted_product(Z: Any, weights: Any, C: Any) -> Any:
-    """Z ŵ C (3×n) of columns Z (3×k), their weights (1×k) and a constant matrix C (k×n)."""
+    """Compute Z ŵ C (3×n) of columns Z (3×k), their weights (1×k) and a constant matrix C (k×n)."""
     constant = sparse(C)
     if not isinstance(Z, ca.MX):
         return ca.mtimes(Z * ca.repmat(weights, 3, 1), constant)
@@ -65,7 +65,7 @@ def weighted_product(Z: Any, weights: Any, C: Any) -> Any:
 
 
 def matrix_with_pattern(sparsity: ca.Sparsity, values: Any) -> Any:
-    """A matrix of this sparsity with these values (nnz), of their CasADi type."""
+    """Return a matrix of this sparsity with these values (nnz), of their CasADi type."""
     values = ca.densify(values)
     return ca.SX(sparsity, values) if isinstance(values, ca.SX) else ca.MX(sparsity, values) if isinstance(values, ca.MX) else ca.DM(sparsity, values)
 
@@ -91,7 +91,7 @@ def hermite_cubic(left: Any, left_slope: Any, right: Any, right_slope: Any, leng
 
 
 def drop_rounding(matrix: Any) -> sp.csr_array:
-    """The matrix without entries that are zero but for rounding."""
+    """Return the matrix without entries that are zero but for rounding."""
     result = sp.csr_array(matrix)
     if result.nnz:
         result.data[abs(result.data) < 1e-14 * abs(result.data).max()] = 0
@@ -100,13 +100,13 @@ def drop_rounding(matrix: Any) -> sp.csr_array:
 
 
 def is_diagonal(matrix: sp.csr_array) -> bool:
-    """Whether nothing is stored off the diagonal."""
+    """Say whether nothing is stored off the diagonal."""
     coo = sp.coo_array(matrix)
     return bool(np.all(coo.row == coo.col))
 
 
 def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
-    """The inverse of M on the free coordinates, embedded in n×n with zeros elsewhere; block by block, since bars rarely all hang together."""
+    """Invert M (n×n) on the free coordinates, block by block, as bars rarely all hang together; zeros elsewhere."""
     n = M.shape[0]
     index = np.flatnonzero(free)
     inner = sp.csr_array(M)[index][:, index]
@@ -126,7 +126,10 @@ def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
 
 
 class ArrayFunction:
-    """A Function with dense outputs: arrays in, whose memory holds each input column by column, and an array (columns, rows) for each output out."""
+    """A Function with dense outputs on NumPy arrays in place: copies through CasADi's matrices cost several times what small functions take.
+
+    Arrays go in whose memory holds each input column by column, and an array (columns, rows) comes out for each output.
+    """
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer: Any
@@ -134,7 +137,7 @@ class ArrayFunction:
         self._shapes = [(function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())]
 
     def __call__(self, *inputs: Array) -> list[Array]:
-        """The outputs."""
+        """Evaluate the Function and return its outputs."""
         arrays = [np.ascontiguousarray(value, dtype=float) for value in inputs]
         results = [np.empty(shape) for shape in self._shapes]
         for k, array in enumerate(arrays):

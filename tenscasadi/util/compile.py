@@ -55,7 +55,8 @@ class Single:
     --------
     >>> import tenscasadi as tc
     >>> tc.Single()
-    Single()"""
+    Single()
+    """
 
 
 Compiled = bool | Single | None  # how to run: True, as machine code; False, in CasADi's virtual machine; None, as there is a compiler
@@ -68,7 +69,8 @@ class CompileError(RuntimeError):
 def find_compiler() -> tuple[str, ...] | None:
     """Return the C compiler as a command, None when there is none.
 
-    It is what the environment variable CC names if that can be run, else cc, gcc or clang."""
+    It is what the environment variable CC names if that can be run, else cc, gcc or clang.
+    """
     try:
         named = shlex.split(os.environ.get("CC", ""), posix=os.name != "nt")
     except ValueError:  # unbalanced quotes
@@ -106,7 +108,8 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None, 
     TypeError
         For anything but a casadi.Function and strings.
     CompileError
-        Where compilation fails, with the compiler's words."""
+        Where compilation fails, with the compiler's words.
+    """
     instance("function", function, ca.Function, "a casadi.Function")
     if flags is not None and (isinstance(flags, str) or not all(isinstance(flag, str) for flag in flags)):
         raise TypeError(f'flags is {flags!r}: give a sequence of strings, such as ("-O2",), or None')
@@ -145,7 +148,8 @@ def cache_folder() -> Path:
 
     It is $TENSCASADI_CACHE, else a folder `tenscasadi` in $XDG_CACHE_HOME or ~/.cache (Linux), ~/Library/Caches (macOS),
     %LOCALAPPDATA% (Windows). Libraries are code that will be run: where that folder belongs to another user, can be written by
-    others, or cannot be made, this is a private temporary folder that lasts as long as the process."""
+    others, or cannot be made, this is a private temporary folder that lasts as long as the process.
+    """
     try:
         folder = _preferred_folder()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -160,7 +164,7 @@ def cache_folder() -> Path:
 
 
 def _trim(folder: Path) -> None:
-    """Removes libraries of this module, least recently used first, down to `_LIMIT`, and what compilations that were killed left behind."""
+    """Remove libraries of this module, least recently used first, down to `_LIMIT`, and what compilations that were killed left behind."""
     now, found = time.time(), []
     for path in folder.iterdir():
         with contextlib.suppress(OSError):  # another process has removed it
@@ -236,7 +240,7 @@ def _run(command: list[str]) -> str:
 
 
 def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, library: Path) -> None:
-    """Compiles in a folder of its own, then moves the library into place in one operation: no process ever sees half a file."""
+    """Compile in a folder of its own, then move the library into place in one operation: no process ever sees half a file."""
     try:
         with tempfile.TemporaryDirectory(prefix=_BUILD, dir=library.parent) as folder:
             code, result = Path(folder) / "code.c", Path(folder) / library.name
@@ -254,14 +258,14 @@ def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, library
 
 
 def _c_code(function: ca.Function, single: bool = False) -> str:
-    """`function` in C, for `casadi.external`; `single`: with float inside. Raises RuntimeError where CasADi cannot write C."""
+    """Write `function` in C, for `casadi.external`; `single`: with float inside. Raises RuntimeError where CasADi cannot write C."""
     generator = ca.CodeGenerator(function.name() + ".c", {"casadi_real": "float"} if single else {})
     generator.add(function)
     return _behind_double(function, generator.dump()) if single else generator.dump()
 
 
 def _behind_double(function: ca.Function, source: str) -> str:
-    """The source under other names, then functions of the right names that round arguments to float and give results back as double."""
+    """Put the source under other names, then functions of the right names that round arguments to float and give results back as double."""
     name, inputs, outputs = function.name(), function.n_in(), function.n_out()
     renamed = [f"#define {name}{suffix} {name}_in_float{suffix}" for suffix in _TYPED]
     restored = [f"#undef {name}{suffix}" for suffix in _TYPED]

@@ -19,7 +19,7 @@ SMALLEST = 1e-100  # what must be greater than 0 is at least this: divisions by 
 
 
 def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
-    """`value` as a read-only float array of `shape` (None: any size); columns of CasADi's are vectors. Raises TypeError, ValueError."""
+    """Return `value` as a read-only float array of `shape` (None: any size); columns of CasADi's are vectors. Raises TypeError, ValueError."""
     try:
         source = np.asarray(value)
         if isinstance(value, ca.DM) and value.is_column() and len(shape) == 1:
@@ -42,7 +42,7 @@ def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array
 
 
 def nesting(value: Any) -> int:
-    """How deep `value` is nested: 0 for a number, 1 for a list; 1 also for ragged lists, which array checks then refuse by name."""
+    """Tell how deep `value` is nested: 0 for a number, 1 for a list; 1 also for ragged lists, which array checks then refuse by name."""
     try:
         return np.ndim(value)
     except ValueError:
@@ -50,17 +50,17 @@ def nesting(value: Any) -> int:
 
 
 def number(field: str, value: Any) -> float:
-    """`value` as a finite float. Raises TypeError, ValueError."""
+    """Return `value` as a finite float. Raises TypeError, ValueError."""
     return float(finite_array(field, value, ()))
 
 
 def number_or_vector(field: str, value: Any) -> Array:
-    """`value` as a finite array of shape (), for one number, or (any,). Raises TypeError, ValueError."""
+    """Return `value` as a finite array of shape (), for one number, or (any,). Raises TypeError, ValueError."""
     return finite_array(field, value, (None,) if nesting(value) else ())
 
 
 def coordinates(field: str, place: Any, none: str, some: bool = False, read: Callable[[str, Any], Any] = number) -> tuple[Any, ...]:
-    """`place` (x, y, z) as three of what `read` makes of an entry, or None, which says `none`; `some`: all three None are refused.
+    """Return `place` (x, y, z) as three of what `read` makes of an entry, or None, which says `none`; `some`: all three None are refused.
 
     Raises TypeError, ValueError.
     """
@@ -74,7 +74,7 @@ def coordinates(field: str, place: Any, none: str, some: bool = False, read: Cal
 
 
 def per_item(field: str, value: Any, count: int) -> Array:
-    """`value` broadcast to one number for each of `count` items. Raises TypeError, ValueError."""
+    """Return `value` broadcast to one number for each of `count` items. Raises TypeError, ValueError."""
     if not isinstance(value, Real) and not (isinstance(value, np.ndarray) and value.ndim == 0):
         return finite_array(field, value, (count,))
     array = np.full(count, number(field, value))
@@ -83,7 +83,7 @@ def per_item(field: str, value: Any, count: int) -> Array:
 
 
 def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Array:
-    """`array` unchanged when every entry is ≥ 0 (> 0 when strict); ValueError names the first item that is not."""
+    """Return `array` unchanged when every entry is ≥ 0 (> 0 when strict); ValueError names the first item that is not."""
     bad = np.flatnonzero(array < (SMALLEST if strict else 0.0))
     if bad.size:
         relation = "greater than" if strict else "at least"
@@ -92,7 +92,7 @@ def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Ar
 
 
 def positive_number(field: str, value: Any, zero: bool = False) -> float:
-    """`value` as a finite float > 0 (≥ 0 when `zero`). Raises TypeError, ValueError."""
+    """Return `value` as a finite float > 0 (≥ 0 when `zero`). Raises TypeError, ValueError."""
     found = number(field, value)
     if found < SMALLEST and not (zero and found >= 0.0):
         raise ValueError(f"{field} is {found:g}: it must be {'at least' if zero else 'greater than'} 0")
@@ -100,7 +100,7 @@ def positive_number(field: str, value: Any, zero: bool = False) -> float:
 
 
 def whole_number(field: str, value: Any, minimum: int) -> int:
-    """`value` as an int ≥ `minimum`; booleans and fractions are refused. Raises TypeError, ValueError."""
+    """Return `value` as an int ≥ `minimum`; booleans and fractions are refused. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{field} is {value!r}: give a whole number")
     if value < minimum:
@@ -109,7 +109,7 @@ def whole_number(field: str, value: Any, minimum: int) -> int:
 
 
 def node_index(field: str, value: Any, count: int) -> int:
-    """`value` as an index of one of `count` nodes, zero-based. Raises TypeError, ValueError."""
+    """Return `value` as an index of one of `count` nodes, zero-based. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{field} is {value!r}: give a node index, a whole number")
     if not 0 <= value < count:
@@ -118,7 +118,7 @@ def node_index(field: str, value: Any, count: int) -> int:
 
 
 def node_pairs(field: str, value: Iterable[Sequence[int]], count: int, item: str) -> Indices:
-    """Members as an (items, 2) index array: in range, no member from a node to itself, none given twice."""
+    """Return members as an (items, 2) index array: in range, no member from a node to itself, none given twice."""
     try:
         rows = [tuple(row) for row in value]
     except TypeError:
@@ -141,13 +141,13 @@ def node_pairs(field: str, value: Iterable[Sequence[int]], count: int, item: str
 
 
 def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> None:
-    """TypeError unless `value` is one of `kinds`; `example` shows a right one."""
+    """Raise TypeError unless `value` is one of `kinds`; `example` shows a right one."""
     if not isinstance(value, kinds):
         raise TypeError(f"{field} is {value!r}: give {example}")
 
 
 def call_user_function(field: str, function: Callable[[Any], Any], argument: Any, hint: str) -> Any:
-    """function(argument) of a user's function; whatever it raises becomes a ValueError that names the field and ends with a hint."""
+    """Return function(argument) of a user's function; whatever it raises becomes a ValueError that names the field and ends with a hint."""
     try:
         return function(argument)
     except Exception as error:
