@@ -150,7 +150,7 @@ def test_a_tradeoff_that_serves_nobody_is_told_and_kept(tmp_path, capsys):
 @pytest.mark.parametrize("rows", [0, 3])
 def test_ctrl_c_in_a_tradeoff_keeps_what_there_is(rows, tmp_path, capsys, monkeypatch):
     module = importlib.import_module("tenscasadi.analysis.tradeoff")
-    original, cases = module._rows, []
+    original, cases = module._measure_rows, []
 
     def some(case, name, lengths, reference, repeats):
         for row in original(case, name, lengths, reference, repeats):
@@ -159,7 +159,7 @@ def test_ctrl_c_in_a_tradeoff_keeps_what_there_is(rows, tmp_path, capsys, monkey
             cases.append(row)
             yield row
 
-    monkeypatch.setattr(module, "_rows", some)
+    monkeypatch.setattr(module, "_measure_rows", some)
     options = ["--t-end", 0.1, "--steps", 0.02, 0.01, "--tolerance", 1e-3, "--uncompiled"]
     assert run("tradeoff", "prism", *options, "--output", tmp_path) == 130
     out = capsys.readouterr().out
