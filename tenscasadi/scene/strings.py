@@ -80,7 +80,7 @@ class Clip:
         """
         safe = squared + (1e-9 * unit) ** 2
         length = ca.sqrt(safe)
-        strain = (length - rest) / length
+        strain = (length - rest) / length if taut is None else 1 - rest / length  # whose derivatives are shorter
         gamma = stiffness * strain if rate is None else stiffness * strain + rate / safe
         if taut is None:
             taut = strain > 0 if rate is None else (strain > 0) * (gamma > 0)

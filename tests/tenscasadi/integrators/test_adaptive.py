@@ -13,12 +13,11 @@ from references import solve_certified
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators import adaptive
-from tenscasadi.integrators.events import held_ode, switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, EmbeddedRungeKutta
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
 from tenscasadi.scene.loads import Gravity, Ground, NodalForce
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity, RestLength, Smooth
+from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure import shapes
@@ -97,30 +96,6 @@ def test_one_compiled_function_serves_all_tolerances(monkeypatch: pytest.MonkeyP
 
 
 # --- events ---
-
-
-def test_between_events_the_motion_is_that_of_the_ode() -> None:
-    ball = shapes.six_bar_ball(prestress=10.0, damping=2.0)
-    scene = Scene(ball, gravity=Gravity(), control=RestLength(), ground=Ground(damping=5.0, friction=0.4, height=-0.2))
-    rng = np.random.default_rng(1)
-    for coordinates in ("reduced", "full"):
-        model = Model(scene, coordinates)  # type: ignore[arg-type]
-        gap, held = switching(model), held_ode(model)
-        assert gap is not None
-        seen = set()
-        for _ in range(10):
-            x, u = model.initial_state + 0.2 * rng.normal(size=model.nx), model.initial_control
-            mode = (gap(x, u) > 0).full().ravel()
-            seen.update(mode.tolist())
-            assert held(x, np.concatenate([u, mode])).full() == pytest.approx(model.ode(x, u).full(), rel=1e-9, abs=1e-9)
-        assert seen == {0.0, 1.0}
-
-
-def test_scenes_without_events_have_no_switching_function() -> None:
-    prism = shapes.prism(prestress=10.0)
-    for scene in (Scene(prism, control=ForceDensity()), Scene(prism, slack=Smooth(1e-3)), Scene(shapes.pendulum(), gravity=Gravity())):
-        assert switching(Model(scene)) is None
-    assert switching(Model(Scene(shapes.pendulum(), ground=Ground()))) is not None
 
 
 def test_events_are_located_even_where_interpolation_is_of_no_help(monkeypatch: pytest.MonkeyPatch) -> None:
