@@ -10,6 +10,13 @@ from tenscasadi.scene.strings import RestLength, Slack, Smooth
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.structure.structure import Structure
 
+PRISM = {
+    "nodes": [(-0.5, 0, 0), (0.5, 0, 0), (0, 0.866, 0), (0, 0.866, 1), (-0.5, 0, 1), (0.5, 0, 1)],
+    "bars": [(0, 3), (1, 4), (2, 5)],
+    "strings": [(1, 2), (2, 0), (0, 1), (5, 3), (3, 4), (4, 5), (1, 5), (2, 3), (0, 4)],
+    "rest_length": 0.7,
+}
+
 
 def every_term(slack: Slack = Smooth(0.01), moved: bool = True) -> Scene:
     """Every term that there is: time, moved supports (unless `moved` is False), pressure, friction, massive strings, rollers."""

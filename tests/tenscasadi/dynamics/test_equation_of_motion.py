@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 import pytest
+from comparison import relative
+from scenes import PRISM
 
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.equation_of_motion import applied_forces, forward_dynamics
@@ -68,9 +70,7 @@ def paper(s: Structure, N: Any, V: Any, gamma: Any = None, constant: bool = Fals
 
 
 def prism() -> Structure:
-    nodes = [(-0.5, 0, 0), (0.5, 0, 0), (0, 0.866, 0), (0, 0.866, 1), (-0.5, 0, 1), (0.5, 0, 1)]
-    strings = [(1, 2), (2, 0), (0, 1), (5, 3), (3, 4), (4, 5), (1, 5), (2, 3), (0, 4)]
-    return Structure(nodes, [(0, 3), (1, 4), (2, 5)], strings, bar_radius=0.1, damping=0.5, rest_length=0.8)
+    return Structure(**{**PRISM, "bar_radius": 0.1, "damping": 0.5})
 
 
 def chain() -> Structure:
@@ -84,10 +84,6 @@ def chain() -> Structure:
 
 def d_bar() -> Structure:
     return Structure([(0, 0, 0), (1, 0.2, 0), (2, 0, 0), (1, -0.8, 0.1)], [(0, 1), (1, 2), (2, 3), (3, 0)], [(0, 2), (1, 3)], pinned=(0,))
-
-
-def relative(ours: Any, theirs: Any) -> float:
-    return float(np.abs(np.asarray(ours) - theirs).max(initial=0.0) / max(np.abs(theirs).max(initial=0.0), 1e-12))
 
 
 def motion_of(model: Model, x: Any, u: Any) -> tuple[Any, ...]:

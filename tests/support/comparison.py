@@ -1,0 +1,22 @@
+"""Comparisons of models: both coordinates, accelerations of physical nodes, relative differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tenscasadi.dynamics.model import Model
+
+BOTH = pytest.mark.parametrize("coordinates", ["reduced", "full"])
+
+
+def accelerations(model: Model, x: np.ndarray, u: np.ndarray | None = None) -> np.ndarray:
+    """N̈ (n, 3) of physical nodes."""
+    _, rate, _ = model.split(model.ode(x, model.initial_control if u is None else u).full().ravel())
+    shifted = np.concatenate([rate, np.zeros(model.nx - model.nq)])
+    return model.nodes(shifted) - model.nodes(np.zeros(model.nx))
+
+
+def relative(ours: np.ndarray, theirs: np.ndarray) -> float:
+    """The largest difference relative to the largest entry (to 1 where everything vanishes)."""
+    return float(abs(ours - theirs).max(initial=0.0) / max(abs(theirs).max(initial=0.0), 1e-12))
