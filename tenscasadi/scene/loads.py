@@ -98,8 +98,8 @@ class Ground:
     --------
     >>> import tenscasadi as tc
     >>> ground = tc.Ground(stiffness=1e3, height=0.5)
-    >>> float(ground.forces([0.0, 0.0, 0.4], [0.0, 0.0, 0.0])[2])
-    100.0
+    >>> round(float(ground.forces([0, 0, 0.25], [0, 0, 0])[2]), 6)
+    250.0
     """
 
     stiffness: float = 1e4
