@@ -1,4 +1,4 @@
-"""What becomes of a plan: finer grids until the replay meets a tolerance, reports of limits, rest lengths, guesses."""
+"""What becomes of a plan: finer grids until the replay meets a tolerance, reports of limits, rest lengths."""
 
 from __future__ import annotations
 
@@ -205,41 +205,3 @@ def test_wound_strings_do_what_force_densities_do(coarse):
         ocp.reachable(fine, -5.0)
     with pytest.raises(ValueError, match="shortest of string 0 is -1: it must be at least 0"):
         ocp.reachable(fine, 500.0, -1.0)
-
-
-# --- guesses ---
-
-
-def guesses():
-    plan = ocp.solve(problem(), ocp.MultipleShooting(10))
-    middle = plan.trajectory.nodes[[0, 5, -1]]
-    return [
-        ocp.InverseDynamics(),
-        ocp.InverseDynamics(middle),
-        ocp.Equilibrium(),
-        ocp.Arrays(plan.trajectory.states, plan.force_density),
-        plan,
-    ]
-
-
-def test_all_guesses_lead_to_the_same_plan():
-    plans = [ocp.solve(problem(), ocp.MultipleShooting(12), guess=guess) for guess in guesses()]
-    assert all(plan.success for plan in plans)
-    assert [plan.objective for plan in plans] == pytest.approx([plans[0].objective] * 5, rel=1e-4)
-
-
-BAD = {
-    "no guess": (lambda: 1.0, TypeError, "guess is 1.0"),
-    "path of one instant": (lambda: ocp.InverseDynamics(np.zeros((1, 6, 3))), ValueError, "InverseDynamics.path has 1"),
-    "path of other nodes": (lambda: ocp.InverseDynamics(np.zeros((3, 5, 3))), ValueError, "InverseDynamics.path"),
-    "states of other size": (lambda: ocp.Arrays(np.zeros((3, 5)), np.zeros((2, 9))), ValueError, "Arrays.states"),
-    "forces of other size": (lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 8))), ValueError, "Arrays.force_density"),
-    "duration zero": (lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 9)), 0.0), ValueError, "Arrays.duration"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_guesses_are_refused_by_name(name):
-    make, error, message = BAD[name]
-    with pytest.raises(error, match=message):
-        ocp.solve(problem(), ocp.MultipleShooting(5), guess=make())

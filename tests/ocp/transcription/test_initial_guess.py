@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from planning import prism, raising
 
 import ocp
 import tenscasadi as tc
@@ -29,12 +30,40 @@ def test_the_guess_keeps_bars_and_limits_and_follows_the_path():
     assert guess.duration == 0.4
 
 
-def test_the_guess_holds_a_structure_at_rest_in_equilibrium():
-    """What the path leaves open is self-stress: with a lower limit the guess prestresses, and nothing accelerates."""
-    model = tc.Model(tc.Scene(PRISM, control=tc.ForceDensity()))
-    problem = ocp.Problem(model, 1.0, goals=[ocp.AtRest()], bounds=[ocp.ForceDensityLimits(5.0, 100.0)])
-    guess = make_guess(problem, find_target(problem, Scales.of(problem)), 5)
-    assert guess.states == pytest.approx(np.repeat(guess.states[:1], 6, axis=0), abs=1e-12)
-    assert guess.force_density.min() >= 5.0
-    for gamma in guess.force_density:
-        assert model.ode(guess.states[0], gamma).full() == pytest.approx(np.zeros((model.nx, 1)), abs=0.05)
+def growing():
+    return raising(goals=[ocp.Shape(prism(1.15).nodes), ocp.AtRest()])
+
+
+def guesses():
+    plan = ocp.solve(growing(), ocp.MultipleShooting(10))
+    middle = plan.trajectory.nodes[[0, 5, -1]]
+    return [
+        ocp.InverseDynamics(),
+        ocp.InverseDynamics(middle),
+        ocp.Equilibrium(),
+        ocp.Arrays(plan.trajectory.states, plan.force_density),
+        plan,
+    ]
+
+
+def test_all_guesses_lead_to_the_same_plan():
+    plans = [ocp.solve(growing(), ocp.MultipleShooting(12), guess=guess) for guess in guesses()]
+    assert all(plan.success for plan in plans)
+    assert [plan.objective for plan in plans] == pytest.approx([plans[0].objective] * 5, rel=1e-4)
+
+
+BAD = {
+    "no guess": (lambda: 1.0, TypeError, "guess is 1.0"),
+    "path of one instant": (lambda: ocp.InverseDynamics(np.zeros((1, 6, 3))), ValueError, "InverseDynamics.path has 1"),
+    "path of other nodes": (lambda: ocp.InverseDynamics(np.zeros((3, 5, 3))), ValueError, "InverseDynamics.path"),
+    "states of other size": (lambda: ocp.Arrays(np.zeros((3, 5)), np.zeros((2, 9))), ValueError, "Arrays.states"),
+    "forces of other size": (lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 8))), ValueError, "Arrays.force_density"),
+    "duration zero": (lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 9)), 0.0), ValueError, "Arrays.duration"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_guesses_are_refused_by_name(name):
+    make, error, message = BAD[name]
+    with pytest.raises(error, match=message):
+        ocp.solve(growing(), ocp.MultipleShooting(5), guess=make())
