@@ -19,11 +19,48 @@ from tenscasadi.util.validate import instance
 
 
 def export_program(problem: Problem, transcription: Transcription, folder: str | Path, guess: InitialGuess | None = None) -> list[Path]:
-    """Writes `program.c`, `program.h`, `unknowns.csv` and `rows.csv` into `folder` (made if need be); returns their paths.
+    """Write the nonlinear program of a plan as C that needs nothing but the C library.
 
-    The program: minimise f(w) subject to lower ≤ g(w) ≤ upper and limits of w, all scaled. Functions: `nlp_f`, `nlp_g`, `nlp_grad_f`, `nlp_jac_g`
-    and `nlp_hess_l` (the upper triangle of the Hessian of lam_f f + lam_gᵀ g), with exact sparse derivatives. The tables say what each
-    entry of w and g is, its limits, and by what to multiply it for physical units; unknowns.csv also where to start. Raises as `solve`, and OSError.
+    Parameters
+    ----------
+    problem : Problem
+        What is asked.
+    transcription : MultipleShooting, Collocation, ImplicitMidpoint or Variational
+        How the motion becomes a program.
+    folder : str or Path
+        Where the files go; made if need be.
+    guess : InverseDynamics, Equilibrium, Arrays or Plan, optional
+        Where solvers start. Default: `InverseDynamics()`.
+
+    Returns
+    -------
+    list of Path
+        `program.c`, `program.h`, `unknowns.csv` and `rows.csv`.
+
+    Raises
+    ------
+    UnreachableGoal
+        No strings can bring the goals about.
+    TypeError, ValueError
+        An argument is wrong, or limits and goals contradict each other.
+    OSError
+        A file cannot be written.
+
+    Notes
+    -----
+    The program: minimise f(w) subject to lower ≤ g(w) ≤ upper and limits of w, all scaled. Its functions are `nlp_f`, `nlp_g`, `nlp_grad_f`,
+    `nlp_jac_g` and `nlp_hess_l` (the upper triangle of the Hessian of lam_f f + lam_gᵀ g), with exact sparse derivatives. The tables say what
+    each entry of w and g is, its limits, and its scale, by which it is multiplied for physical units; unknowns.csv also where to start.
+
+    Examples
+    --------
+    >>> from tempfile import mkdtemp
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> problem = ocp.Problem(cross, goals=[ocp.AtRest()], costs=[ocp.Effort()])
+    >>> [path.name for path in ocp.export_program(problem, ocp.MultipleShooting(5), mkdtemp())]
+    ['program.c', 'program.h', 'unknowns.csv', 'rows.csv']
     """
     program = program_of(problem, transcription, guess)
     w = program.problem["x"]
@@ -42,11 +79,42 @@ def export_program(problem: Problem, transcription: Transcription, folder: str |
 
 
 def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
-    """Writes `mpc.c` and `mpc.h` into `folder` (made if need be); returns their paths.
+    """Write a predictive controller, with its solver, as C that needs nothing but the C library.
 
-    Function: `decide` (time, state, before) → after, see `Mpc.function`, also for a fourth input, with its solver. before, after: α × intervals
-    numbers, interval by interval; the first α of `after` are to be applied. mpc.h holds the sizes, the period, and `MPC_FIRST` to begin with.
-    Raises TypeError, OSError.
+    Parameters
+    ----------
+    mpc : Mpc
+        The controller.
+    folder : str or Path
+        Where the files go; made if need be.
+
+    Returns
+    -------
+    list of Path
+        `mpc.c` and `mpc.h`.
+
+    Raises
+    ------
+    TypeError
+        It is no `Mpc`.
+    OSError
+        A file cannot be written.
+
+    Notes
+    -----
+    The function is `decide` (time, state, before) → after, as `Mpc.function` describes it, also where it has a fourth input. before and after are
+    α × intervals numbers, interval by interval; the first α of `after` are to be applied. mpc.h holds the sizes, the period, and `MPC_FIRST`
+    to begin with.
+
+    Examples
+    --------
+    >>> from tempfile import mkdtemp
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> controller = ocp.Mpc(ocp.Problem(cross, goals=[ocp.AtRest()]), period=0.1, intervals=2)
+    >>> [path.name for path in ocp.export_mpc(controller, mkdtemp())]
+    ['mpc.c', 'mpc.h']
     """
     instance("mpc", mpc, Mpc, "an ocp.Mpc")
     first = ", ".join(repr(float(value)) for value in mpc.first.T.ravel())
@@ -84,7 +152,7 @@ CALL = "Each function: int name(const casadi_real** arg, casadi_real** res, casa
 
 
 def _signature(function: ca.Function) -> str:
-    """Inputs and outputs of a function with their sizes; matrices that are sparse hold their non-zeros, column by column."""
+    """Describe inputs and outputs of a function with their sizes; matrices that are sparse hold their non-zeros, column by column."""
 
     def listed(count: int, name: Any, sparsity: Any) -> str:
         return ", ".join(f"{name(k)}[{sparsity(k).nnz()}]" for k in range(count))

@@ -1,4 +1,4 @@
-"""What has no solution, found before anything is solved: limits that contradict each other, and more goals than force densities."""
+"""Refusals before anything is solved: limits that contradict each other, and more goals than force densities."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ LOOSENING = 0.3  # of the strongest force density: disturbs a guess along which 
 
 
 class _Task(NamedTuple):
-    """What is asked, on which mesh, where the goals lead, and what tells which of their rows the strings move."""
+    """A problem and how it becomes a program, where its goals lead, and how far the strings move their rows."""
 
     problem: Problem
     transcription: Transcription
@@ -47,7 +47,7 @@ class _Task(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """What a solver made of the rows that were imposed; `guess` is what it says, to start again from."""
+    """The rows that were imposed, and the solution; `guess` is what it says, to start again from."""
 
     imposed: Target
     program: Program
@@ -156,7 +156,7 @@ def _prepare(problem: Problem, transcription: Transcription) -> _Task:
 
 
 def _controlled(task: _Task, guess: Guess, least: float = REACHED) -> Target:
-    """The target without the rows that the strings cannot move, to first order, along the motion that the guess's force densities cause."""
+    """Return the target without the rows that the strings cannot move, to first order, along the motion under the guess's force densities."""
     target = task.target
     if not _rows(target) or target.free_start is not None:  # a free start moves them too
         return target
@@ -172,12 +172,12 @@ def _controlled(task: _Task, guess: Guess, least: float = REACHED) -> Target:
 
 
 def _rows(target: Target) -> int:
-    """Rows that are imposed at the end and on the way."""
+    """Count the rows that are imposed at the end and on the way."""
     return sum(part.count for _, part, _ in target.instants)
 
 
 def _loosened(problem: Problem, guess: Guess) -> Guess:
-    """The guess with force densities that differ from string to string and from interval to interval, always in the same way."""
+    """Return the guess with force densities that differ from string to string and from interval to interval, always in the same way."""
     lower, upper = problem.force_density_limits
     change = np.random.default_rng(0).uniform(size=guess.force_density.shape)
     strength = float(np.abs(guess.force_density).max()) or 1.0
@@ -202,7 +202,7 @@ def _attempt(task: _Task, solver: Solver, imposed: Target, guess: Guess, duals: 
 
 
 def _planned(task: _Task, found: _Found) -> Callable[[float], Array]:
-    """The planned state (nx,) at a share of the duration, as waypoints see it."""
+    """Return the planned state (nx,) as a function of the share of the duration, as waypoints see it."""
     shares, guess, model = task.transcription.fractions, found.guess, task.problem.model
 
     def state_at(share: float) -> Array:
@@ -214,7 +214,7 @@ def _planned(task: _Task, found: _Found) -> Callable[[float], Array]:
 
 
 def _met(task: _Task, found: _Found) -> bool:
-    """Whether the rows of all goals vanish, also those that were not imposed; how well bars and momenta are kept is not asked."""
+    """Tell whether the rows of all goals vanish, also those that were not imposed; how well bars and momenta are kept is not asked."""
     state_at = _planned(task, found)
     for share, part, _ in task.target.begin_at(found.guess.states[0]).instants:
         residual = np.asarray(part.rows(state_at(share)).full()).ravel()
@@ -224,7 +224,7 @@ def _met(task: _Task, found: _Found) -> bool:
 
 
 def _plan(task: _Task, found: _Found, solver: Solver, seconds: float) -> Plan:
-    """The plan that was found, not yet replayed."""
+    """Return the plan that was found, not yet replayed."""
     problem, (imposed, program, solution, guess, _) = task.problem, found
     time = guess.duration * np.append(0.0, np.cumsum(task.transcription.fractions))
     time[-1] = guess.duration
@@ -252,7 +252,7 @@ def _plan(task: _Task, found: _Found, solver: Solver, seconds: float) -> Plan:
 
 
 def _judged(plan: Plan, task: _Task, found: _Found, tolerance: float) -> Plan:
-    """The plan with the errors of its replay, whether it is a success, and what is to be said of it."""
+    """Return the plan with the errors of its replay, whether it is a success, and what is to be said of it."""
     target, imposed = (part.begin_at(found.guess.states[0]) for part in (task.target, found.imposed))
     error, speed_error = _replay_errors(plan, target)
     plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
@@ -262,7 +262,7 @@ def _judged(plan: Plan, task: _Task, found: _Found, tolerance: float) -> Plan:
 
 
 def _verdict(plan: Plan, task: _Task, found: _Found, tolerance: float) -> tuple[bool, str]:
-    """Whether the plan is a success, and what is to be said of it."""
+    """Tell whether the plan is a success, and what is to be said of it."""
     transcription, (imposed, program, solution, guess, gap) = task.transcription, found
     state_at = _planned(task, found)
     if solution.success and transcription.accuracy is not None and gap > transcription.accuracy:
@@ -286,7 +286,7 @@ def _verdict(plan: Plan, task: _Task, found: _Found, tolerance: float) -> tuple[
 
 
 def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:
-    """How far the replay ends from the goals; without goals for the place (or speed) from the plan. NaN where it does not get there."""
+    """Measure how far the replay ends from the goals; without goals for the place (or speed) from the plan. NaN where it does not get there."""
     if not np.all(np.isfinite(plan.force_density)) or not plan.time[-1] > 0:
         return np.nan, np.nan
     replayed = plan.replay()

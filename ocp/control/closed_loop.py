@@ -33,7 +33,7 @@ class Controller(Protocol):
 
     @property
     def model(self) -> Model:
-        """What the controller believes in."""
+        """The model that the controller believes in."""
 
     def control(self, time: float, state: Array) -> Array:
         """γ (α,), N/m, until the next decision."""
@@ -41,7 +41,26 @@ class Controller(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """trajectory: the controlled motion, at the decisions and the steps between; seconds (D,): wall time of each decision."""
+    """Controlled motion, and how long the decisions took; see `run`.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        The motion, at the decisions and the steps between them.
+    seconds : ndarray, shape (D,)
+        Wall time of each decision, s.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> controller = ocp.Mpc(ocp.Problem(cross, goals=goals), period=0.1, intervals=5)
+    >>> loop = ocp.run(controller, 0.5)
+    >>> loop.seconds.shape, loop.trajectory.success
+    ((5,), True)
+    """
 
     trajectory: Trajectory
     seconds: Array
@@ -61,13 +80,47 @@ def run(
     steps: int = 10,
     disturbance: Callable[[float, Array], Array] | None = None,
 ) -> ClosedLoop:
-    """The motion of `model` (None: the controller's own) from `state` (None: its initial one), in `steps` steps of RK4 for each decision.
+    """Simulate a model under a controller, which decides its force densities anew and anew.
 
-    t_end: s; the last decision holds for what is left of its period. model: a plant that may differ from what the controller believes: other
-    masses, gusts (`tenscasadi.NodalForce` of time), gravity; nodes and strings are the same. state: (nx,), with bars of their lengths; its
-    clock, which need not begin at 0, is what the controller sees, and times count from the beginning. disturbance: (time, x) → x, called
-    before each decision, such as a push; what bars and joints do not allow of it is taken off. Stops where the motion diverges.
-    Raises TypeError, ValueError.
+    Parameters
+    ----------
+    controller : Mpc, Tracker or Controller
+        What decides: it has a `model`, a `period`, s, and `control(time, state)`, which returns force densities (α,), N/m.
+    t_end : float
+        End of the run, s. The last decision holds for what is left of its period.
+    model : Model, optional
+        The plant. It may differ from what the controller believes: in masses, gravity, gusts (`tenscasadi.NodalForce` of time); nodes and
+        strings are the same. Default: the controller's own model.
+    state : array_like, shape (nx,), optional
+        Where the run starts, with bars of their lengths. A clock need not begin at 0: the controller sees it; times count from the beginning.
+        Default: the model's initial state.
+    steps : int
+        Steps of `RungeKutta4` for each decision.
+    disturbance : callable, optional
+        Function (time, state) → state, called before each decision, such as a push. What bars and joints do not allow of it is taken off.
+
+    Returns
+    -------
+    ClosedLoop
+        The motion; it ends where it diverges, and its trajectory then has `success` False.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument is wrong, or what the controller decides.
+
+    Examples
+    --------
+    A planar cross is brought to another shape, and kept there:
+
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> lengths = tc.shapes.d_bar(angle=0.7).string_lengths
+    >>> controller = ocp.Mpc(ocp.Problem(cross, goals=[ocp.StringLengths(lengths), ocp.AtRest()]), period=0.1, intervals=5)
+    >>> reached = cross.structure.replace(nodes=ocp.run(controller, 2.0).trajectory.nodes[-1])
+    >>> bool(abs(reached.string_lengths - lengths).max() < 0.01)
+    True
     """
     if isinstance(controller, type) or not isinstance(controller, Controller) or not callable(controller.control):
         raise TypeError(f"controller is {controller!r}: give an ocp.Mpc(...), ocp.track(plan), or what has model, period and control(time, state)")
@@ -112,7 +165,7 @@ def run(
 
 
 def _check_plant(plant: Any, believed: Model) -> None:
-    """The plant's state and control mean what the controller's do."""
+    """Refuse a plant whose state and control do not mean what the controller's do."""
     instance("model", plant, Model, "a tenscasadi.Model or None")
     if not isinstance(plant.scene.control, ForceDensity):
         raise ValueError(f"model has the control {plant.scene.control}: give a model of Scene(..., control=ForceDensity())")
@@ -123,7 +176,7 @@ def _check_plant(plant: Any, believed: Model) -> None:
 
 
 def _start(plant: Model, state: Any) -> Array:
-    """The state (nx,), put right where it is rounded."""
+    """Return the state (nx,), put right where it is rounded."""
     x = plant.initial_state if state is None else finite_array("state", state, (plant.nx,))
     right, off = off_constraints(plant, x, ROUNDED, iterations=10)
     if off:
@@ -132,7 +185,7 @@ def _start(plant: Model, state: Any) -> Array:
 
 
 def _seen(believed: Model, plant: Model, x: Array, now: float) -> Array:
-    """The plant's state as the controller knows it, with or without a clock: the plant's, or what has passed."""
+    """Return the plant's state as the controller knows it, with or without a clock: the plant's, or what has passed."""
     known = 2 * believed.nq
     passed = x[known:] if plant.nx > known else np.array([now])
     return np.append(x[:known], passed[: believed.nx - known])

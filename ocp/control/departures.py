@@ -1,4 +1,4 @@
-"""What controllers keep small: departures of the structure from where it should be."""
+"""Departures of a structure from where it should be: the quantities that controllers keep small."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keeping to a plan: a time-varying linear-quadratic regulator from exact derivatives along it."""
+"""Time-varying LQR: a linear-quadratic regulator that keeps to a plan, from exact derivatives along it."""
 
 from __future__ import annotations
 
@@ -21,10 +21,37 @@ from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, pos
 
 @dataclass(frozen=True, eq=False)
 class Tracker:
-    """γ = γ_plan − K (x − x_plan), within limits; a controller for `ocp.run`.
+    """Time-varying LQR about a plan, γ = γ_plan − G (x − x_plan) within limits; a controller for `run`, made by `track`.
 
-    time (K + 1,), states (K + 1, nx), force_density (K, α): the plan at the decisions; gains (K, α, nx); lower, upper (α,) N/m.
     After the plan its last gain holds its last state.
+
+    Attributes
+    ----------
+    model : Model
+        The model of the plan.
+    time : ndarray, shape (K + 1,)
+        Times of the decisions, and the end of the plan, s.
+    states : ndarray, shape (K + 1, nx)
+        The plan's states at these times, m and m/s.
+    force_density : ndarray, shape (K, α)
+        The plan's force densities, N/m.
+    gains : ndarray, shape (K, α, nx)
+        Gains G.
+    lower, upper : ndarray, shape (α,)
+        Limits of the force densities, N/m.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> plan = ocp.solve(ocp.Problem(cross, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10))
+    >>> tracker = ocp.track(plan)
+    >>> tracker.gains.shape
+    (10, 2, 18)
+    >>> bool(abs(tracker.control(0.0, plan.trajectory.states[0]) - plan.force_density[0]).max() < 1e-9)
+    True
     """
 
     model: Model
@@ -44,7 +71,20 @@ class Tracker:
         return float(self.time[1] - self.time[0])
 
     def control(self, time: float, state: Array) -> Array:
-        """γ (α,), N/m, at `time` s after the beginning and a state (nx,)."""
+        """Decide the force densities until the next decision.
+
+        Parameters
+        ----------
+        time : float
+            Time since the beginning, s.
+        state : array_like, shape (nx,)
+            The measured state, m and m/s.
+
+        Returns
+        -------
+        ndarray, shape (α,)
+            Force densities, N/m.
+        """
         time, state = positive_number("time", time, zero=True), finite_array("state", state, (self.model.nx,))
         k = min(int(time / self.period + 1e-9), len(self.gains) - 1)
         after = time > self.time[-1] - 1e-9
@@ -62,13 +102,51 @@ def track(
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,
 ) -> Tracker:
-    """The regulator of a plan by Riccati's recursion: least Σ (δq/place)² + (δv/speed)² + (δγ/effort)² of small departures.
+    """Make a time-varying LQR that keeps to a plan.
 
-    δq are departures of coordinates; of free structures, of the distances between nodes. Derivatives are those of the integrated steps,
-    reduced to the changes that bars and joints allow. decisions: how many, None: one per interval. place: m, None: 1 % of the structure's
-    size; speed: 10 place in the duration. effort: N/m, None: a tenth of the plan's mean γ. lower, upper: what the force densities are
-    clipped to, N/m, as in `ForceDensityLimits`; None: those of the plan's problem (a loaded plan: 0 and none).
-    Raises TypeError, ValueError.
+    Parameters
+    ----------
+    plan : Plan
+        What to keep to.
+    decisions : int, optional
+        How many, at equal times. Default: one per interval of the plan.
+    place : float, optional
+        Departure of a coordinate, m, that counts as much as `effort`; of velocities 10 of it in the duration. Default: 1 % of the
+        structure's size.
+    effort : float, optional
+        Departure of a force density, N/m. Default: a tenth of the plan's mean force density.
+    lower, upper : array_like, scalar or shape (α,), optional
+        Limits of the force densities, N/m, as in `ForceDensityLimits`. Default: those of the plan's problem; 0 and none where it is not known.
+
+    Returns
+    -------
+    Tracker
+        The regulator, a controller for `run`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument is wrong, or the steps of so few decisions diverge.
+
+    Notes
+    -----
+    Riccati's recursion minimises Σ (δq/place)² + (δv/speed)² + (δγ/effort)² of small departures from the plan: of coordinates or, of free
+    structures, of distances between nodes. Derivatives are those of the integrated steps, in an orthonormal basis of the changes that bars
+    and joints allow [1]_.
+
+    References
+    ----------
+    .. [1] B. D. O. Anderson, J. B. Moore, "Optimal Control: Linear Quadratic Methods", Prentice Hall, 1990, section 2.4.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> plan = ocp.solve(ocp.Problem(cross, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10))
+    >>> ocp.track(plan, decisions=20)
+    Tracker(20 decisions, 2 strings, 1 s)
     """
     instance("plan", plan, Plan, "an ocp.Plan")
     model, T = plan.known_model("track"), float(plan.time[-1])
@@ -102,7 +180,7 @@ class Tangents:
         self._size = model.nx
 
     def __call__(self, state: Array) -> Array:
-        """(nx, d) at a state (nx,)."""
+        """Return the basis (nx, d) at a state (nx,)."""
         J = np.asarray(self._jacobian(state).full())
         if not J.shape[0]:
             return np.eye(self._size)

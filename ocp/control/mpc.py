@@ -29,19 +29,63 @@ OVERSTEP = 1e5  # what oversteps limits of the path costs, in scaled units, agai
 
 
 class Mpc:
-    """A controller for `ocp.run`: follows a plan, or brings the structure to the problem's goals and keeps it there.
+    """Model predictive control: a controller for `run` that follows a plan, or keeps a structure at the goals of a problem.
 
-    Every `period` s, from the measured state: the motion over `intervals` periods under the last decision, shifted; its exact
-    derivatives; a quadratic program for all force densities of the horizon, with the problem's limits of γ as they are and
-    its other bounds linearised, at the ends of the periods (overstepped only where they cannot be kept; those between instants, such as
-    `RestLengthRateLimits`, also from the last decision to this one, so that the first is free); `iterations` times (1: real-time iteration).
-    States are eliminated, so that bars, joints and momenta need no rows. What is kept small, in place of the problem's costs: departures of
-    the nodes, relative to `place`, m, and of their velocities; of free structures, departures of the distances between nodes. All
-    Functions are built once.
+    From the measured state it predicts the motion of some periods under its last decision, shifted, and improves the force densities by a
+    quadratic program; those of the first period are applied.
 
-    plan: the reference over time, and its last state after it; None: the state of the goals under the force densities that hold it best,
-    which no `Waypoint`, `Periodic` or `FreeStart` has: they ask for a motion, and need a plan. effort: N/m, the departure of γ that weighs as
-    much as `place`. substeps: of RK4 in each period. Raises TypeError, ValueError, UnreachableGoal.
+    Parameters
+    ----------
+    problem : Problem
+        What is asked. Limits of force densities are kept as they are; its other bounds are linearised, hold at the ends of the periods, and are
+        overstepped only where they cannot be kept. Costs are not used.
+    period : float
+        Time from one decision to the next, s.
+    intervals : int
+        How many periods are predicted.
+    plan : Plan, optional
+        What to follow, and where to stay after it. Default: the state of the problem's goals, under the force densities that hold it best;
+        `Waypoint`, `Periodic` and `FreeStart` ask for a motion, and need a plan.
+    iterations : int
+        Quadratic programs for each decision; 1: real-time iteration [1]_.
+    substeps : int
+        Steps of `RungeKutta4` in each period.
+    place : float, optional
+        Departure of a coordinate, m, that counts as much as `effort`; of velocities 10 of it in the duration. Of free structures, departures
+        are those of the distances between nodes. Default: 1 % of the structure's size.
+    effort : float, optional
+        Departure of a force density, N/m. Default: the mean force density of the plan or the goals.
+
+    Raises
+    ------
+    UnreachableGoal
+        No strings can bring the goals about.
+    TypeError, ValueError
+        An argument is wrong.
+
+    Notes
+    -----
+    The program is condensed: changes of the force densities are its only unknowns, and their effects on the states come from the exact
+    derivatives of the steps, so that bars, joints and momenta need no rows. DAQP solves it. Limits between decisions, such as
+    `RestLengthRateLimits`, also hold from the last decision on; the first decision is free.
+
+    References
+    ----------
+    .. [1] M. Diehl, H. G. Bock, J. P. Schlöder, "A real-time iteration scheme for nonlinear optimization in optimal feedback control",
+       SIAM J. Control Optim. 43, 1714, 2005.
+
+    Examples
+    --------
+    A planar cross is brought to another shape:
+
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> lengths = tc.shapes.d_bar(angle=0.7).string_lengths
+    >>> problem = ocp.Problem(cross, goals=[ocp.StringLengths(lengths), ocp.AtRest()], bounds=[ocp.ForceDensityLimits(0.0, 20.0)])
+    >>> controller = ocp.Mpc(problem, period=0.1, intervals=5)
+    >>> controller.control(0.0, cross.initial_state).shape
+    (2,)
     """
 
     def __init__(
@@ -86,7 +130,20 @@ class Mpc:
         return f"Mpc({self.model.nu} strings, every {self.period:g} s over {self.intervals} intervals)"
 
     def control(self, time: float, state: Array) -> Array:
-        """γ (α,), N/m, at `time` s after the beginning and a state (nx,), until the next decision. An earlier time than the last begins anew."""
+        """Decide the force densities until the next decision. An earlier time than that of the last decision begins a new run.
+
+        Parameters
+        ----------
+        time : float
+            Time since the beginning, s.
+        state : array_like, shape (nx,)
+            The measured state, m and m/s.
+
+        Returns
+        -------
+        ndarray, shape (α,)
+            Force densities, N/m.
+        """
         time, state = positive_number("time", time, zero=True), finite_array("state", state, (self.model.nx,))
         if time < self._last.time:
             self.reset()
@@ -95,15 +152,20 @@ class Mpc:
         return np.array(gamma[0])
 
     def reset(self) -> None:
-        """Forgets the last decision, for another run."""
+        """Forget the last decision, for another run."""
         self._last = _Decision(0.0, np.full((self.intervals, self.model.nu), np.nan), np.full(self.model.nx, np.nan))
 
     def function(self) -> ca.Function:
-        """The decision as one CasADi Function, which generates C: (time, state (nx), before (α, intervals)) → after (α, intervals).
+        """Return the decision as one CasADi Function, which generates C.
 
-        before: the last `after`; `first` to begin with. What is applied until the next decision is the first column of `after`. With limits
-        between decisions, such as `RestLengthRateLimits`, a fourth input `earlier` (nx): the state at the last decision; NaN to begin with.
-        It decides as `control` does, by an interior-point method (`ocp.solvers.interior_point_qp`) in place of DAQP.
+        It decides as `control` does, by an interior-point method in place of DAQP.
+
+        Returns
+        -------
+        casadi.Function
+            Function (time, state (nx), before (α, intervals)) → after (α, intervals). `before` is the last `after`, and `first` to begin with;
+            the first column of `after` is to be applied. With limits between decisions, such as `RestLengthRateLimits`, there is a fourth
+            input `earlier` (nx): the state at the last decision, NaN to begin with.
         """
         time, state, before = ca.MX.sym("time"), ca.MX.sym("state", self.model.nx), ca.MX.sym("before", self.model.nu, self.intervals)
         inputs = {"time": time, "state": state, "before": before}
@@ -115,12 +177,12 @@ class Mpc:
 
     @property
     def first(self) -> Array:
-        """What `function` takes for the last decision, (α, intervals), when there is none yet."""
+        """Force densities (α, intervals) that `function` takes for the last decision when there is none yet, N/m."""
         held = np.asarray(self._reference(0.0)[1].full())
         return np.column_stack([held[:, :1], held[:, :-1]])
 
     def _decided(self, steps: Any, improved: Callable[..., Any], time: Any, state: Any, before: Any, earlier: Any) -> Any:
-        """γ of the horizon, of symbols (α, intervals) or of arrays (intervals, α). before, earlier: the last decision and its state, or NaN."""
+        """Return γ of the horizon, of symbols (α, intervals) or arrays (intervals, α). before, earlier: the last decision and its state, or NaN."""
         shift, program = steps
         (gamma,) = shift(time, before)
         for _ in range(self._iterations):
@@ -128,7 +190,7 @@ class Mpc:
         return gamma
 
     def _shift(self) -> ca.Function:
-        """(time, before) → γ (α, intervals) to begin with: the last decision, one period on; that of the reference where there was none."""
+        """Return the Function (time, before) → γ (α, intervals) to begin with: the last decision, one period on; without one, the reference."""
         time, before = ca.MX.sym("time"), ca.MX.sym("before", self.model.nu, self.intervals)
         held = self._reference(time)[1]
         gamma = ca.if_else(sane(before), ca.horzcat(before[:, 1:], held[:, -1]), held)
@@ -138,9 +200,10 @@ class Mpc:
         return ca.fmin(ca.fmax(gamma, ca.reshape(self._lower, *gamma.shape)), ca.reshape(self._upper, *gamma.shape))
 
     def _program(self) -> ca.Function:
-        """(time, state, γ, before, earlier) → γ, G, g, a and b: least ½ ‖G ΔU‖² + ½ ‖ΔU/effort‖² + gᵀ ΔU with a ΔU ≤ b, about the motion under γ.
+        """Return the Function (time, state, γ, before, earlier) → γ, G, g, a and b: the quadratic program about the motion under γ.
 
-        ΔU (α · intervals): changes of γ, interval by interval. Where the motion under γ diverges, γ is that of the reference.
+        Least ½ ‖G ΔU‖² + ½ ‖ΔU/effort‖² + gᵀ ΔU with a ΔU ≤ b for changes ΔU (α · intervals) of γ, interval by interval. Where the motion under γ
+        diverges, γ is that of the reference.
         """
         model, count = self.model, self.intervals
         time, state, earlier = (ca.MX.sym(name, size) for name, size in (("time", 1), ("state", model.nx), ("earlier", model.nx)))
@@ -161,7 +224,7 @@ class Mpc:
         )
 
     def _horizon(self, state: Any, gamma: Any, earlier: Any, last: Any) -> Horizon:
-        """The motion under γ (α, intervals) in steps of RK4, and its exact derivatives, stage by stage."""
+        """Return the motion under γ (α, intervals) in steps of RK4, and its exact derivatives, stage by stage."""
         kind: Any = ca.SX if self.model.ode.is_a("SXFunction") else ca.MX
         z, c = kind.sym("z", self.model.nx), kind.sym("c", self.model.nu)
         rate = self.model.ode(z, c)
@@ -179,7 +242,7 @@ class Mpc:
         return Horizon(states, effects, [last, *ca.horzsplit(gamma)], [ca.DM(nu, count * nu), *ca.vertsplit(own, nu)])
 
     def _improved(self, gamma: Array, G: Array, g: Array, a: Array, b: Array) -> Array:
-        """γ + ΔU (intervals, α) by DAQP, or γ where that fails, from arrays (columns, rows)."""
+        """Return γ + ΔU (intervals, α) by DAQP, or γ where that fails, from arrays (columns, rows)."""
         slack = self._slack
         H, now = G @ G.T, gamma.ravel()
         H[np.diag_indices(len(H))] += self._effort**-2
@@ -194,7 +257,7 @@ class Mpc:
         return np.clip(now + change, self._lower, self._upper).reshape(gamma.shape)
 
     def _symbolically_improved(self, gamma: Any, G: Any, g: Any, a: Any, b: Any) -> Any:
-        """The same as an expression (α, intervals), by an interior-point method."""
+        """Return the same as an expression (α, intervals), by an interior-point method."""
         size, now = g.shape[0], ca.vec(gamma)
         H, own = G.T @ G + ca.DM.eye(size) / self._effort**2, ca.DM.eye(size)
         most = np.flatnonzero(np.isfinite(self._upper)).tolist()
@@ -215,7 +278,7 @@ class _Decision(NamedTuple):
 
 
 def _sensitive_step(slopes: ca.Function, x: Any, u: Any, effect: Any, h: float) -> tuple[Any, Any]:
-    """A step of RK4 and the derivative of its end, from that of its beginning, by parameters the last of which are γ itself."""
+    """Return the end of a step of RK4 and its derivative, from that of its beginning, by parameters the last of which are γ itself."""
     rates: list[Any] = []
     turns: list[Any] = []
     end, turned = x, effect
@@ -233,7 +296,7 @@ def _sensitive_step(slopes: ca.Function, x: Any, u: Any, effect: Any, h: float) 
 
 
 def _reference(problem: Problem, scales: Scales, plan: Plan | None, output: ca.Function, count: int, period: float) -> tuple[ca.Function, float]:
-    """time → what departures (·, count) at the ends of the next intervals and γ (α, count) in them should be; and a typical γ, N/m.
+    """Return the Function time → departures (·, count) at the ends of the next intervals and γ (α, count) in them as they should be; a typical γ.
 
     plan: followed over time, and held at its end; None: the state of the goals is held. Raises ValueError for goals that ask for a motion
     without a plan, UnreachableGoal.
@@ -251,7 +314,7 @@ def _reference(problem: Problem, scales: Scales, plan: Plan | None, output: ca.F
 
 
 def _goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
-    """The state of the goals, and γ that hold it as nearly as they can."""
+    """Return the state of the goals, and γ that hold it as nearly as they can."""
     asked = [type(part).__name__ for part in (problem.start, *problem.goals) if isinstance(part, (FreeStart, Waypoint, Periodic))]
     if asked:
         raise ValueError(f"problem has {asked[0]}, which asks for a motion, not for one state to be held: plan first, then Mpc(problem, plan=plan)")

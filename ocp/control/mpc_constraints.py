@@ -51,7 +51,7 @@ class HorizonLimits:
         return bool(self._rates)
 
     def rows(self, horizon: Horizon, time: Any, begun: Any) -> tuple[Any, Any]:
-        """a (rows, K α) and b (rows,) from `time` on; begun: whether there was a last decision."""
+        """Return a (rows, K α) and b (rows,) from `time` on; begun: whether there was a last decision."""
         a, b = [ca.DM(0, horizon.control_effects[0].shape[1])], [ca.DM(0, 1)]
         x, dx, u, du = horizon
         for limit in self._instants:
@@ -68,7 +68,7 @@ class HorizonLimits:
 
 
 def _one_sided(bound: ScaledRows) -> ca.Function:
-    """The bound's inputs → how far each finite limit is, and what moves towards it, by each input."""
+    """Return the Function of the bound's inputs → how far off each finite limit is, and what moves towards it, by each input."""
     inputs = [ca.MX.sym("z", bound.function.size1_in(k)) for k in range(bound.function.n_in())]
     value = bound.function(*inputs)
     upper, lower = (np.flatnonzero(np.isfinite(limit)).tolist() for limit in (bound.upper, bound.lower))

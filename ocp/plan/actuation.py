@@ -16,7 +16,37 @@ from tenscasadi.util.validate import Array, instance, nonnegative, per_item, who
 
 
 def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLike = 0.0) -> Array:
-    """Which force densities (K, α) strings of `stiffness`, N/m (None: the structure's), can carry: γ < k, and rest lengths ≥ `shortest`, m."""
+    """Tell which force densities of a plan elastic strings can carry: γ < k, and rest lengths that can be wound.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    stiffness : array_like, scalar or shape (α,), optional
+        Stiffness k of the strings, N/m. Default: the structure's.
+    shortest : array_like, scalar or shape (α,)
+        Shortest rest length, m.
+
+    Returns
+    -------
+    ndarray of bool, shape (K, α) or (K + 1, α)
+        Whether each force density of the plan can be carried.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument is wrong.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> plan = ocp.solve(ocp.Problem(cross, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10))
+    >>> bool(ocp.reachable(plan, stiffness=1000.0).all())
+    True
+    """
     instance("plan", plan, Plan, "an ocp.Plan")
     count = plan.force_density.shape[1]
     given = plan.structure.stiffness if stiffness is None else stiffness
@@ -28,11 +58,42 @@ def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLik
 
 
 def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayLike = 0.0, updates: int = 10) -> Trajectory:
-    """The motion where elastic strings are wound to the rest lengths that the plan asks for, `updates` times in each interval.
+    """Simulate a plan carried out by motors that wind elastic strings to the rest lengths that it asks for.
 
-    stiffness: k, N/m (None: the structure's), damping: N s/m. Unlike force densities, which pull the same wherever the nodes are, elastic strings
-    push the motion back to the plan or away from it: a second answer to how far a plan can be trusted. Raises ValueError for a string whose
-    γ reaches k, and for a plan without its model.
+    Force densities pull the same wherever the nodes are; elastic strings push the motion back to the plan or away from it. That is a second
+    answer to how far a plan can be trusted.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    stiffness : array_like, scalar or shape (α,), optional
+        Stiffness k of the strings, N/m. Default: the structure's.
+    damping : array_like, scalar or shape (α,)
+        Damping of the strings, N s/m.
+    updates : int
+        How often rest lengths change in each interval.
+
+    Returns
+    -------
+    Trajectory
+        The motion.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument is wrong, the force density of a string reaches its stiffness, or the plan does not know its model.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> plan = ocp.solve(ocp.Problem(cross, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10))
+    >>> wound = ocp.replay_wound(plan, stiffness=1000.0)
+    >>> bool(abs(wound.nodes[-1] - plan.trajectory.nodes[-1]).max() < 0.01)
+    True
     """
     instance("plan", plan, Plan, "an ocp.Plan")
     whole_number("updates", updates, 1)

@@ -70,7 +70,7 @@ def measure_misses(target: Target, state_at: Callable[[float], Array]) -> Misses
 
 
 def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Program, solution: Solution, found: Guess, too_long: str) -> str:
-    """The cause and its cure, the largest violation by name, the limits that hold, and how many rows of the goals the strings move.
+    """Tell the cause and its cure, the largest violation by name, the limits that hold, and how many rows of the goals the strings move.
 
     too_long: what `long_steps` says.
     """
@@ -105,9 +105,9 @@ def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Prog
 
 
 def long_steps(model: Model, states: Array, gamma: Array, step: float, duration: float) -> str:
-    """Whether steps, s, are too long for the fastest vibration at some of the states (K + 1, nx) under γ (K, α), and how many are needed.
+    """Tell whether steps, s, are too long for the fastest vibration at some of the states (K + 1, nx) under γ (K, α), and how many are needed.
 
-    "" where they are not.
+    The text is empty where they are not.
     """
     chosen = [k for k in sorted({0, len(gamma) // 2, len(gamma) - 1}) if np.all(np.isfinite(states[k])) and np.all(np.isfinite(gamma[k]))]
     rate = max((fastest_rate(model, states[k], gamma[k]) for k in chosen), default=0.0)
@@ -120,7 +120,7 @@ def long_steps(model: Model, states: Array, gamma: Array, step: float, duration:
 
 
 def _not_finite(program: Program, solution: Solution, f: Array, g: Array) -> str:
-    """Which row, cost, or derivative is not a number, and what to do."""
+    """Tell which row, cost, or derivative is not a number, and what to do."""
     if not np.all(np.isfinite(g)):
         return _cure(program.names[int(np.argmax(~np.isfinite(g)))])
     if not np.all(np.isfinite(f)):
@@ -142,7 +142,7 @@ def _cure(name: str) -> str:
 
 
 def _runaway(program: Program, solution: Solution) -> str:
-    """An unknown without limit that grows and grows."""
+    """Tell which unknown grows and grows without limit."""
     if solution.last is None or not np.all(np.isfinite(solution.last)):
         return ""
     limits = np.where(solution.last > 0, program.w_upper, program.w_lower)
@@ -155,6 +155,6 @@ def _runaway(program: Program, solution: Solution) -> str:
 
 
 def _held(names: tuple[str, ...], value: Array, lower: Array, upper: Array) -> list[str]:
-    """The entries at (or beyond) their upper limit."""
+    """Return the entries at (or beyond) their upper limit."""
     limited = np.isfinite(upper) & (lower < upper)
     return [names[k] for k in np.flatnonzero(limited) if value[k] > upper[k] - AT_LIMIT * abs(upper[k])]

@@ -23,7 +23,7 @@ CAUTION = 0.3  # of the tolerance is aimed at
 
 
 class Refinable(Protocol):
-    """What refining needs of a plan."""
+    """A plan, as far as refining needs it."""
 
     @property
     def time(self) -> Array:
@@ -70,7 +70,7 @@ def refine_mesh(plan: P, model: Model, again: Callable[[Array, P], P], tolerance
 
 
 def finer(model: Model, time: Array, states: Array, force_density: Array, too_large: float) -> Array:
-    """Relative lengths of intervals: those of a plan, each cut into as many parts as its share of an error asks for.
+    """Return relative lengths of intervals: those of a plan, each cut into as many parts as its share of an error asks for.
 
     too_large: how many times the error exceeds what is allowed.
     """
@@ -84,7 +84,7 @@ def finer(model: Model, time: Array, states: Array, force_density: Array, too_la
 
 
 def defects(model: Model, time: Array, states: Array, force_density: Array) -> Array:
-    """How far, m, the planned state at the end of each interval (K,) is from the one that fine steps from its start lead to.
+    """Return how far, m, the planned state at the end of each interval (K,) is from the one that fine steps from its start lead to.
 
     time (K + 1,), states (K + 1, nx), force_density (K, α) or (K + 1, α). Speeds count with what they add up to over the plan.
     """

@@ -1,4 +1,4 @@
-"""Which limits a plan meets, what they cost, and which it or its replay breaks: by string, bar or node, and when."""
+"""Reports of plans: the limits that a plan meets, what they cost, and those that it or its replay breaks, and when."""
 
 from __future__ import annotations
 
@@ -20,14 +20,29 @@ MARGIN = 1e-4  # of a limit's range or size: nearer counts as held by it, farthe
 
 
 class Finding(NamedTuple):
-    """One limit of one member: how much of the plan it holds (share of the instants), the worst value and when it occurs, s.
+    """One limit of one string, bar or node, and how a plan meets it.
 
-    price: by how much the objective would fall for each unit by which the limit gave way, over the whole plan and to first order; NaN
-    where it is not known: of what the replay breaks, and of the single strings of a group.
+    Attributes
+    ----------
+    name : str
+        What is limited.
+    side : str
+        "lower" or "upper".
+    limit, worst : float
+        The limit, and the worst value, in `unit`.
+    time : float
+        When that occurs, s.
+    share : float
+        In which share of the instants the limit holds or is broken.
+    unit : str
+        Unit of limit and value.
+    price : float
+        By how much the objective would fall for each unit by which the limit gave way, over the whole plan and to first order. NaN where it
+        is not known: of what the replay breaks, and of the single strings of a group.
     """
 
     name: str
-    side: str  # "lower" or "upper"
+    side: str
     limit: float
     worst: float
     time: float
@@ -44,9 +59,28 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Report:
-    """active: the limits that hold the plan back, the most costly first; violated: those that it oversteps, or its replay on a finer grid.
+    """Limits that hold a plan back, and those that it breaks; see `Plan.report`. It prints as a text.
 
-    What several bounds limit is told apart by the bound's place: "obstacle clear of bar 0 (bounds[2])". Prints as a text.
+    Attributes
+    ----------
+    active : tuple of Finding
+        The limits that hold the plan back, the most costly first.
+    violated : tuple of Finding
+        Those that the plan oversteps, or its replay between the nodes of the mesh. What several bounds limit is told apart by the place of the
+        bound, such as "obstacle clear of bar 0 (bounds[2])".
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    >>> plan = ocp.solve(ocp.Problem(cross, goals=goals, bounds=[ocp.ForceDensityLimits(1.0)]), ocp.MultipleShooting(10))
+    >>> report = plan.report()
+    >>> report.active[0].name, report.active[0].side
+    ('force density of string 0', 'lower')
+    >>> report.violated
+    ()
     """
 
     active: tuple[Finding, ...]
@@ -61,7 +95,7 @@ class Report:
 
 
 def report_of(problem: Problem, time: Array, states: Array, force_density: Array, replay: Trajectory, duals: Duals | None) -> Report:
-    """The limits of `problem` that hold at the ends of a plan's intervals, and those that it breaks there, or its replay between them."""
+    """Report the limits of `problem` that hold at the nodes of a plan's mesh, and those that it breaks there, or its replay between them."""
     # both ends of every interval, under the force densities in it
     ends, before = np.append(time[:-1], time[1:]), np.append(time[:-1], time[1:] - 1e-9 * time[-1])
     planned = _at_instants(problem, ends, np.concatenate([states[:-1], states[1:]]), profile_at(force_density, time, before))
@@ -94,7 +128,7 @@ class _Course(NamedTuple):
     values: Array
 
     def findings(self, broken: bool) -> list[Finding]:
-        """The limits that are overstepped, or those that hold and are not."""
+        """Return the limits that are overstepped, or those that hold and are not."""
         found = []
         lower, upper = self.limited.lower, self.limited.upper
         spread = np.where(np.isfinite(upper - lower), upper - lower, np.inf)
@@ -122,7 +156,7 @@ def _at_instants(problem: Problem, time: Array, states: Array, controls: Array) 
 
 
 def _between_instants(problem: Problem, time: Array, states: Array, force_density: Array) -> list[_Course]:
-    """What bounds limit from each time for which a profile has force densities to the next."""
+    """Return what bounds limit from each time for which a profile has force densities to the next."""
     x, u, t = states[: len(force_density)].T, force_density.T, time[: len(force_density)]
     if len(t) < 2:
         return []

@@ -135,7 +135,7 @@ class _NotStored(Exception):
 
 
 def _tell(value: Any, name: str) -> Any:
-    """The value in JSON's words: lists, and objects that say what they are."""
+    """Return the value in JSON's words: lists, and objects that say what they are."""
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or isinstance(value, (bool, int, float, str)):
@@ -156,7 +156,7 @@ def _tell(value: Any, name: str) -> Any:
 
 
 def _read(told: Any) -> Any:
-    """The value again. Raises what a damaged text leads to: KeyError, TypeError, ValueError, AttributeError."""
+    """Return the value again. Raises what a damaged text leads to: KeyError, TypeError, ValueError, AttributeError."""
     if not isinstance(told, dict):
         return told
     if "unknown" in told:
