@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import switching
+from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import stable_step
@@ -134,9 +134,9 @@ def certify(
         pairs.try_steps(count)
         if pairs.error <= enough or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size)):
             break  # finer steps only round more
-        if pairs.apart > before / _FINER**3 and switching(model) is not None:
+        if pairs.apart > before / _FINER**3 and build_switching(model) is not None:
             break
-    if pairs.error > enough and pairs.apart > _ROUNDING * size and switching(model) is not None:
+    if pairs.error > enough and pairs.apart > _ROUNDING * size and build_switching(model) is not None:
         for rtol in _TOLERANCES:
             pairs.try_tolerance(rtol)
             if pairs.error <= enough:

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import held_ode, potential, switching
+from tenscasadi.integrators.events import build_held_ode, build_potential, build_switching
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta, build_trial
-from tenscasadi.integrators.scheme import with_work
+from tenscasadi.integrators.scheme import add_work
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.util.casadi_tools import hermite_cubic
 
@@ -56,7 +56,7 @@ class Events(NamedTuple):
     jump: Any  # of the slope in these changes, relative to the tolerance
 
 
-def attempts_function(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
+def build_attempts(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
     """Return `ATTEMPTS` attempts: Function "attempts" (z, memory, u, limits) -> (z, memory), with `Memory` and `Limits` as columns.
 
     Attempts after the one that reaches `memory.rest` = 0 do nothing.
@@ -87,18 +87,18 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
     z, u = ca.MX.sym("z", model.nx + power), ca.MX.sym("u", model.nu)
     packed, limits = ca.MX.sym("memory", len(Memory._fields)), ca.MX.sym("limits", len(Limits._fields))
     m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), Limits(*ca.vertsplit(limits))
-    gaps = switching(model)
+    gaps = build_switching(model)
     x = z[: model.nx]
     trial = ca.if_else(m.high > 0, m.aim, ca.if_else(m.step >= m.rest, m.rest, m.step))
 
     if gaps is None:
-        ode = with_work(model.ode, model.power) if power and model.power is not None else model.ode
+        ode = add_work(model.ode, model.power) if power and model.power is not None else model.ode
         mode = ca.MX(0, 1)
     else:
-        ode, mode = held_ode(model, power), gaps(x, u) > 0
+        ode, mode = build_held_ode(model, power), gaps(x, u) > 0
     after, errors, slope, end_slope = build_trial(scheme.tableau, ode)(z, ca.vertcat(u, mode), trial)
     if gaps is not None and power:
-        stored = potential(model)
+        stored = build_potential(model)
         after = ca.vertcat(after[: model.nx], after[model.nx :] + stored(after[: model.nx], u) - stored(x, u))
     project = None if correction is None else correction.step(model)
     if project is not None:

@@ -10,16 +10,16 @@ import numpy as np
 
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import counts, held_ode, split_mode, switching
-from tenscasadi.integrators.scheme import Complex, check_ode, with_work
+from tenscasadi.integrators.events import build_held_ode, build_switching, count_switches, split_mode
+from tenscasadi.integrators.scheme import Complex, add_work, check_ode
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip
 from tenscasadi.util.casadi_tools import call_as_sx, sparse
 from tenscasadi.util.validate import Array, instance, positive_number, whole_number
 
-_SWEPT = 4  # degree up to which sweeps converge fast
-_SLACK, _ROUNDING = 100.0, 1e-9  # what the last sweep may have moved: times the tolerance, or relative to the state
-_LEFT = 1e-5  # of the state: what the equations may be off by after Newton's method; stiff forces magnify what is left of its last step
+_SWEPT_DEGREE = 4  # degree up to which sweeps converge fast
+_LAST_MOVE, _ROUNDING = 100.0, 1e-9  # what the last sweep may have moved: times the tolerance, or relative to the state
+_RESIDUAL = 1e-5  # of the state: what the equations may be off by after Newton's method; stiff forces magnify what is left of its last step
 _RIGID = 1e5  # stiffness that stands in for bars and joints, relative to the stiffest entry: their share of a sweep is exact to its inverse
 _DOUBT = 2.0  # times the last change of a stage: how far past its end a string or contact keeps its mode
 _BLOCK = 8  # sweeps that are skipped at once when they are not needed
@@ -131,7 +131,7 @@ class Collocation:
         guess = h * ca.vec(ca.mtimes(ode(x, u), ca.DM(A.sum(axis=1)).T))
         found = solve(guess, ca.vertcat(x, u, h))
         left = ca.Function("left", [Z, x, u, h], [ca.norm_inf(residual)])(found, x, u, h)
-        solved = left <= _LEFT * (ca.norm_inf(x) + ca.norm_inf(found))  # generated code does not tell
+        solved = left <= _RESIDUAL * (ca.norm_inf(x) + ca.norm_inf(found))  # generated code does not tell
         after = x + ca.mtimes(ca.reshape(found, nx, s), ca.DM(np.linalg.solve(A.T, b)))  # (IV.8.2b)
         after = ca.if_else(solved, after, np.nan)
         return ca.Function("step", [x, u, h], [after], ["x", "u", "h"], ["x_next"])
@@ -158,8 +158,8 @@ class Collocation:
             If `model` is no Model.
         """
         instance("model", model, Model, "a tenscasadi.Model")
-        if self.degree > _SWEPT or model.nq == 0:
-            return self.step(model.ode if power is None else with_work(model.ode, power))
+        if self.degree > _SWEPT_DEGREE or model.nq == 0:
+            return self.step(model.ode if power is None else add_work(model.ode, power))
         A, b = self.coefficients
         nx = model.nx
         z, u, h = ca.MX.sym("z", nx + (power is not None)), ca.MX.sym("u", model.nu), ca.MX.sym("h")
@@ -170,7 +170,7 @@ class Collocation:
         if power is not None:
             watts = [power(state, u) for state in stage_states(model, A, x, k, h)]
             moved = ca.vertcat(moved, h * ca.mtimes(ca.horzcat(*watts), ca.DM(b)))
-        solved = change <= ca.fmax(_SLACK * self.tolerance, _ROUNDING * ca.norm_inf(x))
+        solved = change <= ca.fmax(_LAST_MOVE * self.tolerance, _ROUNDING * ca.norm_inf(x))
         return ca.Function("step", [z, u, h], [ca.if_else(solved, z + moved, np.nan)], ["z", "u", "h"], ["z_next"])
 
     def amplification(self, z: Complex) -> Complex:
@@ -252,8 +252,8 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
     """All stages once: their accelerations, how far this sweep moved them, and the least that any sweep did."""
     L = factor_crout(A)
     squared = L @ L
-    gaps = switching(model)
-    ode = model.ode if gaps is None else held_ode(model)
+    gaps = build_switching(model)
+    ode = model.ode if gaps is None else build_held_ode(model)
     solve = _solver(model)
     found: list[Any] = []
     for i, state in enumerate(stage_states(model, A, x, k, h)):
@@ -274,7 +274,7 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
 
 def _lead(model: Model) -> ca.DM:
     """By how much a switching function moves with a velocity, s: damping over stiffness (k,)."""
-    scene, (strings, nodes) = model.scene, counts(model)
+    scene, (strings, nodes) = model.scene, count_switches(model)
     s = scene.modelled
     lead = np.divide(s.damping, s.stiffness, out=np.zeros(len(s.damping)), where=s.stiffness > 0)[:strings]
     ground = np.full(nodes, scene.ground.damping / scene.ground.stiffness if scene.ground is not None else 0.0)
@@ -282,10 +282,10 @@ def _lead(model: Model) -> ca.DM:
 
 
 def _solver(model: Model) -> ca.Function:
-    """(x, w, g, r) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, close enough to converge; w as for `held_ode`."""
+    """(x, w, g, r) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, close enough to converge; w as for `build_held_ode`."""
     mech, nq = model.mechanism, model.nq
     M = sparse(mech.free_mass)
-    strings, nodes = counts(model)
+    strings, nodes = count_switches(model)
 
     def linear(x: Any, w: Any, g: Any, r: Any) -> tuple[Any, ...]:
         N, V, time = model.unpack(x)

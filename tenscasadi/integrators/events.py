@@ -19,10 +19,10 @@ from tenscasadi.scene.strings import Clip, ForceDensity
 from tenscasadi.util.casadi_tools import sparse
 
 
-def switching(model: Model) -> ca.Function | None:
+def build_switching(model: Model) -> ca.Function | None:
     """Return (x, u) -> g (k,), m: positive where the mode is 1; strings first, then nodes. None where the scene has no events."""
     scene, mech = model.scene, model.mechanism
-    strings, nodes = counts(model)
+    strings, nodes = count_switches(model)
     if strings + nodes == 0:
         return None
     kind: Any = ca.MX if mech.large else ca.SX
@@ -36,7 +36,7 @@ def switching(model: Model) -> ca.Function | None:
     return ca.Function("switching", [x, u], ca.cse([ca.densify(ca.horzcat(*rows).T)]), ["x", "u"], ["g"])
 
 
-def held_ode(model: Model, work: bool = False) -> ca.Function:
+def build_held_ode(model: Model, work: bool = False) -> ca.Function:
     """Return (z, w) -> zdot: the motion in the mode of w = (u, mode (k,)), whatever the switching functions say; z is x.
 
     With `work`, z has one entry more: the work of all forces, J. `potential` tells how much of it comes out of the model's energy: that
@@ -44,7 +44,7 @@ def held_ode(model: Model, work: bool = False) -> ca.Function:
     """
     mech = model.mechanism
     kind: Any = ca.MX if mech.large else ca.SX  # no calls of staged functions: they would not know the mode
-    z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nu + sum(counts(model)))
+    z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nu + sum(count_switches(model)))
     N, V, time = model.unpack(z[: model.nx])
     u, mode = split_mode(model, w)
     acceleration = forward_dynamics(model, N, V, u, time, mode)[0]
@@ -60,11 +60,11 @@ def held_ode(model: Model, work: bool = False) -> ca.Function:
 
 def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
     """Return the control u (nu,) and the mode in w = (u, mode (k,))."""
-    nu, (strings, nodes) = model.nu, counts(model)
+    nu, (strings, nodes) = model.nu, count_switches(model)
     return w[:nu], forces.Mode(w[nu : nu + strings].T if strings else None, w[nu + strings :].T if nodes else None)
 
 
-def potential(model: Model) -> ca.Function:
+def build_potential(model: Model) -> ca.Function:
     """Return (x, u) -> elastic and gravity energy, J."""
     kind: Any = ca.MX if model.mechanism.large else ca.SX
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
@@ -72,7 +72,7 @@ def potential(model: Model) -> ca.Function:
     return ca.Function("potential", [x, u], [total], ["x", "u"], ["potential"])
 
 
-def counts(model: Model) -> tuple[int, int]:
+def count_switches(model: Model) -> tuple[int, int]:
     """Count the strings that can go slack and the nodes that can meet the ground."""
     scene = model.scene
     slack = isinstance(scene.slack, Clip) and not isinstance(scene.control, ForceDensity)

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import Complex, check_ode, extent, relative_tolerance, stability_limit, with_work
+from tenscasadi.integrators.scheme import Complex, add_work, check_ode, check_relative_tolerance, extent, stability_limit
 from tenscasadi.integrators.tableaux import CLASSICAL, DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
 from tenscasadi.util.validate import instance, positive_number, whole_number
 
@@ -74,7 +74,7 @@ class ExplicitRungeKutta:
             If `model` is no Model.
         """
         instance("model", model, Model, "a tenscasadi.Model")
-        return self.step(model.ode if power is None else with_work(model.ode, power))
+        return self.step(model.ode if power is None else add_work(model.ode, power))
 
     def amplification(self, z: Complex) -> Complex:
         """Compute the factor by which one step multiplies y when y' = λ y.
@@ -142,7 +142,7 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
     def __post_init__(self) -> None:
         name = type(self).__name__
         if self.rtol is not None:
-            object.__setattr__(self, "rtol", relative_tolerance(f"{name}.rtol", self.rtol))
+            object.__setattr__(self, "rtol", check_relative_tolerance(f"{name}.rtol", self.rtol))
         if self.atol is not None:
             if self.rtol is None:
                 raise ValueError(f"{name}.atol is {self.atol}, but rtol is None: give both for control of the error, or neither")

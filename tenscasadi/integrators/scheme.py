@@ -46,7 +46,7 @@ class Scheme(Protocol):
 _MEMBERS = ("order", "adaptive", "implicit", "advance", "step", "amplification")
 
 
-def relative_tolerance(field: str, value: Any) -> float:
+def check_relative_tolerance(field: str, value: Any) -> float:
     """Return `value` as a float, 1e-15 or more and less than 1. Raises TypeError, ValueError."""
     rtol = positive_number(field, value)
     if rtol < 1e-15 or rtol >= 1:
@@ -60,7 +60,7 @@ def extent(model: Model) -> float:
     return float(np.ptp(model.structure.nodes, axis=0).max()) or 1.0
 
 
-def with_work(ode: ca.Function, power: ca.Function) -> ca.Function:
+def add_work(ode: ca.Function, power: ca.Function) -> ca.Function:
     """Return (z, u) -> zdot: the ode with the work of `power` (x, u) -> W as one more state, so that a scheme integrates both alike."""
     x, u, work = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("work")
     return ca.Function("ode_and_work", [ca.vertcat(x, work), u], [ca.vertcat(ode(x, u), power(x, u))], ["z", "u"], ["zdot"])

@@ -11,7 +11,7 @@ import numpy as np
 from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import Complex, check_ode, extent, relative_tolerance, with_work
+from tenscasadi.integrators.scheme import Complex, add_work, check_ode, check_relative_tolerance, extent
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import instance, positive_number, whole_number
 
@@ -35,7 +35,7 @@ class Sundials:
 
     def __post_init__(self) -> None:
         name = type(self).__name__
-        object.__setattr__(self, "rtol", relative_tolerance(f"{name}.rtol", self.rtol))
+        object.__setattr__(self, "rtol", check_relative_tolerance(f"{name}.rtol", self.rtol))
         if self.atol is not None:
             object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol))
         whole_number(f"{name}.max_steps", self.max_steps, 1)
@@ -103,7 +103,7 @@ class Sundials:
 
     def equations(self, model: Model, power: ca.Function | None) -> dict[str, Any]:
         """Return x, u and ode for CasADi's integrator."""
-        ode = model.ode if power is None else with_work(model.ode, power)
+        ode = model.ode if power is None else add_work(model.ode, power)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", model.nu)
         return {"x": x, "u": u, "ode": ode(x, u)}
 

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.adaptive import ATTEMPTS, Limits, Memory, attempts_function
+from tenscasadi.integrators.adaptive import ATTEMPTS, Limits, Memory, build_attempts
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
@@ -126,7 +126,7 @@ def _write_function(task: Task, steps: int) -> ca.Function:
 
 def _new_function(task: Task, steps: int) -> ca.Function:
     if isinstance(task.scheme, EmbeddedRungeKutta) and task.scheme.adaptive:
-        return attempts_function(task.model, task.scheme, task.correction, task.power)
+        return build_attempts(task.model, task.scheme, task.correction, task.power)
     return chunk_function(*task, steps)
 
 
@@ -164,7 +164,7 @@ class LoopStepper:
 
 
 class AdaptiveStepper:
-    """One grid step a call, by as many attempts of `attempts_function` as the scheme's error control asks for."""
+    """One grid step a call, by as many attempts of `build_attempts` as the scheme's error control asks for."""
 
     steps = 1
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import held_ode, switching
+from tenscasadi.integrators.events import build_held_ode, build_switching
 from tenscasadi.scene.loads import Gravity, Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength, Smooth
@@ -20,7 +20,7 @@ def test_between_events_the_motion_is_that_of_the_ode() -> None:
     rng = np.random.default_rng(1)
     for coordinates in ("reduced", "full"):
         model = Model(scene, coordinates)  # type: ignore[arg-type]
-        gap, held = switching(model), held_ode(model)
+        gap, held = build_switching(model), build_held_ode(model)
         assert gap is not None
         seen = set()
         for _ in range(10):
@@ -34,14 +34,14 @@ def test_between_events_the_motion_is_that_of_the_ode() -> None:
 def test_scenes_without_events_have_no_switching_function() -> None:
     prism = shapes.prism(prestress=10.0)
     for scene in (Scene(prism, control=ForceDensity()), Scene(prism, slack=Smooth(1e-3)), Scene(shapes.pendulum(), gravity=Gravity())):
-        assert switching(Model(scene)) is None
-    assert switching(Model(Scene(shapes.pendulum(), ground=Ground()))) is not None
+        assert build_switching(Model(scene)) is None
+    assert build_switching(Model(Scene(shapes.pendulum(), ground=Ground()))) is not None
 
 
 def test_a_mode_counts_whatever_lengths_and_depths_say() -> None:
     slack = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 2.0], pinned=[0], stiffness=100.0, rest_length=1.25)
     model = Model(Scene(slack, ground=Ground(stiffness=1e3, height=-0.5)))
-    held = held_ode(model)
+    held = build_held_ode(model)
     for taut, touching, expected in ((0, 0, (0, 0)), (1, 0, (12.5, 0)), (0, 1, (0, -250)), (1, 1, (12.5, -250))):
         mode = [taut, 0, touching]  # of the string, of the pinned node and of the other
         acceleration = held(model.initial_state, mode).full().ravel()[3:]
