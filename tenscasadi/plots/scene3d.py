@@ -119,7 +119,7 @@ class Canvas:
         for name, centre, reach in zip("xyz", (low + high) / 2, half, strict=True):
             axis = getattr(self.axes, f"{name}axis")
             getattr(self.axes, f"set_{name}lim")(centre - reach, centre + reach)
-            getattr(self.axes, f"set_{name}label")(f"{name} (m)", labelpad=3, fontsize=9)
+            getattr(self.axes, f"set_{name}label")(f"{name} (m)", labelpad=6 if name == "z" else 3, fontsize=9)
             ticks = round(4 * reach / half.max())
             if ticks > 1:
                 axis.set_major_locator(MaxNLocator(nbins=ticks, steps=[1, 2, 5, 10]))
