@@ -18,10 +18,10 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.util.validate import Array
 
-FINE = 1  # steps of DormandPrince853 in an interval: more exact than ten of RungeKutta4, at a third of the cost
-ROUNDS = 6
-ROUGH = 1e-5  # tolerance of the first solution, which the next one moves by more
-GAIN = 0.5  # a round that leaves more than this share of the gap leads nowhere
+FINE_STEPS = 1  # steps of DormandPrince853 in an interval: more exact than ten of RungeKutta4, at a third of the cost
+MOST_ROUNDS = 6  # of corrections
+ROUGH_TOLERANCE = 1e-5  # tolerance of the first solution, which the next one moves by more
+MOST_LEFT = 0.5  # a round that leaves more than this share of the gap leads nowhere
 
 
 class Corrected(NamedTuple):
@@ -51,7 +51,7 @@ def solve_corrected(program: Program, solver: Ipopt, model: Model, fractions: Ar
     settled, the coarse rows hold exactly at the fine motion. Each round gains what the coarse scheme is worth: a factor of about its relative error.
     Only limits change, so nothing is built again. Optimal is the plan for the costs of the coarse rows, which are wrong by its order.
     """
-    solution = replace(solver, tolerance=max(solver.tolerance, ROUGH)).solve(program)
+    solution = replace(solver, tolerance=max(solver.tolerance, ROUGH_TOLERANCE)).solve(program)
     best, before, iterations = Corrected(solution, None, np.inf), np.inf, solution.iterations
     if not solution.success:
         return best
@@ -59,8 +59,8 @@ def solve_corrected(program: Program, solver: Ipopt, model: Model, fractions: Ar
     again: Callable[[Program], Solution] | None = None
     count, moving = len(fractions), program.rows("start", "defect")[-1].stop
     linear = program.unpack.size2_out(1) > count
-    chain = (ramped_step if linear else shooting_step)(model, DormandPrince853(), FINE).mapaccum(count)
-    for done in range(ROUNDS + 1):
+    chain = (ramped_step if linear else shooting_step)(model, DormandPrince853(), FINE_STEPS).mapaccum(count)
+    for done in range(MOST_ROUNDS + 1):
         states, gamma, duration = (np.asarray(value.full()).T for value in program.unpack(solution.w))
         T = float(duration.squeeze())
         held = (gamma[:-1].T, gamma[1:].T) if linear else (gamma.T,)
@@ -70,7 +70,7 @@ def solve_corrected(program: Program, solver: Ipopt, model: Model, fractions: Ar
         size = float(max(places.max(initial=0.0), T * speeds.max(initial=0.0)))
         if done and size < best.gap:  # the first solution is a rough one
             best = Corrected(solution._replace(iterations=iterations), fine, size)
-        if (done and size <= accuracy) or not size < GAIN * before or done == ROUNDS:
+        if (done and size <= accuracy) or not size < MOST_LEFT * before or done == MOST_ROUNDS:
             break
         before = size
         shift = np.asarray(rows(program.with_states(solution.w, fine)).full()).ravel()[:moving]

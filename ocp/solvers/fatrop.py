@@ -14,7 +14,7 @@ from ocp.transcription.sparse_nlp import Block, Program, Separable
 from tenscasadi.util.validate import Array, Indices
 
 REFUSED = "option not supported", "generic_type.cpp"  # what CasADi says of options that Fatrop does not have, or of another type
-BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more problems
+FIRST_BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more problems
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Fatrop:
             "fatrop": {
                 "max_iter": self.max_iterations,
                 "tol": self.tolerance,
-                "mu_init": BARRIER,
+                "mu_init": FIRST_BARRIER,
                 "print_level": 5 if self.verbose else 0,
                 **self.options,
             },

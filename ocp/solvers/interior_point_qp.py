@@ -6,9 +6,9 @@ from typing import Any
 
 import casadi as ca
 
-STEPS = 30  # of Newton's method; most need twenty
-CLOSE = 1e-14  # mean complementarity at which the point is kept
-FAR = 0.99  # share of the way to the nearest limit
+NEWTON_STEPS = 30  # of Newton's method; most need twenty
+LEAST_COMPLEMENTARITY = 1e-14  # mean complementarity at which the point is kept
+STEP_SHARE = 0.99  # share of the way to the nearest limit
 
 
 def solve_qp(H: Any, g: Any, G: Any, b: Any, start: Any) -> Any:
@@ -20,7 +20,7 @@ def solve_qp(H: Any, g: Any, G: Any, b: Any, start: Any) -> Any:
     x = start
     s = ca.fmax(b - ca.mtimes(G, x), 1.0)  # slacks
     z = 1 / s  # multipliers
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         x, s, z = step(x, s, z, H, g, G, b)
     return x
 
@@ -47,7 +47,7 @@ def _step(n: int, limits: ca.Sparsity) -> ca.Function:
     part = length(ds, dz)
     centre = (ca.dot(s + part * ds, z + part * dz) / m / mean) ** 3
     dx, ds, dz = direction(s * z + ds * dz - centre * mean)
-    part = FAR * length(ds, dz)
+    part = STEP_SHARE * length(ds, dz)
     new = [old + part * change for old, change in ((x, dx), (s, ds), (z, dz))]
-    better = ca.logic_and(mean > CLOSE, ca.mmax(ca.fabs(ca.vertcat(*new))) < 1e30)  # false also of what is not a number
+    better = ca.logic_and(mean > LEAST_COMPLEMENTARITY, ca.mmax(ca.fabs(ca.vertcat(*new))) < 1e30)  # false also of what is not a number
     return ca.Function("step", [x, s, z, H, g, G, b], [ca.if_else(better, after, old) for after, old in zip(new, (x, s, z), strict=True)])

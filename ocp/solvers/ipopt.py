@@ -20,13 +20,13 @@ from tenscasadi.util.validate import Array, positive_number
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-8 for push in PUSHES}}
-BARRIER = 1e-4  # to start with: with IPOPT's own, 0.1, iterates leave the guess
-CONTACT = 1e-3  # the same, for motions with contact, which take several times as many iterations with less
-KNOWN = 1e-9  # the same where multipliers are known; where they are not, a small one keeps iterates at limits that they should leave
+FIRST_BARRIER = 1e-4  # to start with: with IPOPT's own, 0.1, iterates leave the guess
+FIRST_BARRIER_IN_CONTACT = 1e-3  # the same, for motions with contact, which take several times as many iterations with less
+FIRST_BARRIER_KNOWN = 1e-9  # the same where multipliers are known; where they are not, a small one keeps iterates at limits that they should leave
 
 
 STOPPED = "User_Requested_Stop"
-NEAR = 1e-6  # violation, scaled, below which iterates are judged by their objective
+SMALL_VIOLATION = 1e-6  # violation, scaled, below which iterates are judged by their objective
 
 
 class Progress(NamedTuple):
@@ -68,7 +68,7 @@ class Ipopt:
     Parameters
     ----------
     max_iterations : int
-        Most iterations.
+        Most iterations of one run.
     tolerance : float
         Tolerance of scaled optimality and constraints.
     verbose : bool
@@ -175,12 +175,12 @@ class Ipopt:
             "mumps_permuting_scaling": 0,
             "mumps_pivot_order": 0,  # AMD; what MUMPS chooses fills factors where collocation or a free duration couples much: 10 to 80 times slower
             "nlp_scaling_method": "none",  # programs are scaled
-            "mu_init": CONTACT if program.contact else BARRIER,
+            "mu_init": FIRST_BARRIER_IN_CONTACT if program.contact else FIRST_BARRIER,
             "min_refinement_steps": 0,  # solutions of linear systems are refined where their residuals ask for it
             "constr_mult_init_max": 0,  # multipliers of a guess by least squares cost a factorisation, and save no iteration
             **({} if self.seconds is None else {"max_wall_time": self.seconds}),
             **(WARM if self.warm else {}),
-            **({"mu_init": KNOWN} if self.warm and program.multipliers is not None else {}),
+            **({"mu_init": FIRST_BARRIER_KNOWN} if self.warm and program.multipliers is not None else {}),
             **self.options,
         }
         exact = program.derivatives()
@@ -258,7 +258,7 @@ class BestIterate(ca.Callback):
         w, f, g = (np.frombuffer(arg[ca.nlpsol_out().index(name)] or b"") for name in ("x", "f", "g"))
         violation = float(np.maximum(np.maximum(self._lower - g, g - self._upper), 0.0).max(initial=0.0))
         # the least violation counts, until it is small; then the objective
-        merit = violation if violation > NEAR else NEAR * float(np.arctan(f[0]) / np.pi)
+        merit = violation if violation > SMALL_VIOLATION else SMALL_VIOLATION * float(np.arctan(f[0]) / np.pi)
         if np.isfinite(merit) and merit < self._merit:
             self._merit, self.w = merit, w.copy()
         try:

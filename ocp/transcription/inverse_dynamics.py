@@ -14,8 +14,8 @@ from tenscasadi.scene.loads import Gravity
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
-ROUNDS = 20  # of an active-set method, which mostly needs five
-BLEND = 1e-3  # how much the reference force densities weigh against following the path, both in scaled units
+MOST_ROUNDS = 20  # of an active-set method, which mostly needs five
+REFERENCE_WEIGHT = 1e-3  # how much the reference force densities weigh against following the path, both in scaled units
 
 
 def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
@@ -37,8 +37,8 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
     free, slopes = (value.full().T for value in linear.map(count)(middle.T, np.zeros((model.nu, count))))
     A = slopes.reshape(count, model.nu, nq).transpose(0, 2, 1)
     size = np.maximum(np.linalg.norm(A, 2, axis=(1, 2)), 1e-300)[:, None]
-    A = np.concatenate([A / size[:, None], np.broadcast_to(np.sqrt(BLEND) * np.eye(model.nu), (count, model.nu, model.nu))], axis=1)
-    b = np.concatenate([(wanted - free) / size, np.sqrt(BLEND) * _reference(problem, states)], axis=1)
+    A = np.concatenate([A / size[:, None], np.broadcast_to(np.sqrt(REFERENCE_WEIGHT) * np.eye(model.nu), (count, model.nu, model.nu))], axis=1)
+    b = np.concatenate([(wanted - free) / size, np.sqrt(REFERENCE_WEIGHT) * _reference(problem, states)], axis=1)
     return _bounded_least_squares(A, b, lower, upper)
 
 
@@ -77,7 +77,7 @@ def _bounded_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Ar
     held = lower == upper
     side = np.where(held, -1, np.zeros(c.shape))
     x = np.zeros_like(c)
-    for _ in range(ROUNDS):
+    for _ in range(MOST_ROUNDS):
         fixed = np.where(side < 0, lower, np.where(side > 0, upper, 0.0))
         free = side == 0
         masked = H * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(c.shape[1])
