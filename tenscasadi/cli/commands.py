@@ -32,6 +32,8 @@ from tenscasadi.util.validate import positive_number
 
 FAILED, INTERRUPTED = 1, 130
 
+_Writers = dict[str, Callable[[Path], object]]  # what writes a file, by the end of its name
+
 
 def run_simulate(arguments: argparse.Namespace) -> int:
     """Simulate a shape; write trajectory and pictures."""
@@ -54,7 +56,7 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     print(f"{arguments.shape}: {model.structure!r}, {model.nx} states, {model.coordinates} coordinates")
     print(trajectory.summary())
     print(f"set-up        {set_up:.2f} s: equations and their compilation")
-    writers: dict[str, Callable[[Path], object]] = {
+    writers: _Writers = {
         ".npz": trajectory.save,
         ".png": lambda path: plots.time_lapse(trajectory, title=arguments.shape, path=path),
         "-errors.png": lambda path: plots.errors(trajectory, title=f"{arguments.shape}: errors", path=path),
@@ -118,14 +120,11 @@ def run_info(arguments: argparse.Namespace) -> int:
     print(f"C compiler    {' '.join(compiler) if compiler else 'none found: simulations run uncompiled'}")
     fields = ("nodes", "bars", "strings", "bar_mass", "bar_radius", "node_mass", "fixed", "stiffness", "damping", "rest_length", "string_mass")
     content: dict[str, Any] = {name: getattr(s, name) for name in fields}
-    _write(
-        arguments,
-        "structure",
-        {
-            ".npz": lambda path: np.savez_compressed(path, **content, equilibrium_force_density=gamma),
-            ".png": lambda path: plots.structure(s, labels=True, title=arguments.shape, path=path),
-        },
-    )
+    writers: _Writers = {
+        ".npz": lambda path: np.savez_compressed(path, **content, equilibrium_force_density=gamma),
+        ".png": lambda path: plots.structure(s, labels=True, title=arguments.shape, path=path),
+    }
+    _write(arguments, "structure", writers)
     return 0
 
 
@@ -163,15 +162,12 @@ def run_plan(arguments: argparse.Namespace) -> int:
     if find_compiler() is None:
         print("C compiler    none found: it runs uncompiled")
     limits = {"lower": arguments.lower, "upper": arguments.upper}
-    _write(
-        arguments,
-        "plan",
-        {
-            ".npz": plan.save,
-            ".png": lambda path: plots.time_lapse(plan.replay(), title="prism: the plan, replayed", path=path),
-            "-forces.png": lambda path: plots.force_densities(plan, **limits, title="prism: planned force densities", path=path),
-        },
-    )
+    writers: _Writers = {
+        ".npz": plan.save,
+        ".png": lambda path: plots.time_lapse(plan.replay(), title="prism: the plan, replayed", path=path),
+        "-forces.png": lambda path: plots.force_densities(plan, **limits, title="prism: planned force densities", path=path),
+    }
+    _write(arguments, "plan", writers)
     return 0 if plan.success else FAILED
 
 
@@ -186,7 +182,7 @@ def _same_bars(arguments: argparse.Namespace, height: float) -> Structure:
     return shapes.prism(bars, float(np.sqrt(square)) / chord, height)
 
 
-def _write(arguments: argparse.Namespace, kind: str, writers: dict[str, Callable[[Path], object]]) -> None:
+def _write(arguments: argparse.Namespace, kind: str, writers: _Writers) -> None:
     """Write the files of a command by their endings, then print which they are."""
     began = time.perf_counter()
     arguments.output.mkdir(parents=True, exist_ok=True)

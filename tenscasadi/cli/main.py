@@ -115,14 +115,11 @@ _PLAN_OPTIONS = {
     "--lower": _number("least force density, N/m", default=10.0),
     "--upper": _number("largest force density, N/m", default=100.0),
 }
+_COORDINATES = '"reduced" (default) or "full": the class-one nodes and joint forces of the paper'
 _SIMULATE_OPTIONS: _Options = {
     **_T_END,
     "--step": _number("largest time step, s", metavar="S", default=1e-3),
-    "--coordinates": {
-        "help": '"reduced" (default) or "full": the class-one nodes and joint forces of the paper',
-        "default": "reduced",
-        "metavar": "C",
-    },
+    "--coordinates": {"help": _COORDINATES, "default": "reduced", "metavar": "C"},
     "--gravity": _number("m/s² downwards, 0: none (default: by shape)", metavar="G"),
     "--save-every": _number("steps from one kept row to the next (default: about 1000 rows)", int, "N"),
     "--projection": _number("put bars and joints right after every N steps (default: never)", int, "N"),
