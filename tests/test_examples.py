@@ -48,8 +48,11 @@ def prism_gait(result: Any) -> None:
 
 
 def benchmark_rhs(rows: Any) -> None:
-    assert len(rows) == 4
-    assert all(min(row.numpy, row.virtual_machine) > 0 for row in rows)
+    shapes, drives = ("prism", "six-bar ball"), ("force densities", "elastic strings")
+    assert [row.scene for row in rows] == [f"{shape}, {drive}" for shape in shapes for drive in drives]
+    for row in rows:  # an idle machine gives several times these
+        assert row.virtual_machine > 2 * row.numpy > 0
+        assert row.compiled is None or row.compiled > 20 * row.numpy
 
 
 def paper_prism(errors: Any) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import _thread
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -223,18 +222,3 @@ def test_mistakes_are_named(argument: str, value: Any, error: type[Exception]) -
     arguments: dict[str, Any] = {"model": prism(ForceDensity()), "t_end": 0.01, "compiled": False} | {argument: value}
     with pytest.raises(error, match=r"step|t_end" if argument in ("t_end", "step") else argument):
         simulate(**arguments)
-
-
-def test_the_benchmark_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    path = Path(__file__).parents[3] / "examples" / "benchmark_rhs.py"
-    spec = importlib.util.spec_from_file_location("benchmark_rhs", path)
-    assert spec is not None
-    assert spec.loader is not None
-    benchmark = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(benchmark)
-    rows = benchmark.main(quick=True)
-    assert [row.scene.split(",")[0] for row in rows] == ["prism", "prism", "six-bar ball", "six-bar ball"]
-    assert "six-bar ball, elastic strings" in capsys.readouterr().out
-    for row in rows:
-        assert row.virtual_machine > 2 * row.numpy
-        assert row.compiled is None or row.compiled > 20 * row.numpy  # what an idle machine gives is several times that
