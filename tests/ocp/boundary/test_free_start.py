@@ -4,20 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from planning import driven, prism
 
 import ocp
 import tenscasadi as tc
-
-BAR = 1.4
-
-
-def prism(height, **options):
-    return tc.shapes.prism(3, np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height, **options)
-
-
-def driven(structure, **options):
-    return tc.Model(tc.Scene(structure, control=tc.ForceDensity(), **options))
-
 
 ANCHORED = driven(prism(1.0, pinned=[0, 1, 2]))
 FREE = driven(prism(1.0))

@@ -1,4 +1,4 @@
-"""Goals: shapes wherever they are, waypoints, periodic motions; met by the replay, and refused by name where they cannot be."""
+"""Goals: shapes wherever they are, nodes in places; those of any kind are refused by name where they cannot be."""
 
 from __future__ import annotations
 
@@ -6,22 +6,12 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from planning import driven, prism
 
 import ocp
 import tenscasadi as tc
 
-BAR = 1.4
 PRESTRESS = ocp.ForceDensityLimits(5.0, 100.0)
-
-
-def prism(height, **options):
-    return tc.shapes.prism(3, np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height, **options)
-
-
-def driven(structure, **options):
-    return tc.Model(tc.Scene(structure, control=tc.ForceDensity(), **options))
-
-
 MODEL = driven(prism(1.0))
 
 
@@ -45,69 +35,6 @@ def test_a_shape_wherever_it_is():
     assert plan.success
     assert "30 → 18 rows: 6 bar, 6 momentum" in plan.message
     assert distances(plan.replay().nodes[-1]) == pytest.approx(distances(prism(1.1).nodes), abs=1e-4)
-
-
-def test_a_waypoint_between_the_ends_of_intervals():
-    plan = planned(ocp.Waypoint([ocp.Shape(prism(1.06).nodes)], time=0.47), ocp.Shape(prism(1.0).nodes), ocp.AtRest(), intervals=16)
-    assert plan.success
-    replay = plan.replay(step=1e-3)
-    middle = replay.nodes[np.argmin(abs(replay.time - 0.47))]
-    assert distances(middle) == pytest.approx(distances(prism(1.06).nodes), abs=2e-3)
-    assert distances(replay.nodes[-1]) == pytest.approx(distances(prism(1.0).nodes), abs=1e-3)
-
-
-def test_waypoints_count_in_the_replay_error():
-    coarse = planned(ocp.Waypoint([ocp.Shape(prism(1.15).nodes), ocp.AtRest()], share=0.5), intervals=8)
-    assert coarse.success
-    replay = coarse.replay()
-    middle = replay.nodes[np.argmin(abs(replay.time - 0.5))]
-    assert coarse.replay_error >= 0.99 * np.abs(distances(middle) - distances(prism(1.15).nodes)).max()
-
-
-def test_a_missed_waypoint_is_named():
-    asked = ocp.Waypoint([ocp.Shape(prism(1.3).nodes), ocp.AtRest()], share=0.1)
-    with pytest.raises(ValueError, match=r"intervals is 10: waypoint at 0.1 .* 9 force densities in each of the 1 .* 18 rows .* at least 20"):
-        planned(asked, intervals=10)
-    plan = planned(asked, intervals=20, bounds=[ocp.ForceDensityLimits(5.0, 12.0)])
-    assert not plan.success
-    assert plan.message.startswith("no plan: ")
-    assert plan.replay_error > 0.01 or np.isnan(plan.replay_error)
-
-
-def test_waypoints_at_one_time_are_one():
-    """Given as a time and as a share, apart by rounding, in parts that repeat each other."""
-    high, still = ocp.StringLengths({0: 0.9}), ocp.AtRest()
-    shape = ocp.Shape(prism(1.0).nodes)
-    once = planned(ocp.Waypoint([high, still], time=0.3), shape, intervals=16)
-    parts = [ocp.Waypoint([high], share=0.1 + 0.2), ocp.Waypoint([still], time=0.3), ocp.Waypoint([high], time=0.3)]
-    several = planned(*parts, shape, intervals=16)
-    assert once.success
-    assert several.success, several.message
-    assert several.force_density == pytest.approx(once.force_density, abs=1e-4)
-
-
-def test_one_free_node_may_come_back_elsewhere():
-    """Only its velocities are asked for."""
-    nodes = [(0, 0, 0), (1, 0, 0), (-1, 0, 1), (-1, 0, -1), (-1, 1, 0), (-1, -1, 0)]
-    hinged = tc.Structure(nodes, bars=[(0, 1)], strings=[(0, node) for node in range(2, 6)], pinned=range(1, 6))
-    plan = planned(ocp.Periodic((None, None, None)), model=driven(hinged), bounds=[ocp.ForceDensityLimits(0.0, 10.0)])
-    assert "3 → 2 rows: 1 bar" in plan.message
-    assert plan.success, plan.message
-
-
-def test_a_periodic_motion_repeats():
-    plan = planned(ocp.Waypoint([ocp.StringLengths(prism(1.08).string_lengths)], share=0.5), ocp.Periodic(), intervals=16)
-    assert plan.success, plan.message
-    twice = tc.simulate(MODEL, 2.0, 1e-3, control=np.tile(plan.force_density, (2, 1)), compiled=False)
-    once = twice.nodes[np.argmin(abs(twice.time - 1.0))]
-    assert once == pytest.approx(MODEL.structure.nodes, abs=1e-3)
-    assert twice.nodes[-1] == pytest.approx(MODEL.structure.nodes, abs=3e-2)
-
-
-def test_a_free_duration_with_a_waypoint():
-    plan = planned(ocp.Waypoint([ocp.Shape(prism(1.05).nodes)], share=0.5), ocp.Shape(prism(1.1).nodes), ocp.AtRest(), duration=(0.8, 1.4))
-    assert plan.success
-    assert 0.8 <= plan.time[-1] <= 1.4
 
 
 def test_some_axes_of_some_nodes():

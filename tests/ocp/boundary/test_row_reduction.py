@@ -1,0 +1,62 @@
+"""Row reduction: rows that are imposed repeat no invariant, and feel what lengths do not."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from planning import driven
+
+import ocp
+import tenscasadi as tc
+from ocp.boundary.find_target import find_target
+from ocp.boundary.invariants import invariants
+from ocp.boundary.row_reduction import RowFunction, soft_directions
+from ocp.problem.scaling import Scales
+
+PRISM = tc.shapes.prism()
+
+
+def target(model, goals, duration=1.0, **options):
+    problem = ocp.Problem(model, duration, goals=goals, **options)
+    return find_target(problem, Scales.of(problem))
+
+
+def test_imposed_rows_are_independent_of_the_invariants():
+    model = driven(PRISM)
+    found = target(model, [ocp.NodePositions(PRISM.nodes), ocp.AtRest()])
+    x = ca.SX.sym("x", model.nx)
+    rows = [found.rows(x), *(group.value for group in invariants(model, model.initial_state, x, ca.SX(1.0)))]
+    J = ca.Function("J", [x], [ca.jacobian(ca.vertcat(*rows), x)])(found.state).full()
+    values = np.linalg.svd(J / np.linalg.norm(J, axis=1, keepdims=True))[1]
+    assert len(J) == 36
+    assert values[-1] > 0.05
+
+
+def test_shape_rows_feel_the_flex_that_lengths_do_not():
+    model = driven(PRISM)
+    x = ca.SX.sym("x", model.nx)
+    nodes = model.nodes(x)
+    goal = ocp.StringLengths(PRISM.string_lengths).rows(PRISM, nodes, model.velocities(x)).value
+    bars = [group.value for group in invariants(model, model.initial_state, x, ca.SX(0.0)) if group.kind == "bar"]
+    value = ca.vertcat(goal, *bars)
+    rows = RowFunction(x, value, np.ones(value.shape[0]), np.ones(model.nx))
+    directions, _, curvature = soft_directions(rows, model.initial_state)
+    assert directions.shape == (36, 1)
+    assert abs(curvature).max() > 0.1
+    assert np.abs(rows.only(slice(goal.shape[0]))(model.initial_state)[1] @ directions).max() < 1e-9
+    found = target(model, [ocp.StringLengths(PRISM.string_lengths)])
+    moved = model.initial_state + 1e-3 * directions[:, 0]
+    assert np.abs(goal_misfit(goal, x, moved)).max() < 1e-5
+    assert np.abs(found.rows(moved).full()).max() > 1e-4
+    assert np.abs(found.misfit(moved)[0].full()).max() > 1e-4
+    turned = model.state((PRISM.nodes - PRISM.nodes.mean(axis=0)) @ rotation(0.3))
+    assert np.abs(found.rows(turned).full()).max() < 1e-12
+
+
+def goal_misfit(goal, x, value):
+    return ca.Function("misfit", [x], [goal])(value).full()
+
+
+def rotation(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])

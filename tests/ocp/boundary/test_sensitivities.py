@@ -1,0 +1,31 @@
+"""Sensitivities: exact derivatives of a motion by its controls and duration."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from planning import driven
+
+import tenscasadi as tc
+from ocp.boundary.sensitivities import Reach
+
+PRISM = tc.shapes.prism()
+
+
+def test_sensitivities_agree_with_differences():
+    model = driven(PRISM)
+    intervals = 5
+    reach = Reach(model, intervals, free_duration=True)
+    controls = np.random.default_rng(4).uniform(1, 5, size=(intervals, 9))
+    x = ca.SX.sym("x", model.nx)
+    rows = ca.Function("rows", [x], [x[:7] ** 2])
+
+    def end(controls, duration):
+        return rows(reach.rollout(model.initial_state, controls, duration)[-1]).full().ravel()
+
+    exact = reach.of_rows(rows, np.eye(rows.size1_out(0)), model.initial_state, controls, 0.5)
+    change = np.random.default_rng(5).normal(size=controls.shape)
+    e = 1e-5
+    along = (end(controls + e * change, 0.5 + e) - end(controls - e * change, 0.5 - e)) / (2 * e)
+    assert exact @ np.append(change.ravel(), 1.0) == pytest.approx(along, rel=1e-6, abs=1e-9)
