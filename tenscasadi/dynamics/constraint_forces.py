@@ -20,15 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.dynamics.mechanism import Mechanism
-from tenscasadi.util.casadi_tools import (
-    call_as_sx,
-    constant_row,
-    drop_rounding,
-    matrix_with_pattern,
-    solve_semidefinite,
-    sparse,
-    weighted_product,
-)
+from tenscasadi.util.casadi_tools import call_as_sx, constant_row, drop_rounding, matrix_with_pattern, solve_semidefinite, sparse, weighted_product
 
 SINGULAR = 1e-9  # eigenvalue below which a constraint counts as redundant, relative to the largest of a system of unit diagonal
 LARGEST = 600  # unknowns of a system that is looked at for redundancy: a dense eigenvalue problem

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -24,19 +24,8 @@ _ROUNDING = 1e-9  # relative: numbers that differ by less are the same, computed
 _MEMBERS = [name for name in PARAMETERS if name != "pinned"]
 _GROUND = [field.name for field in fields(Ground)]
 _LAYOUT = [name for name in Layout._fields if name != "P"]
-_INDICES = (
-    "bars",
-    "strings",
-    "string_parent",
-    "layout.physical",
-    "layout.bar_columns",
-    "layout.string_columns",
-    "layout.tied",
-    "segments",
-    "pressure.faces",
-    "supports.nodes",
-)
-_KINDS = dict.fromkeys(_INDICES, "i") | {"fixed": "b", "ends": "U", "functions": "U"}  # in NumPy's letters; others are real numbers
+_INDICES = "bars strings string_parent layout.physical layout.bar_columns layout.string_columns layout.tied segments pressure.faces supports.nodes"
+_KINDS = dict.fromkeys(_INDICES.split(), "i") | {"fixed": "b", "ends": "U", "functions": "U"}  # in NumPy's letters; others are real numbers
 _DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layout.tied": 0}
 _NOTHING = np.zeros(0)  # stands for None
 
@@ -106,23 +95,24 @@ def model_from_arrays(content: Content) -> Model | None:
     if "model.coordinates" not in content or content["scene.functions"].size:
         return None
     told = _checked(Fields(content).within("scene."))
-    fractions, gravity, pressure, forces, times, slack = (
-        told[name] if told[name].size else None for name in ("fractions", "gravity", "pressure", "forces", "forces.times", "slack")
-    )
     ground: dict[str, Any] = {name: told[f"ground.{name}"] for name in _GROUND}
     if ground["friction"].size and np.isnan(ground["friction"]):
         del ground["friction"]
+
+    def some(name: str, build: Callable[[Any], Any]) -> Any:
+        return build(told[name]) if told[name].size else None
+
     scene = Scene(
         structure_from_arrays(content),
         control=ForceDensity(),
         segments=told["segments"].tolist(),
         ends=told["ends"].item(),
-        fractions=None if fractions is None else fractions.tolist(),
-        gravity=None if gravity is None else Gravity(gravity),
-        ground=Ground(**ground) if ground["normal"].size else None,
-        pressure=None if pressure is None else Pressure(told["pressure.faces"].tolist(), pressure.item()),
-        forces=None if forces is None else NodalForce(forces, times),
-        slack=Clip() if slack is None else Smooth(slack.item()),
+        fractions=some("fractions", np.ndarray.tolist),
+        gravity=some("gravity", Gravity),
+        ground=some("ground.normal", lambda _: Ground(**ground)),
+        pressure=some("pressure", lambda difference: Pressure(told["pressure.faces"].tolist(), difference.item())),
+        forces=some("forces", lambda values: NodalForce(values, some("forces.times", np.asarray))),
+        slack=some("slack", lambda width: Smooth(width.item())) or Clip(),
     )
     return Model(scene, content["model.coordinates"].item(), content["model.bar_length"].item())
 

@@ -160,7 +160,7 @@ class StateSpace:
         ndarray, shape (..., n, 3), or CasADi matrix
             Velocities, m/s; 3×n where x is CasADi.
         """
-        return self._physical(x, self.nq, np.zeros_like(self.mechanism.N.T))
+        return self._physical(x, 1, np.zeros_like(self.mechanism.N.T))
 
     def constraints(self, x: Any) -> Constraints:
         """Return the residuals of bars and joints, and their rates of change.
@@ -228,10 +228,9 @@ class StateSpace:
         if self._supports is None or not mech.joints:
             return ca.DM(mech.D), still, still
         held = mech.P.toarray()
-        columns = []
-        for node in self._moved:  # the column of P that pins one of the node's copies alone
-            alone = (np.count_nonzero(held, axis=0) == 1) & mech.active.all(axis=0)
-            columns.append(next(int(k) for k in np.flatnonzero(alone) if mech.physical[np.flatnonzero(held[:, k])[0]] == node))
+        alone = (np.count_nonzero(held, axis=0) == 1) & mech.active.all(axis=0)  # columns of P that pin one of a node's copies alone
+        pinned = mech.physical[abs(held).argmax(axis=0)]
+        columns = [int(np.flatnonzero(alone & (pinned == node))[0]) for node in self._moved]
         sign = ca.DM(held[:, columns].sum(axis=0)).T
         results = []
         for base, rate in zip((ca.DM(mech.D), still, still), self._supports(time), strict=True):
@@ -265,17 +264,17 @@ class StateSpace:
         moved[:, self._moved] = self._supports(time)[2]
         return moved
 
-    def _physical(self, x: Any, start: int, elsewhere: Array) -> Any:
+    def _physical(self, x: Any, part: int, elsewhere: Array) -> Any:
         if isinstance(x, (ca.SX, ca.MX)):
-            return self.unpack(x)[0 if start == 0 else 1][:, self.mechanism.first.tolist()]
+            return self.unpack(x)[part][:, self.mechanism.first.tolist()]
         states = np.asarray(x, dtype=float)
         if states.ndim == 0 or states.shape[-1] != self.nx:
             raise ValueError(f"x has shape {states.shape}: give states of shape (..., {self.nx})")
         result = np.broadcast_to(elsewhere.ravel(), (*states.shape[:-1], elsewhere.size)).copy()
-        result[..., self._free] = states[..., start : start + self.nq]
+        result[..., self._free] = self.split(states)[part]
         nodes = result.reshape(*states.shape[:-1], -1, 3)
         if self._supports is not None and self.coordinates == "reduced":
             times = states[..., -1].ravel()
-            moved = self._supports.map(times.size)(times.reshape(1, -1))[0 if start == 0 else 1].full().T
+            moved = self._supports.map(times.size)(times.reshape(1, -1))[part].full().T
             nodes[..., self._moved, :] = moved.reshape(*states.shape[:-1], len(self._moved), 3)
         return nodes[..., self.mechanism.first, :]

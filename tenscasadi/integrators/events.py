@@ -25,8 +25,7 @@ def build_switching(model: Model) -> ca.Function | None:
     strings, nodes = count_switches(model)
     if strings + nodes == 0:
         return None
-    kind: Any = ca.MX if mech.large else ca.SX
-    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
+    x, u = model.symbols(not mech.large)
     N, V, _ = model.unpack(x)
     rows = [forces.string_force_density(replace(scene, slack=_Switching()), mech, N, V, u)[0]] if strings else []
     if scene.ground is not None:
@@ -66,8 +65,7 @@ def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
 
 def build_potential(model: Model) -> ca.Function:
     """Return (x, u) -> elastic and gravity energy, J."""
-    kind: Any = ca.MX if model.mechanism.large else ca.SX
-    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
+    x, u = model.symbols(not model.mechanism.large)
     total = ca.densify(sum(forces.potential_energy(model.scene, model.mechanism, model.unpack(x)[0], u)))
     return ca.Function("potential", [x, u], [total], ["x", "u"], ["potential"])
 
