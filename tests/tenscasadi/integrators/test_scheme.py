@@ -48,6 +48,35 @@ def test_a_scheme_that_lacks_a_member_is_told_which() -> None:
         check_scheme(Euler())  # type: ignore[arg-type]
 
 
+class SymplecticEuler:
+    """A scheme of one's own: velocities first, then positions with the new ones."""
+
+    order, adaptive, implicit = 1, False, False
+
+    def step(self, ode: ca.Function) -> ca.Function:
+        raise TypeError("SymplecticEuler tells positions from velocities: use advance(model)")
+
+    def advance(self, model: tc.Model, power: ca.Function | None = None) -> ca.Function:
+        assert power is None
+        x, u, h = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("h")
+        v = x[model.nq :] + h * model.ode(x, u)[model.nq :]
+        return ca.Function("step", [x, u, h], [ca.vertcat(x[: model.nq] + h * v, v)])
+
+    def amplification(self, z: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(z) <= 2, 1.0, np.inf).astype(complex)
+
+
+def test_a_scheme_of_ones_own_is_simulated_like_others() -> None:
+    model = tc.Model(
+        tc.Scene(tc.Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 1.0], pinned=[0], stiffness=100.0, rest_length=0.9))
+    )
+    assert tc.stable_step(model, scheme=SymplecticEuler(), safety=1.0) == pytest.approx(0.2, rel=1e-3)
+    coarse, fine = (tc.simulate(model, 0.25, step, SymplecticEuler(), compiled=False) for step in (2.5e-3, 1.25e-3))
+    assert fine.success
+    exact = 0.9 + 0.1 * np.cos(10 * 0.25)
+    assert (coarse.nodes[-1, 1, 0] - exact) / (fine.nodes[-1, 1, 0] - exact) == pytest.approx(2, rel=0.05)
+
+
 @pytest.mark.parametrize("scheme", [RungeKutta4(), DormandPrince853(1e-6), tc.Rattle(), tc.Collocation(), tc.Cvodes(), tc.Idas()], ids=repr)
 def test_what_is_no_model_is_refused(scheme: Scheme) -> None:
     for wrong in (tc.Scene(tc.shapes.prism()), tc.Model, 4, None):
