@@ -255,7 +255,7 @@ class Pressure:
             W, N.
         """
         a, b, c = ([face[k] for face in self.faces] for k in range(3))
-        push = self.difference / 6 * _cross(N[:, b] - N[:, a], N[:, c] - N[:, a])  # 3×f
+        push = self.difference / 6 * ca.cross(N[:, b] - N[:, a], N[:, c] - N[:, a], 1)  # 3×f
         rows = list(range(len(a)))
         spread = ca.DM.triplet(rows * 3, a + b + c, ca.DM.ones(3 * len(a)), len(a), N.shape[1])
         return ca.mtimes(push, spread)
@@ -357,12 +357,3 @@ def _interpolated(time: Any, times: Array, table: Array) -> Any:
         moving = [ca.pw_lin(inside, ca.DM(times), ca.DM(table[:, node, axis])) if table[:, node, axis].any() else 0 for axis in range(3)]
         rows.append(ca.vertcat(*moving))
     return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*rows)))])(time)
-
-
-def _cross(a: Any, b: Any) -> Any:
-    """Columnwise cross product of 3×f expressions."""
-    return ca.vertcat(
-        a[1, :] * b[2, :] - a[2, :] * b[1, :],
-        a[2, :] * b[0, :] - a[0, :] * b[2, :],
-        a[0, :] * b[1, :] - a[1, :] * b[0, :],
-    )

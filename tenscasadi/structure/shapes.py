@@ -142,9 +142,9 @@ def prism(
     after = (i + 1) % p
     bottom = _ring(p, radius, 0.0, 0.0)
     top = _ring(p, radius, turn - 2 * np.pi / p, height)
-    strings = np.concatenate([_pairs(i, after), _pairs(p + i, p + after), _pairs(i, p + i)])
+    strings = np.concatenate([np.c_[i, after], np.c_[p + i, p + after], np.c_[i, p + i]])
     stress = np.repeat([1.0, 1.0, 2.0 * np.sin(np.pi / p)], p)
-    return _prestressed(Structure(np.concatenate([bottom, top]), _pairs(i, p + after), strings, **options), stress, prestress, options)
+    return _prestressed(Structure(np.concatenate([bottom, top]), np.c_[i, p + after], strings, **options), stress, prestress, options)
 
 
 def d_bar(bar_length: float = 1.0, angle: float = np.pi / 4, prestress: float | None = None, **options: Any) -> Structure:
@@ -278,7 +278,7 @@ def six_bar_ball(bar_length: float = 1.0, prestress: float | None = None, **opti
     shape = np.array([(end * 2, 0, side) for side in (-1, 1) for end in (-1, 1)])  # bars along x, in quarters of a bar
     quarters = np.concatenate([np.roll(shape, axis, axis=1) for axis in range(3)])
     strings = [(a, b) for a, b in combinations(range(12), 2) if np.sum((quarters[a] - quarters[b]) ** 2) == 6]
-    bars = _pairs(np.arange(0, 12, 2), np.arange(1, 12, 2))
+    bars = np.arange(12).reshape(6, 2)
     return _prestressed(Structure(0.25 * length * quarters, bars, strings, **options), np.ones(24), prestress, options)
 
 
@@ -326,8 +326,8 @@ def membrane(p: int = 8, q: int = 5, radius: float = 1.0, length: float = 2.0, n
     nodes = np.concatenate([_ring(p, radius, j * np.pi / p, length * (j / (q - 1) - 0.5)) for j in range(q)])
     ring, before, after = _membrane_neighbours(p, q)
     lower = ring[: p * (q - 1)]
-    helices = np.stack([_pairs(lower, lower + p), _pairs(lower, before[: len(lower)] + p)], axis=1).reshape(-1, 2)
-    return Structure(nodes, strings=np.concatenate([_pairs(ring, after), helices]), node_mass=node_mass, **options)
+    helices = np.stack([np.c_[lower, lower + p], np.c_[lower, before[: len(lower)] + p]], axis=1).reshape(-1, 2)
+    return Structure(nodes, strings=np.concatenate([np.c_[ring, after], helices]), node_mass=node_mass, **options)
 
 
 def membrane_faces(p: int = 8, q: int = 5) -> Indices:
@@ -354,8 +354,8 @@ def membrane_faces(p: int = 8, q: int = 5) -> Indices:
     p, q = whole_number("p", p, 3), whole_number("q", q, 2)
     ring, before, after = _membrane_neighbours(p, q)
     lower, upper = slice(0, p * (q - 1)), slice(p, p * q)
-    upright = np.column_stack([ring[lower], after[lower], ring[lower] + p])
-    hanging = np.column_stack([ring[lower], ring[upper], before[upper]])
+    upright = np.c_[ring[lower], after[lower], ring[lower] + p]
+    hanging = np.c_[ring[lower], ring[upper], before[upper]]
     return np.concatenate([upright, hanging])
 
 
@@ -373,10 +373,6 @@ def _ring(count: int, radius: float, start: float, z: float) -> Array:
 
 def _hanging(length: float, angle: float) -> Array:
     return np.array([length * np.sin(angle), 0.0, -length * np.cos(angle)])
-
-
-def _pairs(first: Indices, second: Indices) -> Indices:
-    return np.column_stack([first, second])
 
 
 def _prestressed(structure: Structure, stress: Array, prestress: float | None, options: dict[str, Any]) -> Structure:
