@@ -1,4 +1,4 @@
-"""CasADi Functions on NumPy arrays."""
+"""CasADi helpers: systems with repeated rows, constant matrices, scalar code, Functions on NumPy arrays."""
 
 from __future__ import annotations
 
@@ -6,7 +6,17 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.casadi_tools import (
+    ArrayFunction,
+    block_inverse,
+    call_as_sx,
+    constant_row,
+    drop_rounding,
+    is_diagonal,
+    solve_semidefinite,
+    sparse,
+    weighted_product,
+)
 
 
 def test_arrays_go_in_and_come_out_in_columns():
@@ -25,3 +35,53 @@ def test_results_stay_when_it_is_called_again():
     first = direct(np.array([1, 2]))[0]
     second = direct(np.array([[3.0, 0.0], [4.0, 0.0]])[:, 0])[0]
     assert (first.tolist(), second.tolist()) == ([[1.0, 4.0]], [[9.0, 16.0]])
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_systems_are_solved_where_rows_repeat_each_other(kind):
+    B = np.array([[1.0, 0, 2, 0], [0, 3, 0, 0], [2, 0, 4, 0]])  # rank 2
+    A, x = B @ B.T, np.array([1.0, -2.0, 0.5])
+    unknown = kind.sym("A", 3, 3)
+    solve = ca.Function("solve", [unknown], [solve_semidefinite(unknown, ca.DM(A @ x))])
+    assert A @ solve(A).full().ravel() == pytest.approx(A @ x, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX, ca.DM])
+def test_weighted_products(kind):
+    rng = np.random.default_rng(0)
+    Z, w, C = rng.normal(size=(3, 4)), rng.normal(size=(1, 4)), np.array([[1.0, 0, -1], [0, 2, 0], [0, 0, 0], [0, 3, 1]])
+    if kind is ca.DM:
+        found = weighted_product(ca.DM(Z), ca.DM(w), C)
+    else:
+        a, b = kind.sym("Z", 3, 4), kind.sym("w", 1, 4)
+        found = ca.Function("f", [a, b], [weighted_product(a, b, C)])(Z, w)
+    assert found.full() == pytest.approx(Z @ np.diag(w[0]) @ C)
+
+
+def test_small_structures_are_called_as_scalar_code():
+    x = ca.MX.sym("x", 2)
+    for large in (False, True):
+        (value,) = call_as_sx(large, lambda z: (ca.sin(z) * z,), x)
+        outer = ca.Function("f", [x], [value])
+        assert any(outer.instruction_id(k) == ca.OP_CALL for k in range(outer.n_instructions())) is not large
+        assert outer([1.0, 2.0]).full().ravel() == pytest.approx(np.sin([1.0, 2.0]) * [1.0, 2.0])
+    assert call_as_sx(False, lambda z: (z + 1,), ca.DM(1)) == (2,)
+
+
+def test_constant_matrices():
+    matrix = np.array([[1.0, 0.0, 1e-17], [0.0, 2.0, 0.0]])
+    assert sparse(matrix).nnz() == 3
+    assert drop_rounding(matrix).nnz == 2
+    assert is_diagonal(drop_rounding(matrix))
+    assert not is_diagonal(drop_rounding(matrix[:, ::-1]))
+    assert constant_row([2.0, 2.0]).shape == (1, 1)
+    assert constant_row([2.0, 3.0]).shape == (1, 2)
+
+
+def test_inverses_by_blocks_leave_out_what_is_held():
+    M = np.array([[2.0, 0, 1, 0], [0, 4, 0, 0], [1, 0, 3, 0], [0, 0, 0, 0]])
+    inverse = block_inverse(M, [True, True, True, False]).toarray()
+    assert inverse[:3, :3] == pytest.approx(np.linalg.inv(M[:3, :3]))
+    assert not inverse[3].any()
+    assert not inverse[:, 3].any()
+    assert block_inverse(M, [False] * 4).nnz == 0
