@@ -26,6 +26,7 @@ from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
 OVERSTEP = 1e5  # what oversteps limits of the path costs, in scaled units, against 1 for a departure of a `place`
+NOTHING = 1e-6  # of force densities that move the structure: fewer are rounding, as where nothing has to be held
 
 
 class Mpc:
@@ -310,7 +311,8 @@ def _reference(problem: Problem, scales: Scales, plan: Plan | None, output: ca.F
         ends = [ca.fmin(time + period * k, float(plan.time[-1])) for k in range(count + 1)]
         wanted = ca.horzcat(*(output(_along(plan.trajectory.states, plan.time, end))[0] for end in ends[1:]))
         held = ca.horzcat(*(_along(gamma, plan.time, (a + b) / 2) for a, b in pairwise(ends)))
-    return ca.Function("reference", [time], [ca.densify(wanted), ca.densify(held)]), float(gamma.mean()) or 1.0
+    strength, moving = float(gamma.mean()), scales.mass / scales.time**2  # moving: moves the mass by the structure's size within the duration
+    return ca.Function("reference", [time], [ca.densify(wanted), ca.densify(held)]), strength if strength > NOTHING * moving else moving
 
 
 def _goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:

@@ -196,6 +196,12 @@ def test_an_anchored_arm_is_held():
     assert held.trajectory.nodes[-1, 1] == pytest.approx([0.4, 0.0, np.sqrt(1 - 0.16)], abs=0.02)
 
 
+def test_a_structure_that_needs_no_force_at_the_goal_is_moved_there():
+    cross, folded = driven(tc.shapes.d_bar(pinned=[0])), tc.shapes.d_bar(angle=0.7).string_lengths
+    held = ocp.run(ocp.Mpc(ocp.Problem(cross, goals=[ocp.StringLengths(folded), ocp.AtRest()]), 0.1, 5), 2.0).trajectory
+    assert cross.structure.replace(nodes=held.nodes[-1]).string_lengths == pytest.approx(folded, abs=0.01)
+
+
 def test_derivatives_of_the_motion_are_exact():
     rng = np.random.default_rng(0)
     motion = Motion(MODEL, 3, 2)
