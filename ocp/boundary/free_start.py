@@ -21,7 +21,7 @@ from ocp.problem.rows import Rows, stack
 from ocp.problem.scaling import Scales
 from tenscasadi.util.validate import Array
 
-FALLS = 1e-6  # m/s: what momenta change by beyond that is no rounding
+FALLS = 1e-6  # of typical momenta (`Scales.units`): a greater change within the shortest duration is no rounding
 
 
 @dataclass(frozen=True, eq=False)

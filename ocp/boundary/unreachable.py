@@ -20,8 +20,8 @@ class UnreachableGoal(ValueError):
       the start tell: where all these limits are finite and the scene has no clock;
     - of a `Waypoint`, by the same tests from the start to that instant, each waypoint for itself;
     - of a `FreeStart`: where its own goals (and those of the end, if it repeats the start in its place) contradict each other, bars or joints;
-      and `Periodic` ones where the centre of mass falls, or some momentum is bound to change. Momenta and distance are not asked of other
-      goals of such problems.
+      and `Periodic` ones where the centre of mass falls, or some momentum is bound to change. Momenta, plane and distance are not asked of
+      other goals of such problems.
 
     Not refused, as nothing here tests it: goals that need more force, time or intervals than there are, but for the factor above; that path
     constraints or contact forbid; or that no string moves to first order, such as a speed that only the wind changes. Such a problem gets a

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from ocp.problem.rows import Rows
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import coordinates, finite_array, node_index, nonnegative, number_or_vector, per_item, whole_number
+from tenscasadi.util.validate import Array, coordinates, finite_array, node_index, nonnegative, number_or_vector, per_item, whole_number
 
-OTHER_BAR = 1e-3  # relative: a shape with bars of other lengths is refused, rounded nodes are not
+BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, those that give bars other lengths are refused
 
 
 class Goal:
@@ -287,13 +287,7 @@ class Shape(Goal):
             If the number of nodes or the lengths of the bars differ, or there are fewer than three nodes.
         """
         nodes = finite_array("Shape.nodes", self.nodes, structure.nodes.shape)
-        lengths = np.linalg.norm(nodes[structure.bars[:, 1]] - nodes[structure.bars[:, 0]], axis=1)
-        bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > OTHER_BAR)
-        if bad.size:
-            k = int(bad[0])
-            raise ValueError(
-                f"Shape.nodes make bar {k} {lengths[k]:g} m long, not {structure.bar_lengths[k]:g} m: give nodes that keep the bars' lengths"
-            )
+        check_bar_lengths("Shape.nodes make", nodes, structure)
         if len(nodes) < 3:
             raise ValueError(f"Shape.nodes has {len(nodes)} nodes: a shape needs three, use StringLengths or NodePositions")
 
@@ -321,3 +315,12 @@ class Shape(Goal):
         vectors = nodes[:, second] - nodes[:, first]
         value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(np.linalg.norm(wanted[second] - wanted[first], axis=1))
         return Rows(value, tuple(f"Shape: distance of nodes {a} and {b}" for a, b in pairs), ("m",) * len(pairs))
+
+
+def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
+    """Refuse nodes (n, 3), m, that give a bar another length; the message begins with the subject."""
+    lengths = np.linalg.norm(nodes[structure.bars[:, 1]] - nodes[structure.bars[:, 0]], axis=1)
+    bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > BAR_TOLERANCE)
+    if bad.size:
+        k = int(bad[0])
+        raise ValueError(f"{subject} bar {k} {lengths[k]:g} m long, not {structure.bar_lengths[k]:g} m: give nodes that keep the bars' lengths")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ocp.problem.bounds import Bound
 from ocp.problem.costs import Cost, Effort
 from ocp.problem.expressions import check_expressions
-from ocp.problem.goals import Goal
+from ocp.problem.goals import BAR_TOLERANCE, Goal, check_bar_lengths
 from ocp.problem.periodic import Periodic
 from ocp.problem.string_bounds import ForceDensityLimits, StringLimits, TensionLimits
 from ocp.problem.waypoints import INSTANT, Waypoint
@@ -20,8 +20,6 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.util.validate import Array, finite_array, instance, nesting, positive_number
-
-BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, a start with other bars is refused
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,15 +226,11 @@ class Problem:
                 state = self.model.state(nodes)
             except ValueError as error:
                 raise ValueError(f"{field}: {error}") from None
-        s = self.model.structure
-        bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (self.model.nodes(state), self.model.velocities(state)))
-        actual = np.linalg.norm(bars, axis=1)
-        bad = np.flatnonzero(abs(actual / s.bar_lengths - 1) > BAR_TOLERANCE)
-        if bad.size:
-            i = int(bad[0])
-            raise ValueError(f"{field} makes bar {i} {actual[i]:g} m long, not {s.bar_lengths[i]:g} m: give nodes that keep the bars' lengths")
+        s, nodes, velocities = self.model.structure, self.model.nodes(state), self.model.velocities(state)
+        check_bar_lengths(f"{field} makes", nodes, s)
+        bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (nodes, velocities))
         stretch = abs(np.sum(bars * rates, axis=1)) / s.bar_lengths
-        bad = np.flatnonzero(stretch > BAR_TOLERANCE * np.linalg.norm(self.model.velocities(state), axis=1).max())
+        bad = np.flatnonzero(stretch > BAR_TOLERANCE * np.linalg.norm(velocities, axis=1).max())
         if bad.size:
             i = int(bad[0])
             raise ValueError(f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths")
