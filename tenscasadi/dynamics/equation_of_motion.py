@@ -16,9 +16,29 @@ from tenscasadi.util.casadi_tools import call_as_sx, solve_semidefinite, sparse
 
 
 def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE) -> tuple[Any, Any, Any]:
-    """Return N̈ (3×n, m/s²), λ (1×β, N/m) and Ω (3×c, N) of the nodes N and velocities V (3×n) under the control u.
+    """Return accelerations and multipliers of nodes that move under given forces: N̈, λ and Ω.
 
-    mode: strings and contacts that are held as they are, for motion between two events.
+    Parameters
+    ----------
+    space : StateSpace
+        Scene, mechanism and moved supports.
+    N, V : casadi matrix, shape (3, n)
+        Nodes, m, and velocities, m/s, in the columns of the mechanism.
+    u : casadi column, shape (nu,)
+        Control.
+    time : casadi scalar
+        Time, s.
+    mode : Mode
+        Strings and contacts that are held as they are, for motion between two events.
+
+    Returns
+    -------
+    tuple of casadi matrices
+        N̈ (3×n), m/s²; λ (1×β), N/m; Ω (3×c), N.
+
+    Notes
+    -----
+    Up to sizes that are worth unrolling, both steps around the linear system are scalar code, called once each.
     """
     large = space.mechanism.large
     F, B, r, *system = call_as_sx(large, partial(_unconstrained, space, mode), N, V, u, time)
@@ -41,7 +61,7 @@ def _unconstrained(space: StateSpace, mode: forces.Mode, N: Any, V: Any, u: Any,
 
 
 def _constrained(space: StateSpace, F: Any, B: Any, r: Any, solution: Any, time: Any) -> tuple[Any, ...]:
-    """N̈, λ and Ω."""
+    """N̈, λ and Ω from the solution of the linear system."""
     mech = space.mechanism
     lam, Omega = recover_multipliers(mech, B, r, solution)  # 1×β, Eq. 87; 3×c, Eq. 103
     A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + space.support_accelerations(time)  # 3×n, Eqs. 85-86

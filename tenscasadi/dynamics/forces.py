@@ -97,14 +97,14 @@ def _rest(scene: Scene, u: Any) -> Any:
 
 
 def _per_child(scene: Scene, u: Any, factor: Array) -> Any:
-    """u per parent string as a row over the modelled strings, times `factor`."""
+    """Return u per parent string as a row over the modelled strings, times `factor`."""
     parent = scene.modelled.string_parent
     row = u.T if len(parent) == u.shape[0] else u[parent.tolist()].T
     return row if np.all(factor == 1) else row * ca.DM(factor).T
 
 
 def _on_first(mech: Mechanism, W: Any) -> Any:
-    """Loads on physical nodes (3×m; nodes inside strings, behind them, may be left out) as columns on the first copy of each."""
+    """Return loads on physical nodes (3×m; nodes inside strings, behind them, may be left out) as columns on the first copy of each."""
     count, n = W.shape[1], mech.N.shape[1]
     columns = mech.first[:count].tolist()
     if columns == list(range(n)):
