@@ -10,9 +10,12 @@ from numpy.typing import ArrayLike
 from ocp.plan.plan import Plan
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import RestLength, rest_length
+from tenscasadi.simulation.control_input import ControlProfile
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, instance, nonnegative, per_item, whole_number
+
+WOUND_STEPS = 5  # steps of a replay from one change of rest lengths to the next
 
 
 def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLike = 0.0) -> Array:
@@ -107,5 +110,6 @@ def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayL
     rest = rest_length(fine.control, lengths, k)
     elastic = replace(planned.scene, structure=plan.structure.replace(stiffness=k, damping=damping), control=RestLength())
     model = Model(elastic, planned.coordinates, "constant" if planned.mechanism.constant_length else "current")
-    wound = (rest[1:] + rest[:-1])[: len(rest) - 1] / 2  # the middle of each step
-    return simulate(model, float(plan.time[-1]), float(plan.time[-1]) / steps / 5, state=plan.trajectory.states[0], control=wound, compiled=False)
+    wound = ControlProfile(fine.time, (rest[1:] + rest[:-1])[: len(rest) - 1] / 2, WOUND_STEPS)  # the middle of each step
+    end = float(plan.time[-1])
+    return simulate(model, end, end, state=plan.trajectory.states[0], control=wound, compiled=False)

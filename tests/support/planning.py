@@ -41,3 +41,10 @@ def program(problem, transcription):
     scales = Scales.of(problem)
     target = find_target(problem, scales)
     return transcription.program(problem, target, scales, make_guess(problem, target, transcription.count))
+
+
+def taller(*bounds):
+    """The prism with stiff strings grows to 1.15 m as a whole, from rest to rest."""
+    goals = [ocp.Shape(prism(1.15).nodes), ocp.AtRest()]
+    model = driven(prism(1.0, stiffness=1000.0))
+    return ocp.Problem(model, goals=goals, bounds=[ocp.ForceDensityLimits(5.0, 100.0), *bounds], costs=[ocp.Effort()])

@@ -1,12 +1,14 @@
-"""Options of plans as text: every kind comes back as it was."""
+"""Plans in files know how they were asked for and solved: every option comes back as it was, and nothing in a file is run."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+import re
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from planning import taller
 
 import ocp
 import tenscasadi as tc
@@ -97,3 +99,73 @@ def test_transcriptions_and_solvers_come_back(transcription, solver):
     found = again({"problem": ocp.Problem(MODEL), "transcription": transcription, "solver": solver})
     assert same(found["transcription"], transcription)
     assert same(found["solver"], solver)
+
+
+# --- plans in files ---
+
+
+def test_a_loaded_plan_is_refined_and_reports_of_its_problem(coarse, tmp_path):
+    loaded = ocp.Plan.load(coarse.save(tmp_path / "plan.npz"))
+    assert str(loaded.report()) == str(coarse.report())
+    fine, again = (plan.refine(1e-4) for plan in (coarse, loaded))
+    assert again.success
+    assert again.time == pytest.approx(fine.time, abs=1e-9)
+    assert again.force_density == pytest.approx(fine.force_density, rel=1e-6)
+    assert ocp.Plan.load(path=again.save(tmp_path / "again.npz")).refine(1e-4).success
+
+
+def without(path, *names, **others):
+    """The file with other fields."""
+    with np.load(path) as archive:
+        content = {name: archive[name] for name in archive.files if name not in names}
+    np.savez_compressed(path, **content, **others)
+    return path
+
+
+def test_a_plan_of_an_older_version_says_how_it_is_refined(coarse, tmp_path):
+    path = without(coarse.save(tmp_path / "plan.npz"), "solved")
+    loaded = ocp.Plan.load(path)
+    assert loaded.replay().success
+    with pytest.raises(ValueError, match=r"older version.*Plan.load\(path, problem=...\)"):
+        loaded.report()
+    for plan in (loaded, ocp.Plan.load(path, taller())):
+        with pytest.raises(ValueError, match=r"how the plan was solved \(its file is of an older version\).*guess=plan"):
+            plan.refine(1e-6)
+    assert str(ocp.Plan.load(path, taller()).report()) == str(coarse.report())
+
+
+class OwnScheme(tc.RungeKutta4):
+    """A scheme as users write them."""
+
+
+@pytest.mark.parametrize("own", ["cost", "scheme"])
+def test_what_no_file_holds_is_said_where_it_is_needed(own, tmp_path):
+    costs = [ocp.Effort(), *([ocp.Integral("low", lambda now: now.nodes[2, 0] ** 2)] if own == "cost" else [])]
+    asked = replace(taller(), costs=costs)
+    transcription = ocp.MultipleShooting(8, scheme=OwnScheme() if own == "scheme" else tc.RungeKutta4())
+    path = ocp.solve(asked, transcription, ocp.Ipopt(watch=lambda progress: True)).save(tmp_path / "plan.npz")
+    said = "Problem.costs[1].expression is a function" if own == "cost" else "Transcription.scheme is of an own class, OwnScheme"
+    with pytest.raises(ValueError, match=f"{re.escape(said)}.*guess=plan"):
+        ocp.Plan.load(path).refine(1e-4)
+    if own == "cost":
+        assert ocp.Plan.load(path, asked).refine(1e-4).success
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "no json",
+        "[" * 100_000,
+        '{"problem": null}',
+        '{"transcription": {"class": "os.system", "fields": {}}}',
+        '{"solver": {"class": "Ipopt", "fields": {"options": {"mapping": [["hsllib", "/tmp/own.so"], ["linear_solver", "ma57"]]}}}}',
+    ],
+    ids=["no text", "deep", "nothing", "another class", "a library"],
+)
+def test_nothing_in_a_file_is_run(coarse, text, tmp_path):
+    loaded = ocp.Plan.load(without(coarse.save(tmp_path / "plan.npz"), "solved", solved=np.asarray(text)))
+    assert loaded.problem is None
+    assert loaded.transcription is None
+    assert loaded.solver is None
+    with pytest.raises(ValueError, match="how the plan was solved"):
+        loaded.refine(1e-4)
