@@ -8,7 +8,7 @@ import pytest
 from planning import driven
 
 import tenscasadi as tc
-from ocp.boundary.sensitivities import Reach
+from ocp.boundary.sensitivities import Motion, Reach
 
 PRISM = tc.shapes.prism()
 
@@ -29,3 +29,22 @@ def test_sensitivities_agree_with_differences():
     e = 1e-5
     along = (end(controls + e * change, 0.5 + e) - end(controls - e * change, 0.5 - e)) / (2 * e)
     assert exact @ np.append(change.ravel(), 1.0) == pytest.approx(along, rel=1e-6, abs=1e-9)
+
+
+def test_derivatives_of_the_motion_are_exact():
+    model = driven(PRISM)
+    rng = np.random.default_rng(0)
+    motion = Motion(model, 3, 2)
+    x, u = model.initial_state + 0.01 * rng.normal(size=36), rng.uniform(1, 10, (3, 9))
+    states, points = motion.states(x, u, 0.05)
+    A, B = motion.derivatives(points, u, 0.05)
+    eps = 1e-6
+    for k in range(3):
+        own = Motion(model, 1, 2)
+        for column in (0, 20, 35):
+            step = np.eye(36)[column] * eps
+            slope = (own.states(states[k] + step, u[k : k + 1], 0.05)[0][1] - own.states(states[k] - step, u[k : k + 1], 0.05)[0][1]) / (2 * eps)
+            assert A[k][:, column] == pytest.approx(slope, abs=1e-7)
+        step = np.eye(9)[4] * eps
+        slope = (own.states(states[k], u[k : k + 1] + step, 0.05)[0][1] - own.states(states[k], u[k : k + 1] - step, 0.05)[0][1]) / (2 * eps)
+        assert B[k][:, 4] == pytest.approx(slope, abs=1e-7)
