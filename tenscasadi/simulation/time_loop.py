@@ -69,7 +69,7 @@ def _repeat(name: str, step: ca.Function, times: int) -> ca.Function:
 
 
 def _pass_over(block: ca.Function) -> ca.Function:
-    """The block, or its start in place of each result where its first step has no length: a run that ends early does not pay for a whole chunk."""
+    """Guard a block: where its first step has no length, each result is its start, so that a run which ends early does not pay for a whole chunk."""
     inputs = [ca.MX.sym(block.name_in(i), *block.size_in(i)) for i in range(block.n_in())]
     still = ca.Function("still", inputs, [ca.repmat(inputs[0], 1, block.size2_out(0))])
     either = ca.Function.if_else("either", block, still)
