@@ -23,10 +23,10 @@ class UnreachableGoal(ValueError):
       and `Periodic` ones where the centre of mass falls, or some momentum is bound to change. Momenta, plane and distance are not asked of
       other goals of such problems.
 
-    Not refused, as nothing here tests it: goals that need more force, time or intervals than there are, but for the factor above; that path
-    constraints or contact forbid; or that no string moves to first order, such as a speed that only the wind changes. Such a problem gets a
-    plan with ``success`` False, and a message that says what is missing. As the search is local, goals may be refused although a state far from
-    the start meets them.
+    Not refused, as nothing here tests it, are goals that need more force or time than there is, but for the factor above; that path constraints
+    or contact forbid; or that no string moves to first order, such as a speed that only the wind changes. Such a problem gets a plan with
+    ``success`` False, and a message that says what is missing. Fewer force densities than rows of goals, and limits that leave none at the
+    start, are a plain ValueError of `solve`. As the search is local, goals may be refused although a state far from the start meets them.
 
     Examples
     --------
