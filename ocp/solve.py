@@ -165,7 +165,7 @@ def _controlled(task: _Task, guess: Guess, least: float = REACHED) -> Target:
     def reduced(part: Target, share: float) -> Target:
         end = max(1, round(share * intervals))
         kept = find_controlled(task.reach.of_rows(part.single, part.weights, target.start, guess.force_density, guess.duration, end), least)
-        return part if len(kept) == part.count else part.only(kept, "out of control")
+        return part if len(kept) == part.count else part.keep(kept, "out of control")
 
     waypoints = tuple(one._replace(target=reduced(one.target, one.share)) for one in target.waypoints)
     return replace(reduced(target, 1.0), waypoints=waypoints)

@@ -13,7 +13,7 @@ from ocp.boundary.free_start import find_free_start
 from ocp.boundary.gauss_newton import NEARLY_SINGULAR, GaussNewton
 from ocp.boundary.invariants import invariants
 from ocp.boundary.row_reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
-from ocp.boundary.target import Target, TargetOnTheWay
+from ocp.boundary.target import Target, WaypointTarget
 from ocp.boundary.unreachable import UnreachableGoal
 from ocp.problem.problem import Problem
 from ocp.problem.rows import stack
@@ -35,7 +35,7 @@ def find_target(problem: Problem, scales: Scales) -> Target:
             _check_time(problem, met, part.longest)
         except UnreachableGoal as error:
             raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
-        waypoints.append(TargetOnTheWay(share, met))
+        waypoints.append(WaypointTarget(share, met))
     if problem.start_goals:
         closed = any(goal.shift == (0.0, 0.0, 0.0) for goal in problem.repeating)  # the start is the end
         try:
@@ -94,7 +94,7 @@ class _Finder:
         sizes = np.concatenate([rows.sizes(scales.units) for rows in every])
         self.rows = RowFunction(self.y, ca.vertcat(*(rows.value for rows in every)), sizes, self.scale)
         ends = np.cumsum([0, *(len(rows.units) for rows in every)]).tolist()
-        self.goal, *self.kept = [self.rows.only(slice(a, b)) for a, b in pairwise(ends)]
+        self.goal, *self.kept = [self.rows.select(slice(a, b)) for a, b in pairwise(ends)]
         self.search = GaussNewton(self.scale, _metric(model), self._allowed, self._deforming)
 
     # --- the state ---
@@ -106,7 +106,7 @@ class _Finder:
         goals, miss = len(self.goals.names), 0.0
         for active in [rigid] if len(rigid) == len(self.invariants) else [rigid, list(range(len(self.invariants)))]:
             count = goals + sum(len(self.invariants[k].units) for k in active)  # rigid ones come first
-            y = self.search.find_nearest(self.rows.only(slice(count)), goals, y)
+            y = self.search.find_nearest(self.rows.select(slice(count)), goals, y)
             miss = self._miss(y)
             if miss > ROUNDED:
                 self._refuse(y, active)
@@ -184,7 +184,7 @@ class _Finder:
         single, every = ca.Function("single", [self.x], [rows]), reduction.combinations
         imposed = np.concatenate([every[:, : len(values)], every[:, len(values) :] @ weights], axis=1)
         distances = (ca.sqrt(squared) - ca.DM(np.sqrt(more))) * self.scales.length
-        lengths, speeds = self.goals.only("m"), self.goals.only("m/s")
+        lengths, speeds = self.goals.select("m"), self.goals.select("m/s")
         misfit = ca.Function("misfit", [self.x], [ca.vertcat(lengths.value, distances), speeds.value], ["x"], ["metres", "speeds"])
         pairs = self._pairs() if distances.shape[0] else []
         names = (*lengths.names, *(f"distance of nodes {a} and {b}" for a, b in pairs), *speeds.names)

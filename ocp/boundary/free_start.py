@@ -58,7 +58,7 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
     if met.names:
         imposed.append(_combined(reduce_rows(_gradient(met, first, near, scales), known), met, scales))
     if "momentum" in kept and problem.repeating:
-        momentum = kept["momentum"].only("m/s", "m²/s")  # places of the centre of mass follow from its speed at the start
+        momentum = kept["momentum"].select("m/s", "m²/s")  # places of the centre of mass follow from its speed at the start
         _check_momentum(momentum, first, near, scales)
         known.append(("momentum", _gradient(momentum, first, near, scales)))
     before = N0[:, : len(structure.nodes)].T, V0[:, : len(structure.nodes)].T
@@ -69,7 +69,7 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
     return FreeStartRows(
         ca.Function("start", [first], [ca.densify(ca.vertcat(ca.SX(0, 1), *imposed))]),
         ca.Function("repeats", [first, last], [ca.densify(_combined(reduction, repeats, scales))]),
-        ca.Function("misfit", [first, last], [repeats.only("m").value, repeats.only("m/s").value]),
+        ca.Function("misfit", [first, last], [repeats.select("m").value, repeats.select("m/s").value]),
         reduction,
     )
 

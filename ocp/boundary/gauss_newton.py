@@ -47,7 +47,7 @@ class GaussNewton:
                 break
             crawling = crawling + 1 if least > CRAWL * rows.size(y) else 0
             y = best
-        kept, before = rows.only(slice(goals, len(rows.row_scale))), np.inf
+        kept, before = rows.select(slice(goals, len(rows.row_scale))), np.inf
         for _ in range(STEPS):  # what cannot give comes last: the goal's residual shows what is missing
             size = kept.size(y)
             if size < DONE or size > CRAWL * before:

@@ -31,7 +31,7 @@ class RowFunction:
         self._rows: slice = slice(None)
         self._code = _Code(y, value / ca.DM(row_scale))
 
-    def only(self, rows: slice) -> RowFunction:
+    def select(self, rows: slice) -> RowFunction:
         """Select some of the rows, from the same code. Only those of all rows."""
         part = copy.copy(self)
         part.row_scale, part._rows = self.row_scale[rows], rows
@@ -87,7 +87,7 @@ class Reduction:
     sizes: Array = field(default_factory=lambda: np.zeros(0))
     repeated: dict[str, int] = field(default_factory=dict)
 
-    def only(self, kept: Array, reason: str) -> Reduction:
+    def keep(self, kept: Array, reason: str) -> Reduction:
         """Return the combinations `kept` (k, rank) of the combinations; the others are left out for a reason."""
         missing = len(self.combinations) - len(kept)
         return replace(self, combinations=kept @ self.combinations, repeated={**self.repeated, reason: missing})

@@ -34,7 +34,7 @@ class Target:
     reduction: Reduction
     shape: int = 0
     adjusted: float = 0.0
-    waypoints: tuple[TargetOnTheWay, ...] = ()
+    waypoints: tuple[WaypointTarget, ...] = ()
     free_start: FreeStartRows | None = None
 
     @property
@@ -53,9 +53,9 @@ class Target:
         x = ca.MX.sym("x", self.single.size1_in(0))
         return ca.Function("goal", [x], [ca.mtimes(ca.DM(self.weights), self.single(x))], ["x"], ["rows"])
 
-    def only(self, kept: Array, reason: str) -> Target:
+    def keep(self, kept: Array, reason: str) -> Target:
         """Return the target with the combinations `kept` (k, count) of its rows; the others are left out for a reason."""
-        return replace(self, weights=kept @ self.weights, reduction=self.reduction.only(kept, reason))
+        return replace(self, weights=kept @ self.weights, reduction=self.reduction.keep(kept, reason))
 
     def begin_at(self, start: Array) -> Target:
         """Return the target of a motion from a free start that has been found, whose rows and misfit include those of repeating it."""
@@ -89,7 +89,7 @@ class Target:
         return "; ".join([text, *(one.label + one.target.describe() for one in self.waypoints)])
 
 
-class TargetOnTheWay(NamedTuple):
+class WaypointTarget(NamedTuple):
     """The target of a waypoint, at a share of the duration."""
 
     share: float

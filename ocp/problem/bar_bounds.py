@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.bounds import PathBound, PathConstraint, limits_of, without_inf
+from ocp.problem.bounds import PathBound, PathConstraint, broadcast_limits, replace_inf
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
@@ -50,7 +50,7 @@ class BarForceLimits(PathBound):
         for name in ("compression", "tension"):
             value = getattr(self, name)
             if value is not None:
-                array = number_or_vector(f"BarForceLimits.{name}", without_inf(value))
+                array = number_or_vector(f"BarForceLimits.{name}", replace_inf(value))
                 nonnegative(f"BarForceLimits.{name}", array, "bar")
 
     def check(self, structure: Structure) -> None:
@@ -72,8 +72,8 @@ class BarForceLimits(PathBound):
     def _most(self, structure: Structure) -> tuple[Array, Array]:
         """Return the greatest compression and tension (β,), N."""
         count = len(structure.bars)
-        compression = limits_of("BarForceLimits.compression", self.compression, count, np.inf)
-        return compression, limits_of("BarForceLimits.tension", self.tension, count, np.inf)
+        compression = broadcast_limits("BarForceLimits.compression", self.compression, count, np.inf)
+        return compression, broadcast_limits("BarForceLimits.tension", self.tension, count, np.inf)
 
     def constraint(self, model: Model) -> PathConstraint:
         """Return the force in each bar, N, positive in compression, with the limits, as a path constraint.
@@ -90,7 +90,7 @@ class BarForceLimits(PathBound):
         """
         now, (compression, tension) = symbolic(model), self._most(model.scene.structure)
         names = tuple(f"compression of bar {k}" for k in range(len(tension)))
-        return PathConstraint(now.bar_force, -tension, compression, names, "N", now.symbols, self.ends).without_open()
+        return PathConstraint(now.bar_force, -tension, compression, names, "N", now.symbols, self.ends).drop_open()
 
 
 @dataclass(frozen=True, eq=False)

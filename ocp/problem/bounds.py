@@ -35,7 +35,7 @@ class PathConstraint:
         """Function from the symbols to the column that is limited."""
         return ca.Function("limited", self.symbols, [ca.densify(self.value)])
 
-    def without_open(self) -> PathConstraint:
+    def drop_open(self) -> PathConstraint:
         """Return the constraint without the entries that have no limit."""
         keep = np.flatnonzero(np.isfinite(self.lower) | np.isfinite(self.upper))
         if len(keep) == len(self.names):
@@ -71,7 +71,7 @@ class RateBound(Bound):
         raise NotImplementedError
 
 
-def without_inf(value: Any, instead: float = 0.0) -> Any:
+def replace_inf(value: Any, instead: float = 0.0) -> Any:
     """Replace inf, which says that there is no limit, by a number that passes the checks."""
     try:
         array = np.asarray(value)
@@ -80,9 +80,9 @@ def without_inf(value: Any, instead: float = 0.0) -> Any:
     return np.where(np.isposinf(array), instead, array) if array.dtype.kind in "iuf" else value
 
 
-def limits_of(field: str, value: ArrayLike | None, count: int, missing: float) -> Array:
+def broadcast_limits(field: str, value: ArrayLike | None, count: int, missing: float) -> Array:
     """Return one limit for each of `count` members; `missing` where there is none. Raises TypeError, ValueError."""
     if value is None:
         return np.full(count, missing)
-    per_item(field, without_inf(value), count)
+    per_item(field, replace_inf(value), count)
     return np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy()

@@ -24,7 +24,7 @@ class Rows:
     units: tuple[str, ...]
     kind: str = "goal"
 
-    def only(self, *units: str) -> Rows:
+    def select(self, *units: str) -> Rows:
         """Return the rows in these units."""
         kept = [k for k, unit in enumerate(self.units) if unit in units]
         return Rows(self.value[kept, :], tuple(self.names[k] for k in kept), tuple(self.units[k] for k in kept), self.kind)
@@ -37,6 +37,6 @@ class Rows:
 def stack(rows: Iterable[Rows]) -> Rows:
     """Return all rows of goals as one: those of places before those of speeds."""
     given = list(rows)
-    ordered = [part.only(unit) for unit in ("m", "m/s") for part in given]
+    ordered = [part.select(unit) for unit in ("m", "m/s") for part in given]
     value = ca.vertcat(ca.SX(0, 1), *(part.value for part in ordered))
     return Rows(value, sum((part.names for part in ordered), ()), sum((part.units for part in ordered), ()))

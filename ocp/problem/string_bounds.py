@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.bounds import Bound, PathBound, PathConstraint, RateBound, limits_of, without_inf
+from ocp.problem.bounds import Bound, PathBound, PathConstraint, RateBound, broadcast_limits, replace_inf
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
@@ -29,7 +29,7 @@ class StringLimits(Bound):
             value = getattr(self, name)
             if value is not None:
                 field = f"{type(self).__name__}.{name}"
-                array = number_or_vector(field, without_inf(value) if name == "upper" else value)
+                array = number_or_vector(field, replace_inf(value) if name == "upper" else value)
                 nonnegative(field, array, "string")
 
     def check(self, structure: Structure) -> None:
@@ -43,7 +43,7 @@ class StringLimits(Bound):
     def limits(self, structure: Structure) -> tuple[Array, Array]:
         """Return lower and upper limits (α,); −inf and inf where there is none."""
         count, name = len(structure.strings), type(self).__name__
-        return limits_of(f"{name}.lower", self.lower, count, -np.inf), limits_of(f"{name}.upper", self.upper, count, np.inf)
+        return broadcast_limits(f"{name}.lower", self.lower, count, -np.inf), broadcast_limits(f"{name}.upper", self.upper, count, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ class TensionLimits(StringLimits, PathBound):
         lower, upper = (limit[parent] for limit in self.limits(model.scene.structure))
         lower = np.where(lower > 0, lower, -np.inf)  # γ ≥ 0 says so already
         names = tuple(f"tension of string {k}" for k in parent)
-        return PathConstraint(now.tension, lower, upper, names, "N", now.symbols, self.ends).without_open()
+        return PathConstraint(now.tension, lower, upper, names, "N", now.symbols, self.ends).drop_open()
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,7 @@ class RestLengthLimits(StringLimits, PathBound):
             If limits or stiffness do not fit the strings.
         """
         super().check(structure)
-        stiffness_of("RestLengthLimits.stiffness", self.stiffness, structure)
+        read_stiffness("RestLengthLimits.stiffness", self.stiffness, structure)
 
     def constraint(self, model: Model) -> PathConstraint:
         """Return the rest length of each string, m, with the limits, as a path constraint.
@@ -187,10 +187,10 @@ class RestLengthLimits(StringLimits, PathBound):
             Expressions of an instant of symbols, between their limits.
         """
         now, structure = symbolic(model), model.scene.structure
-        rest = now.rest_lengths(stiffness_of("RestLengthLimits.stiffness", self.stiffness, structure))
+        rest = now.rest_lengths(read_stiffness("RestLengthLimits.stiffness", self.stiffness, structure))
         lower, upper = self.limits(structure)
         names = tuple(f"rest length of string {k}" for k in range(len(lower)))
-        return PathConstraint(rest, lower, upper, names, "m", now.symbols, self.ends).without_open()
+        return PathConstraint(rest, lower, upper, names, "m", now.symbols, self.ends).drop_open()
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ class RestLengthRateLimits(RateBound):
     stiffness: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        array = number_or_vector("RestLengthRateLimits.speed", without_inf(self.speed, 1.0))
+        array = number_or_vector("RestLengthRateLimits.speed", replace_inf(self.speed, 1.0))
         nonnegative("RestLengthRateLimits.speed", array, "string", strict=True)
 
     def check(self, structure: Structure) -> None:
@@ -239,8 +239,8 @@ class RestLengthRateLimits(RateBound):
         TypeError, ValueError
             If speed or stiffness do not fit the strings.
         """
-        limits_of("RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf)
-        stiffness_of("RestLengthRateLimits.stiffness", self.stiffness, structure)
+        broadcast_limits("RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf)
+        read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)
 
     def constraint(self, model: Model) -> PathConstraint:
         """Return the mean rate of each rest length, m/s, with the limits, as a path constraint.
@@ -257,15 +257,15 @@ class RestLengthRateLimits(RateBound):
         """
         before, after, structure = symbolic(model), symbolic(model), model.scene.structure
         interval: Any = type(before.state).sym("h")
-        k = stiffness_of("RestLengthRateLimits.stiffness", self.stiffness, structure)
+        k = read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)
         rate = (after.rest_lengths(k) - before.rest_lengths(k)) / interval
-        speed = limits_of("RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf)
+        speed = broadcast_limits("RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf)
         names = tuple(f"rest length rate of string {i}" for i in range(len(speed)))
         symbols = (before.state, before.control, after.state, after.control, interval)
-        return PathConstraint(rate, -speed, speed, names, "m/s", symbols, self.ends).without_open()
+        return PathConstraint(rate, -speed, speed, names, "m/s", symbols, self.ends).drop_open()
 
 
-def stiffness_of(field: str, given: ArrayLike | None, structure: Structure) -> Array:
+def read_stiffness(field: str, given: ArrayLike | None, structure: Structure) -> Array:
     """Return the stiffness (α,), N/m: the given one or the structure's. Raises ValueError for a string without."""
     values = per_item(field, structure.stiffness if given is None else given, len(structure.strings))
     return nonnegative(field, values, "string", strict=True)

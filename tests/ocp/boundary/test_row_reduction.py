@@ -43,7 +43,7 @@ def test_shape_rows_feel_the_flex_that_lengths_do_not():
     directions, _, curvature = soft_directions(rows, model.initial_state)
     assert directions.shape == (36, 1)
     assert abs(curvature).max() > 0.1
-    assert np.abs(rows.only(slice(goal.shape[0]))(model.initial_state)[1] @ directions).max() < 1e-9
+    assert np.abs(rows.select(slice(goal.shape[0]))(model.initial_state)[1] @ directions).max() < 1e-9
     found = target(model, [ocp.StringLengths(PRISM.string_lengths)])
     moved = model.initial_state + 1e-3 * directions[:, 0]
     assert np.abs(goal_misfit(goal, x, moved)).max() < 1e-5

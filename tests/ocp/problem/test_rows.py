@@ -21,5 +21,5 @@ def test_places_come_before_speeds():
 @pytest.mark.parametrize("size", [0, 1, 3])
 def test_no_rows_are_an_empty_column(size):
     rows = Rows(ca.SX.sym("x", size), ("row",) * size, ("m",) * size)
-    assert rows.only("m/s").value.shape == (0, 1)
-    assert stack([rows.only("m/s"), rows]).value.shape == (size, 1)
+    assert rows.select("m/s").value.shape == (0, 1)
+    assert stack([rows.select("m/s"), rows]).value.shape == (size, 1)
