@@ -57,3 +57,20 @@ def test_rows_are_found_by_kind():
         assert found == [name for name in built.names if name.startswith(beginning)]
     assert sum(rows.stop - rows.start for rows in built.rows(*beginnings)) == len(built.names)
     assert not built.rows("start", "periodic")
+
+
+@pytest.mark.parametrize("make", [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational], ids=lambda kind: kind.__name__)
+def test_large_structures_have_the_same_derivatives(make, monkeypatch):
+    """Their equations are kept as vector operations, which CasADi differentiates by whole symbols."""
+    values = []
+    for large in (False, True):
+        if large:
+            monkeypatch.setattr("tenscasadi.dynamics.mechanism.UNROLL_MEMBERS", 0)
+        model = driven(prism(1.0))
+        assert model.ode.is_a("SXFunction") != large
+        exact = program(raising(model=model, **ASKED), make(2)).derivatives()
+        at = 0.1 * np.random.default_rng(0).normal(size=exact["nlp_jac_g"].size1_in(0))
+        J = exact["nlp_jac_g"](at, [])[1]
+        values.append((J.full(), exact["nlp_hess_l"](at, [], 0.7, np.ones(J.shape[0])).full()))
+    for one, other in zip(*values, strict=True):
+        assert other == pytest.approx(one, rel=1e-6, abs=1e-8 * np.abs(one).max())
