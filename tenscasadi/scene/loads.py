@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,8 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.util.validate import Array, Indices, finite_array, node_index, number, positive_number
+
+_CASADI = (ca.SX, ca.MX, ca.DM)
 
 
 @dataclass(frozen=True)
@@ -336,16 +338,24 @@ class NodalForce:
             return _interpolated(time, self.times, self.values)
         if not callable(self.values):
             return ca.DM(self.values.T)
-        function: Callable[[Any], Any] = self.values
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
-                rows = function(time)
-            if not isinstance(rows, (ca.SX, ca.MX, ca.DM)):
-                rows = ca.vertcat(*(ca.horzcat(*(entry for entry in row)) for row in rows))
-        except Exception as error:  # whatever the caller's function raises
-            raise ValueError(f"NodalForce.values raised {error!r} on a CasADi time: write it with NumPy's or CasADi's mathematics") from error
-        return rows.T
+        return at_symbolic_time("NodalForce.values", self.values, time).T
+
+
+def at_symbolic_time(field: str, function: Callable[[Any], Any], time: Any) -> Any:
+    """Return a user's function of a CasADi time: a column of its entries, or a matrix of its rows. Raises ValueError that names the field."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
+            value = function(time)
+            return value if isinstance(value, _CASADI) else ca.vertcat(*map(_row, value))
+    except Exception as error:  # whatever the caller's function raises
+        raise ValueError(f"{field} raised {error!r} on a CasADi time: write it with NumPy's or CasADi's mathematics") from error
+
+
+def _row(entries: Any) -> Any:
+    if isinstance(entries, _CASADI):
+        return ca.vec(entries).T
+    return ca.horzcat(*entries) if isinstance(entries, Iterable) else entries
 
 
 def _interpolated(time: Any, times: Array, table: Array) -> Any:

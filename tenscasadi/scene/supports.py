@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscasadi.scene.loads import at_symbolic_time
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import finite_array, node_index
 
@@ -80,14 +80,7 @@ class SupportMotion:
         t = ca.SX.sym("t")
         columns = []
         for node, function in self.positions.items():
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
-                    entries = function(t)
-                    column = entries if isinstance(entries, (ca.SX, ca.DM)) else ca.vertcat(*(entry for entry in entries))
-            except Exception as error:
-                name = f"SupportMotion.positions[{node}]"
-                raise ValueError(f"{name} raised {error!r} on a CasADi time: write it with NumPy's or CasADi's mathematics") from error
+            column = at_symbolic_time(f"SupportMotion.positions[{node}]", function, t)
             if column.shape not in ((3, 1), (1, 3)):
                 raise ValueError(f"SupportMotion.positions[{node}] returns shape {column.shape}: give (x, y, z)")
             columns.append(ca.vec(ca.SX(column)))

@@ -101,3 +101,18 @@ def test_forces_may_be_a_table_over_time() -> None:
 def test_bad_loads_are_refused_by_name(make: object, field: str) -> None:
     with pytest.raises((ValueError, TypeError), match=field):
         make()  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda t: [[t, 0, 0], (0, t, 1)],
+        lambda t: np.array([[t, 0, 0], [0, t, 1]]),
+        lambda t: [ca.horzcat(t, 0, 0), ca.vertcat(0, t, 1)],
+        lambda t: ca.vertcat(ca.horzcat(t, 0, 0), ca.horzcat(0, t, 1)),
+    ],
+)
+def test_forces_over_time_are_rows_of_any_kind(law):
+    t = ca.SX.sym("t")
+    found = ca.Function("forces", [t], [NodalForce(law).forces(t)])(2.0)
+    assert found.full().T.tolist() == [[2.0, 0.0, 0.0], [0.0, 2.0, 1.0]]
