@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable
+from functools import partial
 from statistics import median
 from typing import Any, NamedTuple
 
@@ -112,7 +113,7 @@ def main(quick: bool = False) -> list[Row]:
         "Collocation, degree 2": ocp.Collocation(count, degree=2),
         "Collocation, degree 3, a third of the intervals": ocp.Collocation(max(5, count // 3), degree=3),
     }
-    rows = [repeated(lambda n=name, t=t, o=o: ours(n, t, o), repeats) for name, t in transcriptions.items() for o in (None, AS_IT_COMES)]
+    rows = [repeated(partial(ours, name, t, o), repeats) for name, t in transcriptions.items() for o in (None, AS_IT_COMES)]
     own = len(rows)
     try:
         rockit: Any = importlib.import_module("rockit")
@@ -121,7 +122,7 @@ def main(quick: bool = False) -> list[Row]:
     else:
         for substeps in (2, 1):
             name, method = f"rockit, MultipleShooting, M={substeps}", rockit.MultipleShooting(N=count, M=substeps, intg="rk")
-            rows += [repeated(lambda n=name, m=method, o=o: theirs(rockit, n, m, o), repeats) for o in (None, TUNED)]
+            rows += [repeated(partial(theirs, rockit, name, method, o), repeats) for o in (None, TUNED)]
     print(f"{'':<50}{'options':>14}{'seconds':>10}{'iterations':>12}{'replay error (m)':>18}{'objective':>12}")
     for row in rows:
         print(f"{row.name:<50}{row.options:>14}{row.seconds:>10.3f}{row.iterations:>12}{row.replay_error:>18.1e}{row.objective:>12.4f}")

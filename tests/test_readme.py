@@ -1,4 +1,4 @@
-"""What the README says is so: its snippets run, its commands exist, its files are there."""
+"""What the README and the documents say is so: their snippets run, their commands exist, their files are there."""
 
 from __future__ import annotations
 
@@ -6,36 +6,71 @@ import re
 import runpy
 import shlex
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from tenscasadi.cli.main import _parser
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+DOCUMENTS = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").glob("*.md"))]
 
 
 def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
 
 
-def test_snippets_run_in_order(tmp_path, monkeypatch, capsys):
-    # everything else becomes an empty line, so that a failure tells the README's own line
+def run_snippets(text: str, folder: Path) -> dict[str, Any]:
+    """Runs the Python blocks of a document as one script, in `folder`; all else is an empty line, so that a failure tells the document's line."""
     code, inside = [], False
-    for line in README.splitlines():
+    for line in text.splitlines():
         fence = line.startswith("```")
         code.append(line if inside and not fence else "")
         inside = line == "```python" if fence else inside
-    script = tmp_path / "readme.py"
+    script = folder / "snippets.py"
     script.write_text("\n".join(code), encoding="utf-8")
+    return runpy.run_path(str(script))
+
+
+def test_snippets_run_in_order(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    names = runpy.run_path(str(script))
+    names = run_snippets(README, tmp_path)
     assert names["trajectory"].success
     assert names["plan"].success
     assert names["plan"].replay_error < 1e-3
     assert names["gamma"].min() >= 10.0
-    assert {path.name for path in tmp_path.iterdir()} - {"readme.py"} == set(re.findall(r'"([\w.]+\.(?:npz|png|gif))"', "\n".join(blocks("python"))))
+    named = re.findall(r'"([\w.]+\.(?:npz|png|gif))"', "\n".join(blocks("python")))
+    assert {path.name for path in tmp_path.iterdir()} - {"snippets.py"} == set(named)
     assert "finished 1000 steps" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_snippets_of_documents_run(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    run_snippets((ROOT / name).read_text(encoding="utf-8"), tmp_path)
+
+
+def test_recipes_do_what_they_say(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names = run_snippets((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), tmp_path)
+    assert names["ratio"] == pytest.approx(8, rel=0.1)  # Heun's method is of order 3
+    assert names["plan"].success, names["plan"].message
+    ends = names["plan"].replay().nodes[-1]
+    assert np.linalg.norm(ends[5] - ends[0]) == pytest.approx(names["wanted"], abs=1e-3)
+    assert names["run"].success
+    assert np.all(np.asarray(names["W"]) == -0.5)
+
+
+@pytest.mark.parametrize("name", ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", *DOCUMENTS])
+def test_files_that_documents_name_exist(name):
+    text = (ROOT / name).read_text(encoding="utf-8")
+    folder = (ROOT / name).parent
+    for path in re.findall(r"\]\(((?!http)[^)#]+)\)", text):
+        assert (folder / path).exists(), path
+    for path in re.findall(r"`((?:tenscasadi|ocp|tests|examples|docs)/[\w/.]*)`", text):
+        assert (ROOT / path).exists(), path
 
 
 def test_two_commands_do_all_set_up():
@@ -55,8 +90,6 @@ def test_folders_named_exist_and_all_are_named():
         table = README.split(f"| in `{package}/` |")[1].split("\n\n")[0]
         named = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
         assert sorted(named) == sorted(path.parent.name for path in (ROOT / package).glob("*/__init__.py"))
-    for path in re.findall(r"\]\((docs/[^)]+)\)", README) + re.findall(r"`(examples/\w+\.py)`", README):
-        assert (ROOT / path).exists(), path
 
 
 def test_pictures_are_small():

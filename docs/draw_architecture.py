@@ -1,0 +1,110 @@
+"""Draws docs/architecture.png: the folders, and the path that data takes through them.
+
+Run it from anywhere: python docs/draw_architecture.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
+
+TENSCASADI, OCP = "#d8e6f3", "#f7e2cc"
+WIDTH, HEIGHT = 1.62, 0.92
+
+# folder: (column, row, what is inside); rows from the top
+ROOMS = {
+    "structure": (0, 0, "nodes, bars,\nstrings, shapes"),
+    "scene": (1, 0, "drive, loads,\nsupports"),
+    "dynamics": (2, 0, "equations of\nmotion"),
+    "integrators": (3, 0, "steps in time"),
+    "simulation": (4, 0, "loop in C,\nerrors, export"),
+    "plots": (5, 0, "pictures"),
+    "analysis": (5, 1, "modes, trade-off"),
+    "cli": (6, 0, "command line"),
+    "design": (3, 1, "equilibrium,\nself-stress"),
+    "util": (0, 1, "input, files,\ncompilation:\nused by all"),
+}
+PLANNING = {
+    "problem": (1, 2.35, "goals, bounds,\ncosts"),
+    "boundary": (2, 2.35, "start and end\nthat say\nsomething new"),
+    "transcription": (3, 2.35, "sparse nonlinear\nprogram"),
+    "solvers": (4, 2.35, "IPOPT, Fatrop"),
+    "plan": (5, 2.35, "replay, report,\nrefinement"),
+    "control": (6, 2.35, "LQR, MPC"),
+}
+# from, to, the value that is handed on
+FLOW = [
+    ("structure", "scene", "Structure"),
+    ("scene", "dynamics", "Scene"),
+    ("dynamics", "integrators", "Model"),
+    ("integrators", "simulation", "step"),
+    ("simulation", "plots", "Trajectory"),
+    ("plots", "cli", "Figure"),
+    ("problem", "boundary", "Problem"),
+    ("boundary", "transcription", "Target"),
+    ("transcription", "solvers", "Program"),
+    ("solvers", "plan", "Solution"),
+    ("plan", "control", "Plan"),
+]
+
+
+def place(column: float, row: float) -> tuple[float, float]:
+    """Centre of a box."""
+    return 2.35 * column, -1.55 * row
+
+
+def draw_room(ax: Axes, name: str, column: float, row: float, text: str, colour: str) -> None:
+    """One folder."""
+    x, y = place(column, row)
+    corner = (x - WIDTH / 2, y - HEIGHT / 2)
+    ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, boxstyle="round,pad=0.02,rounding_size=0.1", facecolor=colour, edgecolor="#555555"))
+    ax.text(x, y + 0.27, name, ha="center", va="center", fontsize=10.5, fontweight="bold")
+    ax.text(x, y - 0.13, text, ha="center", va="center", fontsize=7.8, linespacing=1.15)
+
+
+def draw_arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float], label: str = "", dashed: bool = False) -> None:
+    """The path of a value."""
+    style = {"arrowstyle": "-|>", "color": "#333333", "lw": 1.3, "linestyle": "--" if dashed else "-"}
+    ax.annotate("", end, start, arrowprops=style)
+    ax.text((start[0] + end[0]) / 2, (start[1] + end[1]) / 2 + 0.12, label, ha="center", va="bottom", fontsize=8, style="italic")
+
+
+def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
+    """Draw the picture and save it as `path`."""
+    figure = Figure(figsize=(13, 5.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    ax = figure.subplots()
+    for rooms, colour in ((ROOMS, TENSCASADI), (PLANNING, OCP)):
+        for name, (column, row, text) in rooms.items():
+            draw_room(ax, name, column, row, text, colour)
+    every = ROOMS | PLANNING
+    for source, target, label in FLOW:
+        (x0, y0), (x1, y1) = (place(*every[name][:2]) for name in (source, target))
+        draw_arrow(ax, (x0 + WIDTH / 2, y0), (x1 - WIDTH / 2, y1), label)
+    below, above = -HEIGHT / 2, HEIGHT / 2
+    x, y = place(*every["dynamics"][:2])
+    x1, y1 = place(*every["problem"][:2])
+    draw_arrow(ax, (x - 0.5, y + below), (x1 + 0.5, y1 + above))
+    ax.text(x - 1.0, (y + y1) / 2 - 0.75, "Model", fontsize=8, style="italic", ha="right")
+    x, y = place(*every["simulation"][:2])
+    x1, y1 = place(*every["plan"][:2])
+    draw_arrow(ax, (x + 0.2, y + below), (x1 - 0.6, y1 + above), dashed=True)
+    ax.text(x + 0.45, (y + y1) / 2 - 0.95, "replay", fontsize=8, style="italic", ha="right")
+    x, y = place(*every["simulation"][:2])
+    x1, y1 = place(*every["analysis"][:2])
+    draw_arrow(ax, (x + WIDTH / 2, y - 0.3), (x1 - WIDTH / 2, y1 + 0.1))
+    left = place(-0.62, 0)[0]
+    ax.text(left, place(0, 0.5)[1], "tenscasadi", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
+    ax.text(left, place(0, 2.35)[1], "ocp", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
+    ax.set(xlim=(left - 0.4, place(6, 0)[0] + 1.1), ylim=(place(0, 2.35)[1] - 0.9, 1.0))
+    ax.set_title("Folders, and the values that they hand on: a folder imports only from folders to its left")
+    ax.axis("off")
+    figure.savefig(path, dpi=100)
+
+
+if __name__ == "__main__":
+    main()
