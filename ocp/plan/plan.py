@@ -203,7 +203,8 @@ class Plan:
         k = per_item("stiffness", self.structure.stiffness if stiffness is None else stiffness, self.force_density.shape[1])
         nonnegative("stiffness", k, "string")
         largest = self.force_density.max(axis=0)
-        for i in np.flatnonzero((largest > 0) & (largest >= k)):
+        if np.any(soft := (largest > 0) & (largest >= k)):
+            i = int(np.argmax(soft))
             raise ValueError(f"stiffness of string {i} is {k[i]:g} N/m: it must exceed its force density, up to {largest[i]:g} N/m in this plan")
         return rest_length(self.force_density, self.lengths()[: len(self.force_density)], k)
 
