@@ -302,9 +302,9 @@ def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:
     return float(max(metres)), float(max(speeds))
 
 
-def _trajectory(problem: Problem, grid: Array, found: Guess, success: bool) -> Trajectory:
+def _trajectory(problem: Problem, mesh: Array, found: Guess, success: bool) -> Trajectory:
     model = problem.model
-    controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(grid)]
+    controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(mesh)]
     message = "planned motion at the ends of the intervals"
     with np.errstate(all="ignore"):
-        return record_trajectory(model, grid, found.states, controls, step=float(grid[1]), message=message, success=success)
+        return record_trajectory(model, mesh, found.states, controls, step=float(mesh[1]), message=message, success=success)

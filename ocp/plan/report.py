@@ -131,14 +131,14 @@ class _Course(NamedTuple):
         """Return the limits that are overstepped, or those that hold and are not."""
         found = []
         lower, upper = self.limited.lower, self.limited.upper
-        spread = np.where(np.isfinite(upper - lower), upper - lower, np.inf)
+        width = np.where(np.isfinite(upper - lower), upper - lower, np.inf)
         typical = np.abs(self.values).max(initial=0.0)
         for k, name in enumerate(self.limited.names):
             for side, limit, sign in (("lower", lower[k], -1.0), ("upper", upper[k], 1.0)):
                 if not np.isfinite(limit):
                     continue
                 excess = sign * (self.values[:, k] - limit)
-                size = MARGIN * (min(spread[k], max(abs(limit), typical)) or 1.0)
+                size = MARGIN * (min(width[k], max(abs(limit), typical)) or 1.0)
                 hit = excess > (size if broken else -size)
                 worst = int(np.argmax(excess))
                 if hit.any() and (broken or excess[worst] <= size):
