@@ -20,7 +20,7 @@ from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number
 
 MOST = 1e7  # decisions in a run
-ROUNDED = 1e-3  # of a start's largest entry: what bars and joints may move it by
+ROUNDED = 1e-3  # of lengths and speeds: what a start may be off its bars and joints by
 
 
 @runtime_checkable
@@ -178,10 +178,9 @@ def _check_plant(plant: Any, believed: Model) -> None:
 def _start(plant: Model, state: Any) -> Array:
     """Return the state (nx,), put right where it is rounded."""
     x = plant.initial_state if state is None else finite_array("state", state, (plant.nx,))
-    right, off = off_constraints(plant, x, ROUNDED, iterations=10)
-    if off:
+    if off := off_constraints(plant, x, ROUNDED):
         raise ValueError(f"state is {off}")
-    return right
+    return np.asarray(projection(plant, 10)(x).full()).ravel()
 
 
 def _seen(believed: Model, plant: Model, x: Array, now: float) -> Array:

@@ -164,7 +164,8 @@ def _judge(model: Model, scheme: Scheme, run: _Run, recorded: Trajectory, compil
         return good, False, f"stopped after t = {time[-1]:g} s: {run.failure}"
     if run.interrupted:
         return good, False, f"interrupted from the keyboard, the last state kept is at t = {time[-1]:g} s"
-    return good, True, f"finished {run.report.text}" + describe_doubts(model, scheme, recorded, compiled)
+    doubts, trusted = describe_doubts(model, scheme, recorded, compiled)
+    return good, trusted, f"finished {run.report.text}{doubts}"
 
 
 class _Run(NamedTuple):

@@ -100,3 +100,20 @@ def test_energy_that_a_correction_hides_is_spoken_of() -> None:
     assert "energy is off by" in run.message
     assert "energy" not in simulate(model, 1.0, 1e-3, state=moving(model), correction=Projection(), compiled=False).message
     assert "energy" not in simulate(prism(ForceDensity()), 1.0, 1e-2, compiled=False).message  # at rest but for rounding
+
+
+def test_a_start_off_its_bars_is_told_wherever_it_is_and_however_fast_it_flies() -> None:
+    """Lengths and speeds of bars are the measure, not the largest entry of the state."""
+    for coordinates in ("reduced", "full"):
+        model = Model(Scene(shapes.prism()), coordinates=coordinates)
+        nodes, still = model.structure.nodes, np.zeros((6, 3))
+        for origin, flight in ((0.0, 0.0), (1e4, 0.0), (0.0, 1e4), (1e5, 1e3)):
+            kept = simulate(model, 0.01, state=model.state(nodes + origin, still + flight), compiled=False)
+            assert kept.success
+            assert ";" not in kept.message
+            for factor, success in ((1.00001, True), (1.009, True), (2.0, False)):
+                run = simulate(model, 0.01, state=model.state(factor * nodes + origin, still + flight), compiled=False)
+                assert run.success is success
+                assert "; the start is off the lengths of its bars" in run.message
+            stretching = simulate(model, 0.01, state=model.state(nodes + origin, 1e-4 * nodes + flight), compiled=False)
+            assert "; the start is off the lengths of its bars" in stretching.message
