@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from tenscasadi.scene.time_functions import check_over_run, express
 from tenscasadi.util.validate import Array, Indices, finite_array, node_index, number, positive_number
-
-_CASADI = (ca.SX, ca.MX, ca.DM)
 
 
 @dataclass(frozen=True)
@@ -318,6 +316,9 @@ class NodalForce:
             except Exception as error:  # whatever the caller's function raises
                 raise ValueError(f"NodalForce.values raised {error!r} at t = 0: give a function of time that returns ({nodes}, 3)") from error
             finite_array("NodalForce.values(0.0)", sample, (nodes, 3))
+            rows = express("NodalForce.values", self.values, ca.MX.sym("t"))
+            if rows.shape != (nodes, 3):
+                raise ValueError(f"NodalForce.values returns shape {rows.shape} on a CasADi time: give ({nodes}, 3)")
         elif self.values.shape[-2] != nodes:
             raise ValueError(f"NodalForce.values has {self.values.shape[-2]} rows: give one row for each of the {nodes} nodes")
 
@@ -338,24 +339,24 @@ class NodalForce:
             return _interpolated(time, self.times, self.values)
         if not callable(self.values):
             return ca.DM(self.values.T)
-        return at_symbolic_time("NodalForce.values", self.values, time).T
+        return express("NodalForce.values", self.values, time).T
+
+    def check_run(self, first: float, last: float) -> None:
+        """Raise ValueError where a function of time is not finite in a run or is not written in the mathematics of symbols.
+
+        Parameters
+        ----------
+        first, last : float
+            Times at which the run begins and ends, s.
+        """
+        if callable(self.values):
+            check_over_run("NodalForce.values", self.values, _trace(self.forces), first, last)
 
 
-def at_symbolic_time(field: str, function: Callable[[Any], Any], time: Any) -> Any:
-    """Return a user's function of a CasADi time: a column of its entries, or a matrix of its rows. Raises ValueError that names the field."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
-            value = function(time)
-            return value if isinstance(value, _CASADI) else ca.vertcat(*map(_row, value))
-    except Exception as error:  # whatever the caller's function raises
-        raise ValueError(f"{field} raised {error!r} on a CasADi time: write it with NumPy's or CasADi's mathematics") from error
-
-
-def _row(entries: Any) -> Any:
-    if isinstance(entries, _CASADI):
-        return ca.vec(entries).T
-    return ca.horzcat(*entries) if isinstance(entries, Iterable) else entries
+def _trace(function: Any) -> ca.Function:
+    """Return the Function t -> what `function` makes of a CasADi time."""
+    t = ca.MX.sym("t")
+    return ca.Function("traced", [t], [ca.densify(ca.MX(function(t)))])
 
 
 def _interpolated(time: Any, times: Array, table: Array) -> Any:

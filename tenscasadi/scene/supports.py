@@ -9,9 +9,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.loads import at_symbolic_time
+from tenscasadi.scene.time_functions import CURE, check_over_run, express, find_breaks, probe_times
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import finite_array, node_index
+from tenscasadi.util.validate import node_index
+
+_AROUND = 1e-9  # of the latest time: how far before and after a switch both sides are compared
+_JUMP = 1e-9  # of the largest value: more is a jump
+_STEEP = 100.0  # times what the largest rate makes of it: more is a jump
+_JUMPS = {"the position (m)": "give a continuous motion", "the velocity (m/s)": "round the corner off"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +24,7 @@ class SupportMotion:
     """Motion of pinned nodes, such as a shaking base or a driven hinge.
 
     Each function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time.
-    Velocity and acceleration are its exact derivatives.
+    Velocity and acceleration are its exact derivatives: over a run they have to be finite, and position and velocity may not jump.
 
     Parameters
     ----------
@@ -65,9 +70,33 @@ class SupportMotion:
             node_index(f"SupportMotion.positions, node {node}", node, len(structure.nodes))
             if structure.pinned.get(node) != "xyz":
                 raise ValueError(f"{name}: node {node} is not pinned along all axes, add it to Structure.pinned")
-            finite_array(f"{name}(0.0)", place, (3,))
+            if not np.isfinite(place).all():
+                raise ValueError(f"{name}(0.0) is {place}: give finite numbers; {CURE}")
             if abs(place - structure.nodes[node]).max() > 1e-9 * size:
                 raise ValueError(f"{name}(0.0) is {place}: the structure has node {node} at {structure.nodes[node]}, start there")
+
+    def check_run(self, first: float, last: float) -> None:
+        """Raise ValueError where a function of time or its rates are not finite in a run, jump, or are not those of symbols.
+
+        Parameters
+        ----------
+        first, last : float
+            Times at which the run begins and ends, s.
+        """
+        for node, function in self.positions.items():
+            name, rates = f"SupportMotion.positions[{node}]", SupportMotion({node: function}).rates()
+            check_over_run(name, function, rates, first, last)
+            sizes = [abs(values.full()).max() for values in rates.call([probe_times(first, last)[None]])]
+            around = _AROUND * max(abs(first), abs(last))
+            for time in find_breaks(rates, first, last):
+                before, after = (rates(edge) for edge in (max(first, time - around), min(last, time + around)))
+                for k, (what, cure) in enumerate(_JUMPS.items()):
+                    jump, rate = (
+                        abs((after[k] - before[k]).full()).max(),
+                        max(sizes[k + 1], *(abs(side[k + 1].full()).max() for side in (before, after))),
+                    )
+                    if jump > max(_JUMP * sizes[k], _STEEP * around * rate):
+                        raise ValueError(f"{name}: {what} jumps by {jump:.3g} at t = {time:g} s, which bars and joints cannot follow: {cure}")
 
     def rates(self) -> ca.Function:
         """Return positions, velocities and accelerations of the moved nodes.
@@ -80,7 +109,7 @@ class SupportMotion:
         t = ca.SX.sym("t")
         columns = []
         for node, function in self.positions.items():
-            column = at_symbolic_time(f"SupportMotion.positions[{node}]", function, t)
+            column = express(f"SupportMotion.positions[{node}]", function, t)
             if column.shape not in ((3, 1), (1, 3)):
                 raise ValueError(f"SupportMotion.positions[{node}] returns shape {column.shape}: give (x, y, z)")
             columns.append(ca.vec(ca.SX(column)))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tenscasadi.util.validate import Array, Indices, finite_array
+from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array
 
 ControlInput = ArrayLike | Callable[[float], ArrayLike] | None
 
@@ -78,19 +78,21 @@ class SampledControl:
         return np.where(rows == self.steps, self.t_end, rows * self.step)
 
 
-def sample_control(control: ControlInput | ControlProfile, default: Array, t_end: float, steps: int) -> SampledControl:
+def sample_control(control: ControlInput | ControlProfile, default: Array, t_end: float, steps: int, positive: bool = False) -> SampledControl:
     """Lay `control` (see `simulate`) over [0, t_end] s in at least `steps` equal steps, in more where the intervals of a table or mesh need it.
 
-    `default` (nu,) is used for None. Raises TypeError, ValueError naming `control`; a function's results are checked when it is called.
+    `default` (nu,) is used for None; `positive`: these are lengths, greater than 0.
+
+    Raises TypeError, ValueError naming `control`; a function's results are checked when it is called.
     """
     nu = len(default)
     if isinstance(control, ControlProfile):
-        return _sample_profile(control, nu, t_end, t_end / steps)
+        return _sample_profile(control, nu, t_end, t_end / steps, positive)
     if callable(control):
-        return SampledControl(steps, t_end, nu > 0, _of_function(control, nu, t_end / steps))
+        return SampledControl(steps, t_end, nu > 0, _of_function(control, nu, t_end / steps, positive))
     value = default
     if control is not None:
-        table = _array(control, nu)
+        table = _check_lengths("control", _array(control, nu), positive)
         intervals = len(table)
         if table.ndim == 2 and intervals > 1 and nu:
             steps = intervals * -(-steps // intervals)  # so that the control changes between two steps
@@ -100,14 +102,14 @@ def sample_control(control: ControlInput | ControlProfile, default: Array, t_end
     return SampledControl(steps, t_end, False, lambda first, count: np.broadcast_to(value, (count, nu)))
 
 
-def _sample_profile(profile: ControlProfile, nu: int, t_end: float, longest: float) -> SampledControl:
+def _sample_profile(profile: ControlProfile, nu: int, t_end: float, longest: float, positive: bool) -> SampledControl:
     """Cut each interval into equal steps of at most `longest` s."""
     nodes = finite_array("control.time", profile.time, (None,))
     count = len(nodes) - 1
     if count < 1 or nodes[0] != 0 or nodes[-1] != t_end or np.any(np.diff(nodes) <= 0):
         raise ValueError(f"control.time is {nodes}: give times that increase from 0 to t_end = {t_end:g}")
     linear = len(profile.values) == count + 1
-    values = finite_array("control.values", profile.values, (count + linear, nu))
+    values = _check_lengths("control.values", finite_array("control.values", profile.values, (count + linear, nu)), positive)
     intervals = np.diff(nodes)
     cuts = np.maximum(profile.steps, np.ceil(intervals / longest - 1e-9)).astype(int)
     owner = np.repeat(np.arange(count), cuts)
@@ -134,12 +136,22 @@ def _array(control: Any, nu: int) -> Array:
     raise ValueError(f"control has shape {array.shape}: give an array of shape {expected}")
 
 
-def _of_function(function: Callable[[float], ArrayLike], nu: int, step: float) -> Callable[[int, int], Array]:
+def _check_lengths(field: str, values: Array, positive: bool) -> Array:
+    """Return `values`, where they are lengths each greater than 0."""
+    bad = np.argwhere(values < SMALLEST)
+    if positive and len(bad):
+        place = tuple(int(i) for i in bad[0])
+        raise ValueError(f"{field}[{', '.join(map(str, place))}] is {values[place]:g}: rest lengths (RestLength) must be greater than 0")
+    return values
+
+
+def _of_function(function: Callable[[float], ArrayLike], nu: int, step: float, positive: bool) -> Callable[[int, int], Array]:
     def sample(first: int, count: int) -> Array:
         values = np.empty((count, nu))
         for k in range(count):
             time = (first + k) * step
-            values[k] = finite_array(f"control({time:g})", function(time), (nu,))
+            field = f"control({time:g})"
+            values[k] = _check_lengths(field, finite_array(field, function(time), (nu,)), positive)
         return values
 
     return sample

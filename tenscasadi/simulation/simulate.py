@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,9 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection, measure_correction
+from tenscasadi.scene.loads import NodalForce
+from tenscasadi.scene.strings import RestLength
+from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, sample_control
 from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
 from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
@@ -81,7 +85,7 @@ def simulate(
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong; the message names it.
+        An argument is wrong, or a function of time is not finite or moves supports by a jump; the message names it.
     CompileError
         Machine code was asked for and cannot be made.
 
@@ -150,7 +154,15 @@ def _lay_grid(model: Model, start: Array, t_end: float, step: float | None, sche
     n_steps = _count(end, positive_number("step", step))
     if model.scene.has_clock:
         _check_clock(abs(start[-1]) + end, end / n_steps)
-    return sample_control(control, model.initial_control, end, n_steps)
+    for load in (model.scene.forces, model.scene.supports):
+        if load is not None:
+            _check_functions(load, float(start[-1]), float(start[-1]) + end)
+    return sample_control(control, model.initial_control, end, n_steps, isinstance(model.scene.control, RestLength))
+
+
+@lru_cache(maxsize=32)  # many runs of one scene look once
+def _check_functions(load: NodalForce | SupportMotion, first: float, last: float) -> None:
+    load.check_run(first, last)
 
 
 def _judge(model: Model, scheme: Scheme, run: _Run, recorded: Trajectory, compiled: Compiled) -> tuple[int, bool, str]:

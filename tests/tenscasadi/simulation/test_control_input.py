@@ -121,3 +121,18 @@ def test_a_scene_without_control_takes_an_empty_one() -> None:
     for control in ([], np.zeros((3, 0)), lambda t: []):
         run = simulate(model, 0.1, 0.01, state=moving(model), control=control, compiled=False)
         assert np.array_equal(run.states, reference.states)
+
+
+def test_rest_lengths_must_be_greater_than_0() -> None:
+    model = prism(RestLength())
+    u = model.initial_control
+    forms = {
+        r"control\[0\] is -": -u,
+        r"control\[8\] is 0:": np.append(u[:8], 0.0),
+        r"control\[2, 0\] is -": np.array([u, u, -u]),
+        r"control\(0\.5\)\[0\] is 0:": lambda t: u * (0.5 - t),
+        r"control\.values\[1, 0\] is -": ControlProfile(np.array([0.0, 0.2, 1.0]), np.array([u, -u])),
+    }
+    for named, control in forms.items():
+        with pytest.raises(ValueError, match=named + ".* rest lengths .RestLength. must be greater than 0"):
+            simulate(model, 1.0, 0.01, control=control, compiled=False)

@@ -1,0 +1,107 @@
+"""Functions of time that users write: their expressions, whether these are finite, and where they jump or have a kink."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.util.validate import Array
+
+_CASADI = (ca.SX, ca.MX, ca.DM)
+_PROBES = 4000  # parts of a run at whose ends functions are looked at
+_COMPARED_TIMES = 4  # times of a run at which functions are called with numbers, too
+_ENTRIES = 2_000_000  # values looked at, at most
+CURE = "write it with NumPy's or CasADi's mathematics, without math, float() and if"
+_BISECTIONS = 60  # from a part of a run to the last digit
+_COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  # they switch where both operands are equal
+_SIGNED = (ca.OP_SIGN, ca.OP_FABS)  # they switch where their operand is 0
+_ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL)  # they switch where their operand is whole
+
+
+def express(field: str, function: Callable[[Any], Any], time: Any) -> Any:
+    """Return what a user's function makes of a CasADi time: a matrix, a vector or the rows of one. Raises ValueError naming `field`."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
+            found = function(time)
+            return found if isinstance(found, _CASADI) else ca.vertcat(*map(_row, found))
+    except Exception as error:  # whatever the caller's function raises
+        fault = re.sub(r"\S+:\d+: ", "", str(error))  # CasADi begins with its own files and lines
+        raise ValueError(f"{field} raised {type(error).__name__}({fault}) on a CasADi time: {CURE}") from error
+
+
+def _row(entries: Any) -> Any:
+    if isinstance(entries, _CASADI):
+        return ca.vec(entries).T
+    return ca.horzcat(*entries) if isinstance(entries, Iterable) else entries
+
+
+def probe_times(first: float, last: float) -> Array:
+    """Return times, s, evenly over a run."""
+    return np.linspace(first, last, _PROBES + 1)
+
+
+def find_breaks(function: ca.Function, first: float, last: float) -> Array:
+    """Return the times in [first, last], s, where conditions, signs and roundings in a function of time switch, but for those in calls."""
+    t = ca.SX.sym("t")
+    try:
+        found = list(_switches(ca.vertcat(*(ca.vec(value) for value in function.call([t])))))
+    except RuntimeError:  # what cannot be expanded cannot be looked into
+        return np.empty(0)
+    if not found:
+        return np.empty(0)
+    switches, times = ca.Function("switches", [t], [ca.vertcat(*found)]), probe_times(first, last)
+    signs = np.sign(switches(times[None]).full())
+    which, part = np.nonzero(signs[:, 1:] != signs[:, :-1])
+    low, high, before = times[part], times[part + 1], signs[which, part]
+    if not len(which):
+        return np.empty(0)
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        same = np.sign(switches(middle[None]).full())[which, np.arange(len(which))] == before
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return np.unique(high)
+
+
+def _switches(values: ca.SX) -> Iterator[ca.SX]:
+    """Yield what changes its sign where the expressions switch."""
+    waiting, seen = [values[k] for k in range(values.numel())], set()
+    while waiting:
+        item = waiting.pop()
+        if item.element_hash() in seen:
+            continue
+        seen.add(item.element_hash())
+        parts = [item.dep(k) for k in range(item.n_dep())] if not item.is_leaf() else []
+        waiting.extend(parts)
+        if parts and item.op() in _COMPARED:
+            yield parts[0] - parts[1]
+        elif parts and item.op() in _SIGNED:
+            yield parts[0]
+        elif parts and item.op() in _ROUNDED:
+            yield ca.sin(np.pi * parts[0])
+
+
+def check_over_run(field: str, function: Callable[[Any], Any], traced: ca.Function, first: float, last: float) -> None:
+    """Raise ValueError, naming `field`, unless traced (t) -> value, rates … is finite in [first, last], s, and what `function` gives for numbers.
+
+    `math` and `float` make a constant of a CasADi time: the latter shows it.
+    """
+    times = probe_times(first, last)
+    some = times[:: max(1, traced.numel_out() * len(times) // _ENTRIES)]
+    for kind, values in zip(("", ": its velocity", ": its acceleration"), traced.call([some[None]]), strict=False):
+        bad = ~np.isfinite(values.full()).reshape(-1, len(some), values.shape[1] // len(some)).all(axis=(0, 2))
+        if bad.any():
+            raise ValueError(f"{field}{kind} is not finite at t = {some[bad.argmax()]:g} s: give finite values over the whole run; {CURE}")
+    for time in times[:: len(times) // _COMPARED_TIMES].tolist():
+        try:
+            number = np.asarray(function(time), dtype=float).ravel()
+        except (TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError):  # a function of CasADi's symbols alone
+            return
+        value = traced.call([time])[0].full().T.ravel()
+        if number.shape == value.shape and not np.allclose(number, value, rtol=1e-6, atol=1e-9 * max(1.0, abs(number).max(initial=0.0))):
+            raise ValueError(f"{field} is {number} for the number t = {time:g} and {value} for a CasADi time: give the same at each call; {CURE}")

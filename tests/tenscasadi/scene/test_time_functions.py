@@ -1,0 +1,90 @@
+"""Functions of time that users write: what is wrong with them is told as theirs, and where they switch is found."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.loads import NodalForce
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.supports import SupportMotion
+from tenscasadi.scene.time_functions import find_breaks
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.structure import shapes
+
+PENDULUM = shapes.pendulum()
+REST = [0, 0, 0]
+
+
+def run(t_end: float = 1.0, **loads: Any) -> Any:
+    return simulate(Model(Scene(PENDULUM, **loads)), t_end, 0.01, compiled=False)
+
+
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [
+        (lambda t: 0.1 * (t > 0.5), r"the position \(m\) jumps by 0\.1 at t = 0\.5 s"),
+        (lambda t: 0.1 * ((t > 0.5) * (t < 0.50001)), r"the position \(m\) jumps by 0\.1 at t = 0\.5"),
+        (lambda t: 0.1 * (t > 0), r"the position \(m\) jumps"),
+        (lambda t: np.floor(3 * t), r"the position \(m\) jumps by 1 at t = 0\.333333 s"),
+        (lambda t: ca.fmax(t - 0.5, 0), r"the velocity \(m/s\) jumps by 1 at t = 0\.5 s"),
+        (lambda t: ca.if_else(t > 0.25, 0.1 * ca.sin(40 * t - 10), 0), r"the velocity .* at t = 0\.25 s"),
+        (np.sqrt, r": its velocity is not finite at t = 0 s"),
+        (lambda t: 1 / (1 - t) - 1, r" is not finite at t = 1 s"),
+        (math.sin, r"is \[nan.*NumPy's or CasADi's mathematics, without math"),
+        (lambda t: 0.1 * (float(t) > 0.5), r"is \[.* for the number t = 0\.75"),
+    ],
+)
+def test_supports_that_jump_or_are_not_finite_are_refused_by_name(place: Any, told: str) -> None:
+    with pytest.raises(ValueError, match=r"SupportMotion\.positions\[0\].*" + told):
+        run(supports=SupportMotion({0: lambda t: (place(t), 0, 0)}))
+
+
+@pytest.mark.parametrize("place", [lambda t: 0.001 * ca.sin(100 * t), lambda t: ca.fmax(t - 0.5, 0) ** 2, lambda t: 0.1 * t * ca.fabs(t - 0.5) ** 3])
+def test_smooth_supports_run(place: Any) -> None:
+    assert run(supports=SupportMotion({0: lambda t: (place(t), 0, 0)})).success
+
+
+def test_a_jump_after_the_run_does_no_harm_and_the_clock_counts() -> None:
+    model = Model(Scene(PENDULUM, supports=SupportMotion({0: lambda t: (0.1 * (t > 0.5), 0, 0)})))
+    assert simulate(model, 0.4, 0.01, compiled=False).success
+    later = model.initial_state
+    later[-1] = 0.2
+    with pytest.raises(ValueError, match=r"t = 0\.5 s"):
+        simulate(model, 0.4, 0.01, state=later, compiled=False)
+
+
+@pytest.mark.parametrize(
+    ("push", "told"),
+    [
+        (math.sin, r" raised .* on a CasADi time"),
+        (lambda t: np.sqrt(0.5 - t), r" is not finite at t = 0\.50025 s"),
+        (lambda t: 1 / (t - 0.5), r" is not finite at t = 0\.5 s"),
+        (lambda t: np.inf, r"\(0\.0\)\[1, 0\] is inf"),
+        (lambda t: 1.0 if isinstance(t, float) else 2.0, r" is \[.* for the number t = 0 "),
+    ],
+)
+def test_forces_that_are_not_finite_or_not_symbolic_are_told_as_the_functions(push: Any, told: str) -> None:
+    with pytest.raises(ValueError, match=r"NodalForce\.values" + told):
+        run(forces=NodalForce(lambda t: [REST, [push(t), 0, 0]]))
+
+
+def test_a_shape_that_symbols_alone_have_is_refused() -> None:
+    wrong = NodalForce(lambda t: np.zeros((2, 3)) if isinstance(t, float) else [REST])
+    with pytest.raises(ValueError, match=r"NodalForce\.values returns shape \(1, 3\) on a CasADi time: give \(2, 3\)"):
+        wrong.check(2)
+
+
+def test_switches_are_found_to_the_last_digit() -> None:
+    t = ca.SX.sym("t")
+    values = [t > 0.3, ca.fmin(t, 0.7), ca.fabs(ca.sin(t - 1)), ca.sign(t**2 - 2), ca.floor(t), ca.exp(t), (t > 1.9) * (t < 1.90001)]
+    found = find_breaks(ca.Function("f", [t], [ca.vertcat(*values)]), 0.1, 2.5)
+    wanted = np.array([0.3, 0.7, 1.0, np.sqrt(2), 1.9, 1.90001, 2.0])
+    assert max(abs(found - time).min() for time in wanted) < 1e-14
+    assert max(abs(wanted - time).min() for time in found) < 1e-14
+    assert not len(find_breaks(ca.Function("f", [t], [ca.sin(t)]), 0.0, 9.0))
