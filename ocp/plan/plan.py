@@ -385,7 +385,7 @@ class Plan:
         FileNotFoundError
             There is no such file.
         ValueError
-            The file cannot be read or is no plan, or the model of `problem` is another; the message says what differs.
+            The file cannot be read, is no plan or one that cannot be, or the model of `problem` is another; the message says what differs.
         """
         if problem is not None:
             instance("problem", problem, Problem, "an ocp.Problem or None")

@@ -83,10 +83,34 @@ def plan_fields(content: Fields) -> dict[str, Any]:
     for name, value, shape in (("time", time, (intervals + 1,)), ("force_density", gamma, (rows, strings))):
         if value.shape != shape:
             raise ValueError(f"field {name!r} has shape {value.shape}, not {shape}")
+        if values["success"] and not np.all(np.isfinite(value)):
+            raise ValueError(f"field {name!r} is not finite, although the plan succeeded")
+    _check_values(values, time, trajectory, model)
     duals = None
     if "duals.names" in content:
-        duals = Duals(tuple(content.array("duals.names", "U", 1).tolist()), content["duals.values"], content["duals.point"])
+        duals = Duals(tuple(content.array("duals.names", "U", 1).tolist()), *(content.array(f"duals.{name}", "f", 1) for name in ("values", "point")))
+        if len(duals.values) != len(duals.names):
+            raise ValueError(f"field 'duals.values' has {len(duals.values)} entries, not {len(duals.names)} as 'duals.names'")
     return {**values, "time": time, "force_density": gamma, "trajectory": trajectory, "structure": structure, "model": model, "duals": duals}
+
+
+def _check_values(values: Mapping[str, Any], time: Array, trajectory: Trajectory, model: Model | None) -> None:
+    """ValueError naming the first field whose numbers no plan can have, or that does not fit the others; what is not finite is not known."""
+    if np.any(np.diff(time) <= 0):
+        raise ValueError("field 'time' must increase")
+    if not np.allclose(time, trajectory.time, equal_nan=True):
+        raise ValueError("field 'trajectory.time' is not the plan's 'time'")
+    for name in ("iterations", "seconds", "replay_error", "replay_speed_error"):
+        if values[name] < 0:
+            raise ValueError(f"field {name!r} is {values[name]:g}: it must be at least 0")
+    if values["success"] and not (trajectory.success and np.isfinite(values["objective"])):
+        name = "objective" if trajectory.success else "trajectory.success"
+        raise ValueError(f"field {name!r} is {values.get(name, False)}, although the plan succeeded")
+    for name in () if model is None else ("bars", "strings"):
+        if not np.array_equal(getattr(trajectory, name), getattr(model.structure, name)):
+            raise ValueError(f"field 'trajectory.{name}' does not hold those of the model")
+    if model is not None and trajectory.nodes.shape[1] != len(model.structure.nodes):
+        raise ValueError(f"field 'trajectory.nodes' is of {trajectory.nodes.shape[1]} nodes, not of the model's {len(model.structure.nodes)}")
 
 
 def _told(parts: Mapping[str, Any]) -> dict[str, Array]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ast
 import os
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -293,7 +294,7 @@ class Tradeoff:
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it cannot be read or is no study; the message names the file.
+            If it cannot be read, is no study, or holds numbers that no study can have; the message names the file and the field.
         """
         return archive.load(path, _FORMAT, "trade-off", _from_arrays)
 
@@ -316,15 +317,40 @@ def abbreviate(value: Any, without: str = "") -> str:
 
 
 def _from_arrays(content: archive.Fields) -> Tradeoff:
-    kinds = {"scheme": "U", "correction": "U"}
-    columns = {field.name: content.array(f"row_{field.name}", kinds.get(field.name, "fibU"), 1).tolist() for field in fields(Row)}
-    for name in kinds:
-        columns[name] = [_value(text) for text in columns[name]]
-    rows = tuple(Row(**dict(zip(columns, values, strict=True))) for values in zip(*columns.values(), strict=True))
+    columns: dict[str, Any] = {field.name: content.array(f"row_{field.name}", "fibU", 1) for field in fields(Row)}
+    for field in fields(Row):
+        if columns[field.name].size:  # NumPy takes an empty list for numbers
+            content.array(f"row_{field.name}", _kinds(field))
     known = {field.name: field for field in fields(Tradeoff) if field.name != "rows"}
     if unknown := {name for name in content if not name.startswith("row_")} - known.keys():
         raise ValueError(f"it has a field {min(unknown)!r}")
-    return Tradeoff(rows, **{name: content[name].item() for name, field in known.items() if field.default is MISSING or name in content})
+    own = {name: content.array(name, _kinds(field), 0).item() for name, field in known.items() if field.default is MISSING or name in content}
+    _check_values(columns, own)
+    for name in ("scheme", "correction"):
+        columns[name] = [_value(text) for text in columns[name].tolist()]
+    lists = [values if isinstance(values, list) else values.tolist() for values in columns.values()]
+    return Tradeoff(tuple(Row(**dict(zip(columns, values, strict=True))) for values in zip(*lists, strict=True)), **own)
+
+
+def _kinds(field: Field[Any]) -> str:
+    """Return NumPy's letters of what a field holds; schemes and corrections are stored as text."""
+    return {"float": "fi", "int": "i", "bool": "b"}.get(str(field.type), "U")
+
+
+def _check_values(columns: Mapping[str, Any], own: Mapping[str, Any]) -> None:
+    """ValueError naming the first field whose numbers no study can have; NaN is what was not measured."""
+    if not 0 < own["t_end"] < np.inf:
+        raise ValueError(f"field 't_end' is {own['t_end']:g}: it must be finite and greater than 0")
+    if not own["reference_error"] >= 0:
+        raise ValueError(f"field 'reference_error' is {own['reference_error']:g}: it must be at least 0")
+    success = columns["success"].astype(bool)
+    for name in ("step", "seconds", "position", "bar", "joint", "energy", "instructions", "steps"):
+        values = columns[name]
+        wrong = values <= 0 if name == "step" else values < 0
+        wrong = wrong | np.isinf(values) if name in ("step", "seconds") else wrong
+        wrong = wrong | (success & ~np.isfinite(values)) if name in ("position", "bar", "joint") else wrong
+        for k in np.flatnonzero(wrong)[:1]:
+            raise ValueError(f"field 'row_{name}' is {values[k]:g} in row {k}, which no run has")
 
 
 def _number(value: float, form: str) -> str:

@@ -198,7 +198,8 @@ class Trajectory:
         FileNotFoundError
             There is no such file.
         ValueError
-            The file cannot be read or holds no trajectory; the message names the file and the field.
+            The file cannot be read, holds no trajectory, or one that no run can have (see `from_arrays`); the message names the file
+            and the field.
         """
         return archive.load(path, _FORMAT, "trajectory", Trajectory.from_arrays, Trajectory.__dataclass_fields__)
 
@@ -219,7 +220,8 @@ class Trajectory:
         Raises
         ------
         ValueError
-            A field is missing, or its type, shape or indices do not fit; the message names it.
+            A field is missing, its type, shape or indices do not fit, times do not increase, a step has no length, or the motion of a
+            run that succeeded is not finite; the message names it.
         """
         given = {}
         for field in fields(Trajectory):
@@ -230,6 +232,7 @@ class Trajectory:
             else:
                 given[field.name] = np.asarray(field.default)
         _check(given)
+        _check_values(given)
         return Trajectory(**{name: value.item() if value.ndim == 0 else value for name, value in given.items()})
 
 
@@ -294,6 +297,9 @@ def first_rows(trajectory: Trajectory, count: int) -> Trajectory:
 
 _SHAPES = {name: hint.__metadata__ for name, hint in get_type_hints(Trajectory, include_extras=True).items()}
 
+_UNKNOWN = ("energy_error", "correction_shift", "correction_energy")  # may be NaN, as they are not always computed
+_FINITE = [name for name, (_, kind) in _SHAPES.items() if kind == "f" and name not in _UNKNOWN]
+
 
 def _check(content: dict[str, Any]) -> None:
     """ValueError naming the first field whose kind, shape or indices do not fit the others."""
@@ -310,6 +316,20 @@ def _check(content: dict[str, Any]) -> None:
         indices: NDArray[Any] = np.asarray(content[name])
         if indices.size and not 0 <= indices.min() <= indices.max() < sizes["n"]:
             raise ValueError(f"field {name!r} holds indices outside 0 … {sizes['n'] - 1}")
+
+
+def _check_values(content: dict[str, Any]) -> None:
+    """ValueError naming the first field whose numbers no run can have; what is not finite belongs to runs that failed."""
+    time = np.asarray(content["time"])
+    if (bad := np.flatnonzero(np.diff(time) <= 0)).size:
+        raise ValueError(f"field 'time' is {time[bad[0] + 1]:g} s at row {bad[0] + 1}, after {time[bad[0]]:g} s: times must increase")
+    for name, valid in {"step": content["step"] > 0, "seconds": content["seconds"] >= 0, "attempts": content["attempts"] >= 0}.items():
+        if not valid and not np.isnan(content[name]):
+            raise ValueError(f"field {name!r} is {content[name]:g}: it must be {'greater than' if name == 'step' else 'at least'} 0")
+    for name in _FINITE if content["success"] else ():
+        value = np.asarray(content[name])
+        for place in np.argwhere(~np.isfinite(value))[:1].tolist():
+            raise ValueError(f"field {name!r} is {value[tuple(place)]} at {place}, although the run succeeded: it must be finite")
 
 
 def _largest(errors: Array, unit: str = "") -> str:

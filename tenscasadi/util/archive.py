@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import math
 import os
+import shutil
+import uuid
 import zipfile
 import zlib
 from collections.abc import Callable, Container, Mapping
@@ -12,6 +16,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 T = TypeVar("T")
+_LIMIT = 1_000_000_000  # bytes that a file may unpack to, however small it is
+_RATIO = 20  # bytes that each byte of a larger file may unpack to: numbers of real motions need less
 # Anything that reading a damaged or foreign archive may raise.
 _UNREADABLE = (
     *(OSError, ValueError, TypeError, EOFError, KeyError, IndexError, RuntimeError, MemoryError, AttributeError, SyntaxError, OverflowError),
@@ -40,14 +46,23 @@ class Fields(dict[str, Any]):
 def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) -> Path:
     """Write arrays by name, and `form` as the field "format", to exactly `path`, compressed, and return it.
 
-    A file that was there stays as it is until the new one is complete. Raises OSError when it cannot be written.
+    A file that was there stays as it is until the new one is complete. Raises OSError when it cannot be written, also where something
+    other than a regular file is there, such as a device.
     """
     target = Path(path)
     whole = Path(os.path.realpath(target))  # where a link leads to
-    part = whole.with_name(f".{whole.name}.{os.getpid()}")
+    if (target.exists() or whole.is_symlink()) and not target.is_file():
+        raise OSError(errno.EISDIR if target.is_dir() else errno.EINVAL, "Not a regular file, give another name", os.fspath(path))
+    part = whole.with_name(f".tenscasadi-{uuid.uuid4().hex}")
+    arrays = {name: np.asarray(value) for name, value in content.items()}
+    write = np.savez_compressed if sum(value.nbytes for value in arrays.values()) <= _LIMIT else np.savez  # else `load` could refuse it
     try:
-        with open(part, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, format=np.asarray(form), **content)
+        with open(part, "xb") as file:
+            write(file, allow_pickle=False, format=np.asarray(form), **arrays)
+            file.flush()
+            os.fsync(file.fileno())  # its name must not be on disk before its content is
+        if whole.exists():
+            shutil.copymode(whole, part)
         os.replace(part, whole)
     except OSError as error:
         if error.errno is None:
@@ -62,14 +77,11 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fi
     """Return `build` of the arrays, by name, of a file that `save` wrote in this form; `names`: only these are opened.
 
     No code in the file is ever run. Raises FileNotFoundError, and ValueError naming the file, the `kind` of thing that it is not, and why;
-    `build` says so with a ValueError, and all else that it raises passes.
+    `build` says so with a ValueError, and all else that it raises passes. A file may unpack to 1 GB, or to 20 times its own size.
     """
     refusal = f"{os.fspath(path)} is not a {kind}"
     try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            content = Fields({name: archive[name] for name in archive.files if names is None or name == "format" or name in names})
-            if not all(isinstance(value, np.ndarray) for value in content.values()):
-                raise ValueError("a file that holds no array")
+        content = _read(Path(path), names)
     except FileNotFoundError:
         raise
     except (OSError, MemoryError) as error:
@@ -82,3 +94,28 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fi
         return build(content)
     except ValueError as error:
         raise ValueError(f"{refusal}: {error}") from error
+
+
+def _read(path: Path, names: Container[str] | None) -> Fields:
+    """Read the arrays of a file, once the sizes that it tells are known to fit each other and the limit."""
+    if path.exists() and not path.is_file():  # opening a FIFO would wait for another process
+        raise OSError("it is no regular file")
+    with zipfile.ZipFile(path) as packed:
+        found = {info.filename.removesuffix(".npy"): info for info in packed.infolist()}
+        wanted = {name: info for name, info in found.items() if names is None or name == "format" or name in names}
+        size, most = sum(info.file_size for info in wanted.values()), max(_LIMIT, _RATIO * path.stat().st_size)
+        if size > most:
+            raise MemoryError(f"it unpacks to {size / 1e9:.3g} GB, above the limit of {most / 1e9:.3g} GB for a file of its size")
+        return Fields({name: _read_array(packed, name, info) for name, info in wanted.items()})
+
+
+def _read_array(packed: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> Any:
+    with packed.open(info) as member:
+        version = np.lib.format.read_magic(member)
+        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = header(member)
+        size = math.prod(shape) * dtype.itemsize
+        if not dtype.hasobject and size != info.file_size - member.tell():
+            raise OSError(f"its field {name!r} of shape {shape} would take {size:.3g} bytes, and the file tells of {info.file_size}")
+    with packed.open(info) as member:
+        return np.lib.format.read_array(member, allow_pickle=False)

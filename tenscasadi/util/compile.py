@@ -86,8 +86,9 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None, 
     """Compile a CasADi Function to machine code.
 
     The library is kept in `cache_folder` under the hash of its source, the compiler, the flags, what these mean on this machine,
-    and CasADi's version, so that it is compiled once. Any number of processes may do so at the same time. Libraries beyond 500 MB
-    are removed, those first that have not been used for longest; what a process has loaded, it keeps.
+    and CasADi's version, so that it is compiled once. Any number of processes may do so at the same time. A library that is not as it
+    was written, by the hash at its end, is not loaded but compiled again. Libraries beyond 500 MB are removed, those first that have
+    not been used for longest; what a process has loaded, it keeps.
 
     Parameters
     ----------
@@ -129,9 +130,9 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None, 
     for build in (False, True, True):  # twice: another process may remove the first before it is loaded
         try:
             if build:
-                _build(compiler, flags, source, library)
+                _build(compiler, flags, source, library, key)
                 _trim(library.parent)
-            elif not library.exists() or _distrust(library):
+            elif not library.is_file() or _distrust(library) or not _is_whole(library, key):
                 continue
             os.utime(library)  # used now
             return ca.external(function.name(), str(library))
@@ -239,7 +240,18 @@ def _run(command: list[str]) -> str:
     return done.stdout
 
 
-def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, library: Path) -> None:
+def _seal(code: bytes, key: str) -> bytes:
+    """Return the hash that ends a library: loading one that a full disk cut short, or that holds other code, would kill the process."""
+    return hashlib.sha256(key.encode() + code).digest()
+
+
+def _is_whole(library: Path, key: str) -> bool:
+    content = library.read_bytes()
+    size = len(content) - len(_seal(b"", key))
+    return size > 0 and content[size:] == _seal(content[:size], key)
+
+
+def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, library: Path, key: str) -> None:
     """Compile in a folder of its own, then move the library into place in one operation: no process ever sees half a file."""
     try:
         with tempfile.TemporaryDirectory(prefix=_BUILD, dir=library.parent) as folder:
@@ -247,6 +259,9 @@ def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, library
             code.write_text(source, encoding="utf-8")
             position = [] if sys.platform == "win32" else ["-fPIC"]
             _run([*compiler, *flags, *position, "-shared", "-o", str(result), str(code), "-lm"])
+            seal = _seal(result.read_bytes(), key)
+            with result.open("ab") as file:
+                file.write(seal)  # loaders do not mind what follows the code
             result.chmod(0o700)  # whatever the umask
             try:
                 os.replace(result, library)

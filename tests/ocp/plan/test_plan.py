@@ -116,6 +116,42 @@ def test_a_plan_with_a_field_of_another_kind_is_refused_by_name(plan, tmp_path):
     assert all(message.startswith(f"{path} is not a plan: ") for message in messages)
 
 
+NUMBERS = {
+    "time": lambda old: old[::-1],
+    "force_density": lambda old: old * np.nan,
+    "objective": lambda old: np.asarray(np.nan),
+    "iterations": lambda old: np.asarray(-1),
+    "seconds": lambda old: np.asarray(-1.0),
+    "replay_error": lambda old: np.asarray(-1.0),
+    "duals.values": lambda old: old[:-1],
+    "trajectory.time": lambda old: old * 2,
+    "trajectory.success": lambda old: np.asarray(False),
+    "trajectory.strings": lambda old: old[::-1],
+    "trajectory.bars": lambda old: old[:, ::-1],
+}
+
+
+def test_numbers_that_no_plan_can_have_are_refused_by_name(plan, tmp_path):
+    path = plan.save(tmp_path / "plan.npz")
+    with np.load(path) as archive:
+        content = dict(archive)
+    for name, change in NUMBERS.items():
+        np.savez(path, **content | {name: change(content[name])})
+        with pytest.raises(ValueError, match=rf"plan\.npz is not a plan: field '{name}' "):
+            ocp.Plan.load(path)
+    for name, change in {"time": lambda old: old[::-1], "nodes": lambda old: old * np.nan, "step": lambda old: old * 0}.items():
+        np.savez(path, **content | {f"trajectory.{name}": change(content[f"trajectory.{name}"])})
+        with pytest.raises(ValueError, match=rf"plan\.npz is not a plan: field '{name}' is "):
+            ocp.Plan.load(path)
+    np.savez(path, **content)
+    assert ocp.Plan.load(path).success
+
+
+def test_a_plan_that_failed_is_loaded_with_what_is_not_finite(plan, tmp_path):
+    failed = replace(plan, success=False, force_density=plan.force_density * np.nan, objective=np.nan, replay_error=np.nan)
+    assert np.isnan(ocp.Plan.load(failed.save(tmp_path / "plan.npz")).force_density).all()
+
+
 def blown(rate=4.0):
     """A bar on a ball joint, held by four strings, in a wind that changes with time."""
     nodes = [(0, 0, 0), (0, 0, 1.0), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)]

@@ -335,6 +335,41 @@ def test_foreign_files_are_refused(table, tmp_path, changes):
         tc.Tradeoff.load(damaged(table, tmp_path, **changes))
 
 
+def with_one(values, number):
+    changed = np.array(values)
+    changed[0] = number
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("field", "number"),
+    [
+        *((f"row_{name}", number) for name in ("position", "bar", "joint") for number in (np.nan, np.inf, -1.0)),
+        *(("row_step", number) for number in (0.0, -0.1, np.inf)),
+        *(("row_seconds", number) for number in (-1.0, np.inf)),
+        *((f"row_{name}", -1) for name in ("energy", "instructions", "steps")),
+        *(("t_end", number) for number in (0.0, np.nan, np.inf, -1.0)),
+        *(("reference_error", number) for number in (np.nan, -1.0)),
+    ],
+)
+def test_numbers_that_no_study_can_have_are_refused_by_name(table, tmp_path, field, number):
+    assert table.rows[0].success
+    value = with_one([getattr(row, field[4:]) for row in table.rows], number) if field.startswith("row_") else np.asarray(number)
+    with pytest.raises(ValueError, match=rf"study\.npz is not a trade-off: field '{field}' is "):
+        tc.Tradeoff.load(damaged(table, tmp_path, **{field: value}))
+
+
+@pytest.mark.parametrize(("field", "value"), [("row_success", 1.0), ("row_message", 3), ("row_position", "0"), ("row_steps", 1.5), ("t_end", "x")])
+def test_values_of_another_kind_are_refused_by_name(table, tmp_path, field, value):
+    with pytest.raises(ValueError, match=rf"study\.npz is not a trade-off: field '{field}' holds values of type"):
+        tc.Tradeoff.load(damaged(table, tmp_path, **{field: np.full(len(table.rows), value) if field.startswith("row_") else np.asarray(value)}))
+
+
+def test_a_study_without_rows_is_loaded(table, tmp_path):
+    empty = replace(table, rows=(), complete=False, reference_error=np.inf)
+    assert tc.Tradeoff.load(empty.save(tmp_path / "study.npz")) == empty
+
+
 def test_files_that_are_none(tmp_path):
     with pytest.raises(FileNotFoundError):
         tc.Tradeoff.load(tmp_path / "none.npz")

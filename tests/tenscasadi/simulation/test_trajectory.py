@@ -100,6 +100,39 @@ def test_fields_that_do_not_fit_are_named(field: str, value: Any, tmp_path: Path
             Trajectory.load(tmp_path / "run.npz")
 
 
+def one_wrong(value: Any, place: tuple[int, ...], number: float) -> np.ndarray[Any, Any]:
+    array = np.array(value, dtype=float)
+    array[place] = number
+    return array
+
+
+FINITE = ["nodes", "velocities", "force_density", "tension", "energy", "energy_parts", "bar_length_error", "joint_error", "states"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("time", np.linspace(1, 0, 4)), ("time", np.array([0.0, 0.5, 0.5, 1.0])), ("time", np.array([0.0, 0.5, np.nan, 1.0])),
+        ("time", np.array([0.0, 0.5, 0.7, np.inf])), ("step", 0.0), ("step", -0.1), ("step", np.nan), ("seconds", -1.0), ("attempts", -1),
+        *((name, number) for name in FINITE for number in (np.nan, -np.inf)),
+    ],
+)  # fmt: skip
+def test_numbers_that_no_run_can_have_are_refused_by_name(field: str, value: Any, tmp_path: Path) -> None:
+    own = content(example())[field]
+    value = one_wrong(own, (-1,) * own.ndim, value) if field in FINITE else value
+    saved = {name: np.asarray(own) for name, own in content(example()).items()} | {field: np.asarray(value)}
+    np.savez(tmp_path / "run.npz", format="tenscasadi trajectory 1", **saved)
+    with pytest.raises(ValueError, match=rf"run\.npz is not a trajectory: field '{field}' is "):
+        Trajectory.load(tmp_path / "run.npz")
+
+
+def test_a_run_that_failed_is_loaded_with_what_is_not_finite(tmp_path: Path) -> None:
+    failed = example(success=False, nodes=np.full((4, 3, 3), np.nan), energy=np.array([0.0, 1.0, np.inf, np.nan]))
+    loaded = Trajectory.load(failed.save(tmp_path / "run.npz"))
+    assert np.array_equal(loaded.nodes, failed.nodes, equal_nan=True)
+    assert not loaded.success
+
+
 def test_missing_fields_and_foreign_files_are_named(tmp_path: Path) -> None:
     fields = content(example())
     for field in set(fields) - {"attempts", "interrupted"}:

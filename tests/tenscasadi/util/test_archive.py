@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import stat
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tenscasadi.util import archive
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX files and signals")
 
 
 def test_arrays_come_back(tmp_path: Path) -> None:
@@ -51,6 +58,157 @@ def test_where_nothing_can_be_written_it_is_an_os_error(tmp_path: Path) -> None:
     assert caught.value.filename == str(path)  # not that of the unfinished file
     with pytest.raises(OSError, match=str(tmp_path)):
         archive.save(tmp_path, "form 1", {})
+
+
+@posix
+def test_what_is_no_regular_file_is_neither_replaced_nor_read(tmp_path: Path) -> None:
+    fifo, link, loop = (tmp_path / name for name in ("fifo", "link", "loop"))
+    os.mkfifo(fifo)
+    link.symlink_to(fifo)
+    loop.symlink_to(loop)
+    for path in (fifo, link, loop):
+        with pytest.raises(OSError, match="Not a regular file, give another name") as caught:
+            archive.save(path, "form 1", {"x": np.ones(2)})
+        assert caught.value.filename == str(path)
+    assert fifo.is_fifo()
+    assert link.is_symlink()
+    assert loop.is_symlink()
+    assert len(list(tmp_path.iterdir())) == 3
+    for path in (fifo, link):  # opening them would wait for ever
+        with pytest.raises(ValueError, match=rf"{path.name} is not a thing: it cannot be read \(it is no regular file\)$"):
+            archive.load(path, "form 1", "thing", dict)
+
+
+@posix
+def test_who_may_read_a_file_stays_the_same(tmp_path: Path) -> None:
+    path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.ones(2)})
+    path.chmod(0o600)
+    archive.save(path, "form 1", {"x": np.ones(3)})
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def test_threads_may_save_to_one_name(tmp_path: Path) -> None:
+    def save(value: int) -> None:
+        for _ in range(20):
+            archive.save(tmp_path / "a.npz", "form 1", {"x": np.full(1000, value)})
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(save, range(4)))
+    assert len(set(archive.load(tmp_path / "a.npz", "form 1", "thing", dict)["x"])) == 1
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.npz"]
+
+
+# Imports once; each fault then befalls a child of its own. A child is killed before the n-th line of Python that a save runs.
+FAULTS = """
+import os, resource, signal, sys
+import numpy as np
+from tenscasadi.util import archive
+
+path, old, new = sys.argv[1], np.random.default_rng(0).normal(size=3000), np.random.default_rng(1).normal(size=3000)
+
+def child(action):
+    pid = os.fork()
+    if pid == 0:
+        code = 9
+        try:
+            code = action()
+        finally:
+            os._exit(code)
+    return os.waitpid(pid, 0)[1]
+
+def content():
+    return archive.load(path, "form 1", "thing", dict)["x"]
+
+def save(last=None):
+    lines = 0
+    def count(frame, event, argument):
+        nonlocal lines
+        lines += event == "line"
+        if lines == last:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return count
+    sys.settrace(count)
+    archive.save(path, "form 1", {"x": new})
+    sys.settrace(None)
+    return lines
+
+save()  # imports what it needs
+total = save()
+seen = set()
+for last in [*np.linspace(1, total - 20, 35).astype(int).tolist(), *range(total - 16, total - 1)]:
+    archive.save(path, "form 1", {"x": old})
+    status = child(lambda: save(last) * 0)
+    assert os.WTERMSIG(status) == signal.SIGKILL, (last, status)
+    found = content()
+    assert np.array_equal(found, old) or np.array_equal(found, new), last
+    seen.add(bool(np.array_equal(found, new)))
+assert seen == {False, True}
+for left in os.listdir(os.path.dirname(path)):
+    if left.startswith(".tenscasadi-"):
+        os.unlink(os.path.join(os.path.dirname(path), left))
+
+def cut(size):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+    try:
+        archive.save(path, "form 1", {"x": new})
+    except OSError as error:
+        return 0 if error.filename == path else 1
+    return 2
+
+archive.save(path, "form 1", {"x": old})
+for size in np.linspace(0, os.path.getsize(path) - 1000, 20).astype(int).tolist():
+    assert child(lambda: cut(size)) == 0, size
+    assert np.array_equal(content(), old)
+assert os.listdir(os.path.dirname(path)) == [os.path.basename(path)]
+"""
+
+
+@posix
+def test_the_old_file_or_the_new_one_is_whole_after_a_kill_and_on_a_full_disk(tmp_path: Path) -> None:
+    root = str(Path(archive.__file__).parents[2])
+    command = [sys.executable, "-c", FAULTS, str(tmp_path / "a.npz")]
+    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": root}, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+# --- sizes ---
+
+
+def with_header(path: Path, shape: tuple[int, ...], data: bytes) -> None:
+    """A file whose field x tells this shape, of floats, and holds these bytes."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, told, content in (("format", (), np.asarray("form 1").tobytes()), ("x", shape, data)):
+            with file.open(f"{name}.npy", "w") as member:
+                np.lib.format.write_array_header_1_0(member, {"shape": told, "fortran_order": False, "descr": "<f8" if name == "x" else "<U6"})
+                member.write(content)
+
+
+@pytest.mark.parametrize("shape", [(10**12,), (3, 10**9), (2**40, 2**40), (5,), (1,)])
+def test_shapes_that_do_not_fit_the_file_are_refused(shape: tuple[int, ...], tmp_path: Path) -> None:
+    with_header(tmp_path / "a.npz", (2,), bytes(16))
+    assert archive.load(tmp_path / "a.npz", "form 1", "thing", dict)["x"].tolist() == [0.0, 0.0]
+    with_header(tmp_path / "a.npz", shape, bytes(16))
+    with pytest.raises(ValueError, match=r"a\.npz is not a thing: it cannot be read \(its field 'x' of shape \(.*\) would take .* bytes[^\n]*$"):
+        archive.load(tmp_path / "a.npz", "form 1", "thing", dict)
+
+
+def test_what_unpacks_to_too_much_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.npz"
+    np.savez_compressed(path, format="form 1", x=np.zeros(200_000), y=np.zeros(200_000))
+    assert archive.load(path, "form 1", "thing", dict)["x"].size == 200_000
+    monkeypatch.setattr(archive, "_LIMIT", 2_000_000)
+    monkeypatch.setattr(np.lib.format, "read_array", lambda *_, **__: pytest.fail("read"))
+    with pytest.raises(ValueError, match=r"a\.npz is not a thing: it cannot be read \(it unpacks to 0\.0032 GB, above the limit of 0\.002 GB"):
+        archive.load(path, "form 1", "thing", dict)
+    monkeypatch.undo()
+    monkeypatch.setattr(archive, "_LIMIT", 2_000_000)
+    assert set(archive.load(path, "form 1", "thing", dict, names={"x"})) == {"x"}
+
+
+def test_what_was_saved_is_never_too_large_to_be_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archive, "_LIMIT", 100_000)
+    path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.zeros(200_000)})  # of zeros, a compressed file would be a thousandth
+    assert archive.load(path, "form 1", "thing", dict)["x"].size == 200_000
 
 
 def test_what_is_wrong_is_told(tmp_path: Path) -> None:

@@ -134,6 +134,71 @@ def test_damaged_and_planted_libraries_are_replaced(cache: Path, count: list[str
     assert stat.S_IMODE(library.stat().st_mode) == 0o700
 
 
+def flipped(content: bytes, place: int) -> bytes:
+    return content[:place] + bytes([content[place] ^ 0x40]) + content[place + 1 :]
+
+
+@needs_compiler
+def test_libraries_that_are_not_as_they_were_written_are_compiled_again(cache: Path, count: list[str]) -> None:
+    f = function("p")
+    compile_function(f, ("-O0",))
+    (library,) = cache.iterdir()
+    whole = library.read_bytes()
+    size = len(whole)
+    compile_function(function("p", factor=5.0), ("-O0",))
+    (other,) = set(cache.iterdir()) - {library}
+    cut = [whole[:k] for k in (0, 1, 32, 100, 4096, size // 2, size - 33, size - 32, size - 1)]
+    changed = [flipped(whole, k) for k in (0, 17, size // 3, size // 2, size - 40, size - 1)]
+    poisoned = [*cut, *changed, bytes(size), whole + b"x", other.read_bytes()]  # loading some of these would end this process
+    for k, content in enumerate(poisoned):
+        library.unlink()
+        library.write_bytes(content)
+        library.chmod(0o700)
+        assert float(compile_function(f, ("-O0",))([1, 1, 1], [])[0][0]) == pytest.approx(2 * np.sin(1) + 1)
+        assert len(count) == k + 3
+    assert library.read_bytes()[:4] == whole[:4]
+    compile_function(f, ("-O0",))
+    assert len(count) == len(poisoned) + 2
+    assert len(list(cache.iterdir())) == 2
+
+
+@needs_compiler
+@posix
+def test_a_fifo_under_the_name_of_a_library_is_replaced(cache: Path) -> None:
+    compile_function(function("q"))
+    (library,) = cache.iterdir()
+    library.unlink()
+    os.mkfifo(library, 0o700)
+    assert float(compile_function(function("q"))([1, 1, 1], [])[1]) == 3
+    assert library.is_file()
+
+
+FULL = """
+import resource
+import tenscasadi as tc
+model = tc.Model(tc.Scene(tc.shapes.pendulum()))
+for size in (20_000, 1000):  # bytes that a file may have: less than the library, less than the source
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+    run = tc.simulate(model, 0.01, 0.001)
+    assert run.success and not run.compiled and "not compiled: " in run.message, run.message
+    try:
+        tc.simulate(model, 0.01, 0.001, compiled=True)
+    except tc.CompileError as error:
+        assert "cannot be written" in str(error) or "failed with code" in str(error), error
+    else:
+        raise AssertionError(size)
+"""
+
+
+@needs_compiler
+@posix
+def test_a_full_disk_leaves_nothing_and_the_run_goes_on(cache: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(Path(compiled.__file__).parents[2])}
+    done = subprocess.run([sys.executable, "-c", FULL], env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert list(cache.iterdir()) == []
+
+
 # --- its size ---
 
 
@@ -237,6 +302,42 @@ def test_processes_may_compile_at_the_same_time(cache: Path) -> None:
     assert len(list(cache.iterdir())) == 1
 
 
+POISONERS = """
+import os, random, sys, time, casadi as ca
+from pathlib import Path
+from tenscasadi.util.compile import cache_folder, compile_function
+draw = random.Random(int(sys.argv[2]))
+x = ca.SX.sym("x", 3)
+while time.time() < float(sys.argv[1]):
+    time.sleep(0.001)
+for k in range(12):
+    f = ca.Function(f"f{draw.randrange(3)}", [x], [ca.sin(x) * draw.randrange(1, 3)])
+    g = compile_function(f, ("-O0",))
+    assert abs(float(ca.norm_inf(g(0.1) - f(0.1)))) < 1e-12
+    for path in list(cache_folder().glob("f*")):
+        try:
+            content = path.read_bytes()
+            poison = path.with_name(f"poison{os.getpid()}")
+            poison.write_bytes(draw.choice([content[: len(content) // 2], b"", content[:-1], content.replace(b"a", b"b")]))
+            poison.chmod(0o700)
+            os.replace(poison, path)  # in place, it would change what others have loaded
+        except OSError:
+            pass
+"""
+
+
+@needs_compiler
+@posix
+@pytest.mark.slow
+def test_eight_processes_survive_that_their_libraries_are_poisoned(cache: Path) -> None:
+    start, environment = str(time.time() + 5), {**os.environ, "PYTHONPATH": str(Path(compiled.__file__).parents[2])}
+    commands = [[sys.executable, "-c", POISONERS, start, str(k)] for k in range(8)]
+    processes = [subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) for command in commands]
+    for process in processes:
+        _, errors = process.communicate(timeout=300)
+        assert process.returncode == 0, errors
+
+
 @posix
 def test_cc_names_the_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -285,7 +386,7 @@ def test_wrong_types_are_refused(argument: str, value: object) -> None:
 def test_large_constants_do_not_cost_optimisation(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     levels: list[str] = []
 
-    def stop(command: tuple[str, ...], flags: tuple[str, ...], source: str, library: Path) -> None:
+    def stop(command: tuple[str, ...], flags: tuple[str, ...], source: str, library: Path, key: str) -> None:
         levels.append(flags[0])
         raise CompileError("not built")
 
