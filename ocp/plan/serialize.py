@@ -106,10 +106,12 @@ def _check_values(values: Mapping[str, Any], time: Array, trajectory: Trajectory
     if values["success"] and not (trajectory.success and np.isfinite(values["objective"])):
         name = "objective" if trajectory.success else "trajectory.success"
         raise ValueError(f"field {name!r} is {values.get(name, False)}, although the plan succeeded")
-    for name in () if model is None else ("bars", "strings"):
+    if model is None:  # its scene may be subdivided
+        return
+    for name in ("bars", "strings"):
         if not np.array_equal(getattr(trajectory, name), getattr(model.structure, name)):
             raise ValueError(f"field 'trajectory.{name}' does not hold those of the model")
-    if model is not None and trajectory.nodes.shape[1] != len(model.structure.nodes):
+    if trajectory.nodes.shape[1] != len(model.structure.nodes):
         raise ValueError(f"field 'trajectory.nodes' is of {trajectory.nodes.shape[1]} nodes, not of the model's {len(model.structure.nodes)}")
 
 
