@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -14,6 +15,7 @@ from tenscasadi.analysis.tradeoff import LONGEST, Case, check_ways
 from tenscasadi.analysis.tradeoff_table import abbreviate
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, extent
@@ -36,6 +38,8 @@ _SHORT = 2e7  # instructions that the virtual machine is through with before the
 _OVERHEAD = 2.0  # of a step with control of its error: the error, the search for events
 _GAIN = 6.0  # of machine code for Newton's method, about
 _FEW = 8  # steps of Newton's method to begin with
+_PACE = 1e8  # instructions in a second that a run takes at least, before one was timed
+_PROOF = 1e10 / 60  # instructions of the reference for each second of the search
 _BOUND = 2.0  # times the fewest stable steps: who takes more does so for accuracy
 
 SCHEMES: tuple[Scheme, ...] = (
@@ -101,11 +105,13 @@ def recommend(
     schemes: Sequence[Scheme] = SCHEMES,
     corrections: Sequence[Correction | None] = (None, Projection()),
     compiled: Compiled = None,
+    seconds: float = 60.0,
 ) -> Recommendation:
     """Find the scheme, step and correction that reach a position error at the end for the least work.
 
     The motion is solved once to a tenth of the tolerance by `certify`. Then the largest step, or `rtol`, that serves is looked for with
     each scheme, which is left out as soon as it costs more than the best so far. That takes some twenty runs like the one recommended.
+    Where strings go slack or nodes meet the ground, schemes that control their error come first: they locate these events.
 
     Parameters
     ----------
@@ -125,18 +131,21 @@ def recommend(
         Each None, `Projection()` or `BarLengthCorrection()`.
     compiled : bool or Single, optional
         How to run, as for `simulate`.
+    seconds : float
+        Wall time for the search, s. A run that would not end in time is not begun; the best found so far is then returned, and `message`
+        names the schemes that there was no time for. Up to as many seconds go before that into the reference.
 
     Returns
     -------
     Recommendation
-        The cheapest that serves.
+        The cheapest that serves, of those that there was time for.
 
     Raises
     ------
     NoReference
         If no solution of that accuracy exists: chaos, instability.
     NoScheme
-        If no scheme meets the tolerance.
+        If no scheme meets the tolerance, or none was found to within `seconds`.
     TypeError, ValueError
         If an argument has a wrong type, shape or value.
 
@@ -157,47 +166,82 @@ def recommend(
     model = what if isinstance(what, Model) else Model(what)
     t_end, tolerance = positive_number("t_end", t_end), positive_number("tolerance", tolerance)
     check_ways(schemes, corrections)
-    enough = _REFERENCE * tolerance
+    seconds = positive_number("seconds", seconds)
+    enough, double = _REFERENCE * tolerance, None if isinstance(compiled, Single) else compiled
     start = None if state is None else finite_array("state", state, (model.nx,))
-    reference = certify(model, t_end, start, control, accuracy=enough, enough=enough, compiled=None if isinstance(compiled, Single) else compiled)
-    wanted = _MARGIN * tolerance - reference.error
+    reference = certify(model, t_end, start, control, accuracy=enough, enough=enough, compiled=double, work=_PROOF * seconds)
 
     ways = [Case(model, scheme, correction, t_end, start, control, compiled) for scheme, correction in product(schemes, corrections)]
-    best, told = _find_cheapest(ways, reference.nodes, wanted)
+    best, told = _find_cheapest(ways, _Goal(reference.nodes, _MARGIN * tolerance - reference.error, time.perf_counter() + seconds, seconds))
     names = ", ".join(map(abbreviate, schemes))
     if best is None:
         failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
         raise NoScheme("; ".join(dict.fromkeys([failed, *told])))
-    scheme, seconds, expected = best.case.scheme, best.seconds(), best.error + reference.error
+    scheme, duration, expected = best.case.scheme, best.time_loop(), best.error + reference.error
     limit = stable_step(model, start, None, scheme, safety=1.0)
     if best.step > limit and not scheme.adaptive:
         told.append(f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved")
-    outcome = f"{best.steps} steps of {abbreviate(scheme)}: {expected:.2g} m, {seconds:.2g} s"
+    outcome = f"{best.steps} steps of {abbreviate(scheme)}: {expected:.2g} m, {duration:.2g} s"
     message = "; ".join(dict.fromkeys([outcome, f"compared with {names}", f"reference: {reference.message}", *told]))
     work = float(best.steps * best.case.instructions()) or np.nan
-    return Recommendation(scheme, best.step, best.case.correction, expected, seconds, work, message)
+    return Recommendation(scheme, best.step, best.case.correction, expected, duration, work, message)
 
 
-def _find_cheapest(ways: Sequence[Case], nodes: Array, wanted: float) -> tuple[_Choice | None, list[str]]:
-    """Find the cheapest way that serves, and why others were left out. Explicit schemes come first: implicit ones are measured against them."""
+@dataclass(frozen=True, eq=False)
+class _Goal:
+    """Nodes (n, 3) to reach within `wanted` m by the time `deadline` of the clock, s, which is `seconds` after the start."""
+
+    nodes: Array
+    wanted: float
+    deadline: float
+    seconds: float
+
+    def check_time(self, expected: float, best: _Choice | None) -> None:
+        """Raise _OutOfTime where a run that is expected to take so many seconds would not end in time."""
+        if time.perf_counter() + expected > self.deadline:
+            raise _OutOfTime(best)
+
+
+class _OutOfTime(Exception):
+    """Raised where a search ends before it is through; `best` is what it has found."""
+
+    def __init__(self, best: _Choice | None) -> None:
+        super().__init__()
+        self.best = best
+
+
+def _find_cheapest(ways: Sequence[Case], goal: _Goal) -> tuple[_Choice | None, list[str]]:
+    """Find the cheapest way that serves, and why others were left out.
+
+    Explicit schemes come first: implicit ones are measured against them. Steps that miss events serve only when they are tiny: schemes
+    that locate them say beforehand how few may be tried.
+    """
     best: _Choice | None = None
-    told = []
+    told, late = [], []
+    events = build_switching(ways[0].model) is not None
     speed = 1.0  # instructions of the best explicit scheme in a second
-    for case in sorted(ways, key=lambda case: case.scheme.implicit):
+    for case in sorted(ways, key=lambda case: (case.scheme.implicit, events and not case.scheme.adaptive)):
         name = abbreviate(case.scheme)
         if case.scheme.implicit and best is not None and not best.case.scheme.implicit:
             if best.steps > _BOUND * _count_coarsest(best.case, best.end):
                 told.append(f"{name} left out: stability does not bound the steps of {abbreviate(best.case.scheme)}")
                 continue
-            speed = best.cost / best.seconds()
+            speed = best.cost / best.time_loop()
         most = np.inf if best is None else best.cost
         try:
             if case.correction is not None and (case.scheme.adaptive or case.correction.step(case.model) is None):
                 continue  # nothing to correct
-            found = _find_option(case, speed, nodes, wanted, most)
-            best = found if found is not None and found.cost < most else best
+            goal.check_time(0.0, None)
+            found = _find_option(case, speed, goal, most)
+        except _OutOfTime as stop:
+            found = stop.best
+            late.append(name)
         except (TypeError, ValueError, CompileError) as error:  # such as Appendix C's correction where bars meet
             told.append(f"{name} left out: {error}")
+            continue
+        best = found if found is not None and found.cost < most else best
+    if late:
+        told.append(f"seconds = {goal.seconds:g} were too few for {', '.join(dict.fromkeys(late))}: give more, and they are searched to the end")
     return best, told
 
 
@@ -209,26 +253,32 @@ class _Price:
     second: float
 
 
-def _find_option(case: Case, speed: float, nodes: Array, wanted: float, most: float) -> _Choice | None:
+def _find_option(case: Case, speed: float, goal: _Goal, most: float) -> _Choice | None:
     """Find about the cheapest step or rtol that serves; None: none for less than `most`.
 
     `speed`: instructions in a second, where they are not counted.
     """
     if not case.scheme.implicit:
         price = _Price(case.instructions() * (_OVERHEAD if case.scheme.adaptive else 1.0), 0.0)
-        return (_find_loosest if case.scheme.adaptive else _find_fewest)(case, price, nodes, wanted, most)
+        return (_find_loosest if case.scheme.adaptive else _find_fewest)(case, price, goal, most)
     clock = _Price(0.0, speed)
     if case.scheme.adaptive:
-        return _find_loosest(case, clock, nodes, wanted, most)
+        return _find_loosest(case, clock, goal, most)
     if case.compiled is False:
-        return _find_fewest(case, clock, nodes, wanted, most)
-    promising = _find_fewest(replace(case, compiled=False), _Price(0.0, speed / _GAIN), nodes, wanted, most)  # it takes seconds to compile
-    return None if promising is None else _measure(case, promising.step, clock, nodes, wanted, False)
+        return _find_fewest(case, clock, goal, most)
+    promising = _find_fewest(replace(case, compiled=False), _Price(0.0, speed / _GAIN), goal, most)  # it takes seconds to compile
+    if promising is None:
+        return None
+    goal.check_time(0.0, None)
+    return _measure(case, promising.step, clock, goal, False)
 
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """A way that serves, or does not: `steps` of at most `step` s end in the state `end` (nx,), `error` m off, and cost so many instructions."""
+    """A way that serves, or does not: `steps` of at most `step` s end in the state `end` (nx,), `error` m off, and cost so many instructions.
+
+    The run took `seconds` s of wall time, as machine code or not.
+    """
 
     case: Case
     step: float
@@ -236,15 +286,16 @@ class _Choice:
     error: float
     end: Array
     cost: float
+    seconds: float
 
-    def seconds(self) -> float:
+    def time_loop(self) -> float:
         """Measure the time loop, s."""
         if not self.case.even:
             return min(self.case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS))
         return self.case.seconds_per_step(self.step, _REPEATS) * self.steps
 
 
-def _measure(case: Case, step: float, price: _Price, nodes: Array, wanted: float, uncompiled: bool) -> _Choice:
+def _measure(case: Case, step: float, price: _Price, goal: _Goal, uncompiled: bool) -> _Choice:
     """Run once; the error is infinite when that fails. `uncompiled`: in the virtual machine, where there is a choice."""
     swift = replace(case, compiled=False) if uncompiled and case.compiled is None else case
 
@@ -252,23 +303,25 @@ def _measure(case: Case, step: float, price: _Price, nodes: Array, wanted: float
         return swift.run(step, energy_balance=False, save_every=10**9)
 
     first = run()
-    error = distance(end_nodes(case.model, first), nodes) if first.success else np.inf
+    error = distance(end_nodes(case.model, first), goal.nodes) if first.success else np.inf
     seconds = first.seconds
-    if price.second and error <= wanted:
+    if price.second and error <= goal.wanted:
         seconds = min(seconds, *(run().seconds for _ in range(_REPEATS - 1)))
     cost = price.step * first.attempts + price.second * seconds
-    return _Choice(case, step, first.attempts, error, first.states[-1], cost)
+    return _Choice(case, step, first.attempts, error, first.states[-1], cost, first.seconds)
 
 
-def _find_loosest(case: Case, price: _Price, nodes: Array, wanted: float, most: float) -> _Choice | None:
+def _find_loosest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice | None:
     """Find about the largest rtol whose error is at most `wanted`; None when that costs `most` or more."""
     best: _Choice | None = None
+    wanted, expected = goal.wanted, 0.0
     least = 1e-6 if isinstance(case.compiled, Single) else 1e-15
     rtol, tight, loose = 0.1 * wanted / extent(case.model), 0.0, 0.1
     for _ in range(_TRIES // 4):
         rtol = min(max(rtol, least), 0.1)
         tried = replace(case, scheme=replace(case.scheme, rtol=rtol, atol=None))  # type: ignore[type-var]
-        now = _measure(tried, LONGEST * case.t_end, price, nodes, wanted, most < _SHORT)
+        goal.check_time(expected, best)
+        now = _measure(tried, LONGEST * case.t_end, price, goal, most < _SHORT)
         if now.error <= wanted:
             tight, best = rtol, now
         else:
@@ -278,21 +331,24 @@ def _find_loosest(case: Case, price: _Price, nodes: Array, wanted: float, most: 
         if loose <= 4 * tight or (best is now and now.error > wanted / 4):
             break
         ratio = float(np.clip(0.5 * wanted / max(now.error, 1e-300), 1e-3, 1e3))
-        rtol = rtol * ratio if tight < rtol * ratio < loose else float(np.sqrt(max(tight, 1e-16) * loose))
+        before, rtol = rtol, rtol * ratio if tight < rtol * ratio < loose else float(np.sqrt(max(tight, 1e-16) * loose))
+        expected = now.seconds * (before / rtol) ** (1 / case.scheme.order)
     return best
 
 
-def _find_fewest(case: Case, price: _Price, nodes: Array, wanted: float, most: float) -> _Choice | None:
+def _find_fewest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice | None:
     """Find about the fewest equal steps whose error is at most `wanted`; None when that costs `most` or more."""
-    limit = most / price.step if price.step else np.inf
+    wanted, limit = goal.wanted, most / price.step if price.step else np.inf
     steps = _count_coarsest(case)  # from there on downwards
     if np.isfinite(limit):
         steps = min(steps, max(1, int(limit) - 1))
-    low, best = 0, None
+    low, best, each = 0, None, price.step / _PACE
     for _ in range(_TRIES):
         if steps >= limit:
             return None
-        now = _measure(case, case.t_end / steps, price, nodes, wanted, steps * price.step < _SHORT)
+        goal.check_time(each * steps, best)
+        now = _measure(case, case.t_end / steps, price, goal, steps * price.step < _SHORT)
+        each = now.seconds / max(now.steps, 1)
         if now.error <= wanted:
             best = now
         else:

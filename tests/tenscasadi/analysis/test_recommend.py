@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ import pytest
 import tenscasadi as tc
 from tenscasadi.analysis.certify import distance
 from tenscasadi.analysis.recommend import SCHEMES
+from tenscasadi.analysis.tradeoff import Case
 from tenscasadi.integrators.stabilization import projection
 
 
@@ -159,6 +163,69 @@ def test_a_scene_will_do():
     assert "compared with RungeKutta4; reference: DormandPrince853" in advice.message
 
 
+def bouncing_string():
+    """A mass that is thrown about at the end of a string, which goes slack and taut again and again."""
+    structure = tc.Structure([(0, 0, 0), (0.1, 0, -1)], [], [(0, 1)], node_mass=[0, 1.0], pinned=[0], stiffness=500.0, rest_length=[1.0])
+    model = tc.Model(tc.Scene(structure, gravity=tc.Gravity()))
+    return model, model.state(structure.nodes, [(0, 0, 0), (0.3, 0.2, 3.0)])
+
+
+def bouncing_mass():
+    """A mass that slides and bounces on the ground."""
+    structure = tc.Structure([(0, 0, 0.3)], [], [], node_mass=[1.0])
+    model = tc.Model(tc.Scene(structure, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1e3, damping=1.0, friction=0.3)))
+    return model, model.state(structure.nodes, [(0.5, 0, 0)])
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-9])
+@pytest.mark.parametrize("scene", [bouncing_string, bouncing_mass])
+def test_events_are_left_to_schemes_that_locate_them(scene, tolerance, monkeypatch):
+    """Steps that miss events must be so short that a run takes millions of them: such runs are not made."""
+    model, start = scene()
+    taken = []
+    run = Case.run
+
+    def note(case, step, **options):
+        trajectory = run(case, step, **options)
+        taken.append(trajectory.attempts)
+        return trajectory
+
+    monkeypatch.setattr(Case, "run", note)
+    schemes = (tc.DormandPrince853(), tc.RungeKutta4(), tc.DormandPrince853(rtol=1e-6))
+    advice = tc.recommend(model, 1.0, tolerance, start, schemes=schemes, compiled=False)
+    assert advice.error <= tolerance
+    assert sum(taken) < 50_000
+    monkeypatch.undo()
+    end = tc.simulate(model, 1.0, state=start, compiled=False, **advice.options)
+    assert distance(end.nodes[-1], tc.certify(model, 1.0, start, compiled=False).nodes) <= tolerance
+
+
+def test_the_search_ends_in_time():
+    model, start = bouncing_mass()
+    began = time.perf_counter()
+    with pytest.raises(tc.NoScheme, match="seconds = 1 were too few for RungeKutta4: give more"):
+        tc.recommend(model, 3.0, 1e-9, start, schemes=[tc.RungeKutta4()], compiled=False, seconds=1.0)
+    assert time.perf_counter() - began < 10  # a search to the end takes minutes
+
+
+def test_out_of_time_the_best_so_far_is_returned(monkeypatch):
+    """The clock jumps ahead at the first run of the second scheme."""
+    model, start = pendulum()
+    run = Case.run
+
+    def late(case, step, **options):
+        if case.scheme == tc.Rattle():
+            monkeypatch.setattr(sys.modules["tenscasadi.analysis.recommend"], "time", SimpleNamespace(perf_counter=lambda: np.inf))
+        return run(case, step, **options)
+
+    monkeypatch.setattr(Case, "run", late)
+    schemes = [tc.RungeKutta4(), tc.Rattle(), tc.DormandPrince54()]
+    advice = tc.recommend(model, 0.5, 1e-5, start, schemes=schemes, corrections=[None], compiled=False)
+    assert advice.scheme == tc.RungeKutta4()
+    assert advice.error <= 1e-5
+    assert "seconds = 60 were too few for Rattle, DormandPrince54" in advice.message
+
+
 def hinged_twice():
     """A mass on a string below a bar that is pinned at both ends: IDAS cannot tell its constraints apart."""
     structure = tc.Structure([(0, 0, 0), (1, 0, 0), (0, 0, -1)], [(0, 1)], [(0, 2)], node_mass=[0, 0, 1.0], pinned=[0, 1])
@@ -188,6 +255,7 @@ def test_a_tolerance_beyond_rounding_has_no_reference():
         ({"tolerance": -1}, "tolerance"),
         ({"schemes": [tc.RungeKutta4]}, "scheme"),
         ({"schemes": []}, "schemes"),
+        ({"seconds": 0}, "seconds"),
         ({"corrections": []}, "corrections"),
         ({"corrections": ["yes"]}, "corrections"),
         ({"state": np.zeros(2)}, "state"),
