@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 import casadi as ca
 import numpy as np
@@ -12,6 +13,7 @@ from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_held_ode, build_switching, count_switches, split_mode
 from tenscasadi.integrators.scheme import Complex, add_work, check_ode
+from tenscasadi.scene.loads import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip
 from tenscasadi.util.casadi_tools import call_as_sx, sparse
@@ -22,6 +24,7 @@ _LAST_MOVE, _ROUNDING = 100.0, 1e-9  # what the last sweep may have moved: times
 _RESIDUAL = 1e-5  # of the state: what the equations may be off by after Newton's method; stiff forces magnify what is left of its last step
 _RIGID = 1e5  # stiffness that stands in for bars and joints, relative to the stiffest entry: their share of a sweep is exact to its inverse
 _DOUBT = 2.0  # times the last change of a stage: how far past its end a string or contact keeps its mode
+_SMOOTH = 0.3  # of the slip and the slip speed together: velocities that move by less follow the slope of friction
 _BLOCK = 8  # sweeps that are skipped at once when they are not needed
 
 
@@ -52,7 +55,8 @@ class Collocation:
     Notes
     -----
     Steps of a model up to degree 4 are found stage by stage (triangular iteration), which takes 15 to 20 iterations with stiff strings and
-    fails where bars turn by more than about a radian in a step. Steps of other equations and degrees are found by Newton's method for all
+    fails where bars turn by more than about a radian in a step. Friction is met with its secant while nodes still slow down, and with
+    its slope then; hard contact with friction may still need smaller steps. Steps of other equations and degrees are found by Newton's method for all
     stages at once.
 
     References
@@ -266,7 +270,7 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
             least = changes[1]
             doubt = ca.if_else(least < np.inf, _DOUBT * least, 0) * (h + _lead(model))
             w = ca.vertcat(u, ca.if_else(least < np.inf, gaps(state, u) > -doubt, gaps(x, u) > 0))
-        found.append(solve(state, w, h * L[i, i], model.split(ode(state, w))[1] - k[:, i]))
+        found.append(solve(state, w, h * L[i, i], model.split(ode(state, w))[1] - k[:, i], changes[0]))
     delta = ca.horzcat(*found)
     moved = h * ca.fmax(1, h) * ca.norm_inf(ca.vec(delta))
     return [k + delta, ca.vertcat(moved, ca.fmin(changes[1], moved))]
@@ -282,12 +286,15 @@ def _lead(model: Model) -> ca.DM:
 
 
 def _solver(model: Model) -> ca.Function:
-    """(x, w, g, r) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, close enough to converge; w as for `build_held_ode`."""
+    """(x, w, g, r, moved) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, close enough to converge; w as for `build_held_ode`.
+
+    moved, m/s: by how much the last sweep moved velocities.
+    """
     mech, nq = model.mechanism, model.nq
     M = sparse(mech.free_mass)
     strings, nodes = count_switches(model)
 
-    def linear(x: Any, w: Any, g: Any, r: Any) -> tuple[Any, ...]:
+    def linear(x: Any, w: Any, g: Any, r: Any, moved: Any) -> tuple[Any, ...]:
         N, V, time = model.unpack(x)
         u, mode = split_mode(model, w)
 
@@ -295,11 +302,13 @@ def _solver(model: Model) -> ca.Function:
             F = forces.total(scene, mech, N, V, u, time, mode)
             return ca.jacobian(model.split(model.pack(F, F, 0))[0], x)
 
-        K, C = ca.horzsplit(slopes(model.scene), [0, nq, 2 * nq, model.nx])[:2]
+        ground = model.scene.ground
+        frictionless = ground and replace(ground, friction=None)
+        slope = slopes(model.scene) if frictionless == ground else _drag_slopes(model, slopes, N, V, mode, moved)
+        K, C = ca.horzsplit(slope, [0, nq, 2 * nq, model.nx])[:2]
         if strings:
-            ground = model.scene.ground and replace(model.scene.ground, friction=None)  # whose share is not symmetric
             S, length = ca.mtimes(N, sparse(mech.C_s.T)), type(x).sym("length", 1, strings)
-            springs = replace(model.scene, slack=_Pulling(length), ground=ground)
+            springs = replace(model.scene, slack=_Pulling(length), ground=frictionless)
             K = ca.substitute(slopes(springs)[:, :nq], length, ca.sqrt(ca.sum1(S * S)))
         W = M - g * _symmetric(C) - g**2 * _symmetric(K)
         kept = model.constraints(x)
@@ -307,9 +316,10 @@ def _solver(model: Model) -> ca.Function:
         rigid = _RIGID * ca.mmax(ca.diag(W)) * ca.mtimes(G.T, G)
         return W + rigid, ca.mtimes(M + rigid, r)
 
-    symbols: list[Any] = [ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nu + strings + nodes), ca.MX.sym("g"), ca.MX.sym("r", nq)]
+    sizes = {"x": model.nx, "w": model.nu + strings + nodes, "g": 1, "r": nq, "moved": 1}
+    symbols: list[Any] = [ca.MX.sym(name, size) for name, size in sizes.items()]
     matrix, rhs = call_as_sx(mech.large, linear, *symbols)
-    return ca.Function("solver", symbols, [ca.solve(matrix, rhs, "ldl")], ["x", "w", "g", "r"], ["delta"])
+    return ca.Function("solver", symbols, [ca.solve(matrix, rhs, "ldl")], list(sizes), ["delta"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,6 +330,41 @@ class _Pulling(Clip):
 
     def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
         return super().force_density(squared, ca.fmin(rest, self.length), stiffness, None, unit, taut)
+
+
+@dataclass(frozen=True, eq=False)
+class _Dragging(Ground):
+    """Ground whose friction is linear in the velocity and does not change with the push: its slopes are symmetric.
+
+    It is drag (1×n), N s/m, times the slip, less what of it goes along a direction (3×n).
+    """
+
+    drag: Any = None
+    along: Any = None
+
+    def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
+        normal = ca.DM(self.normal)
+        slip = V - ca.mtimes(normal, ca.mtimes(normal.T, V))
+        slip = slip - self.along * ca.repmat(ca.sum1(self.along * slip), 3, 1)
+        return super().forces(N, V, touching) - slip * ca.repmat(self.drag, 3, 1)
+
+
+def _drag_slopes(model: Model, slopes: Callable[[Scene], Any], N: Any, V: Any, mode: forces.Mode, moved: Any) -> Any:
+    """Return `slopes` of the scene with the friction of `_Dragging` in place of the ground's.
+
+    While velocities still move by more than friction is smooth over, its secant from rest stands in for its slope: from a sliding node,
+    whose friction hardly changes, Newton's method would step past rest and back.
+    """
+    ground, first = cast(Ground, model.scene.ground), model.mechanism.first.tolist()
+    frictionless, normal = replace(ground, friction=None), ca.DM(ground.normal)
+    N, V = N[:, first], V[:, first]
+    slip = V - ca.mtimes(normal, ca.mtimes(normal.T, V))
+    speed = ca.sqrt(ca.sum1(slip * slip) + ground.slip_speed**2)
+    push = ca.fmax(ca.mtimes(normal.T, frictionless.forces(N, V, mode.touching)), 0)
+    along = slip * ca.repmat(ca.if_else(moved < _SMOOTH * speed, 1 / speed, 0), 3, 1)
+    held = [type(N).sym("drag", push.shape), type(N).sym("along", along.shape)]
+    dragging = slopes(replace(model.scene, ground=_Dragging(**vars(frictionless), drag=held[0], along=held[1])))
+    return ca.substitute([dragging], held, [ground.friction * push / speed, along])[0]
 
 
 def _symmetric(J: Any) -> Any:

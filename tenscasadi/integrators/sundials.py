@@ -133,6 +133,8 @@ class Cvodes(Sundials):
     """CVODES of SUNDIALS on a model's ordinary differential equation, with control of the error, for stiff scenes.
 
     Backward differentiation formulas of order 1 to 5 with exact Jacobians. The integrator chooses its steps; it is not compiled.
+    A correction changes the states of the trajectory; the integrator itself goes on from a corrected one at every fiftieth time of the grid or
+    so, since each new start costs its order.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from tenscasadi.util.compile import Compiled, CompileError, Single, compile_func
 from tenscasadi.util.validate import Array
 
 _SINGLE = 1e-6  # some ten times the rounding of float, as 1e-15 is of double
-_SUNDIALS_STEPS = 50  # grid steps a call; each call starts anew, at low order
+_SUNDIALS_STEPS = 50  # grid steps a call, if corrections leave it: each call starts anew, at low order
 _LOOSE = 1e-5  # rtol above which a motion that takes no end of steps is more likely one that has broken down than one that is hard to follow
 _REST, _STEP = Memory._fields.index("rest"), Memory._fields.index("step")
 _STUCK = 1e-13  # of the grid's spacing: a step as short as this makes no headway
@@ -231,14 +231,18 @@ class AdaptiveStepper:
 
 
 class SundialsStepper:
-    """`steps` grid steps a call of CasADi's integrator on a grid of output times, then `project` if there is one."""
+    """`steps` grid steps a call of CasADi's integrator on a grid of output times.
+
+    What is corrected is what it returns: a start from a corrected state would cost its order, so that only each call makes one.
+    """
 
     def __init__(self, task: Task, scheme: Sundials, step: float) -> None:
         model, correction = task.model, task.correction
         if model.nx == 0:
             raise ValueError(f"{type(scheme).__name__} needs something that can move: this scene has no free node")
         power = model.power if task.power else None
-        self.steps = _SUNDIALS_STEPS if correction is None else correction.every
+        self._every = 1 if correction is None else correction.every
+        self.steps = self._every * max(1, _SUNDIALS_STEPS // self._every)
         self._model, self._scheme = model, scheme
         self._project = None if correction is None else correction.step(model)
         self._energy = model.energy_function if task.jumps else None
@@ -261,10 +265,13 @@ class SundialsStepper:
         try:
             if (u[: self.steps] == u[0]).all() and (self._lengths == self._step).all():
                 rows = self._run(start, u[: self.steps])
+                self._correct(rows[self._every - 1 :: self._every])
             else:  # CVODES steps over a change of the control: each grid step starts anew
                 parts = [start]
-                for control, length in zip(u, self._lengths, strict=False):
+                for k, (control, length) in enumerate(zip(u, self._lengths, strict=False), 1):
                     parts.append(np.asarray(self._advance(parts[-1], control, length).full()).ravel())
+                    if k % self._every == 0:
+                        self._correct(parts[-1][None])
                 rows = np.array(parts[1:])
         except RuntimeError as error:
             found = re.search(r'(\w+) returned "(\w+)"', str(error))
@@ -272,18 +279,23 @@ class SundialsStepper:
             rtol = self._scheme.rtol
             cure = "a smaller rtol or step" if rtol > _LOOSE else "a larger rtol, a smaller step or a larger max_steps"
             raise StepFailure(f"{type(self._scheme).__name__} gave up, {words}: rtol is {rtol:g}, try {cure}") from None
-        rows = np.hstack([rows, np.full((self.steps, 1), z[-1])]) if self._extra else rows.copy()
-        if self._project is not None:
-            rows[-1, :nx] = self._project(rows[-1, :nx]).full().ravel()
+        if self._extra:
+            rows = np.hstack([rows, np.full((self.steps, 1), z[-1])])
         if self._energy is not None:
             changed = np.flatnonzero(np.any(u[1:] != u[:-1], axis=1))
             for k in changed.tolist():
                 rows[k:, nx] += float(self._energy(rows[k, :nx], u[k + 1])) - float(self._energy(rows[k, :nx], u[k]))
         return rows
 
+    def _correct(self, rows: Array) -> None:
+        """Correct states (k, nx or more) in place."""
+        if self._project is not None:
+            nx = self._model.nx
+            rows[:, :nx] = self._project(rows[:, :nx].T).full().T
+
     def _run(self, start: Array, controls: Array) -> Array:
         guess = {} if self._start is None else {"z0": self._start(start[: self._model.nx], controls[0])}
-        return np.asarray(self._integrate(x0=start, u=controls.T, **guess)["xf"].full()).T
+        return np.array(self._integrate(x0=start, u=controls.T, **guess)["xf"].full()).T
 
     def report(self, taken: int, step: float) -> Report:
         """See `Stepper.report`."""

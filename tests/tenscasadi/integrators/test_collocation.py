@@ -12,7 +12,7 @@ from references import certified, solve_certified
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation, factor_crout
-from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.runge_kutta import DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import stability_limit
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import projection
@@ -120,6 +120,32 @@ def test_the_same_step_as_by_newton(name: str, coordinates: Any) -> None:
         expected = scheme.step(model.ode)(start, u, 4e-3).full().ravel()
         assert abs(expected - start).max() > 1e-4
         assert abs(scheme.advance(model)(start, u, 4e-3).full().ravel() - expected).max() < 1e-9
+
+
+ROUGH = Ground(1e4, 50.0, friction=0.5, height=float(PRISM.nodes[:, 2].min()) + 1e-3)
+BALL = Structure([[0, 0, 0]], node_mass=1.0)
+
+
+@pytest.mark.parametrize("scheme", [Collocation(), Collocation(3, "radau")])
+@pytest.mark.parametrize(
+    ("scene", "velocity"),
+    [
+        (Scene(BALL, gravity=Gravity(), ground=Ground(1e5, 100.0, friction=0.5)), (0.3, 0.1, 0)),
+        (Scene(BALL, gravity=Gravity(), ground=Ground(1e5, 100.0, friction=1.0)), (0.3, 0.1, 0)),
+        (Scene(PRISM, gravity=Gravity(), ground=ROUGH), (0, 0, 0)),
+        (Scene(PRISM, gravity=Gravity(), ground=ROUGH, slack=Smooth(1e-3)), (0, 0, 0)),
+    ],
+    ids=["stops", "stops at once", "slides", "slides, smooth strings"],
+)
+def test_what_slides_comes_to_rest_within_a_step(scene: Scene, velocity: tuple[float, ...], scheme: Collocation) -> None:
+    """Friction is all but constant while a node slides: a tangent to it leads past rest and back for ever."""
+    model = Model(scene)
+    nodes = scene.structure.nodes
+    start = model.state(nodes, np.tile(velocity, (len(nodes), 1)))
+    exact = simulate(model, 0.1, None, DormandPrince853(1e-8), start, compiled=False).nodes[-1]
+    run = simulate(model, 0.1, 0.01, scheme, start, compiled=False)
+    assert run.success, run.message
+    assert abs(run.nodes[-1] - exact).max() < 5e-5
 
 
 def test_work_is_collocated_too() -> None:

@@ -13,7 +13,7 @@ from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import DormandPrince853
-from tenscasadi.integrators.stabilization import Projection
+from tenscasadi.integrators.stabilization import Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas, Sundials
 from tenscasadi.scene.loads import Gravity, Ground
 from tenscasadi.scene.scene import Scene
@@ -69,6 +69,17 @@ def test_controls_work_and_corrections(scheme: Sundials) -> None:
             assert run.bar_length_error[:: correction.every].max() < 1e-14
     plain = Model(Scene(shapes.prism(stiffness=1000.0, prestress=30.0), control=RestLength()))
     assert abs(simulate(plain, 0.3, 0.01, scheme, control=table).energy_error).max() < 1e-4
+
+
+@pytest.mark.parametrize("scheme", [Cvodes(1e-6), Idas(1e-6)])
+def test_corrections_do_not_restart_the_integrator_at_order_one(scheme: Sundials) -> None:
+    model = Model(Scene(shapes.prism(stiffness=1000.0, prestress=30.0, damping=5.0), gravity=Gravity()))
+    velocities = np.random.default_rng(0).normal(size=model.structure.nodes.shape)
+    start = projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
+    exact = simulate(model, 0.5, None, DormandPrince853(1e-12), start, compiled=False)
+    plain, *corrected = (simulate(model, 0.5, 1e-3, scheme, start, correction=c) for c in (None, Projection(), Projection(every=10)))
+    for run in corrected:
+        assert abs(run.nodes[-1] - exact.nodes[-1]).max() < 2 * abs(plain.nodes[-1] - exact.nodes[-1]).max()
 
 
 @pytest.mark.parametrize("scheme", [Cvodes(1e-10), Idas(1e-10), Collocation(4)])
