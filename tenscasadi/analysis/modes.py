@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import scipy.linalg
+import scipy.sparse as sp
 
+from tenscasadi.analysis.constrained_eigenproblem import SaddlePoint, fastest_rate, lowest_eigenpairs
+from tenscasadi.dynamics.constraint_forces import nodal_forces
+from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
-from tenscasadi.util.validate import Array, instance, positive_number, whole_number
+from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
+
+DENSE = 600  # coordinates up to which all modes are computed, by dense matrices
+LOWEST = 20  # modes of larger structures where no number is asked for
+NEUTRAL = 1e-9  # stiffness against a rigid-body motion that counts as none, relative to that of all motions
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +104,10 @@ def linearize(model: Model, x: Any = None, u: Any = None) -> Linearization:
 
     Raises
     ------
-    TypeError, ValueError
-        If an argument has a wrong type or shape.
+    TypeError
+        If an argument has a wrong type, or is a symbol of CasADi's: its expressions are `ca.jacobian(model.ode(x, u), x)`.
+    ValueError
+        If an argument has a wrong shape, or the equations have no derivative at the state, as where a bar has no length.
 
     Notes
     -----
@@ -111,15 +123,16 @@ def linearize(model: Model, x: Any = None, u: Any = None) -> Linearization:
     (3, 2)
     """
     instance("model", model, Model, "a tenscasadi.Model")
-    state, control = model.arguments(model.initial_state if x is None else x, u)
+    state, control = _numbers(model, x, u)
     sx, su = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
     rate = model.ode(sx, su)
     evaluate = ca.Function("linearize", [sx, su], [ca.jacobian(rate, sx), ca.jacobian(rate, su), rate])
     A, B, residual = (value.full() for value in evaluate(state, control))
+    _refuse_degenerate(model, state, A, B, residual)
     return Linearization(A, B, residual.ravel(), _tangent(model, state))
 
 
-def modes(model: Model, x: Any = None, u: Any = None) -> Modes:
+def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None) -> Modes:
     """Compute the natural modes of small undamped vibrations about an equilibrium at rest.
 
     Strings act with their stiffness and prestress, bars with the force that they carry. A `ForceDensity` control is held constant.
@@ -132,6 +145,9 @@ def modes(model: Model, x: Any = None, u: Any = None) -> Modes:
         State of equilibrium; None: the initial state.
     u : array_like (nu,), optional
         Control of equilibrium; None: the initial control.
+    count : int, optional
+        How many modes, from the lowest frequency on; unstable ones are the lowest. None: all of a structure of up to 600 coordinates
+        (`model.nq`), the 20 lowest of a larger one.
 
     Returns
     -------
@@ -140,13 +156,31 @@ def modes(model: Model, x: Any = None, u: Any = None) -> Modes:
 
     Raises
     ------
-    TypeError, ValueError
-        If an argument has a wrong type or shape.
+    TypeError
+        If an argument has a wrong type, or is a symbol of CasADi's.
+    ValueError
+        If an argument has a wrong shape, or the equations have no derivative at the state, as where a bar has no length.
+
+    Warns
+    -----
+    UserWarning
+        If `count` is None and the structure has more than 600 coordinates: not all modes are computed.
 
     Notes
     -----
     With M the mass matrix and T an M-orthonormal basis of the displacements that bars and joints allow, the squares of the angular
-    frequencies are the eigenvalues of −Tᵀ M (∂N̈/∂N) T.
+    frequencies are the eigenvalues of −Tᵀ M (∂N̈/∂N) T. Above 600 coordinates they are those of K v = ω² M v, J v = 0, with J the
+    derivative of the constraints and K the derivative of all forces at constant multipliers. Both matrices are sparse: shift-invert
+    Lanczos finds the lowest eigenvalues [1]_, and the signs of the pivots tell how many unstable ones there are [2]_. Where nearly as
+    many modes are asked for as there are, bars leave few motions, or matrices are too badly conditioned, dense matrices are used at any size.
+
+    Where bars are redundant and carry load, how they share it is not known, and the stiffness across them depends on it: the modes are
+    those of the smallest multipliers.
+
+    References
+    ----------
+    .. [1] T. Ericsson and A. Ruhe, The spectral transformation Lanczos method, Mathematics of Computation 35 (1980), 1251-1268.
+    .. [2] B. N. Parlett, The Symmetric Eigenvalue Problem, section 3.3: Sylvester's law of inertia.
 
     Examples
     --------
@@ -158,24 +192,26 @@ def modes(model: Model, x: Any = None, u: Any = None) -> Modes:
     >>> [round(float(frequency), 4) for frequency in modes.frequency]
     [0.4317, 0.4317]
     """
-    linear = linearize(model, x, u)
-    state, _ = model.arguments(model.initial_state if x is None else x, u)
-    nq = model.nq
-    M = model.mechanism.free_mass.toarray()
-    T = linear.tangent
-    L = scipy.linalg.cholesky(T.T @ M @ T, lower=True)
-    T = scipy.linalg.solve_triangular(L, T.T, lower=True).T  # M-orthonormal
-    K = -T.T @ M @ linear.A[nq : 2 * nq, :nq] @ T
-    rigid = _neutral(K, T.T @ M @ _rigid(model, np.asarray(state).ravel(), linear.tangent))
-    if rigid.shape[1]:
-        elastic = scipy.linalg.null_space(rigid.T)
-        K, T = elastic.T @ K @ elastic, T @ elastic
-    values, vectors = np.linalg.eigh((K + K.T) / 2)
+    instance("model", model, Model, "a tenscasadi.Model")
+    state, control = _numbers(model, x, u)
+    number = LOWEST if count is None else whole_number("count", count, 1)
+    mech = model.mechanism
+    constraints = mech.bars + int(mech.active.sum())
+    found = None
+    if model.nq > DENSE and model.nq - constraints > 2 * number:
+        if count is None:
+            message = f"modes computes the {number} lowest modes of a structure of more than {DENSE} coordinates: give count= for another number"
+            warnings.warn(message, UserWarning, stacklevel=2)
+        with suppress(np.linalg.LinAlgError):  # then by dense matrices, in more time
+            found = _lowest_modes(model, state, control, number)
+        count = number
+    values, vectors, rigid, residual = found or _all_modes(model, linearize(model, state, control), state)
+    values, vectors = values[:count], vectors[:, :count]
     displacement = np.zeros((len(values), model.nx))
-    model.split(displacement)[0][:] = (T @ vectors).T
+    model.split(displacement)[0][:] = vectors.T
     shape = model.nodes(displacement) - model.nodes(np.zeros(model.nx))
     frequency = np.sign(values) * np.sqrt(np.abs(values)) / (2 * np.pi)
-    return Modes(frequency, shape, rigid.shape[1], float(np.abs(model.split(linear.residual)[1]).max(initial=0.0)))
+    return Modes(frequency, shape, rigid, residual)
 
 
 def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None = None, rows: int = 41) -> Trajectory:
@@ -235,12 +271,90 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
     return record_trajectory(model, time, states, controls, step=float(time[1]), message=message)
 
 
+def _numbers(model: Model, x: Any, u: Any) -> tuple[ca.DM, ca.DM]:
+    """Return a state and a control, the initial ones where None, as matrices of CasADi; TypeError or ValueError where they are none."""
+    state = model.initial_state if x is None else finite_array("x", x, (model.nx,))
+    control = model.initial_control if u is None else finite_array("u", u, (model.nu,))
+    return ca.DM(state), ca.DM(control)
+
+
+def _refuse_degenerate(model: Model, state: ca.DM, *values: Any) -> None:
+    """Raise ValueError, naming the member without length where there is one, unless all the values are finite."""
+    if all(np.all(np.isfinite(value)) for value in values):
+        return
+    structure, nodes = model.structure, model.nodes(state.full().ravel())
+    reason = "the forces or the accelerations there are not finite"
+    for kind, pairs in (("bar", structure.bars), ("string", structure.strings)):
+        short = np.flatnonzero(np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1) == 0.0)
+        if len(short):
+            reason = f"{kind} {short[0]} has no length, its nodes {pairs[short[0]][0]} and {pairs[short[0]][1]} coincide"
+            break
+    raise ValueError(f"x is a state at which the equations of motion have no derivative: {reason}; give a state without it")
+
+
+def _all_modes(model: Model, linear: Linearization, state: ca.DM) -> tuple[Array, Array, int, float]:
+    """Return ω² (k,), shapes (nq, k), the number of rigid-body motions and the largest acceleration, by dense matrices."""
+    nq = model.nq
+    M = model.mechanism.free_mass.toarray()
+    T = linear.tangent
+    L = scipy.linalg.cholesky(T.T @ M @ T, lower=True)
+    T = scipy.linalg.solve_triangular(L, T.T, lower=True).T  # M-orthonormal
+    K = -T.T @ M @ linear.A[nq : 2 * nq, :nq] @ T
+    motions = _supported_motions(model, state.full().ravel())
+    outside = motions - linear.tangent @ (linear.tangent.T @ motions)
+    rigid = _neutral(K, T.T @ M @ _allowed(motions, outside))
+    if rigid.shape[1]:
+        elastic = scipy.linalg.null_space(rigid.T)
+        K, T = elastic.T @ K @ elastic, T @ elastic
+    values, vectors = np.linalg.eigh((K + K.T) / 2)
+    return values, T @ vectors, rigid.shape[1], float(np.abs(model.split(linear.residual)[1]).max(initial=0.0))
+
+
+def _lowest_modes(model: Model, state: ca.DM, control: ca.DM, count: int) -> tuple[Array, Array, int, float]:
+    """Return the lowest ω² (count,) and the rest as `_all_modes` does, by sparse matrices; LinAlgError where these are too badly conditioned."""
+    K, M, J, acceleration = _stiffness(model, state, control)
+    motions = _supported_motions(model, state.full().ravel())
+    motions = _allowed(motions, J @ motions)
+    if motions.shape[1]:
+        motions = motions @ np.linalg.inv(np.linalg.cholesky(motions.T @ (M @ motions))).T
+        restored, _ = SaddlePoint(M, J).solve(K @ motions)  # the acceleration that each motion meets
+        values, vectors = np.linalg.eigh(restored.T @ (M @ restored))
+        motions = motions @ vectors[:, np.sqrt(np.maximum(values, 0.0)) <= NEUTRAL * fastest_rate(K, M)]
+    values, shapes = lowest_eigenpairs(K, M, J, motions, count)
+    return values, shapes, motions.shape[1], float(np.abs(acceleration).max(initial=0.0))
+
+
+def _stiffness(model: Model, state: ca.DM, control: ca.DM) -> tuple[Any, Any, Any, Array]:
+    """Return the sparse K and M (nq×nq) and J (m×nq) of K v = ω² M v, J v = 0, and the accelerations at the state."""
+    mech, free = model.mechanism, model.mechanism.free_index.tolist()
+    x, u = model.symbols(scalar=False)
+    lam = ca.MX.sym("lambda", 1, mech.bars)
+    N, V, time = model.unpack(x)
+    kept = model.constraints(x)
+    residual, rate = ca.vertcat(kept.bars, kept.joints), ca.vertcat(kept.bar_rates, kept.joint_rates)
+    push, B = applied_forces(model, N, V, u, time)[0], mech.bar_vectors(N)
+    velocity, clock = model.split(x)[1], [1.0] if model.scene.has_clock else []
+    F = ca.vec(ca.densify(push))[free]
+    onward = ca.vertcat(velocity, ca.DM.zeros(model.nq), *clock)  # without accelerations
+    rest = ca.Function("rest", [x, u], [ca.jacobian(residual, x)[:, : model.nq], F, ca.jtimes(rate, x, onward)])
+    total = F + ca.vec(ca.densify(nodal_forces(mech, B, lam)))[free]
+    slope = ca.Function("slope", [x, u, lam], [ca.jacobian(total, x)[:, : model.nq]])
+    jacobian, force, bend = rest(state, control)
+    _refuse_degenerate(model, state, *(np.asarray(value.nonzeros()) for value in (jacobian, force, bend)))
+    M, J = sp.csc_array(mech.free_mass), sp.csc_array(jacobian.sparse())
+    acceleration, multiplier = SaddlePoint(M, J).solve(force.full().ravel(), -bend.full().ravel())  # M a + Jᵀ μ = F, J a = −J̇ v
+    gradient = slope(state, control, -multiplier[: mech.bars] / mech.lengths)
+    _refuse_degenerate(model, state, np.asarray(gradient.nonzeros()), acceleration)
+    K = -sp.csc_array(gradient.sparse())
+    return sp.csc_array((K + K.T) / 2), M, J, acceleration
+
+
 def _neutral(K: Array, motions: Array) -> Array:
     """Return an orthonormal basis of the combinations of `motions` (columns) that K leaves without restoring force."""
     basis = scipy.linalg.orth(motions) if motions.size else motions
     _, size, right = np.linalg.svd(K @ basis)
     free = np.ones(basis.shape[1], dtype=bool)
-    free[: len(size)] = size <= 1e-9 * float(np.linalg.norm(K))
+    free[: len(size)] = size <= NEUTRAL * float(np.linalg.norm(K))
     return np.asarray(basis @ right.T[:, free])
 
 
@@ -253,8 +367,8 @@ def _tangent(model: Model, state: ca.DM) -> Array:
     return np.asarray(scipy.linalg.null_space(jacobian)) if len(jacobian) else np.eye(model.nq)
 
 
-def _rigid(model: Model, state: Array, tangent: Array) -> Array:
-    """Return an orthonormal basis of the rigid-body motions within the span of `tangent`: those that the supports allow."""
+def _supported_motions(model: Model, state: Array) -> Array:
+    """Return an orthonormal basis (nq, ≤ 6) of the rigid-body motions that leave pinned coordinates where they are."""
     mech = model.mechanism
     columns = model.nodes(state)[mech.physical]
     centre = columns.mean(axis=0)
@@ -262,6 +376,9 @@ def _rigid(model: Model, state: Array, tangent: Array) -> Array:
     motions = scipy.linalg.orth(np.stack([field.ravel() for field in fields], axis=1))
     held = np.flatnonzero(~mech.free.ravel())
     allowed = motions @ scipy.linalg.null_space(motions[held]) if len(held) else motions
-    free = allowed[mech.free_index]
-    outside = free - tangent @ (tangent.T @ free)  # rigid motions that pins of full coordinates stop
-    return np.asarray(free @ scipy.linalg.null_space(outside, rcond=1e-9)) if np.abs(outside).max(initial=0.0) > 1e-9 else np.asarray(free)
+    return np.asarray(allowed[mech.free_index])
+
+
+def _allowed(motions: Array, outside: Array) -> Array:
+    """Return the combinations of rigid-body motions that the constraints allow, given what of each they stop: pins of full coordinates."""
+    return np.asarray(motions @ scipy.linalg.null_space(outside, rcond=1e-9)) if np.abs(outside).max(initial=0.0) > 1e-9 else motions

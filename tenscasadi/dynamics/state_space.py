@@ -272,7 +272,7 @@ class StateSpace:
             raise ValueError(f"x has shape {states.shape}: give states of shape (..., {self.nx})")
         result = np.broadcast_to(elsewhere.ravel(), (*states.shape[:-1], elsewhere.size)).copy()
         result[..., self._free] = self.split(states)[part]
-        nodes = result.reshape(*states.shape[:-1], -1, 3)
+        nodes = result.reshape(*states.shape[:-1], len(elsewhere), 3)
         if self._supports is not None and self.coordinates == "reduced":
             times = states[..., -1].ravel()
             moved = self._supports.map(times.size)(times.reshape(1, -1))[part].full().T

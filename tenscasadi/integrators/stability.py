@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import casadi as ca
@@ -53,6 +54,11 @@ def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = Run
     TypeError, ValueError
         If an argument has another type, shape or sign.
 
+    Warns
+    -----
+    UserWarning
+        If the linearisation is not finite.
+
     Notes
     -----
     The limit is where the amplification |R(step · λ)| passes 1 for an eigenvalue λ of ∂ode/∂x. Above 400 states the largest eigenvalues are
@@ -66,7 +72,10 @@ def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = Run
     0.2828
     """
     check_scheme(scheme)
-    return positive_number("safety", safety) * step_limit(scheme, _rates(model, x, u))
+    limit = positive_number("safety", safety) * step_limit(scheme, _rates(model, x, u))
+    if np.isnan(limit):
+        warnings.warn("stable_step is NaN: the equations have no finite derivative at x, as where a bar has no length", UserWarning, stacklevel=2)
+    return limit
 
 
 def step_limit(scheme: Scheme, rates: Complex) -> float:

@@ -1,0 +1,130 @@
+"""The lowest eigenvalues of K v = λ M v among the v with J v = 0, for large sparse matrices: shift-invert Lanczos, counted by inertia."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh, splu
+
+from tenscasadi.util.validate import Array
+
+SLACK = 1e-8  # a constraint's give, of unit rows and a unit block above: redundant rows do no harm; the refinement takes it away
+SHIFT = 1e-6  # distance of the shift below zero, relative to the largest |λ|: less would drown in rounding over SLACK
+AUGMENTED = 10.0  # ρ, in the same units
+REFINEMENTS = 10  # at most
+ROUNDING = 1e-15  # of the equations, relative to the solution
+FAILED = 1e-10  # the same, above which a solution is none
+
+
+class SaddlePoint:
+    """Factors of the symmetric [[A, Jᵀ], [J, 0]]: solves A v + Jᵀ μ = f, J v = g, also where rows of J repeat each other.
+
+    Raises LinAlgError where the factors are too far off for the refinement.
+    """
+
+    def __init__(self, A: Any, J: Any) -> None:
+        self.size, self.rows = int(A.shape[0]), int(J.shape[0])
+        block = float(abs(A).max()) or 1.0
+        norm = np.sqrt(J.multiply(J).sum(axis=1))
+        self.scale = np.concatenate([np.full(self.size, block**-0.5), block**0.5 / np.where(norm > 0.0, norm, 1.0)])
+        D = sp.diags_array(self.scale)
+        self.exact = sp.csc_array(D @ sp.block_array([[A, J.T], [J, None]]) @ D)
+        unit = self.exact[self.size :, : self.size]
+        # A + ρ JᵀJ does the same where J v = 0, and is definite more often: its pivots are larger
+        self.added = sp.csc_array(AUGMENTED * unit.T)
+        upper = self.exact[: self.size, : self.size] + self.added @ unit
+        slack = sp.diags_array(np.full(self.rows, -SLACK))
+        # pivots on the diagonal keep the symmetry, by which their signs are those of the eigenvalues
+        options = {"SymmetricMode": True}
+        try:
+            self.factors = splu(sp.csc_array(sp.block_array([[upper, unit.T], [unit, slack]])), "MMD_AT_PLUS_A", 0.0, options=options)
+        except RuntimeError as error:  # SciPy's word for a pivot that is zero
+            raise np.linalg.LinAlgError(str(error)) from None
+
+    def solve(self, f: Array, g: Array | None = None) -> tuple[Array, Array]:
+        """Return v and μ."""
+        target = np.concatenate([f, np.zeros((self.rows, *f.shape[1:])) if g is None else g])
+        scale = self.scale.reshape(-1, *[1] * (f.ndim - 1))
+        target = target * scale
+        x, left = np.zeros_like(target), target
+        for _ in range(REFINEMENTS):
+            upper, lower = left[: self.size], left[self.size :]
+            x = x + self.factors.solve(np.concatenate([upper + self.added @ lower, lower]))
+            left = target - self.exact @ x
+            error, size = np.abs(left).max(initial=0.0), np.abs(x).max(initial=0.0)
+            if error <= ROUNDING * size:
+                break
+        if not error <= FAILED * max(size, np.abs(target).max(initial=0.0)):
+            raise np.linalg.LinAlgError("the refinement of a sparse solution does not converge")
+        x = x * scale
+        return x[: self.size], x[self.size :]
+
+    def count_negative(self) -> int:
+        """Return how many eigenvalues A has below zero among the v with J v = 0: Sylvester's law of inertia."""
+        if not np.array_equal(self.factors.perm_r, self.factors.perm_c):
+            raise np.linalg.LinAlgError("a pivot left the diagonal")
+        return int((self.factors.U.diagonal() < 0.0).sum()) - self.rows
+
+
+def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tuple[Array, Array]:
+    """Compute the lowest eigenvalues of K v = λ M v with J v = 0 and v orthogonal to `left_out`.
+
+    Parameters
+    ----------
+    K, M : sparse array (n, n)
+        Symmetric; M is positive definite where J v = 0.
+    J : sparse array (m, n)
+        Constraints.
+    left_out : ndarray (n, r)
+        M-orthonormal eigenvectors of eigenvalue zero that are not asked for.
+    count : int
+        How many eigenvalues, well below n − m.
+
+    Returns
+    -------
+    tuple of ndarray
+        Eigenvalues (count,) in increasing order; M-orthonormal eigenvectors (n, count).
+
+    Raises
+    ------
+    LinAlgError
+        If the matrices are too badly conditioned for it.
+    """
+    shift = -SHIFT * fastest_rate(K, M)
+    system = SaddlePoint(K - shift * M, J)
+    below = system.count_negative()
+    while below > count:  # very unstable: nearer to the lowest
+        shift *= 4.0
+        system = SaddlePoint(K - shift * M, J)
+        below = system.count_negative()
+    mass = M @ left_out
+
+    def solve(f: Array) -> Array:
+        v, _ = system.solve(f - mass @ (left_out.T @ f))  # else the shift would magnify what is left out
+        return np.asarray(v - left_out @ (mass.T @ v))
+
+    inverse = LinearOperator(K.shape, matvec=lambda f: solve(f.ravel()), dtype=float)
+    start = inverse @ np.random.default_rng(0).normal(size=K.shape[0])  # fixed: the same answer every time
+
+    def nearest(number: int, side: str) -> Array:
+        if not number:
+            return np.zeros((K.shape[0], 0))
+        return np.asarray(eigsh(K, number, M, shift, side, start, OPinv=inverse, ncv=min(K.shape[0], max(2 * number + 1, 40)))[1])
+
+    try:
+        basis: Array = np.hstack([nearest(below, "SA"), nearest(count - below, "LA")])
+    except ArpackError as error:
+        raise np.linalg.LinAlgError(str(error)) from None
+    # Rayleigh and Ritz: eigenvalues next to the shift are not spoilt by it
+    L = np.linalg.cholesky(basis.T @ (M @ basis))
+    basis = np.asarray(np.linalg.solve(L, basis.T).T)
+    values, vectors = np.linalg.eigh(basis.T @ (K @ basis))
+    return values, np.asarray(basis @ vectors)
+
+
+def fastest_rate(K: Any, M: Any) -> float:
+    """Return about the largest |λ| of K v = λ M v without constraints, by the diagonal of M; 1 where K is zero."""
+    weight = M.diagonal() ** -0.5 if np.all(M.diagonal() > 0.0) else np.full(M.shape[0], float(M.diagonal().max()) ** -0.5)
+    return float(abs(sp.diags_array(weight) @ K @ sp.diags_array(weight)).sum(axis=1).max()) or 1.0
