@@ -23,6 +23,7 @@ from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.util.casadi_tools import call_as_sx, constant_row, drop_rounding, matrix_with_pattern, solve_semidefinite, sparse, weighted_product
 
 SINGULAR = 1e-9  # eigenvalue below which a constraint counts as redundant, relative to the largest of a system of unit diagonal
+HEAVIEST = 1e12  # times the lightest bar: what rounding leaves of a bar that is heavier does not hold it
 LARGEST = 600  # unknowns of a system that is looked at for redundancy: a dense eigenvalue problem
 
 
@@ -151,6 +152,19 @@ def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
 # --- redundant constraints ---
 
 
+def check_mass_ratio(mech: Mechanism) -> None:
+    """Raise ValueError where a bar is more than `HEAVIEST` times as heavy as another, both with all that hangs on their ends' nodes."""
+    for inverse in mech.inverse:
+        ends = sp.csr_array(abs(mech.C_b)) @ inverse.diagonal()  # 1/kg; zero where both are fixed
+        moving = np.flatnonzero(ends > 0)
+        heavy, light = (moving[pick(ends[moving])] for pick in (np.argmin, np.argmax)) if len(moving) else (0, 0)
+        if len(moving) and ends[light] > HEAVIEST * ends[heavy]:
+            raise ValueError(
+                f"Structure.bar_mass: bar {heavy} is {ends[light] / ends[heavy]:.1e} times as heavy as bar {light}, with the nodes at its ends: "
+                f"rounding leaves no room above {HEAVIEST:g}, pin what is so heavy or give masses nearer to each other"
+            )
+
+
 def find_redundancy(mech: Mechanism) -> str | None:
     """Return a message that names the bars and joints whose constraints depend on each other in the initial shape, or None.
 
@@ -162,7 +176,7 @@ def find_redundancy(mech: Mechanism) -> str | None:
     matrix, _ = assemble_system(mech, mech.bar_vectors(ca.DM(mech.N)), ca.DM.zeros(1, mech.bars), ca.DM.zeros(3, mech.joints))
     A = matrix.full()
     diagonal = np.sqrt(np.maximum(A.diagonal(), 0))
-    scale = np.divide(1, diagonal, out=np.zeros(size), where=diagonal > 1e-12 * diagonal.max(initial=1e-300))
+    scale = np.divide(1, diagonal, out=np.zeros(size), where=diagonal > 1e-14 * diagonal.max(initial=1e-300))
     values, vectors = np.linalg.eigh(A * np.outer(scale, scale))
     null = values < SINGULAR * values[-1]
     if not null.any():

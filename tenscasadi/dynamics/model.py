@@ -69,7 +69,8 @@ class Model(StateSpace):
     TypeError
         If `scene` is no `Scene`.
     ValueError
-        If an option is unknown, or `bar_length` is "constant" where bars meet or are pinned in reduced coordinates.
+        If an option is unknown, `bar_length` is "constant" where bars meet or are pinned in reduced coordinates, or a bar is more than
+        1e12 times as heavy as another.
 
     Warns
     -----

@@ -9,7 +9,14 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.constraint_forces import RedundantConstraints, find_redundancy, project_velocities, residual_rates, residuals
+from tenscasadi.dynamics.constraint_forces import (
+    RedundantConstraints,
+    check_mass_ratio,
+    find_redundancy,
+    project_velocities,
+    residual_rates,
+    residuals,
+)
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, build_mechanism
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
@@ -58,6 +65,7 @@ class StateSpace:
         self.structure = scene.modelled
         self.coordinates: Coordinates = coordinates
         self.mechanism = build_mechanism(self.structure, coordinates, bar_length)
+        check_mass_ratio(self.mechanism)
         if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:
             raise ValueError('Model.bar_length is "constant": bars that meet or are pinned need coordinates="full" for it')
         self._supports = None if scene.supports is None else scene.supports.rates()
@@ -66,9 +74,9 @@ class StateSpace:
         self.nx = 2 * self.nq + (1 if scene.has_clock else 0)
         self.nu = 0 if scene.control is None else len(scene.structure.strings)
         self.functions: dict[tuple[Any, ...], ca.Function] = {}  # of this model, built by other modules that need the same several times
-        message = find_redundancy(self.mechanism)
-        if message:
-            warnings.warn(message, RedundantConstraints, stacklevel=2)
+        self.redundancy = find_redundancy(self.mechanism)
+        if self.redundancy:
+            warnings.warn(self.redundancy, RedundantConstraints, stacklevel=2)
 
     # --- numbers ---
 

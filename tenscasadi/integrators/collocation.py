@@ -56,8 +56,8 @@ class Collocation:
     -----
     Steps of a model up to degree 4 are found stage by stage (triangular iteration), which takes 15 to 20 iterations with stiff strings and
     fails where bars turn by more than about a radian in a step. Friction is met with its secant while nodes still slow down, and with
-    its slope then; hard contact with friction may still need smaller steps. Steps of other equations and degrees are found by Newton's method for all
-    stages at once.
+    its slope then; hard contact with friction may still need smaller steps. Steps of other equations and degrees are found by Newton's
+    method for all stages at once.
 
     References
     ----------

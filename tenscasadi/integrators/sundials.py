@@ -228,10 +228,19 @@ class Idas(Sundials):
         -------
         dict
             Symbols x, z = (λ, Ω) and u, and expressions ode and alg of them.
+
+        Raises
+        ------
+        ValueError
+            If constraints are redundant.
         """
         mech = model.mechanism
         if not mech.constrained:
             return super().equations(model, power)
+        if model.redundancy:
+            raise ValueError(
+                f"{type(self).__name__} cannot tell redundant constraints apart, use another scheme, such as Cvodes(): {model.redundancy}"
+            )
         kind: Any = ca.MX if mech.large else ca.SX
         state, u = kind.sym("x", model.nx + (power is not None)), kind.sym("u", model.nu)
         z = kind.sym("z", mech.bars + 3 * mech.joints)

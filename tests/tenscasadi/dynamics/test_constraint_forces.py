@@ -13,6 +13,7 @@ from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
+from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure.structure import Structure
 
 
@@ -104,3 +105,22 @@ def test_a_pinned_string_node_needs_no_mass(coordinates: mechanism.Coordinates) 
     expected = by_kkt(mast, mast.nodes, 0 * mast.nodes, pull + weight)
     assert relative(accelerations(model, model.initial_state), expected) < 1e-12
     assert np.allclose(model.multipliers(model.initial_state).joint_force[:, -1], -(pull + weight)[2])
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+@pytest.mark.parametrize("second", [1, 3], ids=["joined", "apart"])
+def test_masses_that_rounding_cannot_hold_together_are_refused_by_name(second: int, coordinates: mechanism.Coordinates) -> None:
+    def build(ratio: float) -> Model:
+        mass = [ratio, 1.0, 1.0]
+        structure = Structure([(0, 0, 0), (1, 0, 0), (1.5, 0.5, 0), (3, 0, 0), (4, 0, 0)], [(0, 1), (second, 2), (3, 4)], bar_mass=mass)
+        return Model(Scene(structure), coordinates)
+
+    with pytest.raises(ValueError, match=r"Structure\.bar_mass: bar 0 is \S+ times as heavy as bar"):
+        build(1e16)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model = build(1e11)
+    nodes = model.structure.nodes
+    run = simulate(model, 0.2, 0.01, state=model.state(nodes, np.cross([0, 0, 1.0], nodes)), compiled=False)
+    assert run.success
+    assert run.bar_length_error.max() < 1e-7

@@ -18,6 +18,7 @@ from tenscasadi.integrators.sundials import Cvodes, Idas, Sundials
 from tenscasadi.scene.loads import Gravity, Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
+from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
@@ -106,6 +107,28 @@ def test_failures_of_sundials_are_messages() -> None:
         simulate(Model(Scene(Structure([[0, 0, 0]], node_mass=1.0, pinned=[0]))), 0.1, scheme=Cvodes())
     with pytest.raises(ValueError, match="redundant"):
         simulate(held, 0.1, scheme=Idas())
+
+
+SQUARE = Structure([(1, 1, 0), (0, 1, 0), (0, 0, 0), (1, 0, 0)], [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)])
+SHAKEN = Structure([(0, 0, 0), (1, 0, 0), (0.5, 0, -1)], [(0, 1), (0, 2), (1, 2)], pinned=(0, 1))
+PUSH = SupportMotion({n: lambda t, n=n: (n + 0.1 * t**2, 0, 0) for n in (0, 1)})
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+@pytest.mark.parametrize("scene", [Scene(SQUARE), Scene(SHAKEN), Scene(SHAKEN, supports=PUSH)], ids=["bars", "pins", "moved supports"])
+def test_idas_refuses_redundant_constraints_by_name(scene: Scene, coordinates: Any) -> None:
+    with pytest.warns(RedundantConstraints):
+        model = Model(scene, coordinates)
+    with pytest.raises(ValueError, match=r"Idas cannot tell redundant constraints apart, use .* Cvodes\(\): the constraints of (bars|joints) \d"):
+        simulate(model, 0.1, scheme=Idas())
+    assert simulate(model, 0.1, scheme=Cvodes()).success
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_idas_follows_moved_supports(coordinates: Any) -> None:
+    model = Model(Scene(Structure(SHAKEN.nodes, [(0, 2), (1, 2)], pinned=(0, 1)), gravity=Gravity(), supports=PUSH), coordinates)
+    exact, run = simulate(model, 0.5, None, DormandPrince853(1e-11), compiled=False), simulate(model, 0.5, 0.01, Idas(1e-9))
+    assert abs(run.nodes[-1] - exact.nodes[-1]).max() < 1e-7
 
 
 def test_a_motion_that_a_loose_tolerance_breaks_asks_for_a_smaller_one() -> None:
