@@ -15,7 +15,7 @@ from ocp.problem.problem import Problem
 from ocp.solve import program_of
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess
-from tenscasadi.util.validate import instance
+from tenscasadi.util.validate import file_path, instance
 
 
 def export_program(problem: Problem, transcription: Transcription, folder: str | Path, guess: InitialGuess | None = None) -> list[Path]:
@@ -62,12 +62,12 @@ def export_program(problem: Problem, transcription: Transcription, folder: str |
     >>> [path.name for path in ocp.export_program(problem, ocp.MultipleShooting(5), mkdtemp())]
     ['program.c', 'program.h', 'unknowns.csv', 'rows.csv']
     """
+    target = file_path("folder", folder)
     program = program_of(problem, transcription, guess)
     w = program.problem["x"]
     p = ca.MX.sym("p", 0)
     values = [ca.Function(f"nlp_{name}", [w, p], [program.problem[name]], ["x", "p"], [name]) for name in "fg"]
     sizes = f"{len(program.w_names)} unknowns (unknowns.csv), {len(program.names)} rows (rows.csv), costs = {program.objective!r} f"
-    target = Path(folder)
     written = _generate(target, "program", [*values, *program.derivatives().values()], [f"minimise f(w) subject to limits of g(w) and w: {sizes}."])
     unknowns = zip(program.w_names, program.w_scale, program.w_lower, program.w_upper, program.first, strict=True)
     rows = zip(program.names, program.scale, program.lower, program.upper, strict=True)
@@ -132,7 +132,7 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
         f"#define MPC_PERIOD {mpc.period!r}",
         f"#define MPC_FIRST {{{first}}}",
     ]
-    return _generate(Path(folder), "mpc", [decide], lines, constants)
+    return _generate(file_path("folder", folder), "mpc", [decide], lines, constants)
 
 
 def _generate(folder: Path, name: str, functions: Sequence[ca.Function], comment: Sequence[str], constants: Sequence[str] = ()) -> list[Path]:

@@ -31,7 +31,7 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import archive
-from tenscasadi.util.validate import Array, instance, nonnegative, per_item, positive_number, whole_number
+from tenscasadi.util.validate import Array, flag, instance, nonnegative, per_item, positive_number, whole_number
 
 REPLAY_STEPS = 10  # steps of a replay for one interval of the plan
 
@@ -159,10 +159,9 @@ class Plan:
         ndarray, shape (K, α)
             Tensions, N.
         """
-        lengths, gamma = self.lengths(), self.force_density
-        if self.linear:
-            return np.asarray(gamma[1:] * lengths[1:] if end else gamma[:-1] * lengths[:-1])
-        return np.asarray(gamma * (lengths[1:] if end else lengths[:-1]))
+        flag("end", end)
+        instants, gamma = slice(1, None) if end else slice(-1), self.force_density
+        return np.asarray((gamma[instants] if self.linear else gamma) * self.lengths()[instants])
 
     def bar_forces(self) -> Array:
         """Return the forces of the bars at the start of each interval, λ ‖b‖ (Eqs. 46, 87).

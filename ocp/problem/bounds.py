@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -73,11 +74,11 @@ class RateBound(Bound):
 
 def replace_inf(value: Any, instead: float = 0.0) -> Any:
     """Replace inf, which says that there is no limit, by a number that passes the checks."""
-    try:
+    with suppress(Exception):  # what is no array is refused next, by name
         array = np.asarray(value)
-    except ValueError:
-        return value  # refused next, by name
-    return np.where(np.isposinf(array), instead, array) if array.dtype.kind in "iuf" else value
+        if array.dtype.kind in "iuf" and not np.ma.is_masked(value):
+            return np.where(np.isposinf(array), instead, array)
+    return value
 
 
 def broadcast_limits(field: str, value: ArrayLike | None, count: int, missing: float) -> Array:

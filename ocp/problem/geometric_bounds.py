@@ -14,7 +14,7 @@ from ocp.problem.bounds import PathBound, PathConstraint
 from ocp.problem.instant import norms, symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, coordinates, finite_array, node_index, number, positive_number, whole_number
+from tenscasadi.util.validate import Array, coordinates, finite_array, listed, node_index, number, positive_number, whole_number
 
 Corner = Sequence[float | None]
 ROUNDING = 0.02  # of a bar: over which the nearest point of a segment is led past its end, to have smooth derivatives
@@ -362,8 +362,4 @@ def _within_segment(share: Any) -> Any:
 
 def _listed(field: str, value: Any, example: str) -> tuple[Any, ...] | None:
     """Return members that are named one by one as a tuple; None stays None."""
-    if value is None:
-        return None
-    if isinstance(value, str) or not isinstance(value, Iterable):
-        raise TypeError(f"{field} is {value!r}: give a list, such as {example}")
-    return tuple(value)
+    return None if value is None else listed(field, value, example)

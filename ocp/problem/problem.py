@@ -19,7 +19,7 @@ from ocp.problem.waypoints import INSTANT, Waypoint
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity
-from tenscasadi.util.validate import Array, finite_array, instance, nesting, positive_number
+from tenscasadi.util.validate import Array, finite_array, instance, listed, nesting, positive_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,9 +258,7 @@ class Problem:
 
 
 def _listed(field: str, values: Any, kinds: type, example: str) -> tuple[Any, ...]:
-    if isinstance(values, kinds) or not isinstance(values, Iterable):
-        raise TypeError(f"{field} is {values!r}: give a list of them, such as {example}")
-    found = tuple(values)
+    found = listed(field, values, example)
     for k, value in enumerate(found):
         instance(f"{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}")
     return found

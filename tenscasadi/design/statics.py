@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, nonnegative, per_item
+from tenscasadi.util.validate import Array, finite_array, instance, nonnegative, per_item
 
 TOLERANCE = 1e-9  # relative: singular values and unbalanced forces below it are rounding
 
@@ -52,6 +52,7 @@ def self_stress(structure: Structure) -> Array:
     >>> tc.self_stress(tc.shapes.prism()).shape
     (1, 12)
     """
+    instance("structure", structure, Structure, "a tenscasadi.Structure")
     return np.asarray(null_space(_balance(structure), rcond=TOLERANCE).T)
 
 
@@ -92,6 +93,7 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
     >>> tc.equilibrium_force_density(tc.shapes.prism(), minimum=2.0).round(3).tolist()
     [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 3.464, 3.464, 3.464]
     """
+    instance("structure", structure, Structure, "a tenscasadi.Structure")
     alpha = len(structure.strings)
     least = nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
     load = np.zeros(structure.nodes.shape) if loads is None else finite_array("loads", loads, structure.nodes.shape)

@@ -20,7 +20,7 @@ from tenscasadi.dynamics.constraint_forces import (
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, build_mechanism
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
-from tenscasadi.util.validate import Array, finite_array, instance
+from tenscasadi.util.validate import Array, choice, finite_array, instance, rows_of_size
 
 
 class Constraints(NamedTuple):
@@ -57,10 +57,8 @@ class StateSpace:
 
     def __init__(self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current") -> None:
         instance("Model.scene", scene, Scene, "a tenscasadi.Scene")
-        if coordinates not in ("reduced", "full"):
-            raise ValueError(f'Model.coordinates is {coordinates!r}: give "reduced" or "full"')
-        if bar_length not in ("current", "constant"):
-            raise ValueError(f'Model.bar_length is {bar_length!r}: give "current" or "constant"')
+        choice("Model.coordinates", coordinates, "reduced", "full")
+        choice("Model.bar_length", bar_length, "current", "constant")
         self.scene = scene
         self.structure = scene.modelled
         self.coordinates: Coordinates = coordinates
@@ -201,6 +199,9 @@ class StateSpace:
         """Return x (nx) and u (nu; None: the initial control) as CasADi values; raises TypeError or ValueError where they are no such."""
         if u is None:
             u = self.initial_control
+        for name, value, size in (("x", x, self.nx), ("u", u, self.nu)):
+            if isinstance(value, (ca.SX, ca.MX)) and value.shape != (size, 1):
+                raise ValueError(f"{name} has shape {value.shape}: give a column of {size}")
         return tuple(
             value if isinstance(value, (ca.SX, ca.MX)) else ca.DM(finite_array(name, value, (size,)))
             for name, value, size in (("x", x, self.nx), ("u", u, self.nu))
@@ -274,14 +275,12 @@ class StateSpace:
 
     def _physical(self, x: Any, part: int, elsewhere: Array) -> Any:
         if isinstance(x, (ca.SX, ca.MX)):
-            return self.unpack(x)[part][:, self.mechanism.first.tolist()]
-        states = np.asarray(x, dtype=float)
-        if states.ndim == 0 or states.shape[-1] != self.nx:
-            raise ValueError(f"x has shape {states.shape}: give states of shape (..., {self.nx})")
+            return self.unpack(self.arguments(x, None)[0])[part][:, self.mechanism.first.tolist()]
+        states = rows_of_size("x", x, self.nx, "states")
         result = np.broadcast_to(elsewhere.ravel(), (*states.shape[:-1], elsewhere.size)).copy()
         result[..., self._free] = self.split(states)[part]
         nodes = result.reshape(*states.shape[:-1], len(elsewhere), 3)
-        if self._supports is not None and self.coordinates == "reduced":
+        if self._supports is not None and self.coordinates == "reduced" and states.size:
             times = states[..., -1].ravel()
             moved = self._supports.map(times.size)(times.reshape(1, -1))[part].full().T
             nodes[..., self._moved, :] = moved.reshape(*states.shape[:-1], len(self._moved), 3)

@@ -17,7 +17,7 @@ from tenscasadi.scene.loads import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip
 from tenscasadi.util.casadi_tools import call_as_sx, sparse
-from tenscasadi.util.validate import Array, instance, positive_number, whole_number
+from tenscasadi.util.validate import Array, choice, instance, positive_number, whole_number
 
 _SWEPT_DEGREE = 4  # degree up to which sweeps converge fast
 _LAST_MOVE, _ROUNDING = 100.0, 1e-9  # what the last sweep may have moved: times the tolerance, or relative to the state
@@ -83,8 +83,7 @@ class Collocation:
     def __post_init__(self) -> None:
         if whole_number("Collocation.degree", self.degree, 1) > 9:
             raise ValueError(f"Collocation.degree is {self.degree}: give 1 to 9")
-        if self.points not in ("gauss", "radau"):
-            raise ValueError(f'Collocation.points is {self.points!r}: give "gauss" or "radau"')
+        choice("Collocation.points", self.points, "gauss", "radau")
         object.__setattr__(self, "tolerance", positive_number("Collocation.tolerance", self.tolerance))
         whole_number("Collocation.iterations", self.iterations, 1)
 

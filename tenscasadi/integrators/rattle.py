@@ -76,7 +76,7 @@ class Rattle:
     implicit: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        if self.order not in _FRACTIONS or isinstance(self.order, bool):
+        if not isinstance(self.order, (int, np.integer)) or isinstance(self.order, bool) or self.order not in _FRACTIONS:
             raise ValueError(f"Rattle.order is {self.order!r}: give 2 or 4")
         whole_number("Rattle.iterations", self.iterations, 1)
 

@@ -14,7 +14,7 @@ from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.simulation.steppers import check_single
 from tenscasadi.util.compile import Single
-from tenscasadi.util.validate import Array, instance
+from tenscasadi.util.validate import Array, file_path, instance
 
 
 def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), precision: Single | None = None) -> list[Path]:
@@ -69,7 +69,7 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
         raise ValueError(f"scheme is {scheme}, which chooses its steps: give one of fixed steps for C, such as RungeKutta4()")
     if precision is not None:
         check_single(scheme)
-    target = Path(folder)
+    target = file_path("folder", folder)
     target.mkdir(parents=True, exist_ok=True)
     real = "double" if precision is None else "float"
     generator = ca.CodeGenerator("tensegrity.c", {"with_header": True, "casadi_real": real})

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices, finite_array, number, positive_number, whole_number
 
+LARGEST_COUNT = 10**5  # bars, rings or units: more would take hours
+
 
 def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> Structure:
     """Build a pendulum: one bar in the x-z plane, pinned at node 0, the origin.
@@ -132,7 +134,7 @@ def prism(
     >>> gamma.round(3).tolist()
     [10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 17.321, 17.321, 17.321]
     """
-    p = whole_number("bars", bars, 3)
+    p = whole_number("bars", bars, 3, LARGEST_COUNT)
     radius, height = positive_number("radius", radius), positive_number("height", height)
     balanced = np.pi / 2 + np.pi / p
     turn = balanced if twist is None else number("twist", twist)
@@ -321,7 +323,7 @@ def membrane(p: int = 8, q: int = 5, radius: float = 1.0, length: float = 2.0, n
     >>> len(net.nodes), len(net.strings)
     (12, 28)
     """
-    p, q = whole_number("p", p, 3), whole_number("q", q, 2)
+    p, q = whole_number("p", p, 3, LARGEST_COUNT), whole_number("q", q, 2, LARGEST_COUNT)
     radius, length = positive_number("radius", radius), positive_number("length", length)
     nodes = np.concatenate([_ring(p, radius, j * np.pi / p, length * (j / (q - 1) - 0.5)) for j in range(q)])
     ring, before, after = _membrane_neighbours(p, q)
@@ -351,7 +353,7 @@ def membrane_faces(p: int = 8, q: int = 5) -> Indices:
     >>> tc.shapes.membrane_faces(p=3, q=2).tolist()
     [[0, 1, 3], [1, 2, 4], [2, 0, 5], [0, 3, 5], [1, 4, 3], [2, 5, 4]]
     """
-    p, q = whole_number("p", p, 3), whole_number("q", q, 2)
+    p, q = whole_number("p", p, 3, LARGEST_COUNT), whole_number("q", q, 2, LARGEST_COUNT)
     ring, before, after = _membrane_neighbours(p, q)
     lower, upper = slice(0, p * (q - 1)), slice(p, p * q)
     upright = np.c_[ring[lower], after[lower], ring[lower] + p]

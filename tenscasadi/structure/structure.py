@@ -13,7 +13,7 @@ from scipy.sparse import csr_array, diags_array
 
 from tenscasadi.structure.class_one import ClassOne, Layout, bar_mass_matrix, class_one, connectivity, default_layout, extend_layout, read_matrices
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
-from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, node_index, node_pairs, nonnegative, per_item
+from tenscasadi.util.validate import SMALLEST, Array, Indices, choice, finite_array, flag, node_index, node_pairs, nonnegative, per_item, rows_of_size
 
 SHORTEST = 1e-12  # of the largest coordinate: below it rounding decides where a member points
 THICKEST = 1e3  # radius over length: beyond it M loses its positive definiteness to rounding
@@ -216,6 +216,7 @@ class Structure:
         ClassOne
             The matrices of Eqs. 61-66, 81 and 84.
         """
+        flag("sparse", sparse)
         return class_one(self._layout, self.nodes, self.bar_inertia, self.bar_mass, self.node_mass, sparse)
 
     def replace(self, **changes: Any) -> Structure:
@@ -294,8 +295,7 @@ class Structure:
         ValueError
             Where a string that is cut has no mass, or the fractions do not sum to 1.
         """
-        if ends not in ("interior", "lumped"):
-            raise ValueError(f"ends is {ends!r}: give 'interior' or 'lumped'")
+        choice("ends", ends, "interior", "lumped")
         counts = segment_counts(segments, len(self.strings))
         shares = [segment_shares(count, fractions) for count in counts]
         parent, share = np.repeat(np.arange(len(counts)), counts), np.concatenate([np.zeros(0), *shares])
@@ -332,9 +332,7 @@ class Structure:
         ndarray, shape (..., parents)
             The means, in the order of the strings that `subdivide` cut.
         """
-        array = np.asarray(values, dtype=float)
-        if array.ndim == 0 or array.shape[-1] != len(self.strings):
-            raise ValueError(f"values has shape {array.shape}: give one entry per string in the last axis, {len(self.strings)}")
+        array = rows_of_size("values", values, len(self.strings), "values of strings")
         weight = np.zeros((len(self.strings), int(self.string_parent.max(initial=-1)) + 1))
         weight[np.arange(len(self.strings)), self.string_parent] = self.string_fraction
         return np.asarray(array @ (weight / weight.sum(axis=0)))
@@ -378,8 +376,8 @@ def _read_pins(pinned: Any, count: int) -> Mapping[int, str]:
     """{node: axes} in node order, axes in the order x, y, z."""
     try:
         entries = list(pinned.items() if isinstance(pinned, Mapping) else ((node, "xyz") for node in pinned))
-    except TypeError:
-        raise TypeError(f"pinned is {pinned!r}: give node indices, such as [0, 3], or a mapping such as {{0: 'xyz', 3: 'z'}}") from None
+    except Exception as error:  # each kind of matrix refuses in its own way
+        raise TypeError(f"pinned is {pinned!r}: give node indices, such as [0, 3], or a mapping such as {{0: 'xyz', 3: 'z'}}") from error
     pins: dict[int, str] = {}
     for key, axes in entries:
         node = node_index("pinned", key, count)

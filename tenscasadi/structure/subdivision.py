@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tenscasadi.util.validate import Array, Indices, finite_array, nonnegative, whole_number
+from tenscasadi.util.validate import Array, Indices, finite_array, listed, nonnegative, whole_number
+
+LARGEST_COUNT = 10**5  # segments of a string
 
 
 def cut_strings(nodes: Array, strings: Indices, string_mass: Array, shares: list[Array], lumped: bool) -> tuple[Array, Indices, Array]:
@@ -32,11 +34,11 @@ def cut_strings(nodes: Array, strings: Indices, string_mass: Array, shares: list
 def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> list[int]:
     """Return the number of segments of each string, as `Structure.subdivide` is given it. Raises TypeError, ValueError."""
     if not isinstance(segments, (Sequence, np.ndarray)):
-        return [whole_number("segments", segments, 1)] * strings
-    counts = list(segments)
+        return [whole_number("segments", segments, 1, LARGEST_COUNT)] * strings
+    counts = listed("segments", segments, "[2, 2, 1]")
     if len(counts) != strings:
         raise ValueError(f"segments has {len(counts)} entries: give one number, or one for each of {strings} strings")
-    return [whole_number(f"segments[{i}]", count, 1) for i, count in enumerate(counts)]
+    return [whole_number(f"segments[{i}]", count, 1, LARGEST_COUNT) for i, count in enumerate(counts)]
 
 
 def segment_shares(count: int, fractions: ArrayLike | None) -> Array:

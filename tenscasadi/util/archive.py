@@ -15,6 +15,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from tenscasadi.util.validate import file_path
+
 T = TypeVar("T")
 _LIMIT = 1_000_000_000  # bytes that a file may unpack to, however small it is
 _RATIO = 20  # bytes that each byte of a larger file may unpack to: numbers of real motions need less
@@ -49,7 +51,7 @@ def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) ->
     A file that was there stays as it is until the new one is complete. Raises OSError when it cannot be written, also where something
     other than a regular file is there, such as a device.
     """
-    target = Path(path)
+    target = file_path("path", path)
     whole = Path(os.path.realpath(target))  # where a link leads to
     if (target.exists() or whole.is_symlink()) and not target.is_file():
         raise OSError(errno.EISDIR if target.is_dir() else errno.EINVAL, "Not a regular file, give another name", os.fspath(path))
@@ -79,7 +81,7 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fi
     No code in the file is ever run. Raises FileNotFoundError, and ValueError naming the file, the `kind` of thing that it is not, and why;
     `build` says so with a ValueError, and all else that it raises passes. A file may unpack to 1 GB, or to 20 times its own size.
     """
-    refusal = f"{os.fspath(path)} is not a {kind}"
+    refusal = f"{file_path('path', path)} is not a {kind}"
     try:
         content = _read(Path(path), names)
     except FileNotFoundError:

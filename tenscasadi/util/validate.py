@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -20,16 +23,9 @@ SMALLEST = 1e-100  # what must be greater than 0 is at least this: divisions by 
 
 def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     """Return `value` as a read-only float array of `shape` (None: any size); columns of CasADi's are vectors. Raises TypeError, ValueError."""
-    try:
-        source = np.asarray(value)
-        if isinstance(value, ca.DM) and value.is_column() and len(shape) == 1:
-            source = source.ravel()
-        if source.dtype.kind not in "iufO" or (source.dtype.kind == "O" and not all(isinstance(item, Real) for item in source.flat)):
-            raise TypeError(f"got {type(value).__name__} of {source.dtype}")  # NumPy would read "1", True and None as numbers
-        array = np.array(source, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        kind = "an array of real numbers" if shape else "a real number"
-        raise TypeError(f"{field} is not {kind} ({error}): give {_wanted(shape)}") from None
+    array = real_array(field, value, _wanted(shape), "an array of real numbers" if shape else "a real number")
+    if isinstance(value, ca.DM) and value.is_column() and len(shape) == 1:
+        array = array.ravel()
     if array.ndim != len(shape) or any(want is not None and want != got for want, got in zip(shape, array.shape, strict=True)):
         raise ValueError(f"{field} has shape {array.shape}: give {_wanted(shape)}")
     bad = np.argwhere(~(np.abs(array) <= LARGEST))
@@ -41,12 +37,63 @@ def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array
     return array
 
 
-def nesting(value: Any) -> int:
-    """Tell how deep `value` is nested: 0 for a number, 1 for a list; 1 also for ragged lists, which array checks then refuse by name."""
+def real_array(field: str, value: Any, wanted: str, kind: str = "an array of real numbers") -> Array:
+    """Return `value` as a new float array of any shape, not checked for NaN and inf; `wanted` is the cure. Raises TypeError, ValueError."""
     try:
+        source = np.asarray(value)
+        if source.dtype.kind not in "iufO" or (source.dtype.kind == "O" and not all(isinstance(item, Real) for item in source.flat)):
+            raise TypeError(f"got {type(value).__name__} of {source.dtype}")  # NumPy would read "1", True and None as numbers
+        array = np.array(source, dtype=float)
+    except Exception as error:  # an object's own __array__ may raise anything
+        raise TypeError(f"{field} is not {kind} ({error}): give {wanted}") from error
+    if np.ma.is_masked(value):
+        raise ValueError(f"{field} has masked entries: fill them or leave them out")  # NumPy would take what is under the mask
+    return array
+
+
+def rows_of_size(field: str, value: Any, size: int, item: str) -> Array:
+    """Return `value` as a new float array of shape (..., size), not checked for NaN and inf. Raises TypeError, ValueError."""
+    wanted = f"{item} of shape (..., {size})"
+    array = real_array(field, value, wanted)
+    if array.ndim == 0 or array.shape[-1] != size:
+        raise ValueError(f"{field} has shape {array.shape}: give {wanted}")
+    return array
+
+
+def nesting(value: Any) -> int:
+    """Tell how deep `value` is nested: 0 for a number, 1 for a list; 1 also for what is no array, which array checks then refuse by name."""
+    with suppress(Exception):  # an object's own __array__ may raise anything
         return np.ndim(value)
-    except ValueError:
-        return 1
+    return 1
+
+
+def listed(field: str, value: Any, example: str) -> tuple[Any, ...]:
+    """Return the items of `value` as a tuple; TypeError where it is no list of any kind, as text is none. `example` shows a right one."""
+    if not isinstance(value, (str, bytes)):
+        with suppress(Exception):  # CasADi's and SciPy's matrices, arrays of no dimension: each refuses in its own way
+            return tuple(value)
+    raise TypeError(f"{field} is {value!r}: give a list, such as {example}")
+
+
+def choice(field: str, value: Any, *options: str) -> None:
+    """Raise ValueError unless `value` is one of these words."""
+    if not isinstance(value, str) or value not in options:
+        raise ValueError(f"{field} is {value!r}: give {' or '.join(repr(option) for option in options)}")
+
+
+def flag(field: str, value: Any) -> None:
+    """Raise TypeError unless `value` is True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{field} is {value!r}: give True or False")
+
+
+def file_path(field: str, value: Any) -> Path:
+    """Return `value` as a path. Raises TypeError, ValueError."""
+    if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
+        raise TypeError(f"{field} is {value!r}: give the name of a file or folder, as text or a pathlib.Path")
+    if "\0" in os.fspath(value):
+        raise ValueError(f"{field} is {value!r}: give a name without null characters")
+    return Path(value)
 
 
 def number(field: str, value: Any) -> float:
@@ -66,8 +113,8 @@ def coordinates(field: str, place: Any, none: str, some: bool = False, read: Cal
     """
     try:
         entries = tuple(place.full().ravel() if isinstance(place, ca.DM) else place)
-    except TypeError:
-        raise TypeError(f"{field} is {place!r}: give (x, y, z), None for {none}") from None
+    except Exception as error:  # each kind of matrix refuses in its own way
+        raise TypeError(f"{field} is {place!r}: give (x, y, z), None for {none}") from error
     if len(entries) != 3 or (some and all(entry is None for entry in entries)):
         raise ValueError(f"{field} is {entries}: give three coordinates, None for {none}")
     return tuple(None if entry is None else read(field, entry) for entry in entries)
@@ -99,12 +146,14 @@ def positive_number(field: str, value: Any, zero: bool = False) -> float:
     return found
 
 
-def whole_number(field: str, value: Any, minimum: int) -> int:
-    """Return `value` as an int ≥ `minimum`; booleans and fractions are refused. Raises TypeError, ValueError."""
+def whole_number(field: str, value: Any, minimum: int, maximum: int = 2**31 - 1) -> int:
+    """Return `value` as an int from `minimum` to `maximum`; booleans and fractions are refused. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{field} is {value!r}: give a whole number")
     if value < minimum:
         raise ValueError(f"{field} is {value}: it must be at least {minimum}")
+    if value > maximum:
+        raise ValueError(f"{field} is {float(min(value, 10**300)):g}: it must be at most {maximum}")
     return int(value)
 
 
@@ -121,8 +170,8 @@ def node_pairs(field: str, value: Iterable[Sequence[int]], count: int, item: str
     """Return members as an (items, 2) index array: in range, no member from a node to itself, none given twice."""
     try:
         rows = [tuple(row) for row in value]
-    except TypeError:
-        raise TypeError(f"{field} is {value!r}: give a sequence of node pairs, such as [(0, 1), (1, 2)]") from None
+    except Exception as error:  # each kind of matrix refuses in its own way
+        raise TypeError(f"{field} is {value!r}: give a sequence of node pairs, such as [(0, 1), (1, 2)]") from error
     seen: dict[tuple[int, int], int] = {}
     pairs = np.empty((len(rows), 2), dtype=np.intp)
     for k, row in enumerate(rows):

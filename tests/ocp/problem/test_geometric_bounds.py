@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from planning import driven, prism
 from rising import MODEL, raised
+from scipy.sparse import coo_matrix
 
 import ocp
 import tenscasadi as tc
@@ -116,6 +117,9 @@ BAD = {
     "clearance of three bars": (lambda: ocp.BarClearance(0.1, [(0, 1, 2)]), ValueError, r"BarClearance.pairs\[0\] is \(0, 1, 2\): give two bars"),
     "box of one node": (lambda: ocp.AboveGround(-1.0, nodes=3), TypeError, "InsideBox.nodes is 3: give a list"),
     "obstacle of one bar": (lambda: ocp.Obstacle((9, 0, 0), 1.0, bars=3), TypeError, "Obstacle.bars is 3: give a list"),
+    "clearance of a sparse matrix": (lambda: ocp.BarClearance(0.1, coo_matrix(np.eye(2))), TypeError, "BarClearance.pairs is"),
+    "obstacle of a matrix of CasADi": (lambda: ocp.Obstacle((9, 0, 0), 1.0, bars=ca.DM.eye(2)), TypeError, "Obstacle.bars is"),
+    "goals sparse": (lambda: ocp.FreeStart(goals=coo_matrix(np.eye(2))), TypeError, "FreeStart.goals is"),
     "clearance at a joint": (
         lambda: ocp.Problem(driven(tc.shapes.d_bar()), bounds=[ocp.BarClearance(0.1, [(0, 1)])]),
         ValueError,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from planning import driven, prism
@@ -67,6 +68,13 @@ def test_a_report_calls_rates_beyond_their_limit_violated(free):
     assert not {(one.name, one.side) for one in report.violated} & {(one.name, one.side) for one in report.active}
 
 
+class Broken:
+    """NumPy cannot read it."""
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("broken")
+
+
 BAD = {
     "limit in words": (lambda: ocp.ForceDensityLimits(0.0, "200"), TypeError, "ForceDensityLimits.upper is not a real number"),
     "limits in words": (lambda: ocp.ForceDensityLimits(0.0, ["200"] * 9), TypeError, "ForceDensityLimits.upper is not an array of real numbers"),
@@ -79,6 +87,13 @@ BAD = {
         ),
         ValueError,
         r"PiecewiseLinear.groups: strings 0, 1, 2 share a force density.*string 1 at 20 N/m or more.*string 0 at 10 N/m or less",
+    ),
+    "limits that NumPy cannot read": (lambda: ocp.ForceDensityLimits(upper=Broken()), TypeError, "ForceDensityLimits.upper"),
+    "limits of CasADi": (lambda: ocp.TensionLimits(upper=ca.MX.sym("x")), TypeError, "TensionLimits.upper"),
+    "limits under a mask": (
+        lambda: ocp.ForceDensityLimits(upper=np.ma.array([1.0, 2.0], mask=[True, False])),
+        ValueError,
+        "ForceDensityLimits.upper has masked entries",
     ),
     "speed zero": (lambda: ocp.RestLengthRateLimits(0.0), ValueError, "RestLengthRateLimits.speed"),
     "no stiffness": (

@@ -12,6 +12,8 @@ from tenscasadi.dynamics import mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.scene.supports import SupportMotion
+from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure.structure import Structure
 
 
@@ -93,3 +95,22 @@ def test_constraints_of_what_has_none_are_empty() -> None:
     assert [len(rows) for rows in model.constraints(model.initial_state)] == [0, 0, 0, 0]
     with pytest.raises(ValueError, match="x"):
         model.constraints(np.zeros(3))
+
+
+@pytest.mark.parametrize("x", ["x", 10**400, 1j, None, [1.0], np.array(["a"]), ca.MX.sym("x", 3), ca.SX.sym("x", 1, 2)], ids=repr)
+def test_what_is_no_state_is_named(x: object) -> None:
+    model = Model(Scene(Structure(**PRISM)))
+    for read in (model.nodes, model.velocities, model.constraints):
+        with pytest.raises((TypeError, ValueError), match=r"^x (is not an array of real numbers|has shape)"):
+            read(x)
+    with pytest.raises(ValueError, match="x has masked entries"):
+        model.nodes(np.ma.array(model.initial_state, mask=np.arange(model.nx) == 3))
+
+
+@BOTH
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_scene_of_one_pinned_node(moved: bool, coordinates: mechanism.Coordinates) -> None:
+    scene = Scene(Structure([(0, 0, 0)], pinned=[0]), supports=SupportMotion({0: lambda t: (t, 0, 0)}) if moved else None)
+    model = Model(scene, coordinates)
+    assert model.nodes(np.zeros((0, model.nx))).shape == (0, 1, 3)
+    assert simulate(model, 0.1, 0.05, compiled=False).nodes[-1, 0] == pytest.approx([0.1 * moved, 0, 0])

@@ -303,3 +303,10 @@ def test_files_that_it_did_not_save_or_that_are_damaged(way: str, tmp_path: Path
         archive.load(path, "form 1", "thing", lambda content: content["x"])
     assert "pickle" not in str(caught.value)
     assert not (tmp_path / "harm").exists()
+
+
+@pytest.mark.parametrize("path", [None, b"x", 3, "a\0b"], ids=repr)
+def test_what_is_no_name_of_a_file_is_named(path: object) -> None:
+    for call in (lambda: archive.save(path, "form", {}), lambda: archive.load(path, "form", "thing", dict)):
+        with pytest.raises((TypeError, ValueError), match=r"^path is .*: give"):
+            call()

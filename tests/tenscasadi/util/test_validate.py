@@ -9,8 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.sparse import coo_matrix, csr_array
 
-from tenscasadi.design.statics import equilibrium_force_density
+from tenscasadi.design.statics import equilibrium_force_density, self_stress
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import validate
@@ -19,6 +20,13 @@ NODES = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
 BARS = [(0, 1), (2, 3)]
 STRINGS = [(0, 2), (1, 3)]
 NAN, INF = float("nan"), float("inf")
+
+
+class Broken:
+    """NumPy cannot read it."""
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        raise RuntimeError("broken")
 
 
 def build(**changes: Any) -> Structure:
@@ -58,6 +66,9 @@ MISTAKES: list[tuple[str, type[Exception], str, Callable[[], Any]]] = [
     ("a node not a number", ValueError, r"nodes\[3, 2\]", lambda: build(nodes=[*NODES[:3], (0, 0, NAN)])),
     ("a node at infinity", ValueError, r"nodes\[0, 1\]", lambda: build(nodes=[(0, -INF, 0), *NODES[1:]])),
     ("a node too far to square", ValueError, r"nodes\[0, 0\]", lambda: build(nodes=[(1e200, 0, 0), *NODES[1:]])),
+    ("nodes that NumPy cannot read", TypeError, "nodes", lambda: build(nodes=Broken())),
+    ("nodes sparse", TypeError, "nodes", lambda: build(nodes=csr_array(np.array(NODES)))),
+    ("nodes under a mask", ValueError, "nodes has masked entries", lambda: build(nodes=np.ma.array(NODES, mask=np.eye(4, 3)))),
     # members
     ("bars a number", TypeError, "bars", lambda: build(bars=3)),
     ("bars None", TypeError, "bars", lambda: build(bars=None)),
@@ -71,6 +82,8 @@ MISTAKES: list[tuple[str, type[Exception], str, Callable[[], Any]]] = [
     ("a string twice", ValueError, "strings: string 2", lambda: build(strings=[(0, 2), (1, 3), (0, 2)])),
     ("a bar without length", ValueError, "bars: bar 0", lambda: build(nodes=[(0, 0, 0), (0, 0, 0), (0, 1, 0), (0, 0, 1)])),
     ("a string as short as rounding", ValueError, "strings: string 0", lambda: build(nodes=[(0.3, 0, 0), (1, 0, 0), (0.1 + 0.2, 0, 0), (0, 0, 1)])),
+    ("bars sparse", TypeError, "bars", lambda: build(bars=coo_matrix(np.eye(2)))),
+    ("bars of CasADi", TypeError, "bars", lambda: build(bars=ca.DM.eye(2))),
     # their properties
     ("massless bar", ValueError, "bar_mass of bar 1", lambda: build(bar_mass=[1, 0])),
     ("negative bar mass", ValueError, "bar_mass of bar 0", lambda: build(bar_mass=-1.0)),
@@ -94,6 +107,8 @@ MISTAKES: list[tuple[str, type[Exception], str, Callable[[], Any]]] = [
     ("rest lengths too many", ValueError, "rest_length", lambda: build(rest_length=[1, 1, 1])),
     ("negative string mass", ValueError, "string_mass of string 0", lambda: build(string_mass=-1)),
     ("unknown keyword", TypeError, "young", lambda: build(young=1.0)),
+    ("bar masses under a mask", ValueError, "bar_mass has masked entries", lambda: build(bar_mass=np.ma.array([1.0, 2.0], mask=[True, False]))),
+    ("bar mass that NumPy cannot read", TypeError, "bar_mass", lambda: build(bar_mass=Broken())),
     # pins
     ("pinned a number", TypeError, "pinned", lambda: build(pinned=0)),
     ("pinned out of range", ValueError, "pinned", lambda: build(pinned=[4])),
@@ -103,6 +118,7 @@ MISTAKES: list[tuple[str, type[Exception], str, Callable[[], Any]]] = [
     ("pinned along nothing", ValueError, "pinned of node 0", lambda: build(pinned={0: ""})),
     ("pinned twice along x", ValueError, "pinned of node 0", lambda: build(pinned={0: "xx"})),
     ("pinned by a flag", TypeError, "pinned of node 0", lambda: build(pinned={0: True})),
+    ("pinned sparse", TypeError, "pinned", lambda: build(pinned=coo_matrix(np.eye(2)))),
     # what it can do
     ("replace by an unknown keyword", TypeError, "colour", lambda: build().replace(colour="red")),
     ("replace by a wrong value", ValueError, "stiffness", lambda: build().replace(stiffness=-1)),
@@ -115,6 +131,14 @@ MISTAKES: list[tuple[str, type[Exception], str, Callable[[], Any]]] = [
     ("segments of three strings", ValueError, "segments", lambda: build().subdivide([1, 2, 3])),
     ("segments of one string wrong", ValueError, r"segments\[1\]", lambda: build().subdivide([1, -2])),
     ("segments without mass", ValueError, "string_mass of string 0", lambda: build().subdivide(2)),
+    ("segments of an array without dimension", TypeError, "segments", lambda: build().subdivide(np.array(3))),
+    ("segments sparse", TypeError, "segments", lambda: build().subdivide(csr_array(np.ones((1, 2))))),  # type: ignore[arg-type]
+    ("segments beyond memory", ValueError, "segments", lambda: build().subdivide(10**400)),
+    ("ends of an array", ValueError, "ends", lambda: build().subdivide(1, ends=np.array([]))),  # type: ignore[arg-type]
+    ("a flag that is none", TypeError, "sparse", lambda: build().class_one(sparse=ca.MX.sym("x"))),
+    ("values text", TypeError, "values", lambda: build().parent_mean("x")),
+    ("values beyond floats", TypeError, "values", lambda: build().parent_mean(10**400)),
+    ("values of other strings", ValueError, "values", lambda: build().parent_mean([1.0])),
     ("ends unknown", ValueError, "ends", lambda: build(string_mass=1.0).subdivide(2, ends="middle")),
     ("fractions that miss the end", ValueError, "fractions", lambda: build(string_mass=1.0).subdivide(2, fractions=[0.5, 0.4])),
     ("fractions too many", ValueError, "fractions", lambda: build(string_mass=1.0).subdivide(2, fractions=[0.5, 0.25, 0.25])),
@@ -143,6 +167,8 @@ MISTAKES: list[tuple[str, type[Exception], str, Callable[[], Any]]] = [
     # shapes
     ("prism of two bars", ValueError, "bars", lambda: shapes.prism(2)),
     ("prism of three and a half bars", TypeError, "bars", lambda: shapes.prism(3.5)),  # type: ignore[arg-type]
+    ("prism beyond memory", ValueError, "bars", lambda: shapes.prism(10**400)),
+    ("membrane beyond memory", ValueError, "q", lambda: shapes.membrane(q=10**400)),
     ("prism without radius", ValueError, "radius", lambda: shapes.prism(radius=0.0)),
     ("prism upside down", ValueError, "height", lambda: shapes.prism(height=-1.0)),
     ("prism twisted by nothing", ValueError, "twist", lambda: shapes.prism(twist=NAN)),
@@ -159,6 +185,8 @@ MISTAKES: list[tuple[str, type[Exception], str, Callable[[], Any]]] = [
     ("membrane of one ring", ValueError, "q", lambda: shapes.membrane(q=1)),
     ("membrane without mass", ValueError, "node_mass", lambda: shapes.membrane(node_mass=0.0)),
     # statics
+    ("self-stress of nothing", TypeError, "structure", lambda: self_stress(None)),  # type: ignore[arg-type]
+    ("equilibrium of nothing", TypeError, "structure", lambda: equilibrium_force_density("x")),  # type: ignore[arg-type]
     ("loads of some nodes", ValueError, "loads", lambda: equilibrium_force_density(build(), loads=np.zeros((2, 3)))),
     ("loads not numbers", ValueError, "loads", lambda: equilibrium_force_density(build(), loads=np.full((4, 3), NAN))),
     ("pushing strings", ValueError, "minimum of string 0", lambda: equilibrium_force_density(build(), minimum=-1.0)),
