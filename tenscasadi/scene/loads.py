@@ -9,8 +9,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.time_functions import check_over_run, express
+from tenscasadi.scene.time_functions import check_over_run, express, find_breaks
 from tenscasadi.util.validate import Array, Indices, finite_array, node_index, number, positive_number
+
+_ROUNDINGS = 4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
 
 
 @dataclass(frozen=True)
@@ -273,7 +275,10 @@ class NodalForce:
     values : array_like, shape (n, 3) or (K, n, 3), or callable
         Forces, N; a function of the time t, s, that returns them; or a table of them at `times`.
     times : array_like, shape (K,), optional
-        Increasing times of a table, s.
+        Increasing times of a table, s. Steps of a simulation end there.
+    breaks : array_like, shape (B,), optional
+        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s. Steps of a simulation end there, and where
+        comparisons, signs and roundings switch, which are found without being given.
 
     Examples
     --------
@@ -286,8 +291,12 @@ class NodalForce:
 
     values: Any
     times: Any = None
+    breaks: Any = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "breaks", finite_array("NodalForce.breaks", self.breaks, (None,)))
+        if len(self.breaks) and not callable(self.values):
+            raise ValueError(f"NodalForce.breaks is {self.breaks}: give breaks of a function of time alone, a table has its times")
         if self.times is not None:
             times = finite_array("NodalForce.times", self.times, (None,))
             if len(times) < 2 or np.any(np.diff(times) <= 0):
@@ -351,6 +360,29 @@ class NodalForce:
         """
         if callable(self.values):
             check_over_run("NodalForce.values", self.values, _trace(self.forces), first, last)
+
+    def find_breaks(self, first: float, last: float, steps: int) -> Array:
+        """Return the times at which steps have to end: those of a table, or just before and just after each jump or kink of a function.
+
+        Parameters
+        ----------
+        first, last : float
+            Times at which the run begins and ends, s.
+        steps : int
+            Number of steps of the run: the clock is the sum of them, and off by their rounding.
+
+        Returns
+        -------
+        ndarray
+            Times, s, in order.
+        """
+        if self.times is not None:
+            return np.asarray(self.times)
+        if not callable(self.values):
+            return np.empty(0)
+        around = _ROUNDINGS * (steps + 1) * float(np.spacing(max(abs(first), abs(last))))
+        jumps = np.concatenate([self.breaks, find_breaks(_trace(self.forces), first, last)])
+        return np.unique(np.concatenate([jumps - around, jumps + around]))
 
 
 def _trace(function: Any) -> ca.Function:

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array
 
+_SAME = 1e-9  # of a step: as close as this to its end is there
+
 ControlInput = ArrayLike | Callable[[float], ArrayLike] | None
 
 
@@ -100,6 +102,27 @@ def sample_control(control: ControlInput | ControlProfile, default: Array, t_end
             return SampledControl(steps, t_end, True, lambda first, count: table[np.arange(first, first + count) * intervals // steps])
         value = table.reshape(-1)
     return SampledControl(steps, t_end, False, lambda first, count: np.broadcast_to(value, (count, nu)))
+
+
+def cut_steps(inputs: SampledControl, breaks: Array) -> SampledControl:
+    """Cut the steps at `breaks`, s after the start; the control of a step is held in its parts. Ends that are there within rounding stay."""
+    inside = breaks[(breaks > 0) & (breaks < inputs.t_end)]
+    if not len(inside):
+        return inputs
+    ends = inputs.times(np.arange(inputs.steps + 1))
+    place = np.clip(np.searchsorted(ends, inside), 1, inputs.steps)
+    away = np.minimum(abs(inside - ends[place]), abs(inside - ends[place - 1]))
+    inside = inside[away > np.maximum(_SAME * (ends[place] - ends[place - 1]), 4 * np.spacing(inputs.t_end))]
+    if not len(inside):
+        return inputs
+    cut = np.union1d(ends, inside)
+    owner = np.searchsorted(ends, cut[:-1], side="right") - 1
+
+    def sample(first: int, count: int) -> Array:
+        owners = owner[first : first + count]
+        return inputs.sample(int(owners[0]), int(owners[-1] - owners[0]) + 1)[owners - owners[0]] if len(owners) else inputs.sample(0, 0)
+
+    return SampledControl(len(owner), inputs.t_end, inputs.varies, sample, cut)
 
 
 def _sample_profile(profile: ControlProfile, nu: int, t_end: float, longest: float, positive: bool) -> SampledControl:

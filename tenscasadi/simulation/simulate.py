@@ -17,7 +17,7 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.scene.supports import SupportMotion
-from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, sample_control
+from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, cut_steps, sample_control
 from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
 from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
 from tenscasadi.simulation.trajectory import Trajectory, first_rows, observe_states, record_trajectory
@@ -53,7 +53,8 @@ def simulate(
     t_end : float
         End of the run, s.
     step : float, optional
-        Largest step, s. The run takes equal steps, the fewest that end exactly at `t_end`. Schemes that control their error take any number
+        Largest step, s. The run takes equal steps, the fewest that end exactly at `t_end`; they are cut where a table of forces over time has
+        its times and where a force that is a function of time jumps, see `NodalForce`. Schemes that control their error take any number
         of steps of their own within each of these. Default: 1 ms, or a hundredth of `t_end` for schemes that control their error.
     scheme : Scheme, optional
         Integration scheme, such as `RungeKutta4` (default), `Rattle`, `DormandPrince853` or `Cvodes`.
@@ -157,7 +158,10 @@ def _lay_grid(model: Model, start: Array, t_end: float, step: float | None, sche
     for load in (model.scene.forces, model.scene.supports):
         if load is not None:
             _check_functions(load, float(start[-1]), float(start[-1]) + end)
-    return sample_control(control, model.initial_control, end, n_steps, isinstance(model.scene.control, RestLength))
+    inputs = sample_control(control, model.initial_control, end, n_steps, isinstance(model.scene.control, RestLength))
+    if model.scene.forces is None or not model.scene.forces.varies:
+        return inputs
+    return cut_steps(inputs, model.scene.forces.find_breaks(float(start[-1]), float(start[-1]) + end, n_steps) - start[-1])
 
 
 @lru_cache(maxsize=32)  # many runs of one scene look once
@@ -221,7 +225,7 @@ def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, e
             tqdm(total=inputs.steps, unit=" steps", unit_scale=True, disable=not progress) as bar,
         ):
             for first in range(0, inputs.steps, stepper.steps):
-                if inputs.varies or first == 0:
+                if inputs.varies or inputs.ends is not None or first == 0:
                     u = np.concatenate([u[-1:], inputs.window(first + 1, stepper.steps)])
                     stepper.hold(u, inputs.lengths(first, stepper.steps))
                 taken = min(stepper.steps, inputs.steps - first)

@@ -15,7 +15,7 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
-from tenscasadi.simulation.control_input import ControlProfile, sample_control
+from tenscasadi.simulation.control_input import ControlProfile, cut_steps, sample_control
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
 
@@ -136,3 +136,14 @@ def test_rest_lengths_must_be_greater_than_0() -> None:
     for named, control in forms.items():
         with pytest.raises(ValueError, match=named + ".* rest lengths .RestLength. must be greater than 0"):
             simulate(model, 1.0, 0.01, control=control, compiled=False)
+
+
+def test_cut_steps_hold_the_control_of_their_step():
+    values = np.arange(4.0)[:, None]
+    equal = sample_control(values, np.zeros(1), 0.4, 4)
+    assert cut_steps(equal, np.array([-1.0, 0.0, 0.1, 0.3 + 1e-12, 0.4, 2.0])) is equal
+    cut = cut_steps(equal, np.array([0.15, 0.17, 0.35]))
+    assert cut.times(np.arange(8)) == pytest.approx([0, 0.1, 0.15, 0.17, 0.2, 0.3, 0.35, 0.4])
+    assert cut.window(0, 9).ravel().tolist() == [0, 1, 1, 1, 2, 3, 3, 3, 3]
+    assert cut.window(3, 2).ravel().tolist() == [1, 2]
+    assert cut.window(7, 2).ravel().tolist() == [3, 3]
