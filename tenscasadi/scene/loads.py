@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.time_functions import check_over_run, express, find_breaks
+from tenscasadi.scene.time_functions import check_over_run, express, find_breaks, interpolate, trace
 from tenscasadi.util.validate import Array, Indices, finite_array, node_index, number, positive_number
 
 _ROUNDINGS = 4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
@@ -345,7 +345,7 @@ class NodalForce:
             W, N.
         """
         if self.times is not None:
-            return _interpolated(time, self.times, self.values)
+            return interpolate(time, self.times, self.values)
         if not callable(self.values):
             return ca.DM(self.values.T)
         return express("NodalForce.values", self.values, time).T
@@ -359,7 +359,7 @@ class NodalForce:
             Times at which the run begins and ends, s.
         """
         if callable(self.values):
-            check_over_run("NodalForce.values", self.values, _trace(self.forces), first, last)
+            check_over_run("NodalForce.values", self.values, trace(self.forces), first, last)
 
     def find_breaks(self, first: float, last: float, steps: int) -> Array:
         """Return the times at which steps have to end: those of a table, or just before and just after each jump or kink of a function.
@@ -381,22 +381,5 @@ class NodalForce:
         if not callable(self.values):
             return np.empty(0)
         around = _ROUNDINGS * (steps + 1) * float(np.spacing(max(abs(first), abs(last))))
-        jumps = np.concatenate([self.breaks, find_breaks(_trace(self.forces), first, last)])
+        jumps = np.concatenate([self.breaks, find_breaks(trace(self.forces), first, last)])
         return np.unique(np.concatenate([jumps - around, jumps + around]))
-
-
-def _trace(function: Any) -> ca.Function:
-    """Return the Function t -> what `function` makes of a CasADi time."""
-    t = ca.MX.sym("t")
-    return ca.Function("traced", [t], [ca.densify(ca.MX(function(t)))])
-
-
-def _interpolated(time: Any, times: Array, table: Array) -> Any:
-    """Piecewise linear W (3×n) from a table (K, n, 3), held constant outside its times: nodes without force cost nothing."""
-    t = ca.SX.sym("t")  # pw_lin knows no MX
-    inside = ca.fmin(ca.fmax(t, times[0]), times[-1])
-    rows = []
-    for node in range(table.shape[1]):
-        moving = [ca.pw_lin(inside, ca.DM(times), ca.DM(table[:, node, axis])) if table[:, node, axis].any() else 0 for axis in range(3)]
-        rows.append(ca.vertcat(*moving))
-    return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*rows)))])(time)

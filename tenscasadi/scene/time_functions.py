@@ -105,3 +105,20 @@ def check_over_run(field: str, function: Callable[[Any], Any], traced: ca.Functi
         value = traced.call([time])[0].full().T.ravel()
         if number.shape == value.shape and not np.allclose(number, value, rtol=1e-6, atol=1e-9 * max(1.0, abs(number).max(initial=0.0))):
             raise ValueError(f"{field} is {number} for the number t = {time:g} and {value} for a CasADi time: give the same at each call; {CURE}")
+
+
+def trace(function: Any) -> ca.Function:
+    """Return the Function t -> what `function` makes of a CasADi time."""
+    t = ca.MX.sym("t")
+    return ca.Function("traced", [t], [ca.densify(ca.MX(function(t)))])
+
+
+def interpolate(time: Any, times: Array, table: Array) -> Any:
+    """Piecewise linear W (3×n) from a table (K, n, 3), held constant outside its times: nodes without force cost nothing."""
+    t = ca.SX.sym("t")  # pw_lin knows no MX
+    inside = ca.fmin(ca.fmax(t, times[0]), times[-1])
+    rows = []
+    for node in range(table.shape[1]):
+        moving = [ca.pw_lin(inside, ca.DM(times), ca.DM(table[:, node, axis])) if table[:, node, axis].any() else 0 for axis in range(3)]
+        rows.append(ca.vertcat(*moving))
+    return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*rows)))])(time)
