@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
 from tenscasadi.dynamics.model import Model
@@ -14,7 +15,11 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stability_limit
 from tenscasadi.util.validate import finite_array, instance, positive_number
 
-_DENSE = 400  # states up to which all eigenvalues are computed
+DENSE = 400  # states up to which all eigenvalues are computed
+_PROBES = 4  # products with the Jacobian of a large model that give a first idea of its fastest rate
+_PROBED = 3.0  # factor on that idea, which is too low
+_ROUNDED = 1e-9  # growth of a mode in a step that may be rounding
+_HALF_DISC = np.append(1j * np.linspace(0, 1, 101), np.exp(1j * np.linspace(np.pi / 2, np.pi, 100)))  # edge of its upper half
 
 
 def fastest_rate(model: Model, x: Any = None, u: Any = None) -> float:
@@ -78,6 +83,54 @@ def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = Run
     return limit
 
 
+def log_growth(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignored: float) -> float:
+    """Compute log |R| of the mode of the motion linearised at a state that one step, s, of a scheme amplifies most; 0 where none grows.
+
+    Growth of the motion itself is none of the scheme. What a bound on the rates leaves below `ignored` is returned as 0.
+    """
+    if _largest_log(scheme, step * _rate_bound(model, x, u) * _HALF_DISC) <= ignored:  # R is analytic: it is largest on the edge
+        return 0.0
+    rates = _rates(model, x, u)
+    return _largest_log(scheme, step * np.where(rates.real > 0, 1j * np.abs(rates), rates))
+
+
+def _largest_log(scheme: Scheme, z: NDArray[Any]) -> float:
+    with np.errstate(all="ignore"):
+        largest = float(np.abs(scheme.amplification(z)).max(initial=1.0))
+    return float(np.log(largest)) if largest > 1 + _ROUNDED else 0.0  # NaN: not known
+
+
+def _rate_bound(model: Model, x: Any, u: Any) -> float:
+    """Return a bound on ω_max, rad/s, that costs little: from λ² q = (λ C + K) q; for large models an estimate that is rather too high."""
+    if model.nx > DENSE:
+        along, v, size = _linearisation(model), np.random.default_rng(0).normal(size=model.nx), 1.0
+        sizes = []
+        for _ in range(_PROBES):
+            v = along(x, u, v / size if size else v).full().ravel()
+            size = float(np.linalg.norm(v))
+            sizes.append(size)
+        pairs = np.sqrt(np.multiply(sizes[1:], sizes[:-1]))  # positions and velocities by turns
+        return _PROBED * float(pairs[-1])
+    jacobian, n = _linearisation(model)(x, u).full(), model.nq
+    K, C = (
+        min(abs(block).sum(axis=0).max(initial=0.0), abs(block).sum(axis=1).max(initial=0.0))
+        for block in (jacobian[n : 2 * n, :n], jacobian[n : 2 * n, n : 2 * n])
+    )
+    return float(C + np.sqrt(C * C + 4 * K)) / 2
+
+
+def _linearisation(model: Model) -> ca.Function:
+    """Return (x, u) -> ∂ode/∂x, or its product with a vector, (x, u, v) -> ∂ode/∂x v, where the model is large."""
+    key = ("linearisation",)
+    if key not in model.functions:
+        X, U, V = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("v", model.nx)
+        if model.nx > DENSE:
+            model.functions[key] = ca.Function("along", [X, U, V], [ca.jtimes(model.ode(X, U), X, V)])
+        else:
+            model.functions[key] = ca.Function("jacobian", [X, U], [ca.jacobian(model.ode(X, U), X)])
+    return model.functions[key]
+
+
 def step_limit(scheme: Scheme, rates: Complex) -> float:
     """Return the largest step, s, at which `scheme` is stable for these eigenvalues; infinite when nothing limits it, NaN when one is not finite."""
     if not np.all(np.isfinite(rates)):
@@ -94,10 +147,8 @@ def _rates(model: Model, x: Any, u: Any) -> Complex:
     control = ca.DM(model.initial_control if u is None else finite_array("u", u, (model.nu,)))
     if model.nx == 0:
         return np.zeros(0, dtype=complex)
-    if model.nx <= _DENSE:
-        X, U = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
-        jacobian = ca.Function("jacobian", [X, U], [ca.jacobian(model.ode(X, U), X)])(state, control).full()
-        return _eigenvalues(jacobian)
+    if model.nx <= DENSE:
+        return _eigenvalues(_linearisation(model)(state, control).full())
     return _largest_eigenvalues(model, state, control)
 
 
@@ -108,8 +159,7 @@ def _eigenvalues(matrix: Any) -> Complex:
 
 
 def _largest_eigenvalues(model: Model, state: ca.DM, control: ca.DM) -> Complex:
-    X, U, V = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("v", model.nx)
-    along = ca.Function("along", [X, U, V], [ca.jtimes(model.ode(X, U), X, V)])
+    along = _linearisation(model)
     start = np.random.default_rng(0).normal(size=model.nx)  # fixed: the same answer every time
     if not np.all(np.isfinite(along(state, control, start).full())):
         return np.array([complex(np.nan)])
@@ -123,5 +173,6 @@ def _largest_eigenvalues(model: Model, state: ca.DM, control: ca.DM) -> Complex:
     if len(found):
         return np.asarray(found, dtype=complex)
     # Undamped motion has |eigenvalue|² at most ‖A²‖: a bound, on the safe side.
+    X, U = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
     jacobian = ca.Function("jacobian", [X, U], [ca.jacobian(model.ode(X, U), X)])(state, control).sparse()
     return np.array([1j * np.sqrt(abs(jacobian @ jacobian).sum(axis=1).max())])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
 from tenscasadi.integrators.scheme import Scheme, extent
-from tenscasadi.integrators.stability import fastest_rate, stable_step
+from tenscasadi.integrators.stability import DENSE, fastest_rate, log_growth, stable_step
+from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.validate import Array
@@ -19,6 +21,9 @@ _LOST_ENERGY = 0.05  # share of the energy that moves at which the message speak
 _ROUNDING = {False: 1e-9, True: 1e-5}  # of the energies, what a run may lose by rounding, in double and in single precision
 _OFF = 1e-6  # of lengths and speeds: what a start may be off its bars and joints by without a word
 _WRONG_START = 0.2  # of lengths and speeds: a start that is off by more is another structure's
+_SPOKEN_GROWTH = float(np.log(1.5))  # of a mode that the steps should not amplify: what the message speaks of
+_LOST_GROWTH = float(np.log(10.0))  # and what takes the trust out of the run
+_MOST_LOOKS = 8  # sets of taut strings at which a run is linearised
 _EPSILON = 64 * float(np.finfo(float).eps)  # of the largest entry of a state: what rounding may change differences of entries by
 
 
@@ -70,6 +75,7 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
     x, u = run.states[0], run.control[0]
     if off := off_constraints(model, x, _OFF):
         return f"; the start is {off}", constraint_violation(model, x) <= _WRONG_START
+    growth, limit, when = _find_growth(model, scheme, run)
     drift = float(run.bar_length_error.max())
     found = [f"bars are off by up to {drift:.2g} of their length (correction=Projection() holds them)"] if drift > _DRIFTED_BARS else []
     parts = run.energy_parts
@@ -78,7 +84,64 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
     largest = float(np.abs(run.energy_error).max())
     if largest > max(_LOST_ENERGY * scale, rounding):  # not for NaN: not known
         found.append(f"energy is off by {largest:.2g} J where {scale:.2g} J move")
+    if growth > _SPOKEN_GROWTH:
+        cure = f"try step={0.9 * limit:.2g}"
+        text = f"the step {run.step:g} s is above the stability limit {limit:.3g} s of {type(scheme).__name__} at t = {when:g} s: {cure}"
+        told = "".join(f"; {part}" for part in found) + f": the step is above the stability limit, {cure}" if found else f"; {text}"
+        return told, growth <= _LOST_GROWTH
     return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run.step, x, u)}" if found else ""), True
+
+
+def _find_growth(model: Model, scheme: Scheme, run: Trajectory) -> tuple[float, float, float]:
+    """Find by how much the steps of a run amplified a mode that they should not: its log, the stability limit, s, and a time, s, of it."""
+    if scheme.adaptive or scheme.implicit or not model.nx:
+        return 0.0, np.inf, 0.0
+    steps = max(1.0, float(run.time[-1]) / run.step)
+    total, worst = 0.0, (0.0, run.states[0], 0)
+    for states, share, rows in _looks(model, run):
+        logs = [log_growth(model, scheme, run.step, x, run.control[row], _SPOKEN_GROWTH / steps) for x, row in zip(states, rows, strict=True)]
+        k = int(np.argmax(logs))
+        total += logs[k] * max(1.0, share * steps)
+        worst = max(worst, (logs[k], states[k], rows[k]), key=lambda item: item[0])
+    if total <= _SPOKEN_GROWTH:
+        return total, np.inf, 0.0
+    return total, stable_step(model, worst[1], run.control[worst[2]], scheme, safety=1.0), float(run.time[worst[2]])
+
+
+def _looks(model: Model, run: Trajectory) -> list[tuple[list[Array], float, list[int]]]:
+    """Choose where to linearise: states, the share of the run that they stand for, and their rows.
+
+    One group for each set of taut strings, the stiffest and most damped first, with the start, the end and the largest force density in
+    theirs. A string may be taut within a step alone, and be thrown slack by it: so also the states that the velocities lead to in a step.
+    """
+    ahead = run.states.copy()
+    q, v, _ = model.split(ahead)
+    q += run.step * v
+    taut = np.vstack([run.tension > 0, _stretched(model, run, ahead)])
+    count, last = len(run.time), len(run.time) - 1
+    _, first, kind = np.unique(np.packbits(taut, axis=1), axis=0, return_index=True, return_inverse=True)
+    kind = kind.ravel()
+    s = model.structure
+    danger = taut[first] @ sum(part / (part.max(initial=0.0) or 1.0) for part in (s.stiffness, s.damping))
+    chosen = set(np.argsort(-danger, kind="stable")[: _MOST_LOOKS if model.nx <= DENSE else 1].tolist()) | {int(kind[0]), int(kind[last])}
+    strongest = int(run.force_density.max(axis=1, initial=0.0).argmax())
+    groups = []
+    for k in sorted(chosen):
+        where = dict.fromkeys([int(first[k]), *(row for row in (0, last, strongest) if kind[row] == k)])
+        own = int(np.count_nonzero(kind[:count] == k))  # 0: taut within steps only
+        states = [run.states[i] if i < count else ahead[i - count] for i in where]
+        groups.append((states, own / count if own else 0.0, [i % count for i in where]))
+    return groups
+
+
+def _stretched(model: Model, run: Trajectory, states: Array) -> NDArray[np.bool_]:
+    """Tell which strings (T, α) are longer than at rest at states (T, nx) under the controls of a run."""
+    s, scene = model.structure, model.scene
+    if isinstance(scene.control, ForceDensity):
+        return run.tension > 0
+    rest = run.control[:, s.string_parent] * s.string_fraction if isinstance(scene.control, RestLength) else s.rest_length
+    ends = model.nodes(states)
+    return np.asarray(np.linalg.norm(ends[:, s.strings[:, 1]] - ends[:, s.strings[:, 0]], axis=2) > rest)
 
 
 def _finer(model: Model, scheme: Scheme, step: float, x: Array, u: Array) -> str:

@@ -82,6 +82,8 @@ def simulate(
     Trajectory
         The motion at the kept times, with its errors. A run that diverges (the state is not finite, a bar is off by 10 % of its length),
         that its scheme gives up or that is interrupted from the keyboard ends early: `success` is False, and `message` says why.
+        So it is for a run that reached its end but cannot be trusted: its start is off the bars and joints by more than a fifth of their
+        lengths and speeds, or its steps are above the stability limit for long enough to make a vibration grow tenfold.
 
     Raises
     ------

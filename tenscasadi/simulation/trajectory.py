@@ -62,7 +62,8 @@ class Trajectory:
     pinned : ndarray of int
         Nodes that are pinned.
     success : bool
-        Whether the run reached its end.
+        Whether the run reached its end, and can be trusted: False, too, where its start was far off its bars and joints, or where
+        its steps, above the stability limit, made vibrations grow.
     message : str
         How the run ended, and which of its results are not to be trusted.
     step : float

@@ -9,7 +9,8 @@ from runs import moving, prism
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.integrators.runge_kutta import DormandPrince54
+from tenscasadi.integrators.rattle import Rattle
+from tenscasadi.integrators.runge_kutta import DormandPrince54, RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import Projection, projection
 from tenscasadi.integrators.sundials import Cvodes
@@ -18,6 +19,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
+from tenscasadi.structure.structure import Structure
 
 G = 9.81
 
@@ -69,7 +71,8 @@ def test_a_step_above_the_stability_limit_is_told_before_the_run_breaks_down() -
     limit = stable_step(model, safety=1.0)
     shaken = projection(model)(model.state(model.structure.nodes, 1e-3 * np.sin(np.arange(18)).reshape(6, 3)))
     run = simulate(model, 0.2, 1.1 * limit, state=shaken, compiled=False)
-    assert run.success
+    assert not run.success
+    assert run.message.startswith("finished")
     suggested = re.search(r"J move: the step is above the stability limit, try step=(\S+)$", run.message)
     assert suggested
     assert 0.8 * limit < float(suggested[1]) < limit
@@ -117,3 +120,40 @@ def test_a_start_off_its_bars_is_told_wherever_it_is_and_however_fast_it_flies()
                 assert "; the start is off the lengths of its bars" in run.message
             stretching = simulate(model, 0.01, state=model.state(nodes + origin, 1e-4 * nodes + flight), compiled=False)
             assert "; the start is off the lengths of its bars" in stretching.message
+
+
+def _pair(damping: float, length: float = 1.1, stiffness: float = 1e3) -> Model:
+    """Two masses of 1 kg on a string of 1 m at rest."""
+    ends = [(0, 0, 0), (length, 0, 0)]
+    return Model(Scene(Structure(ends, strings=[(0, 1)], node_mass=1.0, stiffness=stiffness, damping=damping, rest_length=1.0)))
+
+
+def test_steps_above_the_limit_of_damped_strings_are_no_success() -> None:
+    """Slack bounds what the steps blow up: the run ends, far from the motion."""
+    for damping in (300.0, 1e3, 1e5):
+        model = _pair(damping)
+        run = simulate(model, 1.0, 0.01, compiled=False)
+        assert not run.success
+        assert "; the step 0.01 s is above the stability limit" in run.message
+        fine = simulate(model, 0.01, 0.9 * stable_step(model), compiled=False, save_every=10**6)
+        assert fine.success
+        assert "stability" not in fine.message
+
+
+def test_steps_above_the_limit_are_told_where_a_string_goes_taut_later_on() -> None:
+    """Also one that is taut within a step alone, and slack at all kept rows."""
+    model = _pair(1e5, length=0.9)
+    parting = model.state(model.structure.nodes, [[-0.57, 0, 0], [0.57, 0, 0]])
+    run = simulate(model, 1.0, 0.01, state=parting, compiled=False)
+    assert not run.success
+    assert "; the step 0.01 s is above the stability limit" in run.message
+    assert simulate(model, 0.05, 0.01, state=parting, compiled=False).message == "finished 5 steps of 0.01 s"
+
+
+def test_steps_of_sound_runs_are_not_spoken_of() -> None:
+    model = _pair(0.0)
+    limit = stable_step(model, safety=1.0)
+    for scheme in (RungeKutta4(), Rattle(), Collocation(2), DormandPrince54()):
+        assert "stability" not in simulate(model, 1.0, 0.05 * limit, scheme, compiled=False).message
+    assert "stability" not in simulate(model, 5.0, 0.98 * limit, compiled=False).message
+    assert "stability" not in simulate(_pair(1e5), 0.1, 0.01, Collocation(2, "radau"), compiled=False).message
