@@ -24,6 +24,7 @@ from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.control_input import ControlInput
+from tenscasadi.simulation.time_loop import block_steps
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, CompileError, Single
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
@@ -33,6 +34,7 @@ _MARGIN = 0.7  # of the tolerance that the measured error may take, with that of
 _CLOSE = 1.15  # the step found is this close to the largest that serves
 _TRIES = 40  # runs to find one step
 _REPEATS = 3  # timed runs
+_MANY = 2048  # equal steps beyond which one is timed, and not the whole run
 
 _SHORT = 2e7  # instructions that the virtual machine is through with before they are compiled
 _OVERHEAD = 2.0  # of a step with control of its error: the error, the search for events
@@ -151,7 +153,8 @@ def recommend(
 
     Notes
     -----
-    Costs are instructions times steps, so the answer does not depend on what else the machine does. Implicit schemes are looked at where
+    Costs are instructions times steps, so the answer does not depend on what else the machine does. Machine code computes equal steps
+    in blocks of up to 32, which count whole. Implicit schemes are looked at where
     stability, not accuracy, bounds the steps of the best explicit one; how often they iterate is not known, so the clock decides.
 
     Examples
@@ -290,7 +293,7 @@ class _Choice:
 
     def time_loop(self) -> float:
         """Measure the time loop, s."""
-        if not self.case.even:
+        if not self.case.even or self.steps <= _MANY:
             return min(self.case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS))
         return self.case.seconds_per_step(self.step, _REPEATS) * self.steps
 
@@ -307,7 +310,8 @@ def _measure(case: Case, step: float, price: _Price, goal: _Goal, uncompiled: bo
     seconds = first.seconds
     if price.second and error <= goal.wanted:
         seconds = min(seconds, *(run().seconds for _ in range(_REPEATS - 1)))
-    cost = price.step * first.attempts + price.second * seconds
+    block = _count_block(case)
+    cost = price.step * block * -(-first.attempts // block) + price.second * seconds
     return _Choice(case, step, first.attempts, error, first.states[-1], cost, first.seconds)
 
 
@@ -338,13 +342,12 @@ def _find_loosest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choic
 
 def _find_fewest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice | None:
     """Find about the fewest equal steps whose error is at most `wanted`; None when that costs `most` or more."""
-    wanted, limit = goal.wanted, most / price.step if price.step else np.inf
-    steps = _count_coarsest(case)  # from there on downwards
-    if np.isfinite(limit):
-        steps = min(steps, max(1, int(limit) - 1))
+    wanted, block = goal.wanted, _count_block(case)
+    limit = block * (np.ceil(most / price.step / block) - 1) if price.step else np.inf  # the last whole block that costs less
+    steps = int(max(1, min(_count_coarsest(case), limit)))  # from there on downwards
     low, best, each = 0, None, price.step / _PACE
     for _ in range(_TRIES):
-        if steps >= limit:
+        if steps > limit:
             return None
         goal.check_time(each * steps, best)
         now = _measure(case, case.t_end / steps, price, goal, steps * price.step < _SHORT)
@@ -365,6 +368,13 @@ def _find_fewest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice
             middle = int(np.sqrt(low * best.steps)) if low else best.steps // 2
             steps = min(max(middle, low + 1), best.steps - 1)
     return best
+
+
+def _count_block(case: Case) -> int:
+    """Count the equal steps that are computed together; 1 where each stands alone."""
+    if not case.even or case.compiled is False:
+        return 1
+    return block_steps(case.model, 1 if case.correction is None else case.correction.every)
 
 
 def _count_coarsest(case: Case, state: Array | None = None) -> int:

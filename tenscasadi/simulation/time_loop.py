@@ -22,6 +22,11 @@ def chunk_steps(model: Model, every: int) -> int:
     return int(every * max(1, steps // every))
 
 
+def block_steps(model: Model, every: int) -> int:
+    """Count the steps of a block of the compiled loop: a run that ends inside one computes the whole of it."""
+    return every * min(_BASE, chunk_steps(model, every) // every)
+
+
 def chunk_function(model: Model, scheme: Scheme, correction: Correction | None, power: bool, jumps: bool, steps: int) -> ca.Function:
     """Chain `steps` steps: Function "chunk" (z, h (1, steps), u (nu, steps)[, u_next (nu, steps)]) -> z after each step (nz, steps).
 
