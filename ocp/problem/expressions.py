@@ -98,7 +98,7 @@ class Constraint(PathBound):
         value = getattr(self, field)
         if value is None:
             return np.full(count, missing)
-        array = np.asarray(value, dtype=float)
+        array = number_or_vector(f"Constraint {self.name!r}: {field}", value)
         if array.ndim and len(array) != count:
             raise ValueError(f"Constraint {self.name!r}: {field} has {len(array)} entries and the expression {count}: give one number or {count}")
         return np.broadcast_to(array, (count,)).copy()

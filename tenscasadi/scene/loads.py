@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.time_functions import check_over_run, express, find_breaks, interpolate, trace
-from tenscasadi.util.validate import Array, Indices, finite_array, node_index, number, positive_number
+from tenscasadi.util.validate import Array, Indices, finite_array, listed, node_index, number, positive_number, whole_number
 
 _ROUNDINGS = 4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
 
@@ -221,11 +221,11 @@ class Pressure:
     difference: float
 
     def __post_init__(self) -> None:
-        try:
-            faces = tuple(tuple(face) for face in self.faces)
-        except TypeError:
-            raise TypeError(f"Pressure.faces is {self.faces!r}: give triangles of node indices, such as [(0, 1, 2)]") from None
+        given = listed("Pressure.faces", self.faces, "[(0, 1, 2)] of triangles of node indices")
+        faces = tuple(listed(f"Pressure.faces[{k}]", face, "(0, 1, 2), three node indices") for k, face in enumerate(given))
         for k, face in enumerate(faces):
+            for node in face:
+                whole_number(f"Pressure.faces[{k}]", node, -(2**31))
             if len(face) != 3 or len(set(face)) != 3:
                 raise ValueError(f"Pressure.faces[{k}] is {face}: give three different node indices")
         object.__setattr__(self, "faces", faces)

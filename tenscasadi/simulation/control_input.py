@@ -148,8 +148,8 @@ def _sample_profile(profile: ControlProfile, nu: int, t_end: float, longest: flo
 def _array(control: Any, nu: int) -> Array:
     try:
         shape = np.shape(control)
-    except ValueError:
-        shape = ()  # ragged: finite_array says so
+    except Exception:  # noqa: BLE001  what is no array, finite_array refuses by name
+        shape = ()
     if shape == (nu,):
         return finite_array("control", control, (nu,))
     if len(shape) == 2 and shape[0] > 0 and shape[1] == nu:
