@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.linalg import lstsq, null_space
 from scipy.optimize import nnls
-from scipy.sparse.linalg import splu, svds
 
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, instance, nonnegative, per_item
 
 TOLERANCE = 1e-9  # relative: singular values and unbalanced forces below it are rounding
-DENSE = 400  # members up to which self-stresses come from dense matrices
-SUSPECT = 1e-5  # relative: singular values below it are looked at closely, in sparse matrices
-SLACK = 1e-6  # relative: self-stresses are iterated with (AᵀA + SLACK² I)⁻¹
 
 
 class EquilibriumError(ValueError):
@@ -51,8 +44,7 @@ def self_stress(structure: Structure) -> Array:
     Notes
     -----
     N K = 0 at all free coordinates, with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58 and 60 at rest). Singular values below 1e-9 of the
-    largest one count as zero. Above 400 members the matrix stays sparse: the signs of its pivots tell how many self-stresses there are
-    at most, and inverse iteration finds them.
+    largest one count as zero.
 
     Examples
     --------
@@ -61,9 +53,7 @@ def self_stress(structure: Structure) -> Array:
     (1, 12)
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
-    balance = _sparse_balance(structure)
-    found = _sparse_null_space(balance) if balance.shape[1] > DENSE and balance.nnz else None
-    return np.asarray(null_space(balance.toarray(), rcond=TOLERANCE).T if found is None else found.T)
+    return np.asarray(null_space(_balance(structure), rcond=TOLERANCE).T)
 
 
 def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = None, minimum: ArrayLike = 1.0) -> Array:
@@ -129,49 +119,13 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
 
 def _balance(structure: Structure) -> Array:
     """Return N K of one unit of each force density: free coordinates × (α + β)."""
-    return np.asarray(_sparse_balance(structure).toarray())
-
-
-def _sparse_balance(structure: Structure) -> Any:
+    n = len(structure.nodes)
     columns = []
     for pairs, sign in ((structure.strings, 1.0), (structure.bars, -1.0)):
-        C = connectivity(pairs, len(structure.nodes))
+        C = connectivity(pairs, n).toarray()
         vectors = C @ structure.nodes
-        blocks = [sp.csr_array(sign * C.T @ sp.diags_array(vectors[:, axis])) for axis in range(3)]
-        columns.append(sum(sp.kron(block, np.eye(3)[:, [axis]]) for axis, block in enumerate(blocks)))
-    return sp.csr_array(sp.hstack(columns))[np.flatnonzero(~structure.fixed.ravel())]
-
-
-def _sparse_null_space(A: Any) -> Array | None:
-    """Return an orthonormal basis of null(A) (columns), or None where pivots without exchange do not do."""
-    rows, columns = A.shape
-    start = np.random.default_rng(0).normal(size=min(A.shape))  # fixed: the same answer every time
-    largest = float(svds(A, 1, v0=start, tol=1e-2, return_singular_vectors=False)[0])
-    A = A / largest
-    try:
-        # eigenvalues ±σ − τ, and −τ: by Sylvester's law of inertia as many positive pivots as there are σ > τ
-        pivots = _factorize(sp.block_array([[-SUSPECT * sp.eye_array(rows), A], [A.T, -SUSPECT * sp.eye_array(columns)]]))
-        matrix = sp.csc_array(sp.block_array([[SLACK * sp.eye_array(columns), A.T], [A, -SLACK * sp.eye_array(rows)]]))
-        factors = _factorize(matrix)
-    except RuntimeError:  # SciPy's word for a pivot that is zero
-        return None
-    if not np.array_equal(pivots.perm_r, pivots.perm_c):
-        return None
-    suspects = min(columns, columns - int((pivots.U.diagonal() > 0.0).sum()) + 8)  # some more, as pivots are rounded
-    basis = np.random.default_rng(1).normal(size=(columns, suspects))
-    for _ in range(4):  # each leaves (SLACK / σ)² of what is no self-stress
-        target = np.vstack([np.linalg.qr(basis)[0], np.zeros((rows, suspects))])
-        x = factors.solve(target)
-        basis = (x + factors.solve(target - matrix @ x))[:columns]
-    basis = np.linalg.qr(basis)[0]
-    _, size, right = np.linalg.svd(np.linalg.qr(A @ basis, mode="r"))
-    kept = np.append(size, np.zeros(suspects - len(size))) <= TOLERANCE
-    return None if kept.all() else np.asarray(basis @ right.T[:, kept])  # all: there may be more of them
-
-
-def _factorize(matrix: Any) -> Any:
-    """Return LU factors with the pivots on the diagonal, which keeps the symmetry."""
-    return splu(sp.csc_array(matrix), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
+        columns.append(sign * np.einsum("mn,mx->nxm", C, vectors).reshape(3 * n, len(pairs)))
+    return np.concatenate(columns, axis=1)[~structure.fixed.ravel()]
 
 
 def _nonnegative(A: Array, b: Array) -> tuple[Array, float]:

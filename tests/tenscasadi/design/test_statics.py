@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import null_space
 from scipy.optimize import nnls
 
-import tenscasadi.design.statics as statics
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density, self_stress
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
@@ -174,25 +172,3 @@ def test_random_nets_are_held_or_refused(seed: int, minimum: float, feasible: bo
     assert least_norm_error(s, gamma, minimum) < 1e-7 * np.linalg.norm(gamma)
     if feasible:
         assert np.linalg.norm(gamma) <= np.linalg.norm(chosen) * (1 + 1e-9)
-
-
-def test_sparse_self_stresses_span_what_the_dense_ones_do() -> None:
-    rod = Structure([(0, 0, 0), (1, 0, 0), (2, 0, 0)], strings=[(0, 1), (1, 2)], pinned=[0, 2], node_mass=1.0)
-    for structure in (shapes.prism(), shapes.six_bar_ball(), shapes.membrane(4, 3), hanging()[0], rod):
-        dense = null_space(statics._balance(structure), rcond=statics.TOLERANCE)
-        sparse = statics._sparse_null_space(statics._sparse_balance(structure))
-        assert sparse is not None
-        assert sparse.shape == dense.shape
-        np.testing.assert_allclose(sparse @ sparse.T, dense @ dense.T, atol=1e-9)
-
-
-def test_self_stresses_of_a_large_chain() -> None:
-    """Prisms that nothing ties together have one self-stress each."""
-    one, count = shapes.prism(), 60
-    first = len(one.nodes) * np.arange(count)[:, None, None]
-    nodes = one.nodes + 3.0 * np.arange(count)[:, None, None] * (0.0, 0.0, 1.0)
-    many = Structure(nodes.reshape(-1, 3), (first + one.bars).reshape(-1, 2), (first + one.strings).reshape(-1, 2))
-    stress = self_stress(many)
-    assert stress.shape == (count, 12 * count)
-    np.testing.assert_allclose(stress @ stress.T, np.eye(count), atol=1e-12)
-    assert abs(statics._sparse_balance(many) @ stress.T).max() < 1e-9
