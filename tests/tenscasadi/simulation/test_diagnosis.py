@@ -7,6 +7,7 @@ import re
 import numpy as np
 from runs import moving, prism
 
+import tenscasadi as tc
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
@@ -157,3 +158,15 @@ def test_steps_of_sound_runs_are_not_spoken_of() -> None:
         assert "stability" not in simulate(model, 1.0, 0.05 * limit, scheme, compiled=False).message
     assert "stability" not in simulate(model, 5.0, 0.98 * limit, compiled=False).message
     assert "stability" not in simulate(_pair(1e5), 0.1, 0.01, Collocation(2, "radau"), compiled=False).message
+
+
+def test_friction_that_chatters_is_told_and_trusted():
+    scene = tc.Scene(
+        tc.Structure([(0, 0, 0)], node_mass=1.0),
+        gravity=tc.Gravity((2.0, 0.0, -9.81)),
+        ground=tc.Ground(stiffness=1e4, damping=100.0, friction=0.5, slip_speed=1e-4),
+    )
+    run = tc.simulate(tc.Model(scene), 0.5, 1e-4)
+    assert run.success
+    assert "above the stability limit" in run.message
+    assert np.abs(run.nodes[-1, 0, 0]) < 1e-3  # it sticks
