@@ -55,8 +55,8 @@ def test_every_module_is_imported_from_a_fresh_environment(wheel: Path, tmp_path
     scripts = tmp_path / ("Scripts" if sys.platform == "win32" else "bin")
     python = scripts / Path(sys.executable).name
     packages = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
-    (packages / "dependencies.pth").write_text("\n".join(path for path in sys.path if path.endswith("-packages")))
     run(sys.executable, "-m", "pip", "--quiet", "--python", python, "install", "--no-deps", "--no-index", wheel)
+    (packages / "dependencies.pth").write_text("\n".join(path for path in sys.path if path.endswith("-packages")))  # behind its own
     names = [".".join(path.with_suffix("").parts).removesuffix(".__init__") for path in FILES if path.name != "__main__.py"]
     run(python, "-I", "-c", IMPORT, packages, *names)
     assert "simulate" in run(scripts / "tenscasadi", "--help")
