@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array
+from tenscasadi.util.validate import SMALLEST, Array, Indices, call_user_function, finite_array
 
 _SAME = 1e-9  # of a step: as close as this to its end is there
 
@@ -174,7 +174,8 @@ def _of_function(function: Callable[[float], ArrayLike], nu: int, step: float, p
         for k in range(count):
             time = (first + k) * step
             field = f"control({time:g})"
-            values[k] = _check_lengths(field, finite_array(field, function(time), (nu,)), positive)
+            given = call_user_function(field, function, time, f"give a function of time, s, that returns ({nu},)")
+            values[k] = _check_lengths(field, finite_array(field, given, (nu,)), positive)
         return values
 
     return sample
