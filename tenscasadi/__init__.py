@@ -21,7 +21,8 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
-from tenscasadi.scene.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, RestLength, Smooth
 from tenscasadi.scene.supports import SupportMotion

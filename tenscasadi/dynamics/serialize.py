@@ -10,7 +10,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Smooth
 from tenscasadi.structure.class_one import Layout

@@ -13,7 +13,7 @@ from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_held_ode, build_switching, count_switches, split_mode
 from tenscasadi.integrators.scheme import Complex, add_work, check_ode
-from tenscasadi.scene.loads import Ground
+from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip
 from tenscasadi.util.casadi_tools import call_as_sx, sparse

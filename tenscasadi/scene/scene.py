@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
-from tenscasadi.scene.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.strings import Clip, Control, ForceDensity, RestLength, Slack, Smooth
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.structure.structure import Structure

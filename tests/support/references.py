@@ -14,7 +14,8 @@ from tenscasadi.dynamics.mechanism import Coordinates
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Projection
-from tenscasadi.scene.loads import Gravity, Ground, NodalForce
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscasadi.scene.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength, Slack, Smooth
 from tenscasadi.scene.supports import SupportMotion

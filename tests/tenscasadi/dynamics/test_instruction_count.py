@@ -7,7 +7,8 @@ import numpy as np
 from scenes import PRISM
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.structure.structure import Structure

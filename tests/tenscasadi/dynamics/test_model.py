@@ -14,7 +14,8 @@ from scenes import PRISM, every_term
 from tenscasadi.dynamics import mechanism
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.loads import Gravity, Ground, NodalForce
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, RestLength, Slack, Smooth
 from tenscasadi.structure.structure import Structure

@@ -15,7 +15,8 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators import adaptive
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, EmbeddedRungeKutta
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
-from tenscasadi.scene.loads import Gravity, Ground, NodalForce
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.simulate import simulate

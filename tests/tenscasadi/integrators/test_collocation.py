@@ -17,7 +17,8 @@ from tenscasadi.integrators.scheme import stability_limit
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
-from tenscasadi.scene.loads import Gravity, Ground
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, Smooth
 from tenscasadi.scene.supports import SupportMotion

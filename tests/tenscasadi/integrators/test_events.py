@@ -7,7 +7,8 @@ import pytest
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_held_ode, build_switching
-from tenscasadi.scene.loads import Gravity, Ground
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength, Smooth
 from tenscasadi.structure import shapes

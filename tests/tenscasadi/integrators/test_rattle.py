@@ -15,7 +15,8 @@ from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.integrators.scheme import stability_limit
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import Projection, projection
-from tenscasadi.scene.loads import Gravity, Ground
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.scene.supports import SupportMotion

@@ -15,7 +15,8 @@ from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.integrators.stabilization import Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas, Sundials
-from tenscasadi.scene.loads import Gravity, Ground
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.scene.supports import SupportMotion

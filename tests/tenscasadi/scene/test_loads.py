@@ -1,4 +1,4 @@
-"""Loads: weight, the ground's push and friction, pressure, forces on nodes."""
+"""Loads: weight, pressure, forces on nodes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from tenscasadi.scene.loads import Gravity, Ground, NodalForce, Pressure
+from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 
 TETRAHEDRON = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float).T
 OUTWARD = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
@@ -17,32 +17,6 @@ def test_weight_and_its_energy() -> None:
     weight = np.array([1.0, 2.0])
     assert np.allclose(gravity.forces(weight).full(), [[0, 0], [0, 0], [-10, -20]])
     assert float(gravity.energy(ca.DM([[0, 0], [0, 0], [1, 3]]), weight)) == pytest.approx(10 + 60)
-
-
-def test_ground_pushes_below_its_plane_and_never_pulls() -> None:
-    ground = Ground(stiffness=100.0, damping=10.0, height=0.5)
-    N = ca.DM([[0, 0, 0], [0, 0, 0], [0.6, 0.4, 0.4]])
-    V = ca.DM([[0, 1, 1], [0, 0, 0], [-1, -1, 5]])
-    W = ground.forces(N, V).full()
-    assert np.allclose(W, [[0, 0, 0], [0, 0, 0], [0, 20, 0]])  # apart; 100·0.1 + 10·1; leaving fast: no pull
-    assert float(ground.energy(N)) == pytest.approx(2 * 100 * 0.01 / 2)
-    assert not ground.conservative
-    assert Ground().conservative
-
-
-def test_friction_opposes_slip_and_is_bounded_by_coulomb() -> None:
-    ground = Ground(stiffness=100.0, friction=0.5, slip_speed=1e-3)
-    N = ca.DM([0, 0, -0.1])
-    sliding = ground.forces(N, ca.DM([3, 4, 0])).full().ravel()
-    assert np.allclose(sliding, [-3, -4, 10], rtol=1e-6)  # μ f = 5 N against the direction (3, 4)/5
-    creeping = ground.forces(N, ca.DM([1e-5, 0, 0])).full().ravel()
-    assert creeping[0] == pytest.approx(-5 * 1e-2, rel=1e-3)
-
-
-def test_a_tilted_ground_pushes_along_its_normal() -> None:
-    ground = Ground(stiffness=10.0, normal=(3, 0, 4))
-    W = ground.forces(ca.DM([-3, 0, -4]), ca.DM.zeros(3)).full().ravel()
-    assert np.allclose(W, 10 * 5 * np.array([0.6, 0, 0.8]))
 
 
 def test_pressure_on_a_closed_surface_has_no_resultant_and_pushes_outwards() -> None:
@@ -77,12 +51,6 @@ def test_forces_may_be_a_table_over_time() -> None:
         (lambda: Gravity((0, 0)), r"Gravity\.acceleration"),
         (lambda: Gravity((0, 0, float("inf"))), r"Gravity\.acceleration"),
         (lambda: Gravity("down"), r"Gravity\.acceleration"),
-        (lambda: Ground(stiffness=0), r"Ground\.stiffness"),
-        (lambda: Ground(damping=-1), r"Ground\.damping"),
-        (lambda: Ground(friction=-0.1), r"Ground\.friction"),
-        (lambda: Ground(height=float("nan")), r"Ground\.height"),
-        (lambda: Ground(normal=(0, 0, 0)), r"Ground\.normal"),
-        (lambda: Ground(slip_speed=0), r"Ground\.slip_speed"),
         (lambda: Pressure([(0, 1)], 1.0), r"Pressure\.faces\[0\]"),
         (lambda: Pressure([(0, 1, 1)], 1.0), r"Pressure\.faces\[0\]"),
         (lambda: Pressure(3, 1.0), r"Pressure\.faces"),
