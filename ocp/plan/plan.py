@@ -31,13 +31,14 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import archive
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, flag, instance, nonnegative, per_item, positive_number, whole_number
 
 REPLAY_STEPS = 10  # steps of a replay for one interval of the plan
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(ReadOnlyArrays):
     """Force densities over time, the motion that they cause, and how far its replay ends from the goals.
 
     `solve` returns one; also where no plan was found: it then holds the best that there is, and says why.

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import casadi as ca
 
 from tenscasadi.dynamics import forces
+from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics, joint_forces
 from tenscasadi.dynamics.instruction_count import TermCounts, count_terms
-from tenscasadi.dynamics.mechanism import Multipliers
+from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Multipliers
 from tenscasadi.dynamics.state_space import StateSpace
+from tenscasadi.scene.scene import Scene
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.compile import compile_function
 
@@ -100,6 +103,10 @@ class Model(StateSpace):
     >>> model.nodes(model.initial_state).shape
     (6, 3)
     """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Copies and other processes build the Functions anew: these are larger than the scene that they come from.
+        return _rebuild, (type(self), self.scene, self.coordinates, "constant" if self.mechanism.constant_length else "current")
 
     # --- CasADi Functions ---
 
@@ -333,3 +340,10 @@ class Model(StateSpace):
         arguments = self.arguments(x, u)
         value = self.observe(*arguments)[self.observe.index_out(name)]
         return value.full().ravel() if isinstance(value, ca.DM) else value
+
+
+def _rebuild(kind: type[Model], scene: Scene, coordinates: Coordinates, bar_length: BarLength) -> Model:
+    """Build a model that was built before, and warned then."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RedundantConstraints)
+        return kind(scene, coordinates, bar_length)

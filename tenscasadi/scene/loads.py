@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.time_functions import check_over_run, express, find_breaks, interpolate, trace
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices, finite_array, listed, node_index, number, whole_number
 
 _ROUNDINGS = 4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
@@ -139,7 +140,7 @@ class Pressure:
 
 
 @dataclass(frozen=True, eq=False)
-class NodalForce:
+class NodalForce(ReadOnlyArrays):
     """Forces on nodes, constant or over time.
 
     A function is called once with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time.

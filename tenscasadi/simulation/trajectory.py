@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util import archive
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices
 
 _FORMAT = "tenscasadi trajectory 1"
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(ReadOnlyArrays):
     """Motion of n nodes, β bars and α strings at T saved times, with the errors of the numerics.
 
     `simulate` and the plans of `ocp` return it. All arrays are read-only.

@@ -13,13 +13,14 @@ from scipy.sparse import csr_array, diags_array
 
 from tenscasadi.structure.class_one import ClassOne, Layout, bar_mass_matrix, class_one, connectivity, default_layout, extend_layout, read_matrices
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import SMALLEST, Array, Indices, choice, finite_array, flag, node_index, node_pairs, nonnegative, per_item, rows_of_size
 
 SHORTEST = 1e-12  # of the largest coordinate: below it rounding decides where a member points
 THICKEST = 1e3  # radius over length: beyond it M loses its positive definiteness to rounding
 
 
-class Structure:
+class Structure(ReadOnlyArrays):
     """Physical nodes, rigid bars and strings, with their masses, stiffness and pins.
 
     A structure does not change and its arrays are read-only: `replace` gives another one. One number given for an array
@@ -342,6 +343,12 @@ class Structure:
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"a Structure does not change: use structure.replace({name}=...)")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "pinned": dict(self.pinned)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__({**state, "pinned": MappingProxyType(state["pinned"])})  # which does not pickle
 
     def _derived(self, **attributes: Any) -> Structure:
         """Self, just built, with what a constructor keyword cannot say, and from now on read-only."""
