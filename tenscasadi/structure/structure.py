@@ -33,7 +33,7 @@ class Structure(ReadOnlyArrays):
     bars : sequence of pairs of int
         Nodes that each of the β bars joins, zero-based.
     strings : sequence of pairs of int
-        Nodes that each of the α strings joins, zero-based.
+        Nodes that each of the α strings joins, zero-based; several strings may join the same two nodes, bars may not.
     bar_mass : array_like, shape (β,)
         Mass of each bar, kg, greater than 0.
     bar_radius : array_like, shape (β,)
@@ -118,7 +118,7 @@ class Structure(ReadOnlyArrays):
         if n == 0:
             raise ValueError("nodes is empty: give at least one node")
         own["bars"] = node_pairs("bars", bars, n, "bar")
-        own["strings"] = node_pairs("strings", strings, n, "string")
+        own["strings"] = node_pairs("strings", strings, n, "string", parallel=True)
         own["pinned"] = _read_pins(pinned, n)
         own["fixed"] = np.array([[axis in self.pinned.get(node, "") for axis in "xyz"] for node in range(n)])
         own["bar_lengths"] = _lengths("bars", self.nodes, self.bars, "bar")

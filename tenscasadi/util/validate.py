@@ -166,8 +166,8 @@ def node_index(field: str, value: Any, count: int) -> int:
     return int(value)
 
 
-def node_pairs(field: str, value: Iterable[Sequence[int]], count: int, item: str) -> Indices:
-    """Return members as an (items, 2) index array: in range, no member from a node to itself, none given twice."""
+def node_pairs(field: str, value: Iterable[Sequence[int]], count: int, item: str, parallel: bool = False) -> Indices:
+    """Return members as an (items, 2) index array: in range, no member from a node to itself, none `parallel` to another unless they may be."""
     try:
         rows = [tuple(row) for row in value]
     except Exception as error:  # each kind of matrix refuses in its own way
@@ -181,7 +181,7 @@ def node_pairs(field: str, value: Iterable[Sequence[int]], count: int, item: str
         if a == b:
             raise ValueError(f"{field}: {item} {k} joins node {a} to itself: give two different nodes")
         key = (min(a, b), max(a, b))
-        if key in seen:
+        if key in seen and not parallel:
             raise ValueError(f"{field}: {item} {k} joins nodes {a} and {b} as {item} {seen[key]} does: leave one out")
         seen[key] = k
         pairs[k] = a, b

@@ -79,7 +79,6 @@ MISTAKES: list[tuple[str, type[Exception], str, Callable[[], Any]]] = [
     ("a negative index", ValueError, r"strings\[0\] is -1", lambda: build(strings=[(0, -1)])),
     ("a bar from a node to itself", ValueError, "bars: bar 1", lambda: build(bars=[(0, 1), (2, 2)])),
     ("a bar twice, turned", ValueError, "bars: bar 1", lambda: build(bars=[(0, 1), (1, 0)])),
-    ("a string twice", ValueError, "strings: string 2", lambda: build(strings=[(0, 2), (1, 3), (0, 2)])),
     ("a bar without length", ValueError, "bars: bar 0", lambda: build(nodes=[(0, 0, 0), (0, 0, 0), (0, 1, 0), (0, 0, 1)])),
     ("a string as short as rounding", ValueError, "strings: string 0", lambda: build(nodes=[(0.3, 0, 0), (1, 0, 0), (0.1 + 0.2, 0, 0), (0, 0, 1)])),
     ("bars sparse", TypeError, "bars", lambda: build(bars=coo_matrix(np.eye(2)))),
