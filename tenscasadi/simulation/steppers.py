@@ -247,9 +247,8 @@ class SundialsStepper:
         self._project = None if correction is None else correction.step(model)
         self._energy = model.energy_function if task.jumps else None
         self._extra = task.jumps and power is None  # an entry for the energy supplied that the integrator does not know
-        equations = scheme.equations(model, power)
-        grid = (np.arange(1, self.steps + 1) * step).tolist()
-        self._integrate = scheme.integrator(equations, grid, scheme.absolute(model))
+        self._integrators: dict[int, ca.Function] = {}  # by the steps of a call: none goes on past the end of the run
+        self._equations = scheme.equations(model, power)
         self._start = scheme.algebraic_start(model)
         self._advance = scheme.advance(model, power)
         self._step = step
@@ -260,15 +259,15 @@ class SundialsStepper:
 
     def __call__(self, z: Array, count: int) -> Array:
         """See `Stepper.__call__`."""
-        nx, u = self._model.nx, self._controls
+        nx, u, lengths = self._model.nx, self._controls[: count + 1], self._lengths[:count]
         start = z[: len(z) - self._extra]
         try:
-            if (u[: self.steps] == u[0]).all() and (self._lengths == self._step).all():
-                rows = self._run(start, u[: self.steps])
+            if (u[:count] == u[0]).all() and (lengths == self._step).all():
+                rows = self._run(start, u[:count])
                 self._correct(rows[self._every - 1 :: self._every])
             else:  # CVODES steps over a change of the control: each grid step starts anew
                 parts = [start]
-                for k, (control, length) in enumerate(zip(u, self._lengths, strict=False), 1):
+                for k, (control, length) in enumerate(zip(u[:count], lengths, strict=True), 1):
                     parts.append(np.asarray(self._advance(parts[-1], control, length).full()).ravel())
                     if k % self._every == 0:
                         self._correct(parts[-1][None])
@@ -280,7 +279,7 @@ class SundialsStepper:
             cure = "a smaller rtol or step" if rtol > _LOOSE else "a larger rtol, a smaller step or a larger max_steps"
             raise StepFailure(f"{type(self._scheme).__name__} gave up, {words}: rtol is {rtol:g}, try {cure}") from None
         if self._extra:
-            rows = np.hstack([rows, np.full((self.steps, 1), z[-1])])
+            rows = np.hstack([rows, np.full((count, 1), z[-1])])
         if self._energy is not None:
             changed = np.flatnonzero(np.any(u[1:] != u[:-1], axis=1))
             for k in changed.tolist():
@@ -294,8 +293,12 @@ class SundialsStepper:
             rows[:, :nx] = self._project(rows[:, :nx].T).full().T
 
     def _run(self, start: Array, controls: Array) -> Array:
+        steps = len(controls)
+        if steps not in self._integrators:
+            grid = (np.arange(1, steps + 1) * self._step).tolist()
+            self._integrators[steps] = self._scheme.integrator(self._equations, grid, self._scheme.absolute(self._model))
         guess = {} if self._start is None else {"z0": self._start(start[: self._model.nx], controls[0])}
-        return np.array(self._integrate(x0=start, u=controls.T, **guess)["xf"].full()).T
+        return np.array(self._integrators[steps](x0=start, u=controls.T, **guess)["xf"].full()).T
 
     def report(self, taken: int, step: float) -> Report:
         """See `Stepper.report`."""

@@ -16,7 +16,7 @@ from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.integrators.stabilization import Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas, Sundials
 from tenscasadi.scene.ground import Ground
-from tenscasadi.scene.loads import Gravity
+from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.scene.supports import SupportMotion
@@ -89,6 +89,16 @@ def test_the_step_function_follows_the_model(scheme: Any) -> None:
     model = Model(Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))))
     reference = DormandPrince853().advance(model)(model.initial_state, [], 0.05)
     assert abs(scheme.advance(model)(model.initial_state, [], 0.05) - reference).full().max() < 1e-6
+
+
+@pytest.mark.parametrize("scheme", [Cvodes(1e-8), Idas(1e-8)])
+@pytest.mark.parametrize("steps", [7, 60, 100])
+def test_nothing_is_computed_past_the_end_of_a_run(steps: int, scheme: Sundials) -> None:
+    """The force is not defined there: x(1) = ∫ (1 − t) √(1 − t) dt = 2/5."""
+    ends = NodalForce(lambda t: [[np.sqrt(1.0 - t), 0.0, 0.0]])
+    run = simulate(Model(Scene(Structure([[0, 0, 0]], node_mass=1.0), forces=ends)), 1.0, 1.0 / steps, scheme)
+    assert run.success, run.message
+    assert run.nodes[-1, 0, 0] == pytest.approx(0.4, abs=1e-6)
 
 
 def test_failures_of_sundials_are_messages() -> None:
