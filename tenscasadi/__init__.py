@@ -15,6 +15,8 @@ from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.mechanism import Multipliers
 from tenscasadi.dynamics.model import Energy, Model
 from tenscasadi.dynamics.state_space import Constraints
+from tenscasadi.ensemble.sweep import sweep
+from tenscasadi.ensemble.sweep_table import Sweep
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
@@ -81,6 +83,9 @@ __all__ = [
     "stable_step",
     "Trajectory",
     "CompileError",
+    # many at once
+    "sweep",
+    "Sweep",
     # speed against accuracy
     "tradeoff",
     "Tradeoff",

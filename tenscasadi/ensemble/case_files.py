@@ -1,0 +1,150 @@
+"""Cases of a sweep: what identifies them, what they may return, and the file that each has in a folder."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import inspect
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.serialize import structure_to_arrays
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util import archive
+from tenscasadi.util.archive import Fields
+
+_FORMAT = "tenscasadi case 1"
+_VALUE = "value."  # before the names of results in files
+_PLAIN = "biufcU"  # kinds of arrays, in NumPy's letters, that files hold
+
+
+class Outcome(NamedTuple):
+    """Results of a case by name, the traceback where it failed ("" else), and its wall time, s."""
+
+    values: dict[str, Any]
+    error: str
+    seconds: float
+
+
+# --- identity ---
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """Return the name that files tell of a function."""
+    return str(getattr(function, "__qualname__", type(function).__qualname__))
+
+
+def source_hash(function: Callable[..., Any]) -> str:
+    """Return a hash of the function's own source text, "" where there is none."""
+    with contextlib.suppress(OSError, TypeError):
+        return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()
+    return ""
+
+
+def case_key(name: str, case: Any, field: str) -> str:
+    """Return the hash of what a case holds, for the function of that name. Raises TypeError naming `field`."""
+    return hashlib.sha256(json.dumps([name, _describe(field, case)]).encode()).hexdigest()[:32]
+
+
+def _describe(field: str, value: Any) -> Any:
+    """Return lists of text and numbers that are the same for the same content, in any process and on any machine."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, complex):
+        return ["complex", value.real, value.imag]
+    if isinstance(value, np.ndarray) and value.dtype.kind in _PLAIN:
+        plain = np.ascontiguousarray(value, value.dtype.newbyteorder("<"))
+        return ["array", plain.dtype.str, list(plain.shape), hashlib.sha256(plain.tobytes()).hexdigest()]
+    if isinstance(value, Mapping) and all(isinstance(name, str) for name in value):
+        return ["dict", [[name, _describe(f"{field}[{name!r}]", value[name])] for name in sorted(value)]]
+    if isinstance(value, (list, tuple)):
+        return ["list", [_describe(f"{field}[{k}]", item) for k, item in enumerate(value)]]
+    if isinstance(value, Structure):
+        return ["Structure", _describe(field, structure_to_arrays(value))]
+    if isinstance(value, Model):
+        how = [value.coordinates, value.mechanism.constant_length]
+        return ["Model", _describe(f"{field}.scene", value.scene), how]
+    if is_dataclass(value) and not isinstance(value, type):
+        content = [[item.name, _describe(f"{field}.{item.name}", getattr(value, item.name))] for item in fields(value)]
+        return [f"{type(value).__module__}.{type(value).__qualname__}", content]
+    cure = "give numbers, text, arrays, lists, dicts by text, structures, scenes or options; what is else, build in the function"
+    raise TypeError(f"{field} is {value!r}, whose content a folder of results cannot tell: {cure}")
+
+
+# --- results ---
+
+
+def check_results(returned: Any) -> dict[str, Any]:
+    """Return what a function returned as numbers, text and arrays by name. Raises TypeError naming the result."""
+    if returned is None:
+        return {}
+    results = dict(returned) if isinstance(returned, Mapping) else {"result": returned}
+    for name, value in results.items():
+        if not isinstance(name, str):
+            raise TypeError(f"the function returned a result named {name!r}: name results by text")
+        results[name] = _plain(name, value)
+    return results
+
+
+def _plain(name: str, value: Any) -> Any:
+    try:
+        array = np.asarray(value)
+        known = array.dtype.kind in _PLAIN
+    except ValueError:  # lists of different lengths
+        known = False
+    if not known:
+        raise TypeError(f"result {name!r} is of type {type(value).__name__}: return numbers, text, or arrays of them (NaN for None)")
+    return array.item() if array.ndim == 0 else array
+
+
+# --- files ---
+
+
+class CaseFiles:
+    """Folder with one .npz file for each finished case of a function."""
+
+    def __init__(self, folder: Path, function: Callable[..., Any]) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder, self.name, self._source = folder, name_of(function), source_hash(function)
+        self.found = self.damaged = self.outdated = 0  # files read so far: of finished cases, of no case, of an older text of the function
+
+    def key(self, case: Any, field: str) -> str:
+        """Return what identifies a case. Raises TypeError."""
+        return case_key(self.name, case, field)
+
+    def write(self, key: str, case: Any, outcome: Outcome) -> None:
+        """Write a case whole or not at all. Raises OSError."""
+        told: dict[str, Any] = {"case": json.dumps(_describe("case", case)), "function": self.name, "source": self._source}
+        told |= {"error": outcome.error, "seconds": outcome.seconds}
+        archive.save(self.folder / f"{key}.npz", _FORMAT, told | {_VALUE + name: value for name, value in outcome.values.items()})
+
+    def read(self, keys: Sequence[str]) -> dict[str, Outcome]:
+        """Return the cases of these keys that have finished without error."""
+        found = {}
+        for key in dict.fromkeys(keys):
+            try:
+                outcome, source = archive.load(self.folder / f"{key}.npz", _FORMAT, "case", _read)
+            except FileNotFoundError:
+                continue
+            except ValueError:
+                self.damaged += 1
+                continue
+            if not outcome.error:
+                found[key] = outcome
+                self.found += 1
+                self.outdated += source != self._source
+        return found
+
+
+def _read(content: Fields) -> tuple[Outcome, str]:
+    values = {name: value.item() if value.ndim == 0 else value for name, value in content.within(_VALUE).items() if _VALUE + name in content}
+    error, seconds = str(content.array("error", "U", 0)), float(content.array("seconds", "f", 0))
+    return Outcome(values, error, seconds), str(content.array("source", "U", 0))

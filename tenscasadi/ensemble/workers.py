@@ -1,0 +1,145 @@
+"""Workers of a sweep: jobs on an executor of any kind, or in processes of this machine that may die."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import pickle
+import signal
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, as_completed, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+from tenscasadi.ensemble.case_files import Outcome, check_results
+
+Function = Callable[[Any], Any]
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
+_DIED = "the worker process died while it computed this case: it was killed, ran out of memory or crashed"
+
+
+def compute(function: Function, case: Any) -> Outcome:
+    """Run one case and catch what it raises, in a worker."""
+    began = time.perf_counter()
+    try:
+        values, error = check_results(function(case)), ""
+    except (Exception, SystemExit) as fault:  # noqa: BLE001  whatever it is, other cases go on
+        frames = fault.__traceback__.tb_next if fault.__traceback__ else None  # without this one
+        values, error = {}, "".join(traceback.format_exception(type(fault), fault, frames))
+    return Outcome(values, error, time.perf_counter() - began)
+
+
+def run_on_executor(function: Function, cases: Mapping[Any, Any], executor: Executor) -> Generator[tuple[Any, Outcome], None, None]:
+    """Yield each case's key and outcome as it finishes; what has not begun is cancelled when the caller stops early."""
+    futures: dict[Future[Outcome], Any] = {}
+    try:
+        for key, case in cases.items():
+            futures[executor.submit(compute, function, case)] = key
+        for future in as_completed(futures):
+            yield futures[future], _outcome(future)
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def run_in_processes(function: Function, cases: Mapping[Any, Any]) -> Generator[tuple[Any, Outcome], None, None]:
+    """Yield each case's key and outcome as it finishes, in as many new processes as there are cores, each with one thread.
+
+    Where a process dies its pool is lost. The cases that were running are tried again one by one, which tells whose fault it was.
+    Raises ValueError where processes cannot import the function, RuntimeError where they cannot begin.
+    """
+    _check_function(function)
+    workers = min(_cores(), len(cases))
+    waiting, suspects, checked = deque(cases), deque[Any](), False
+    with _environment(_ONE_THREAD):
+        while waiting or suspects:
+            queue, width = (suspects, 1) if suspects else (waiting, workers)
+            pool = ProcessPoolExecutor(width, multiprocessing.get_context("spawn"), initializer=_ignore_interrupt)
+            running: dict[Future[Outcome], Any] = {}
+            lost: list[Any] = []
+            try:
+                checked = checked or _check_worker(pool, function)
+                while (queue or running) and not lost:
+                    while queue and len(running) < width:
+                        running[pool.submit(compute, function, cases[queue[0]])] = queue[0]
+                        queue.popleft()
+                    done = wait(running, return_when=FIRST_COMPLETED).done
+                    for future in done:
+                        key = running.pop(future)
+                        if isinstance(future.exception(), BrokenProcessPool):
+                            lost.append(key)
+                        else:
+                            yield key, _outcome(future)
+            except BrokenProcessPool:  # by submit, as the pool has just broken
+                pass
+            finally:
+                _stop(pool)
+            lost += running.values()
+            if width == 1 and lost:
+                yield lost[0], Outcome({}, _DIED, float("nan"))
+            else:
+                suspects.extend(lost)
+
+
+def _outcome(future: Future[Outcome]) -> Outcome:
+    try:
+        return future.result()
+    except Exception as fault:  # noqa: BLE001  what executors make of a lost worker, or of a case that does not pickle
+        return Outcome({}, f"no result came back: {type(fault).__name__}: {fault}", float("nan"))
+
+
+def _check_function(function: Function) -> None:
+    try:
+        pickle.dumps(function)
+    except Exception as fault:  # pickle raises many things
+        cure = "define it with def at the top level of a module, or give an executor of threads"
+        raise ValueError(f"function is {function!r}, which other processes cannot import ({fault}): {cure}") from fault
+
+
+def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
+    """Return True once a process has imported the function."""
+    try:
+        return pool.submit(callable, function).result()
+    except BrokenProcessPool:
+        cure = "a script needs `if __name__ == '__main__':` around what it runs; a function of a notebook has to move into a module"
+        raise RuntimeError(f"worker processes cannot begin, or cannot import {function!r}: {cure}") from None
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Set variables that processes which are started meanwhile inherit: libraries read them when they are loaded."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _ignore_interrupt() -> None:
+    """Leave Ctrl-C to the process that the workers work for."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _stop(pool: ProcessPoolExecutor) -> None:
+    """End the processes, also in the middle of a case: nobody waits for it any more."""
+    processes = list((pool._processes or {}).values())  # shutdown forgets them
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        process.join()

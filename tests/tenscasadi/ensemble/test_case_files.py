@@ -1,0 +1,105 @@
+"""What identifies a case: the same content gives the same key in any process, other content another one; results are plain."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tenscasadi as tc
+from tenscasadi.ensemble.case_files import CaseFiles, Outcome, case_key, check_results
+
+PLAIN = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=5))
+NAMES = st.text(max_size=3)
+CASES = st.recursive(PLAIN, lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(NAMES, inner, max_size=3)), max_leaves=8)
+
+
+def key(case):
+    return case_key("job", case, "case")
+
+
+def test_a_key_is_the_same_on_every_machine():
+    """SHA-256 of ["job", ["dict", [["seed", 3], ["stiffness", 100.5]]]], computed by the shell."""
+    assert key({"stiffness": 100.5, "seed": 3}) == "76d0dde84487e2790131c9f56f2f5d9e"
+
+
+@given(CASES, CASES)
+@settings(max_examples=30)
+def test_keys_tell_cases_apart(one, other):
+    assert key(copy.deepcopy(one)) == key(one)
+    if one != other:
+        assert key(one) != key(other)
+
+
+def test_numbers_of_numpy_are_numbers():
+    assert key({"a": np.float64(0.1), "b": np.int32(3), "c": np.bool_(True)}) == key({"b": 3, "c": True, "a": 0.1})
+    assert key(np.arange(3)) == key(np.arange(3).astype(">i8")) != key(np.arange(3.0))
+    assert key(np.zeros((2, 3))) != key(np.zeros((3, 2)))
+    assert key(np.arange(6).reshape(2, 3).T) == key(np.arange(6).reshape(2, 3).T.copy())
+
+
+def test_structures_scenes_models_and_options():
+    prism = tc.shapes.prism()
+    scene = tc.Scene(prism, gravity=tc.Gravity())
+    values = [
+        prism,
+        prism.replace(stiffness=101.0),
+        scene,
+        replace(scene, gravity=None),
+        tc.Model(scene),
+        tc.Model(scene, coordinates="full"),
+        tc.RungeKutta4(),
+        tc.DormandPrince54(),
+        tc.DormandPrince54(rtol=1e-6),
+    ]
+    keys = [key(value) for value in values]
+    assert len(set(keys)) == len(values)
+    assert keys == [key(copy.deepcopy(value)) for value in values]
+
+
+@pytest.mark.parametrize(
+    "value", [object(), {1: 2}, b"bytes", ca.MX.sym("x"), np.array([None]), tc.NodalForce(lambda t: np.zeros((6, 3)))], ids=lambda v: type(v).__name__
+)
+def test_what_has_no_content_to_tell_is_refused(value):
+    with pytest.raises(TypeError, match=r"case(\['a'\]\[0\])(\.values)? is .* whose content a folder of results cannot tell: give numbers, text"):
+        key({"a": [value]})
+
+
+# --- results ---
+
+
+def test_results_are_numbers_text_and_arrays():
+    given = {"a": np.float32(0.5), "b": [1, 2], "c": "ä", "d": ca.DM([1, 2]), "e": 1j}
+    results = check_results(given)
+    assert [type(value).__name__ for value in results.values()] == ["float", "ndarray", "str", "ndarray", "complex"]
+    assert check_results(3) == {"result": 3}
+    assert check_results(None) == {}
+
+
+@pytest.mark.parametrize("value", [None, {1: 2}, [[1], [2, 3]], 10**30], ids=str)
+def test_other_results_are_refused(value):
+    with pytest.raises(TypeError, match=r"result 'a' is of type .*: return numbers, text, or arrays of them \(NaN for None\)"):
+        check_results({"a": value})
+    with pytest.raises(TypeError, match="a result named 1: name results by text"):
+        check_results({1: 2.0})
+
+
+def test_files_give_back_what_they_were_given(tmp_path):
+    values = {"number": 0.1, "whole": 3, "flag": True, "text": "ä\n", "empty": "", "complex": 1j, "matrix": np.arange(6.0).reshape(2, 3), "a/b": 1}
+    values |= {"texts": np.array(["a", "bcd"]), "none": np.zeros((0, 3))}
+    files = CaseFiles(tmp_path / "new" / "folder", check_results)
+    name = files.key({"x": 1}, "case")
+    files.write(name, {"x": 1}, Outcome(values, "", 0.25))
+    again = files.read([name, "0" * 32])[name]
+    assert (again.error, again.seconds, list(again.values)) == ("", 0.25, list(values))
+    for field, value in values.items():
+        assert type(again.values[field]) is type(value), field
+        np.testing.assert_array_equal(again.values[field], value)
+    files.write(name, {"x": 1}, Outcome({}, "ValueError: no", 0.25))
+    assert files.read([name]) == {}
+    assert files.found == 1

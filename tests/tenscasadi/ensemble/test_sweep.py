@@ -1,0 +1,226 @@
+"""Sweeps: what fails or dies takes nothing along, what has finished is never computed again, and Ctrl-C loses nothing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import jobs
+import numpy as np
+import pytest
+
+import tenscasadi as tc
+from tenscasadi.util.compile import find_compiler
+
+
+@pytest.fixture
+def one_thread():
+    with ThreadPoolExecutor(1) as executor:
+        yield executor
+
+
+# --- processes of this machine ---
+
+
+def test_processes_outlive_what_raises_and_what_dies(tmp_path):
+    cases = [{"x": x} for x in (3, "raise", 4.5, "die", -2, "odd", 7)]
+    table = tc.sweep(jobs.square, cases, folder=tmp_path)
+    assert table.success.tolist() == [True, False, True, False, True, False, True]
+    assert table["square"][table.success].tolist() == [9.0, 20.25, 4.0, 49.0]
+    assert os.getpid() not in table["process"]
+    assert set(table["threads"][table.success].ravel()) == {"1"}
+    raised, died, odd = (table.errors[k] for k in (1, 3, 5))
+    assert raised.endswith("ZeroDivisionError: on purpose\n")
+    assert "jobs.py" in raised
+    assert "worker process died" in died
+    assert "result 'model' is of type object: return numbers, text, or arrays" in odd
+    assert table.message == f"7 cases: 7 computed, 3 failed, 0 read from {tmp_path}"
+
+
+def test_ctrl_c_keeps_what_is_done(tmp_path, keyboard):
+    table = tc.sweep(jobs.interrupt, [{"number": k, "folder": str(tmp_path)} for k in range(6)], folder=tmp_path)
+    assert table.interrupted
+    assert table.message.endswith("interrupted from the keyboard")
+    assert table.success[:2].any()
+    assert not table.success[2]
+    assert set(table.errors) == {""}
+    assert len(list(tmp_path.iterdir())) == table.success.sum()
+
+
+@pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
+def test_processes_share_compiled_code(tmp_path, monkeypatch):
+    monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "begun").mkdir()
+    count = min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
+    cases = [{"folder": str(tmp_path / "begun"), "number": k, "of": count} for k in range(count)]
+    table = tc.sweep(jobs.vibrate, cases)
+    assert table.success.all(), table.errors
+    assert len(set(table["process"])) == count
+    here = tc.simulate(tc.Model(tc.Scene(tc.shapes.prism(stiffness=321.0))), 0.1, 1e-3, compiled=True).nodes[-1]
+    for nodes in table["nodes"]:
+        np.testing.assert_array_equal(nodes, here)
+    assert len(list((tmp_path / "cache").iterdir())) == 1  # one library, and no folder of a compilation
+
+
+def test_functions_that_processes_cannot_import():
+    with pytest.raises(ValueError, match=r"other processes cannot import .*top level of a module"):
+        tc.sweep(lambda case: case, [1])
+
+
+def test_a_script_without_guard_is_told(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text("import tenscasadi as tc\n\n\ndef job(case):\n    return case\n\n\ntc.sweep(job, [1, 2])\n")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode
+    assert "RuntimeError: worker processes cannot begin" in done.stderr
+    assert "a script needs `if __name__ == '__main__':`" in done.stderr
+
+
+# --- folder ---
+
+
+def test_a_restart_computes_what_is_missing_alone(tmp_path, one_thread):
+    computed, broken = [], {2}
+
+    def job(case):
+        computed.append(case["x"])
+        if case["x"] in broken:
+            raise ValueError("not yet")
+        return {"text": f"<{case['x']}>", "vector": np.arange(3) * case["x"], "whole": case["x"], "flag": case["x"] > 1}
+
+    cases = [{"x": x} for x in range(4)]
+    first = tc.sweep(job, cases, one_thread, tmp_path)
+    assert first.success.tolist() == [True, True, False, True]
+    broken.clear()
+    again = tc.sweep(job, [*cases, {"x": 4}, {"x": 0}], one_thread, tmp_path)
+    assert computed == [0, 1, 2, 3, 2, 4]
+    assert again.success.all()
+    assert again.message == f"6 cases: 2 computed, 3 read from {tmp_path}"
+    assert again["text"].tolist() == ["<0>", "<1>", "<2>", "<3>", "<4>", "<0>"]
+    assert again["vector"].tolist() == [[0, x, 2 * x] for x in (0, 1, 2, 3, 4, 0)]
+    assert [again[name].dtype.kind for name in ("text", "vector", "whole", "flag")] == ["U", "i", "i", "b"]
+    np.testing.assert_array_equal(again.seconds[[0, 1, 3]], first.seconds[[0, 1, 3]])
+
+
+def test_each_case_is_on_disk_at_once(tmp_path):
+    """A case waits for the file of the one before."""
+
+    def job(case):
+        for _ in range(1000):
+            if len(list(tmp_path.glob("*.npz"))) == case:
+                return case
+            time.sleep(0.005)
+        raise TimeoutError
+
+    with ThreadPoolExecutor(1) as executor:
+        assert tc.sweep(job, range(3), executor, tmp_path).success.all()
+
+
+def test_files_that_are_damaged_are_computed_again(tmp_path, one_thread):
+    def job(case):
+        return 2 * case
+
+    tc.sweep(job, [1, 2, 3], one_thread, tmp_path)
+    damaged = sorted(tmp_path.iterdir())[1]
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    table = tc.sweep(job, [1, 2, 3], one_thread, tmp_path)
+    assert table["result"].tolist() == [2, 4, 6]
+    assert table.message.endswith(f"1 computed, 2 read from {tmp_path}; 1 files could not be read, their cases were computed again")
+
+
+def test_results_of_an_older_function_are_told(tmp_path, one_thread):
+    for text in ("return 1", "return 2"):
+        space: dict = {}
+        path = tmp_path / "module.py"
+        path.write_text(f"def job(case):\n    {text}\n")
+        import linecache
+
+        linecache.checkcache(str(path))
+        exec(compile(path.read_text(), str(path), "exec"), space)  # noqa: S102
+        table = tc.sweep(space["job"], [0], one_thread, tmp_path / "results")
+    assert table["result"].tolist() == [1]
+    assert "1 results are of an older text of job: take a new folder" in table.message
+
+
+def test_ctrl_c_before_anything_is_done_gives_a_table(keyboard):
+    asked = threading.Event()
+
+    def job(case):
+        if not asked.is_set():
+            asked.set()
+            os.kill(os.getpid(), 2)
+        return case
+
+    with ThreadPoolExecutor(1) as executor:
+        table = tc.sweep(job, range(2000), executor)
+    assert table.interrupted
+    assert table.success.sum() < 2000
+
+
+# --- arguments ---
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((3, [1]), "function is 3: give a function"),
+        ((abs, {"k": 1}), "cases is {'k': 1}: give a list"),
+        ((abs, 5), "cases is 5: give a list"),
+        ((abs, [1], "dask"), "executor is 'dask': give a concurrent.futures.Executor"),
+        ((abs, [1], None, 7), "folder is 7: give the name"),
+    ],
+)
+def test_wrong_arguments(arguments, message):
+    with pytest.raises(TypeError, match=message):
+        tc.sweep(*arguments)
+
+
+def test_cases_that_a_folder_cannot_tell_are_refused_before_the_first_is_computed(tmp_path, one_thread):
+    with pytest.raises(TypeError, match=r"cases\[1\]\['f'\] is <function .*: give numbers, text, arrays"):
+        tc.sweep(pytest.fail, [{"f": 1}, {"f": lambda t: t}], one_thread, tmp_path)
+
+
+def test_nothing_to_do(tmp_path):
+    table = tc.sweep(jobs.square, [], folder=tmp_path)
+    assert (len(table), table.message) == (0, f"0 cases: 0 computed, 0 read from {tmp_path}")
+    assert table.csv() == "case_seconds,case_error\n"
+
+
+def test_progress_is_shown(capsys, one_thread):
+    tc.sweep(abs, [-1, -2], one_thread, progress=True)
+    assert "2/2" in capsys.readouterr().err
+
+
+# --- a cluster ---
+
+
+@pytest.mark.slow
+def test_dask_goes_on_without_a_worker_that_is_killed(tmp_path):
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed: pip install 'tenscasadi[cluster]'")
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        workers = list(client.run(os.getpid).values())
+        assert len(workers) == 2
+
+        def kill() -> None:
+            while len(list(tmp_path.glob("*.npz"))) < 3:
+                time.sleep(0.01)
+            os.kill(workers[0], 9)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        table = tc.sweep(jobs.slow, [float(x) for x in range(12)], executor, tmp_path)
+        killer.join()
+    assert table.success.all(), table.errors
+    assert table["double"].tolist() == [2.0 * x for x in range(12)]
+    assert set(workers) & set(table["process"])
+    assert os.getpid() not in table["process"]
+    assert tc.sweep(jobs.slow, [float(x) for x in range(12)], folder=Path(tmp_path)).message.startswith("12 cases: 0 computed, 12 read")
