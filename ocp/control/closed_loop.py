@@ -17,7 +17,7 @@ from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.diagnosis import off_constraints
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
-from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number
+from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, shown, whole_number
 
 MOST = 1e7  # decisions in a run
 ROUNDED = 1e-3  # of lengths and speeds: what a start may be off its bars and joints by
@@ -123,14 +123,16 @@ def run(
     True
     """
     if isinstance(controller, type) or not isinstance(controller, Controller) or not callable(controller.control):
-        raise TypeError(f"controller is {controller!r}: give an ocp.Mpc(...), ocp.track(plan), or what has model, period and control(time, state)")
+        raise TypeError(
+            f"controller is {shown(controller)}: give an ocp.Mpc(...), ocp.track(plan), or what has model, period and control(time, state)"
+        )
     instance("controller.model", controller.model, Model, "a tenscasadi.Model")
     period = positive_number("controller.period", controller.period)
     plant = controller.model if model is None else model
     _check_plant(plant, controller.model)
     n = whole_number("steps", steps, 1)
     if disturbance is not None and not callable(disturbance):
-        raise TypeError(f"disturbance is {disturbance!r}: give a function (time, x) -> x, or None")
+        raise TypeError(f"disturbance is {shown(disturbance)}: give a function (time, x) -> x, or None")
     ratio = positive_number("t_end", t_end) / period
     if ratio > MOST:
         raise ValueError(f"t_end is {t_end:g}: that takes {ratio:.1g} decisions of {period:g} s, give at most {MOST:g}")

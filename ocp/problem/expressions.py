@@ -14,7 +14,7 @@ from ocp.problem.bounds import Bound, PathBound, PathConstraint
 from ocp.problem.costs import Cost, FinalCost, RunningCost
 from ocp.problem.instant import Instant, symbolic
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array, call_user_function, number_or_vector, positive_number
+from tenscasadi.util.validate import Array, call_user_function, number_or_vector, positive_number, shown
 
 Expression = Callable[[Instant], Any]
 
@@ -264,9 +264,9 @@ def _check_within(limited: PathConstraint, value: Array, tolerance: float) -> No
 def _named(item: Any) -> None:
     kind = type(item).__name__
     if not isinstance(item.name, str) or not item.name:
-        raise TypeError(f"{kind}.name is {item.name!r}: give a name, it stands in reports")
+        raise TypeError(f"{kind}.name is {shown(item.name)}: give a name, it stands in reports")
     if not callable(item.expression):
-        raise TypeError(f"{kind} {item.name!r}: expression is {item.expression!r}: give a function of an instant")
+        raise TypeError(f"{kind} {shown(item.name)}: expression is {shown(item.expression)}: give a function of an instant")
 
 
 def _label(item: Any) -> str:

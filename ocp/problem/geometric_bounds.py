@@ -14,7 +14,7 @@ from ocp.problem.bounds import PathBound, PathConstraint
 from ocp.problem.instant import norms, symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, coordinates, finite_array, listed, node_index, number, positive_number, whole_number
+from tenscasadi.util.validate import Array, coordinates, finite_array, listed, node_index, number, positive_number, shown, whole_number
 
 Corner = Sequence[float | None]
 ROUNDING = 0.02  # of a bar: over which the nearest point of a segment is led past its end, to have smooth derivatives
@@ -198,10 +198,11 @@ class BarClearance(PathBound):
         object.__setattr__(self, "distance", positive_number("BarClearance.distance", self.distance))
         pairs = _listed("BarClearance.pairs", self.pairs, "[(0, 1)]")
         if pairs is not None:
-            for k, pair in enumerate(pairs):
-                if len(_listed(f"BarClearance.pairs[{k}]", pair, "(0, 1)") or ()) != 2:
-                    raise ValueError(f"BarClearance.pairs[{k}] is {pair}: give two bars, such as (0, 1)")
-            object.__setattr__(self, "pairs", tuple(tuple(pair) for pair in pairs))
+            found = [_listed(f"BarClearance.pairs[{k}]", pair, "(0, 1)") or () for k, pair in enumerate(pairs)]
+            for k, pair in enumerate(found):
+                if len(pair) != 2:
+                    raise ValueError(f"BarClearance.pairs[{k}] is {shown(pair)}: give two bars, such as (0, 1)")
+            object.__setattr__(self, "pairs", tuple(found))
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ocp.problem.rows import Rows
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, coordinates, finite_array, node_index, nonnegative, number_or_vector, per_item, whole_number
+from tenscasadi.util.validate import Array, coordinates, finite_array, node_index, nonnegative, number_or_vector, per_item, shown, whole_number
 
 BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, those that give bars other lengths are refused
 
@@ -144,7 +144,8 @@ class NodePositions(Goal):
         if not self.positions:
             raise ValueError("NodePositions.positions is empty: give {node: (x, y, z)}")
         places = {
-            node: coordinates(f"NodePositions.positions[{node}]", place, "an axis that is free", some=True) for node, place in self.positions.items()
+            node: coordinates(f"NodePositions.positions[{shown(node)}]", place, "an axis that is free", some=True)
+            for node, place in self.positions.items()
         }
         object.__setattr__(self, "positions", places)
 

@@ -11,7 +11,7 @@ import casadi as ca
 from ocp.problem.costs import RunningCost, check_weight
 from ocp.problem.instant import Instant
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import call_user_function, coordinates, node_index, number
+from tenscasadi.util.validate import call_user_function, coordinates, node_index, number, shown
 
 Place = tuple[float | None, float | None, float | None]
 UNTRACKED = "an axis that does not matter"
@@ -53,9 +53,9 @@ class Tracking(RunningCost):
     def __post_init__(self) -> None:
         check_weight(self)
         if not isinstance(self.positions, Mapping) or not self.positions:
-            raise ValueError(f"Tracking.positions is {self.positions!r}: give {{node: (x, y, z)}}")
+            raise ValueError(f"Tracking.positions is {shown(self.positions)}: give {{node: (x, y, z)}}")
         places = {
-            node: place if callable(place) else coordinates(f"Tracking.positions[{node}]", place, UNTRACKED, some=True)
+            node: place if callable(place) else coordinates(f"Tracking.positions[{shown(node)}]", place, UNTRACKED, some=True)
             for node, place in self.positions.items()
         }
         object.__setattr__(self, "positions", places)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ocp.problem.goals import Goal
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import positive_number
+from tenscasadi.util.validate import positive_number, shown
 
 INSTANT = 1e-9  # of the duration: what lies nearer together is one instant
 
@@ -46,10 +46,10 @@ class Waypoint(Goal):
 
     def __post_init__(self) -> None:
         if isinstance(self.goals, Goal) or not isinstance(self.goals, Sequence) or not self.goals:
-            raise TypeError(f"Waypoint.goals is {self.goals!r}: give a list of goals, such as [NodePositions({{0: (0, 0, 1)}})]")
+            raise TypeError(f"Waypoint.goals is {shown(self.goals)}: give a list of goals, such as [NodePositions({{0: (0, 0, 1)}})]")
         for k, goal in enumerate(self.goals):
             if not isinstance(goal, Goal) or isinstance(goal, Waypoint):
-                raise TypeError(f"Waypoint.goals[{k}] is {goal!r}: give a goal, such as NodePositions({{0: (0, 0, 1)}})")
+                raise TypeError(f"Waypoint.goals[{k}] is {shown(goal)}: give a goal, such as NodePositions({{0: (0, 0, 1)}})")
         if (self.time is None) == (self.share is None):
             raise ValueError("Waypoint.time and .share: give one of them")
         if self.time is not None:

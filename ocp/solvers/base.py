@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
 from ocp.transcription.sparse_nlp import Program
-from tenscasadi.util.validate import Array, positive_number, whole_number
+from tenscasadi.util.validate import Array, positive_number, shown, whole_number
 
 
 class Solution(NamedTuple):
@@ -40,6 +40,6 @@ def check_options(name: str, max_iterations: Any, tolerance: Any, verbose: Any, 
     whole_number(f"{name}.max_iterations", max_iterations, 1)
     positive_number(f"{name}.tolerance", tolerance)
     if not isinstance(verbose, bool):
-        raise TypeError(f"{name}.verbose is {verbose!r}: give True or False")
+        raise TypeError(f"{name}.verbose is {shown(verbose)}: give True or False")
     if not isinstance(options, Mapping) or not all(isinstance(option, str) for option in options):
-        raise TypeError(f"{name}.options is {options!r}: give a mapping of {name}'s option names, such as {example}")
+        raise TypeError(f"{name}.options is {shown(options)}: give a mapping of {name}'s option names, such as {example}")

@@ -15,7 +15,7 @@ import numpy as np
 from ocp.solvers.base import Solution, check_options
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.interrupts import on_interrupt
-from tenscasadi.util.validate import Array, positive_number
+from tenscasadi.util.validate import Array, positive_number, shown
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -119,9 +119,9 @@ class Ipopt:
         if self.seconds is not None:
             positive_number("Ipopt.seconds", self.seconds)
         if self.watch is not None and not callable(self.watch):
-            raise TypeError(f"Ipopt.watch is {self.watch!r}: give a function of an ocp.Progress, or None")
+            raise TypeError(f"Ipopt.watch is {shown(self.watch)}: give a function of an ocp.Progress, or None")
         if not isinstance(self.warm, bool):
-            raise TypeError(f"Ipopt.warm is {self.warm!r}: give True or False")
+            raise TypeError(f"Ipopt.warm is {shown(self.warm)}: give True or False")
         _check_library(self.options)
 
     def solve(self, program: Program) -> Solution:

@@ -17,7 +17,7 @@ from ocp.transcription.mesh import hermite_state, locate_share
 from ocp.transcription.sparse_nlp import Block, Program, Separable, gathered, split_symbol, symbol_kind
 from ocp.transcription.variables import Variables
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import Indices
+from tenscasadi.util.validate import Indices, shown
 
 
 class Asked(NamedTuple):
@@ -159,7 +159,7 @@ def _cost(v: Variables, cost: Cost) -> Block:
         value = cost.final(Instant(v.model, x, v.gamma(c, 1.0), T))
         index = np.concatenate([v.states[-1], v.interval_controls[-1], v.duration])[None]
     else:
-        raise TypeError(f"Problem.costs has {cost!r}: give a ControlCost, RunningCost or FinalCost")
+        raise TypeError(f"Problem.costs has {shown(cost)}: give a ControlCost, RunningCost or FinalCost")
     return Block(ca.Function("cost", [z], [value]), index, ("cost",) * len(index), kind="cost")
 
 

@@ -15,7 +15,7 @@ from ocp.transcription.inverse_dynamics import inverse_dynamics
 from ocp.transcription.mesh import Profile, node_values, profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.util.validate import Array, finite_array, positive_number
+from tenscasadi.util.validate import Array, finite_array, positive_number, shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,7 @@ def evaluate_guess(value: InitialGuess | None, problem: Problem, target: Target,
     if value is None:
         return make_guess(problem, target, intervals)
     if isinstance(value, type) or not isinstance(value, InitialGuess):
-        raise TypeError(f"guess is {value!r}: give ocp.InverseDynamics(), ocp.Equilibrium(), ocp.Arrays(states, force_density) or an ocp.Plan")
+        raise TypeError(f"guess is {shown(value)}: give ocp.InverseDynamics(), ocp.Equilibrium(), ocp.Arrays(states, force_density) or an ocp.Plan")
     return value.guess(problem, target, intervals)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import hermite_cubic
-from tenscasadi.util.validate import Array, finite_array, positive_number, whole_number
+from tenscasadi.util.validate import Array, finite_array, positive_number, shown, whole_number
 
 Intervals = int | Sequence[float]
 
@@ -56,7 +56,7 @@ class _Grouped:
         try:
             groups = tuple(tuple(group) for group in self.groups)
         except TypeError:
-            raise TypeError(f"{field} is {self.groups!r}: give groups of strings, such as ((0, 1, 2), (3, 4, 5))") from None
+            raise TypeError(f"{field} is {shown(self.groups)}: give groups of strings, such as ((0, 1, 2), (3, 4, 5))") from None
         seen: set[int] = set()
         for group in groups:
             for string in group:

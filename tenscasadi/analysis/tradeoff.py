@@ -22,7 +22,7 @@ from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, CompileError, Single
-from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
+from tenscasadi.util.validate import Array, call_user_function, finite_array, flag, instance, positive_number, shown, whole_number
 
 _TIMED = 0.02  # s of one timed run, about: short enough for many, long enough for the clock
 _TRIAL = 2048  # steps that tell how many take that long
@@ -100,6 +100,7 @@ def tradeoff(
     named = dict(models) if isinstance(models, Mapping) else {"": models}
     _check_models(named, schemes, corrections)
     t_end, repeats = positive_number("t_end", t_end), whole_number("repeats", repeats, 1)
+    flag("progress", progress)
     ways = _check_sequence("compiled", compiled)
     for way in ways:
         instance("compiled", way, (bool, Single, type(None)), "True, False, None or Single()")
@@ -178,7 +179,7 @@ class Case:
 
 def start_of(model: Model, state: State) -> Array | None:
     """Return the start (nx,) that `state` means for this model. Raises TypeError, ValueError."""
-    value = state(model) if callable(state) else state
+    value = call_user_function("state", state, model, "give a function of a model that returns its start") if callable(state) else state
     return None if value is None else finite_array("state", value, (model.nx,))
 
 
@@ -225,8 +226,8 @@ def _find_reference(
         if not np.isclose(reference.t_end, t_end, rtol=1e-12):
             raise ValueError(f"reference is for t_end = {reference.t_end:g} s and t_end is {t_end:g}: give one of the same time")
         return reference
-    if reference is not None and reference not in named:
-        raise ValueError(f"reference is {reference!r}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}")
+    if reference is not None and not (isinstance(reference, str) and reference in named):
+        raise ValueError(f"reference is {shown(reference)}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}")
     model = named[next(iter(named)) if reference is None else reference]
     return certify(model, t_end, start_of(model, state), control, compiled=compiled)
 
@@ -235,7 +236,7 @@ def _check_models(named: dict[str, Model], schemes: Any, corrections: Any) -> No
     if not named:
         raise ValueError("models is empty: give a tenscasadi.Model, or models by name")
     for name, model in named.items():
-        instance(f"models[{name!r}]" if name else "models", model, Model, "a tenscasadi.Model, or models by name")
+        instance(f"models[{shown(name)}]" if name else "models", model, Model, "a tenscasadi.Model, or models by name")
     counts = {name: len(model.scene.structure.nodes) for name, model in named.items()}
     if len(set(counts.values())) > 1:
         raise ValueError(f"models have scenes of {counts} nodes: give models of one structure, that differ in what is modelled")
@@ -244,15 +245,15 @@ def _check_models(named: dict[str, Model], schemes: Any, corrections: Any) -> No
 
 def check_ways(schemes: Any, corrections: Any) -> None:
     """Raise TypeError or ValueError unless these are sequences of schemes and of corrections, each with one at least."""
-    for scheme in _check_sequence("schemes", schemes):
-        check_scheme(scheme)
+    for i, scheme in enumerate(_check_sequence("schemes", schemes)):
+        check_scheme(scheme, f"schemes[{i}]")
     for correction in _check_sequence("corrections", corrections):
         instance("corrections", correction, (Projection, BarLengthCorrection, type(None)), "(None, Projection())")
 
 
 def _check_sequence(field: str, values: Any) -> Sequence[Any]:
     if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
-        raise TypeError(f"{field} is {values!r}: give a sequence, such as a list")
+        raise TypeError(f"{field} is {shown(values)}: give a sequence, such as a list")
     if not len(values):
         raise ValueError(f"{field} is empty: give at least one")
     return list(values)

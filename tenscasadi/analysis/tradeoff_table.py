@@ -6,16 +6,17 @@ import ast
 import os
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from tenscasadi import integrators
-from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.util import archive
-from tenscasadi.util.validate import positive_number
+from tenscasadi.util.validate import instance, listed, positive_number, real_array, shown
 
 _FORMAT = "tenscasadi tradeoff 2"
 Cost = Literal["seconds", "work"]
@@ -85,6 +86,10 @@ class Row:
     success: bool = False
     message: str = ""
 
+    def __post_init__(self) -> None:
+        check_scheme(self.scheme, "Row.scheme")
+        _check_kinds(self)
+
     @property
     def work(self) -> float:
         """Instructions of the whole run, a cost that no other load of the machine changes; NaN where they are not known (implicit schemes)."""
@@ -143,6 +148,11 @@ class Tradeoff:
     reference_message: str
     complete: bool = True
     message: str = ""
+
+    def __post_init__(self) -> None:
+        for k, row in enumerate(listed("Tradeoff.rows", self.rows, "(Row(...),)")):
+            instance(f"Tradeoff.rows[{k}]", row, Row, "a tenscasadi.Row")
+        _check_kinds(self)
 
     def pareto(self, cost: Cost = "seconds") -> tuple[Row, ...]:
         """Return the rows that no other beats in both cost and position error.
@@ -303,8 +313,8 @@ class Tradeoff:
 
     def _sorted_by(self, cost: Cost) -> list[Row]:
         """Return the successful rows whose cost is known, from the cheapest; of equal ones the more accurate comes first."""
-        if cost not in ("seconds", "work"):
-            raise ValueError(f'cost is {cost!r}: give "seconds" or "work"')
+        if not isinstance(cost, str) or cost not in ("seconds", "work"):
+            raise ValueError(f'cost is {shown(cost)}: give "seconds" or "work"')
         known = [row for row in self._successful() if not np.isnan(getattr(row, cost))]
         return sorted(known, key=lambda row: (getattr(row, cost), row.position))
 
@@ -314,6 +324,19 @@ def abbreviate(value: Any, without: str = "") -> str:
     own = [(field.name, getattr(value, field.name), field.default) for field in fields(value)] if is_dataclass(value) else []
     changed = ", ".join(f"{name}={option!r}" for name, option, default in own if option != default and name != without)
     return type(value).__name__ + (f"({changed})" if changed else "")
+
+
+def _check_kinds(value: Row | Tradeoff) -> None:
+    """Raise TypeError or ValueError naming the first field that is no number, no text or no truth value, as it should be."""
+    for field in fields(value):
+        name, given = f"{type(value).__name__}.{field.name}", getattr(value, field.name)
+        if field.type == "float" and real_array(name, given, "a number").ndim:
+            raise ValueError(f"{name} is {shown(given)}: give a number")
+        if field.type in _WORDS:
+            instance(name, given, *_WORDS[field.type])
+
+
+_WORDS: dict[Any, tuple[Any, str]] = {"int": (Integral, "a whole number"), "bool": ((bool, np.bool_), "True or False"), "str": (str, "text")}
 
 
 def _from_arrays(content: archive.Fields) -> Tradeoff:

@@ -16,7 +16,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, Tableau
 from tenscasadi.util.casadi_tools import call_as_sx
-from tenscasadi.util.validate import instance, whole_number
+from tenscasadi.util.validate import instance, shown, whole_number
 
 _OUTER = 1 / (4 - 4 ** (1 / 3))  # Suzuki's five steps of order 4: Hairer, Lubich, Wanner, Geometric Numerical Integration, (II.4.5)
 _FRACTIONS: dict[int, tuple[float, ...]] = {2: (1.0,), 4: (_OUTER, _OUTER, 1 - 4 * _OUTER, _OUTER, _OUTER)}
@@ -77,7 +77,7 @@ class Rattle:
 
     def __post_init__(self) -> None:
         if not isinstance(self.order, (int, np.integer)) or isinstance(self.order, bool) or self.order not in _FRACTIONS:
-            raise ValueError(f"Rattle.order is {self.order!r}: give 2 or 4")
+            raise ValueError(f"Rattle.order is {shown(self.order)}: give 2 or 4")
         whole_number("Rattle.iterations", self.iterations, 1)
 
     def step(self, ode: ca.Function) -> ca.Function:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array, instance, positive_number
+from tenscasadi.util.validate import Array, instance, positive_number, shown
 
 Complex = NDArray[np.complex128]
 
@@ -73,12 +73,12 @@ def check_ode(ode: ca.Function) -> None:
         raise ValueError(f"ode is {ode}: give a casadi.Function (x, u) -> xdot with columns x and xdot of the same length")
 
 
-def check_scheme(scheme: Any) -> None:
+def check_scheme(scheme: Any, field: str = "scheme") -> None:
     """Raise TypeError unless `scheme` is a scheme (and not, for instance, the class without parentheses)."""
     if isinstance(scheme, type) or not isinstance(scheme, Scheme):
         lacks = [name for name in _MEMBERS if not hasattr(scheme, name)]
         why = "" if isinstance(scheme, type) or len(lacks) == len(_MEMBERS) else f" and lacks {', '.join(lacks)}"
-        raise TypeError(f"scheme is {scheme!r}{why}: give an integration scheme, such as RungeKutta4()")
+        raise TypeError(f"{field} is {shown(scheme)}{why}: give an integration scheme, such as RungeKutta4()")
 
 
 def stability_limit(scheme: Scheme, direction: Complex, reach: float = 50.0) -> Array:

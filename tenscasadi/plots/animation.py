@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, members_of, tension_colours, tension_scale
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.validate import file_path, positive_number, whole_number
+from tenscasadi.util.validate import file_path, flag, positive_number, text, whole_number
 
 _MOST_FRAMES = 2000
 
@@ -68,6 +68,8 @@ def animate(
     """
     check_drawable("trajectory", trajectory)
     target = file_path("path", path)
+    text("title", title)
+    flag("progress", progress)
     if target.suffix.lower() != ".gif":
         raise ValueError(f"path is {os.fspath(path)!r}: give a file name that ends in .gif")
     rate = whole_number("frames_per_second", frames_per_second, 1)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from tenscasadi.plots.panels import FilePath, curve_colour, make_panels, name_curves, save_figure
-from tenscasadi.util.validate import positive_number
+from tenscasadi.util.validate import file_path, instance, listed, positive_number, real_array, shown, text
 
 Points = Sequence[tuple[float, float]]
 _MARKERS = "osD^vPX"
@@ -59,8 +59,10 @@ def work_precision(
     >>> figure.axes[0].get_xscale()
     'log'
     """
+    curves, front = _named_points(curves), _points("front", front)
+    reference_error = _known_error(reference_error)
     figure, (ax,) = make_panels(1, "largest position error at the end (m), more accurate to the right", title, (8.4, 4.8), margin=0.05)
-    ax.set(xscale="log", yscale="log", ylabel=cost)
+    ax.set(xscale="log", yscale="log", ylabel=text("cost", cost))
     smallest = reference_error or 1e-16  # a run that hits the reference exactly is still drawn
     if front:
         drawn = [point for point in front if point[0] > smallest] or front
@@ -81,6 +83,27 @@ def work_precision(
     ax.xaxis.set_major_locator(LogLocator(numticks=9))
     name_curves(figure, ax, len(curves))
     return save_figure(figure, path)
+
+
+def _known_error(value: Any) -> float | None:
+    """Return the error of a reference, None where it is infinite. Raises TypeError, ValueError."""
+    return None if value is None or (isinstance(value, float) and value == float("inf")) else positive_number("reference_error", value, zero=True)
+
+
+def _named_points(curves: Any) -> dict[str, Points]:
+    instance("curves", curves, Mapping, "points (error, cost) by name")
+    return {text("curves: name", name): _points(f"curves[{name!r}]", points) for name, points in curves.items()}
+
+
+def _points(field: str, points: Any) -> Points:
+    """Return points as pairs. Raises TypeError, ValueError."""
+    pairs = listed(field, points, "[(1e-3, 0.1)]")
+    if not pairs:
+        return []
+    array = real_array(field, pairs, "pairs (error, cost)")
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise ValueError(f"{field} has shape {array.shape}: give pairs (error, cost)")
+    return [(error, cost) for error, cost in array.tolist()]
 
 
 def _resolved(points: Points, smallest: float) -> list[tuple[float, float]]:
@@ -133,12 +156,15 @@ class Convergence:
     """
 
     def __init__(self, path: FilePath | None = None, every: float = 2.0) -> None:
-        self._path, self._every = path, positive_number("every", every)
+        self._path = None if path is None else file_path("path", path)
+        self._every = positive_number("every", every)
         self._told: list[Iteration] = []
         self._drawn = -float("inf")
 
     def __call__(self, now: Iteration) -> None:
         """Take down an iteration, and draw all where it is time."""
+        if not all(hasattr(now, name) for name in ("iteration", "objective", "infeasibility")):
+            raise TypeError(f"now is {shown(now)}: give an ocp.Progress, or what has iteration, objective and infeasibility")
         self._told.append(now)
         if self._path is not None and time.monotonic() - self._drawn > self._every:
             save_figure(self.figure(), self._path)

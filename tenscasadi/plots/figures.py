@@ -19,7 +19,7 @@ from tenscasadi.plots.panels import MOST_NAMED, FilePath, curve_colour, curve_wi
 from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, cut_colours, members_of, tension_colours, tension_scale
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, node_index, per_item, positive_number, whole_number
+from tenscasadi.util.validate import Array, finite_array, flag, listed, node_index, per_item, positive_number, text, whole_number
 
 
 class ForceHistory(Protocol):
@@ -89,6 +89,8 @@ def structure(
     'tension (N)'
     """
     check_drawable("what", what, (Structure, Trajectory), "a tenscasadi.Structure or Trajectory")
+    flag("labels", labels)
+    text("title", title)
     if isinstance(what, Trajectory):
         row = len(what.time) - 1 if time is None else _nearest_row(what, time)
         nodes, pull = what.nodes[row], what.tension[row]
@@ -148,6 +150,7 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
     """
     check_drawable("trajectory", trajectory)
     count = whole_number("instants", instants, 2)
+    text("title", title)
     rows = np.unique([_nearest_row(trajectory, t) for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)])
     figure = Figure(figsize=(7.0, 5.4))
     canvas = Canvas(figure, members_of(trajectory), trajectory.nodes[rows])
@@ -198,7 +201,11 @@ def node_histories(trajectory: Trajectory, nodes: Sequence[int] | None = None, *
     ['x (m)', 'y (m)', 'z (m)']
     """
     check_drawable("trajectory", trajectory)
-    chosen = _furthest_nodes(trajectory) if nodes is None else [node_index("nodes", node, trajectory.nodes.shape[1]) for node in nodes]
+    chosen = (
+        _furthest_nodes(trajectory)
+        if nodes is None
+        else [node_index("nodes", node, trajectory.nodes.shape[1]) for node in listed("nodes", nodes, "[0, 3]")]
+    )
     figure, axes = make_panels(3, "time (s)", title)
     for axis, (ax, name) in enumerate(zip(axes, "xyz", strict=True)):
         for k, node in enumerate(chosen):
@@ -261,7 +268,7 @@ def force_densities(
     rows, alpha = gamma.shape
     if rows not in (len(time), len(time) - 1):
         raise ValueError(f"history.force_density has {rows} rows: give one for each of the {len(time)} times, or for each of the intervals between")
-    chosen = list(range(alpha)) if strings is None else [_check_string(index, alpha) for index in strings]
+    chosen = list(range(alpha)) if strings is None else [_check_string(index, alpha) for index in listed("strings", strings, "[0, 3]")]
     figure, (ax,) = make_panels(1, "time (s)", title)
     for k, i in enumerate(chosen):
         if rows == len(time):
@@ -354,7 +361,7 @@ def _furthest_nodes(trajectory: Trajectory) -> list[int]:
 def _without_infinity(bound: ArrayLike) -> Any:
     try:
         array = np.array(bound, dtype=float)
-    except (TypeError, ValueError):
+    except Exception:  # noqa: BLE001  an object's own __array__ may raise anything
         return bound  # refused next, by name
     return np.where(np.isinf(array), 0.0, array)
 

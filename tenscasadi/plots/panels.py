@@ -8,6 +8,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from tenscasadi.util.validate import file_path, text
+
 FilePath = str | os.PathLike[str]
 LONG_NAME = 40  # characters: more beside the panels would leave them no room
 MOST_NAMED = 12  # curves that one column of the legend names; beyond two columns only their number is told
@@ -26,7 +28,7 @@ def make_panels(count: int, xlabel: str, title: str = "", size: tuple[float, flo
         ax.margins(x=margin)
     figure.align_ylabels(axes)
     axes[-1].set_xlabel(xlabel)
-    axes[0].set_title(title)
+    axes[0].set_title(text("title", title))
     return figure, axes
 
 
@@ -57,5 +59,8 @@ def name_curves(figure: Figure, ax: Axes, count: int) -> None:
 def save_figure(figure: Figure, path: FilePath | None) -> Figure:
     """Save `figure` where `path` is given, and return it."""
     if path is not None:
-        figure.savefig(path, dpi=150)
+        target, known = file_path("path", path), figure.canvas.get_supported_filetypes()
+        if target.suffix and target.suffix[1:].lower() not in known:
+            raise ValueError(f"path is {os.fspath(path)!r}: give a name that ends in .{', .'.join(known)}")
+        figure.savefig(target, dpi=150)
     return figure

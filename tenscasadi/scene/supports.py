@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscasadi.scene.time_functions import CURE, check_over_run, express, find_breaks, probe_times
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import node_index
+from tenscasadi.util.validate import node_index, shown
 
 _AROUND = 1e-9  # of the latest time: how far before and after a switch both sides are compared
 _JUMP = 1e-9  # of the largest value: more is a jump
@@ -44,10 +44,10 @@ class SupportMotion:
 
     def __post_init__(self) -> None:
         if not isinstance(self.positions, Mapping) or not self.positions:
-            raise TypeError(f"SupportMotion.positions is {self.positions!r}: give a mapping of nodes to functions of time")
+            raise TypeError(f"SupportMotion.positions is {shown(self.positions)}: give a mapping of nodes to functions of time")
         for node, function in self.positions.items():
             if not callable(function):
-                raise TypeError(f"SupportMotion.positions[{node}] is {function!r}: give a function of time that returns (x, y, z)")
+                raise TypeError(f"SupportMotion.positions[{shown(node)}] is {shown(function)}: give a function of time that returns (x, y, z)")
         object.__setattr__(self, "positions", dict(self.positions))
 
     @property
@@ -66,8 +66,8 @@ class SupportMotion:
         start = self.rates()(0.0)[0].full().T
         size = float(np.ptp(structure.nodes, axis=0).max(initial=0.0))
         for node, place in zip(self.nodes, start, strict=True):
+            node_index(f"SupportMotion.positions, node {shown(node)}", node, len(structure.nodes))
             name = f"SupportMotion.positions[{node}]"
-            node_index(f"SupportMotion.positions, node {node}", node, len(structure.nodes))
             if structure.pinned.get(node) != "xyz":
                 raise ValueError(f"{name}: node {node} is not pinned along all axes, add it to Structure.pinned")
             if not np.isfinite(place).all():

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util import archive
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import Array, Indices, shown
 
 _FORMAT = "tenscasadi trajectory 1"
 
@@ -225,10 +225,10 @@ class Trajectory(ReadOnlyArrays):
             A field is missing, its type, shape or indices do not fit, times do not increase, a step has no length, or the motion of a
             run that succeeded is not finite; the message names it.
         """
-        given = {}
+        given: dict[str, Any] = {}
         for field in fields(Trajectory):
             if field.name in content:
-                given[field.name] = content[field.name]
+                given[field.name] = _as_array(field.name, content[field.name])
             elif field.default is MISSING:
                 raise ValueError(f"it has no field {field.name!r}")
             else:
@@ -307,7 +307,7 @@ def _check(content: dict[str, Any]) -> None:
     """ValueError naming the first field whose kind, shape or indices do not fit the others."""
     sizes: dict[str, int] = {"2": 2, "3": 3}
     for name, (letters, kind) in _SHAPES.items():
-        value = np.asarray(content[name])
+        value = _as_array(name, content[name])
         if value.dtype.kind != kind:
             raise ValueError(f"field {name!r} holds values of type {value.dtype}")
         if value.ndim != len(letters) or any(sizes.setdefault(letter, size) != size for letter, size in zip(letters, value.shape, strict=True)):
@@ -318,6 +318,15 @@ def _check(content: dict[str, Any]) -> None:
         indices: NDArray[Any] = np.asarray(content[name])
         if indices.size and not 0 <= indices.min() <= indices.max() < sizes["n"]:
             raise ValueError(f"field {name!r} holds indices outside 0 … {sizes['n'] - 1}")
+
+
+def _as_array(name: str, value: Any) -> NDArray[Any]:
+    if np.ma.is_masked(value):
+        raise ValueError(f"field {name!r} has masked entries")  # NumPy would take what is under the mask
+    try:
+        return np.asarray(value)
+    except Exception as error:  # an object's own __array__ may raise anything
+        raise ValueError(f"field {name!r} is {shown(value)}: it must be an array") from error
 
 
 def _check_values(content: dict[str, Any]) -> None:

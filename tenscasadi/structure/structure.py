@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, diags_array
 
 from tenscasadi.structure.class_one import ClassOne, Layout, bar_mass_matrix, class_one, connectivity, default_layout, extend_layout, read_matrices
+from tenscasadi.structure.pins import read_pins
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import SMALLEST, Array, Indices, choice, finite_array, flag, node_index, node_pairs, nonnegative, per_item, rows_of_size
+from tenscasadi.util.validate import SMALLEST, Array, Indices, choice, finite_array, flag, node_pairs, nonnegative, per_item, rows_of_size
 
 SHORTEST = 1e-12  # of the largest coordinate: below it rounding decides where a member points
 THICKEST = 1e3  # radius over length: beyond it M loses its positive definiteness to rounding
@@ -119,7 +120,7 @@ class Structure(ReadOnlyArrays):
             raise ValueError("nodes is empty: give at least one node")
         own["bars"] = node_pairs("bars", bars, n, "bar")
         own["strings"] = node_pairs("strings", strings, n, "string", parallel=True)
-        own["pinned"] = _read_pins(pinned, n)
+        own["pinned"] = read_pins(pinned, n)
         own["fixed"] = np.array([[axis in self.pinned.get(node, "") for axis in "xyz"] for node in range(n)])
         own["bar_lengths"] = _lengths("bars", self.nodes, self.bars, "bar")
         own["string_lengths"] = _lengths("strings", self.nodes, self.strings, "string")
@@ -377,22 +378,3 @@ def _lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array:
         a, b = pairs[i]
         raise ValueError(f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: move one or leave the {item} out")
     return np.asarray(lengths)
-
-
-def _read_pins(pinned: Any, count: int) -> Mapping[int, str]:
-    """{node: axes} in node order, axes in the order x, y, z."""
-    try:
-        entries = list(pinned.items() if isinstance(pinned, Mapping) else ((node, "xyz") for node in pinned))
-    except Exception as error:  # each kind of matrix refuses in its own way
-        raise TypeError(f"pinned is {pinned!r}: give node indices, such as [0, 3], or a mapping such as {{0: 'xyz', 3: 'z'}}") from error
-    pins: dict[int, str] = {}
-    for key, axes in entries:
-        node = node_index("pinned", key, count)
-        if not isinstance(axes, str):
-            raise TypeError(f"pinned of node {node} is {axes!r}: give the axes as text, such as 'xyz' or 'z'")
-        if not axes or len(set(axes)) != len(axes) or not set(axes) <= set("xyz"):
-            raise ValueError(f"pinned of node {node} is {axes!r}: give some of x, y, z, each once")
-        if node in pins:
-            raise ValueError(f"pinned: node {node} is given twice: leave one out")
-        pins[node] = "".join(sorted(axes))
-    return MappingProxyType(dict(sorted(pins.items())))

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from tenscasadi.util.validate import instance
+from tenscasadi.util.validate import instance, shown
 
 log = logging.getLogger(__name__)
 
@@ -113,7 +113,7 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None, 
     """
     instance("function", function, ca.Function, "a casadi.Function")
     if flags is not None and (isinstance(flags, str) or not all(isinstance(flag, str) for flag in flags)):
-        raise TypeError(f'flags is {flags!r}: give a sequence of strings, such as ("-O2",), or None')
+        raise TypeError(f'flags is {shown(flags)}: give a sequence of strings, such as ("-O2",), or None')
     compiler = find_compiler()
     if compiler is None:
         raise CompileError("no C compiler found: install gcc or clang, or name one in the environment variable CC")

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 LARGEST = 1e100  # squares and products of input must not overflow; no SI quantity of a structure comes near
+MOST_SHOWN = 300  # characters of a value in a message
 SMALLEST = 1e-100  # what must be greater than 0 is at least this: divisions by it must not overflow
 
 
@@ -72,27 +73,33 @@ def listed(field: str, value: Any, example: str) -> tuple[Any, ...]:
     if not isinstance(value, (str, bytes)):
         with suppress(Exception):  # CasADi's and SciPy's matrices, arrays of no dimension: each refuses in its own way
             return tuple(value)
-    raise TypeError(f"{field} is {value!r}: give a list, such as {example}")
+    raise TypeError(f"{field} is {shown(value)}: give a list, such as {example}")
 
 
 def choice(field: str, value: Any, *options: str) -> None:
     """Raise ValueError unless `value` is one of these words."""
     if not isinstance(value, str) or value not in options:
-        raise ValueError(f"{field} is {value!r}: give {' or '.join(repr(option) for option in options)}")
+        raise ValueError(f"{field} is {shown(value)}: give {' or '.join(repr(option) for option in options)}")
 
 
 def flag(field: str, value: Any) -> None:
     """Raise TypeError unless `value` is True or False."""
     if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{field} is {value!r}: give True or False")
+        raise TypeError(f"{field} is {shown(value)}: give True or False")
+
+
+def text(field: str, value: Any) -> str:
+    """Return `value` where it is text. Raises TypeError."""
+    instance(field, value, str, "text")
+    return str(value)
 
 
 def file_path(field: str, value: Any) -> Path:
     """Return `value` as a path. Raises TypeError, ValueError."""
     if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
-        raise TypeError(f"{field} is {value!r}: give the name of a file or folder, as text or a pathlib.Path")
+        raise TypeError(f"{field} is {shown(value)}: give the name of a file or folder, as text or a pathlib.Path")
     if "\0" in os.fspath(value):
-        raise ValueError(f"{field} is {value!r}: give a name without null characters")
+        raise ValueError(f"{field} is {shown(value)}: give a name without null characters")
     return Path(value)
 
 
@@ -114,9 +121,9 @@ def coordinates(field: str, place: Any, none: str, some: bool = False, read: Cal
     try:
         entries = tuple(place.full().ravel() if isinstance(place, ca.DM) else place)
     except Exception as error:  # each kind of matrix refuses in its own way
-        raise TypeError(f"{field} is {place!r}: give (x, y, z), None for {none}") from error
+        raise TypeError(f"{field} is {shown(place)}: give (x, y, z), None for {none}") from error
     if len(entries) != 3 or (some and all(entry is None for entry in entries)):
-        raise ValueError(f"{field} is {entries}: give three coordinates, None for {none}")
+        raise ValueError(f"{field} is {shown(entries)}: give three coordinates, None for {none}")
     return tuple(None if entry is None else read(field, entry) for entry in entries)
 
 
@@ -149,9 +156,9 @@ def positive_number(field: str, value: Any, zero: bool = False) -> float:
 def whole_number(field: str, value: Any, minimum: int, maximum: int = 2**31 - 1) -> int:
     """Return `value` as an int from `minimum` to `maximum`; booleans and fractions are refused. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{field} is {value!r}: give a whole number")
+        raise TypeError(f"{field} is {shown(value)}: give a whole number")
     if value < minimum:
-        raise ValueError(f"{field} is {value}: it must be at least {minimum}")
+        raise ValueError(f"{field} is {shown(value)}: it must be at least {minimum}")
     if value > maximum:
         raise ValueError(f"{field} is {float(min(value, 10**300)):g}: it must be at most {maximum}")
     return int(value)
@@ -160,9 +167,9 @@ def whole_number(field: str, value: Any, minimum: int, maximum: int = 2**31 - 1)
 def node_index(field: str, value: Any, count: int) -> int:
     """Return `value` as an index of one of `count` nodes, zero-based. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{field} is {value!r}: give a node index, a whole number")
+        raise TypeError(f"{field} is {shown(value)}: give a node index, a whole number")
     if not 0 <= value < count:
-        raise ValueError(f"{field} is {value}: node indices run from 0 to {count - 1}")
+        raise ValueError(f"{field} is {shown(value)}: node indices run from 0 to {count - 1}")
     return int(value)
 
 
@@ -171,12 +178,12 @@ def node_pairs(field: str, value: Iterable[Sequence[int]], count: int, item: str
     try:
         rows = [tuple(row) for row in value]
     except Exception as error:  # each kind of matrix refuses in its own way
-        raise TypeError(f"{field} is {value!r}: give a sequence of node pairs, such as [(0, 1), (1, 2)]") from error
+        raise TypeError(f"{field} is {shown(value)}: give a sequence of node pairs, such as [(0, 1), (1, 2)]") from error
     seen: dict[tuple[int, int], int] = {}
     pairs = np.empty((len(rows), 2), dtype=np.intp)
     for k, row in enumerate(rows):
         if len(row) != 2:
-            raise ValueError(f"{field}[{k}] is {row}: {item} {k} joins two nodes, give a pair")
+            raise ValueError(f"{field}[{k}] is {shown(row)}: {item} {k} joins two nodes, give a pair")
         a, b = (node_index(f"{field}[{k}]", end, count) for end in row)
         if a == b:
             raise ValueError(f"{field}: {item} {k} joins node {a} to itself: give two different nodes")
@@ -189,10 +196,19 @@ def node_pairs(field: str, value: Iterable[Sequence[int]], count: int, item: str
     return pairs
 
 
+def shown(value: Any) -> str:
+    """Return `value` as messages show it: its repr, cut where it is long; its type where it has none, such as a number of 5000 digits."""
+    try:
+        text = repr(value)
+    except Exception:  # noqa: BLE001  an object's own repr may raise anything
+        return f"a value of type {type(value).__name__}"
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]} …"
+
+
 def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> None:
     """Raise TypeError unless `value` is one of `kinds`; `example` shows a right one."""
     if not isinstance(value, kinds):
-        raise TypeError(f"{field} is {value!r}: give {example}")
+        raise TypeError(f"{field} is {shown(value)}: give {example}")
 
 
 def call_user_function(field: str, function: Callable[[Any], Any], argument: Any, hint: str) -> Any:

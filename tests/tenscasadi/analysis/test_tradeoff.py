@@ -412,7 +412,10 @@ def test_summary_has_a_line_for_each_row(table):
         ({"t_end": 0}, "t_end"),
         ({"schemes": []}, "schemes"),
         ({"schemes": tc.RungeKutta4()}, "schemes"),
-        ({"schemes": [tc.RungeKutta4]}, "scheme"),
+        ({"schemes": [tc.RungeKutta4]}, r"schemes\[0\]"),
+        ({"progress": np.ones(2)}, "progress"),
+        ({"reference": [1.0]}, "reference"),
+        ({"state": lambda model: model.nothing}, "state fails with AttributeError"),
         ({"steps": []}, "steps"),
         ({"steps": [0.1, -1]}, r"steps\[1\]"),
         ({"steps": 0.1}, "steps"),
@@ -431,6 +434,26 @@ def test_wrong_input_is_named(change, named):
     arguments = {"models": spinning(), "t_end": 0.1, "schemes": [tc.RungeKutta4()], "steps": [0.01], "compiled": (False,), **change}
     with pytest.raises((TypeError, ValueError), match=named):
         tc.tradeoff(**arguments)
+
+
+ROW = {"scheme": tc.RungeKutta4(), "step": 0.1, "correction": None, "fidelity": "", "compiled": True, "single": False}
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("scheme", "RungeKutta4"), ("step", "0.1"), ("seconds", 10**400), ("bar", [1.0]), ("steps", 1.5), ("compiled", np.ones(2)), ("message", 3)],
+)
+def test_rows_are_checked(field, value):
+    with pytest.raises((TypeError, ValueError), match=rf"^Row\.{field} is"):
+        tc.Row(**{**ROW, field: value})
+
+
+@pytest.mark.parametrize(("field", "value"), [("rows", 3), ("rows", (3,)), ("t_end", "1"), ("reference_error", None), ("complete", 1.0)])
+def test_studies_are_checked(field, value):
+    with pytest.raises(TypeError, match=rf"^Tradeoff\.{field}(\[0\])? is"):
+        tc.Tradeoff(**{"rows": (), "t_end": 1.0, "reference_error": 0.0, "reference_message": "", field: value})
+    with pytest.raises(ValueError, match=r"^cost is"):
+        tc.Tradeoff((), 1.0, 0.0, "").pareto(np.ones(2))
 
 
 def test_models_of_other_structures_are_refused():

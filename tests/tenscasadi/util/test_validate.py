@@ -266,3 +266,20 @@ def test_faults_of_a_user_function_are_told_by_name() -> None:
         validate.call_user_function("law", lambda x: 1 / x, 0, "give a speed")
     with pytest.raises(ValueError, match=r"^law fails with \w+: .*: give casadi\.if_else"):
         validate.call_user_function("law", lambda x: max(x, 0), ca.SX.sym("x"), "")
+
+
+class Mute:
+    """Its repr fails."""
+
+    def __repr__(self) -> str:
+        raise RuntimeError("mute")
+
+
+SHOWN = [(3, "3"), ("x", "'x'"), (-(10**5000), "a value of type int"), (Mute(), "a value of type Mute"), ("x" * 500, f"'{'x' * 299} …")]
+
+
+@pytest.mark.parametrize(("value", "words"), SHOWN, ids=["number", "text", "many digits", "no repr", "long"])
+def test_messages_show_any_value(value: Any, words: str) -> None:
+    assert validate.shown(value) == words
+    with pytest.raises(TypeError, match=rf"^field is {words}: give what is right$"):
+        validate.instance("field", value, (), "what is right")

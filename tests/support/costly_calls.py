@@ -1,0 +1,132 @@
+"""Public names whose calls simulate, solve or draw, with input that is right and costs as little as can be."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from public_calls import Call, timed, trajectory
+
+import ocp
+import tenscasadi as tc
+from tenscasadi import plots
+from tenscasadi.animation import animate
+
+
+@cache
+def cross() -> tc.Model:
+    return tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0], stiffness=1000.0), control=tc.ForceDensity()))
+
+
+@cache
+def turned() -> ocp.Problem:
+    goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    return ocp.Problem(cross(), goals=goals, bounds=[ocp.ForceDensityLimits(0.0, 50.0)], costs=[ocp.Effort()])
+
+
+@cache
+def short_plan() -> ocp.Plan:
+    found = ocp.solve(turned(), ocp.MultipleShooting(4))
+    assert found.success
+    return found
+
+
+@cache
+def mpc() -> ocp.Mpc:
+    return ocp.Mpc(turned(), 0.1, 3)
+
+
+@cache
+def tracker() -> ocp.Tracker:
+    return ocp.track(short_plan())
+
+
+@cache
+def costly_calls() -> dict[str, Call]:
+    """Each with input that is right."""
+    return measuring_calls() | planning_calls() | drawing_calls()
+
+
+def measuring_calls() -> dict[str, Call]:
+    """What runs a motion more than once, or writes C."""
+    start = {"state": timed().initial_state, "control": None}
+    study = {"models": timed(), "t_end": 0.01, "schemes": (tc.RungeKutta4(),), "steps": (0.01,), "reference": None, "state": None, "control": None,
+             "corrections": (None,), "compiled": (False,), "repeats": 1, "progress": False}  # fmt: skip
+    return {
+        "certify": (tc.certify, {"model": timed(), "t_end": 0.01, **start, "accuracy": 1e-3, "enough": 1e-3, "compiled": False, "work": 1e6}),
+        "recommend": (
+            tc.recommend,
+            {
+                "what": timed(),
+                "t_end": 0.01,
+                "tolerance": 1e-2,
+                **start,
+                "schemes": (tc.RungeKutta4(),),
+                "corrections": (None,),
+                "compiled": False,
+                "seconds": 2.0,
+            },
+        ),
+        "tradeoff": (tc.tradeoff, study),
+        "export_c": (tc.export_c, {"model": cross(), "folder": "c", "scheme": tc.RungeKutta4(), "precision": None}),
+    }
+
+
+def planning_calls() -> dict[str, Call]:
+    """What makes plans, follows them, or writes them as C."""
+    m = cross()
+    return {
+        "solve": (
+            ocp.solve,
+            {
+                "problem": turned(),
+                "transcription": ocp.MultipleShooting(3),
+                "solver": ocp.Ipopt(max_iterations=3),
+                "guess": ocp.Equilibrium(),
+                "tolerance": 0.1,
+            },
+        ),
+        "replay_wound": (ocp.replay_wound, {"plan": short_plan(), "stiffness": np.full(2, 1000.0), "damping": 0.0, "updates": 1}),
+        "Plan.replay": (short_plan().replay, {"scheme": tc.RungeKutta4(), "step": 0.05}),
+        "Plan.refine": (short_plan().refine, {"tolerance": 0.1, "attempts": 1}),
+        "Mpc": (
+            ocp.Mpc,
+            {"problem": turned(), "period": 0.1, "intervals": 2, "plan": short_plan(), "iterations": 1, "substeps": 1, "place": 1.0, "effort": 1.0},
+        ),
+        "Mpc.control": (mpc().control, {"time": 0.0, "state": m.initial_state}),
+        "Tracker.control": (tracker().control, {"time": 0.0, "state": m.initial_state}),
+        "track": (ocp.track, {"plan": short_plan(), "decisions": 4, "place": 1.0, "effort": 1.0, "lower": 0.0, "upper": np.full(2, 200.0)}),
+        "run": (ocp.run, {"controller": tracker(), "t_end": 0.05, "model": m, "state": m.initial_state, "steps": 1, "disturbance": lambda t, x: x}),
+        "export_program": (ocp.export_program, {"problem": turned(), "transcription": ocp.MultipleShooting(2), "folder": "c", "guess": None}),
+        "export_mpc": (ocp.export_mpc, {"mpc": mpc(), "folder": "c"}),
+    }
+
+
+def drawing_calls() -> dict[str, Call]:
+    """Pictures."""
+    motion, named = trajectory(), {"title": "a title", "path": "picture.svg"}
+    curves = {"RungeKutta4": [(1e-3, 0.1), (1e-6, 0.6)]}
+
+    def watched(path: Any, every: Any, now: Any) -> Any:
+        watch = plots.Convergence(path, every)
+        watch(now)
+        return watch.figure()
+
+    return {
+        "plots.structure": (plots.structure, {"what": motion, "tension": np.ones(9), "time": 0.01, "labels": True, **named}),
+        "plots.time_lapse": (plots.time_lapse, {"trajectory": motion, "instants": 2, **named}),
+        "plots.node_histories": (plots.node_histories, {"trajectory": motion, "nodes": [0, 1], **named}),
+        "plots.force_densities": (plots.force_densities, {"history": motion, "strings": [0, 1], "lower": 0.0, "upper": np.full(9, 100.0), **named}),
+        "plots.errors": (plots.errors, {"trajectory": motion, **named}),
+        "plots.work_precision": (
+            plots.work_precision,
+            {"curves": curves, "front": [(1e-3, 0.1)], "reference_error": 1e-9, "cost": "seconds", **named},
+        ),
+        "plots.Convergence": (watched, {"path": None, "every": 1.0, "now": ocp.Progress(1, 2.0, 0.1)}),
+        "Tradeoff.plot": (tc.Tradeoff((), 1.0, 1e-9, "known").plot, {"path": "picture.svg", "title": "a title"}),
+        "animate": (
+            animate,
+            {"trajectory": motion, "path": "motion.gif", "speed": 0.5, "frames_per_second": 20, "title": "a title", "progress": False},
+        ),
+    }

@@ -1,0 +1,223 @@
+"""Public names with input that is right, whose calls take milliseconds."""
+
+# ruff: noqa: E501
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import fields
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+import ocp
+import tenscasadi as tc
+
+Call = tuple[Callable[..., Any], dict[str, Any]]
+
+
+@cache
+def model() -> tc.Model:
+    structure = tc.shapes.prism(3, stiffness=1000.0, prestress=30.0)
+    return tc.Model(tc.Scene(structure, control=tc.ForceDensity()))
+
+
+@cache
+def timed() -> tc.Model:
+    structure = tc.shapes.pendulum()
+    start = structure.nodes[0]
+    return tc.Model(tc.Scene(structure, gravity=tc.Gravity(), supports=tc.SupportMotion({0: lambda t: [start[0] + t**2, start[1], start[2]]})))
+
+
+@cache
+def problem(**changes: Any) -> ocp.Problem:
+    taller = tc.shapes.prism(3, height=1.05)
+    goals = [ocp.StringLengths(taller.string_lengths), ocp.AtRest()]
+    return ocp.Problem(model(), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 100.0)], costs=[ocp.Effort()])
+
+
+@cache
+def plan() -> ocp.Plan:
+    found = ocp.solve(problem(), ocp.MultipleShooting(6))
+    assert found.success
+    return found
+
+
+@cache
+def trajectory() -> tc.Trajectory:
+    return tc.simulate(model(), 0.05, 0.01, compiled=False)
+
+
+def arrays_of(value: tc.Trajectory) -> dict[str, Any]:
+    return {field.name: np.asarray(getattr(value, field.name)) for field in fields(value)}
+
+
+def row() -> dict[str, Any]:
+    """The fields of a row of a study."""
+    numbers = {"seconds": 0.1, "setup": 1.0, "position": 1e-3, "bar": 0.0, "joint": 0.0, "energy": 1e-3, "instructions": 100, "steps": 10}
+    ways = {"scheme": tc.RungeKutta4(), "step": 0.01, "correction": tc.Projection(), "fidelity": "fine", "compiled": True, "single": False}
+    return {**ways, **numbers, "success": True, "message": "finished"}
+
+
+@cache
+def table() -> tc.Tradeoff:
+    return tc.Tradeoff((tc.Row(**row()),), t_end=1.0, reference_error=1e-9, reference_message="known")
+
+
+NODES = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float)
+SEGMENTED = tc.Structure(NODES, [(0, 1), (2, 3)], [(0, 2), (1, 3)], string_mass=1.0)
+MEMBERS = {"nodes": NODES, "bars": [(0, 1), (2, 3)], "strings": [(0, 2), (1, 3)]}
+MATRICES = {"N": NODES.T, "C_b": np.array([[-1.0, 1, 0, 0], [0, 0, -1, 1]]), "C_s": np.array([[-1.0, 0, 1, 0], [0, -1, 0, 1]])}
+STRING_VALUES = {"stiffness": 100.0, "damping": np.array([0.1, 0.2]), "rest_length": np.array([1.0, 1.0]), "string_mass": 0.1}
+
+
+@cache
+def quick_calls() -> dict[str, Call]:
+    """Each public name whose call takes milliseconds, with input that is right."""
+    return dynamics_calls() | planning_calls() | shape_calls()
+
+
+def dynamics_calls() -> dict[str, Call]:
+    """Names of `tenscasadi`."""
+    m = model()
+    x, u, n = m.initial_state, m.initial_control, len(m.structure.nodes)
+    pair = {"model": m, "x": x, "u": u}
+    run = {"model": m, "t_end": 0.02, "step": 0.01, "scheme": tc.RungeKutta4(), "state": x, "control": u, "correction": tc.Projection(),
+           "save_every": 1, "compiled": False}  # fmt: skip
+    scene = {"structure": SEGMENTED, "control": tc.ForceDensity(), "segments": [2, 2], "gravity": tc.Gravity(), "ground": tc.Ground(10.0, 1.0),
+             "pressure": tc.Pressure([(0, 1, 2)], 5.0), "forces": tc.NodalForce(np.ones((4, 3))), "slack": tc.Smooth(0.01)}  # fmt: skip
+    found: dict[str, Call] = {
+        "Structure": (tc.Structure, MEMBERS | STRING_VALUES | {"bar_mass": 1.0, "bar_radius": np.array([0.0, 0.01]), "node_mass": np.zeros(4), "pinned": {0: "xyz"}}),
+        "Structure.from_matrices": (tc.Structure.from_matrices, MATRICES | {"P": np.array([[0.0], [1], [0], [0]]), "D": np.array([[1.0], [0], [0]]), "node_mass": np.zeros(4)}),
+        "Structure.class_one": (SEGMENTED.class_one, {"sparse": True}),
+        "Structure.replace": (SEGMENTED.replace, {"nodes": NODES, "bar_mass": 2.0, "pinned": (0,)}),
+        "Structure.prestressed": (SEGMENTED.prestressed, {"force_density": np.array([1.0, 2.0])}),
+        "Structure.subdivide": (SEGMENTED.subdivide, {"segments": [2, 2], "ends": "lumped", "fractions": np.array([0.5, 0.5])}),
+        "Structure.parent_mean": (SEGMENTED.parent_mean, {"values": np.array([1.0, 2.0])}),
+        "equilibrium_force_density": (tc.equilibrium_force_density, {"structure": SEGMENTED, "loads": np.zeros((4, 3)), "minimum": np.zeros(2)}),
+        "self_stress": (tc.self_stress, {"structure": SEGMENTED}),
+        "Scene": (tc.Scene, scene),
+        "Smooth": (tc.Smooth, {"width": 0.01}),
+        "Gravity": (tc.Gravity, {"acceleration": (0.0, 0.0, -9.81)}),
+        "Ground": (tc.Ground, {"stiffness": 10.0, "damping": 1.0, "friction": 0.4, "height": 0.0}),
+        "Pressure": (tc.Pressure, {"faces": [(0, 1, 2)], "difference": 5.0}),
+        "NodalForce": (tc.NodalForce, {"values": np.ones((2, 4, 3)), "times": np.array([0.0, 1.0])}),
+        "SupportMotion": (lambda motion: tc.Model(tc.Scene(tc.shapes.pendulum(), supports=tc.SupportMotion(motion))), {"motion": {0: lambda t: [0.0, 0.0, t]}}),
+        "Model": (tc.Model, {"scene": m.scene, "coordinates": "full", "bar_length": "current"}),
+        "Model.state": (m.state, {"nodes": m.structure.nodes, "velocities": np.zeros((n, 3))}),
+        "Model.nodes": (m.nodes, {"x": np.array([x, x])}),
+        "Model.velocities": (timed().velocities, {"x": timed().initial_state}),
+        "Model.constraints": (m.constraints, {"x": x}),
+        "linearize": (tc.linearize, {"model": m, "x": x, "u": u}),
+        "modes": (tc.modes, pair),
+        "projection": (tc.projection, {"model": m, "iterations": 2}),
+        "stable_step": (tc.stable_step, pair | {"scheme": tc.RungeKutta4(), "safety": 0.9}),
+        "simulate": (tc.simulate, run),
+        "simulate, moved support": (tc.simulate, {**run, "model": timed(), "state": timed().initial_state, "control": None}),
+        "DormandPrince54": (tc.DormandPrince54, {"rtol": 1e-6, "atol": 1e-6, "max_attempts": 10}),
+        "DormandPrince853": (tc.DormandPrince853, {"rtol": 1e-6, "atol": 1e-6, "max_attempts": 10}),
+        "Rattle": (tc.Rattle, {"order": 2, "iterations": 6}),
+        "Collocation": (tc.Collocation, {"degree": 2, "points": "gauss", "tolerance": 1e-10, "iterations": 5}),
+        "Cvodes": (tc.Cvodes, {"rtol": 1e-6, "atol": 1e-6, "max_steps": 10}),
+        "Idas": (tc.Idas, {"rtol": 1e-6, "atol": 1e-6, "max_steps": 10}),
+        "Projection": (tc.Projection, {"every": 1, "iterations": 3}),
+        "BarLengthCorrection": (tc.BarLengthCorrection, {"weight": 1.0, "every": 1}),
+        "Trajectory.save": (trajectory().save, {"path": "run.npz"}),
+        "Trajectory.load": (tc.Trajectory.load, {"path": "missing.npz"}),
+        "Trajectory.from_arrays": (lambda **k: tc.Trajectory.from_arrays(k), arrays_of(trajectory())),
+        "Trajectory": (lambda **k: repr(tc.Trajectory(**k)), {field.name: getattr(trajectory(), field.name) for field in fields(tc.Trajectory)}),
+        "Model.force_density": (m.force_density, {"x": x, "u": u}),
+        "Model.tension": (m.tension, {"x": x, "u": u}),
+        "Model.multipliers": (m.multipliers, {"x": x, "u": u}),
+        "Model.energy": (m.energy, {"x": x, "u": u}),
+        "Model.bar_length_error": (m.bar_length_error, {"x": x}),
+        "Model.joint_error": (m.joint_error, {"x": x}),
+        "mode_motion": (tc.mode_motion, {"model": m, "modes": tc.modes(m), "index": 0, "amplitude": 0.1, "rows": 4}),
+        "Reference": (tc.Reference, {"nodes": NODES, "error": 1e-12, "t_end": 1.0, "message": "known"}),
+        "Row": (lambda **k: [getattr(tc.Row(**k), name) for name in ("name", "curve", "work")], row()),
+        "Tradeoff": (lambda **k: [tc.Tradeoff(**k).summary(), tc.Tradeoff(**k).pareto()], {"rows": (tc.Row(**row()),), "t_end": 1.0, "reference_error": 1e-9, "reference_message": "known", "complete": True, "message": ""}),
+        "Tradeoff.pareto": (table().pareto, {"cost": "work"}),
+        "Tradeoff.cheapest": (table().cheapest, {"tolerance": 1.0, "cost": "seconds"}),
+        "Tradeoff.save": (table().save, {"path": "table.npz"}),
+        "Tradeoff.load": (tc.Tradeoff.load, {"path": "missing.npz"}),
+        "simulate, adaptive": (tc.simulate, {**run, "scheme": tc.DormandPrince54(rtol=1e-3, max_attempts=100)}),
+    }  # fmt: skip
+    return found
+
+
+def planning_calls() -> dict[str, Call]:
+    """Names of `ocp`."""
+    m = model()
+    x, u, n = m.initial_state, m.initial_control, len(m.structure.nodes)
+    weight = {"weight": 1.0}
+    mesh = {"intervals": 5, "control": ocp.PiecewiseConstant(), "accuracy": None}
+    found: dict[str, Call] = {
+        "Problem": (ocp.Problem, {"model": m, "duration": (0.5, 1.0), "start": x, "goals": [ocp.AtRest()], "bounds": [ocp.ForceDensityLimits(1.0, 100.0)], "costs": [ocp.Effort()]}),
+        "FreeStart": (ocp.FreeStart, {"near": x, "goals": [ocp.AtRest()]}),
+        "StringLengths": (bounded(ocp.StringLengths, goal=True), {"lengths": {0: 1.0, 1: 1.0}}),
+        "NodePositions": (bounded(ocp.NodePositions, goal=True), {"positions": {0: (None, 0.0, 1.0)}}),
+        "Shape": (bounded(ocp.Shape, goal=True), {"nodes": m.structure.nodes}),
+        "Periodic": (bounded(ocp.Periodic, goal=True), {"shift": (0.0, None, 0.0), "start": (m.structure.nodes, np.zeros((n, 3)))}),
+        "Waypoint": (bounded(ocp.Waypoint, goal=True), {"goals": [ocp.AtRest()], "time": 0.5, "share": None}),
+        "ForceDensityLimits": (bounded(ocp.ForceDensityLimits), {"lower": 1.0, "upper": np.full(9, 100.0)}),
+        "TensionLimits": (bounded(ocp.TensionLimits), {"lower": 1.0, "upper": np.full(9, 100.0)}),
+        "RestLengthLimits": (bounded(ocp.RestLengthLimits), {"lower": 0.1, "upper": 5.0, "stiffness": np.full(9, 1000.0)}),
+        "RestLengthRateLimits": (bounded(ocp.RestLengthRateLimits), {"speed": np.full(9, 1.0), "stiffness": 1000.0}),
+        "BarForceLimits": (bounded(ocp.BarForceLimits), {"compression": 100.0, "tension": np.full(3, 100.0)}),
+        "Buckling": (bounded(lambda **k: ocp.Buckling(**k), structure=m.structure.replace(bar_radius=0.01)), {"modulus": np.full(3, 1e9), "safety": 2.0}),
+        "InsideBox": (bounded(ocp.InsideBox), {"lower": (None, None, -1.0), "upper": (5.0, 5.0, 5.0), "nodes": [0, 1]}),
+        "AboveGround": (bounded(ocp.AboveGround), {"height": -1.0, "nodes": [0, 1]}),
+        "BarClearance": (bounded(ocp.BarClearance), {"distance": 0.01, "pairs": [(0, 1)]}),
+        "Obstacle": (bounded(ocp.Obstacle), {"centre": (5.0, 5.0, 5.0), "radius": 0.5, "bars": [0], "nodes": [1]}),
+        "Effort": (bounded(ocp.Effort, cost=True), weight),
+        "Smoothness": (bounded(ocp.Smoothness, cost=True), weight),
+        "Prestress": (bounded(ocp.Prestress, cost=True), {"level": np.full(9, 1.0), **weight}),
+        "Tracking": (bounded(ocp.Tracking, cost=True), {"positions": {0: (0.0, 0.0, 0.0), 1: lambda t: (t, t, t)}, **weight}),
+        "Duration": (bounded(ocp.Duration, cost=True), weight),
+        "Work": (bounded(ocp.Work, cost=True), {**weight, "smoothing": 0.1}),
+        "Constraint": (bounded(ocp.Constraint), {"name": "c", "expression": lambda now: now.nodes[2, 0], "lower": -9.0, "upper": 9.0}),
+        "Integral": (bounded(ocp.Integral, cost=True), {"name": "c", "expression": lambda now: now.nodes[2, 0] ** 2, **weight}),
+        "AtEnd": (bounded(ocp.AtEnd, cost=True), {"name": "c", "expression": lambda now: now.nodes[2, 0] ** 2, **weight}),
+        "MultipleShooting": (ocp.MultipleShooting, mesh | {"scheme": tc.RungeKutta4(), "substeps": 1}),
+        "ImplicitMidpoint": (ocp.ImplicitMidpoint, mesh),
+        "Variational": (ocp.Variational, mesh),
+        "ocp.Collocation": (ocp.Collocation, mesh | {"degree": 2}),
+        "PiecewiseConstant": (ocp.PiecewiseConstant, {"groups": ((0, 1), (2, 3))}),
+        "PiecewiseLinear": (ocp.PiecewiseLinear, {"groups": ((0, 1), (2, 3))}),
+        "Ipopt": (ocp.Ipopt, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}, "seconds": 1.0, "watch": None, "warm": False}),
+        "Fatrop": (ocp.Fatrop, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}}),
+        "InverseDynamics": (ocp.InverseDynamics, {"path": np.array([m.structure.nodes] * 2)}),
+        "Arrays": (ocp.Arrays, {"states": np.array([x] * 4), "force_density": np.array([u] * 3), "duration": 1.0}),
+        "reachable": (ocp.reachable, {"plan": plan(), "stiffness": 1000.0, "shortest": np.full(9, 0.01)}),
+        "Plan.rest_lengths": (plan().rest_lengths, {"stiffness": np.full(9, 1000.0)}),
+        "Plan.tension": (plan().tension, {"end": True}),
+        "Plan.save": (plan().save, {"path": "plan.npz"}),
+        "Plan.load": (ocp.Plan.load, {"path": "missing.npz", "problem": problem()}),
+        "Plan.known_model": (plan().known_model, {"user": "a test"}),
+        "Progress": (ocp.Progress, {"iteration": 1, "objective": 1.0, "infeasibility": 0.0}),
+    }  # fmt: skip
+    return found
+
+
+def shape_calls() -> dict[str, Call]:
+    """Ready-made structures with their defaults."""
+    found: dict[str, Call] = {}
+    for name in ("pendulum", "double_pendulum", "prism", "d_bar", "t_bar", "six_bar_ball", "membrane"):
+        make = getattr(tc.shapes, name)
+        given = {k: p.default for k, p in inspect.signature(make).parameters.items() if p.default is not inspect.Parameter.empty}
+        found[name] = (make, given)
+    return found
+
+
+def bounded(kind: Callable[..., Any], goal: bool = False, cost: bool = False, structure: tc.Structure | None = None) -> Callable[..., Any]:
+    """The value, put into a problem, which then checks it."""
+
+    def make(**options: Any) -> Any:
+        value = kind(**options)
+        m = model() if structure is None else tc.Model(tc.Scene(structure, control=tc.ForceDensity()))
+        goals = [value] if goal else []
+        return ocp.Problem(m, goals=goals, bounds=[] if goal or cost else [value], costs=[value] if cost else [])
+
+    return make
