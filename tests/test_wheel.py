@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+HEADERS = {path.relative_to(ROOT).as_posix() for path in (ROOT / "tenscasadi").rglob("*.hpp")}
 FILES = sorted(path.relative_to(ROOT) for package in ("tenscasadi", "ocp") for path in (ROOT / package).rglob("*.py"))
 
 IMPORT = """
@@ -47,7 +48,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_holds_every_module_and_the_marks_of_types(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
-    assert names == {path.as_posix() for path in FILES} | {"tenscasadi/py.typed", "ocp/py.typed"}
+    assert names == {path.as_posix() for path in FILES} | HEADERS | {"tenscasadi/py.typed", "ocp/py.typed"}
 
 
 def test_every_module_is_imported_from_a_fresh_environment(wheel: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import functools
 import hashlib
 import logging
@@ -18,14 +19,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import casadi as ca
 
 from tenscasadi.util.validate import instance, shown
 
+T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 _LONG = 1_000_000  # characters of C above which optimisation is cut short: compile time would grow with their square
@@ -121,21 +124,37 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None, 
         source = _c_code(function, single)
     except RuntimeError as error:
         raise CompileError(f"CasADi cannot write C code for {function}: {error}") from None
+    return _load(compiler, flags, source, function.name(), ".c", lambda library: ca.external(function.name(), str(library)))
+
+
+def compile_library(name: str, source: str) -> ctypes.CDLL:
+    """Compile C++ that needs nothing of C++'s own library, by the C compiler, and load it; the cache keeps it as it does a Function's.
+
+    Raises CompileError where there is no compiler, where it knows no C++ or where it refuses the code.
+    """
+    compiler = find_compiler()
+    if compiler is None:
+        raise CompileError("no C compiler found: install gcc or clang, or name one in the environment variable CC")
+    return _load(compiler, None, source, name, ".cpp", lambda library: ctypes.CDLL(str(library)))
+
+
+def _load(compiler: tuple[str, ...], flags: Sequence[str] | None, source: str, name: str, suffix: str, load: Callable[[Path], T]) -> T:
+    """Return what `load` makes of the library of this source, compiled unless the cache holds it."""
     if flags is None:
         flags = _default_flags(compiler) if len(_NO_CODE.sub("", source)) < _LONG else ("-O1", *_default_flags(compiler)[1:])
     identity = (_identity(compiler, flags), platform.machine(), *flags, ca.CasadiMeta.version(), source)
     key = hashlib.sha256("\0".join(identity).encode()).hexdigest()
-    library = cache_folder() / f"{function.name()}-{key[:32]}{_SUFFIX}"
+    library = cache_folder() / f"{name}-{key[:32]}{_SUFFIX}"
     reason: object = ""
     for build in (False, True, True):  # twice: another process may remove the first before it is loaded
         try:
             if build:
-                _build(compiler, flags, source, library, key)
+                _build(compiler, flags, source, suffix, library, key)
                 _trim(library.parent)
             elif not library.is_file() or _distrust(library) or not _is_whole(library, key):
                 continue
             os.utime(library)  # used now
-            return ca.external(function.name(), str(library))
+            return load(library)
         except (RuntimeError, OSError) as error:  # removed by another process, or damaged, for instance by a disk that was full
             if isinstance(error, CompileError):
                 raise
@@ -251,11 +270,11 @@ def _is_whole(library: Path, key: str) -> bool:
     return size > 0 and content[size:] == _seal(content[:size], key)
 
 
-def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, library: Path, key: str) -> None:
+def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, suffix: str, library: Path, key: str) -> None:
     """Compile in a folder of its own, then move the library into place in one operation: no process ever sees half a file."""
     try:
         with tempfile.TemporaryDirectory(prefix=_BUILD, dir=library.parent) as folder:
-            code, result = Path(folder) / "code.c", Path(folder) / library.name
+            code, result = Path(folder) / f"code{suffix}", Path(folder) / library.name
             code.write_text(source, encoding="utf-8")
             position = [] if sys.platform == "win32" else ["-fPIC"]
             _run([*compiler, *flags, *position, "-shared", "-o", str(result), str(code), "-lm"])

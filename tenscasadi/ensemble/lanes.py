@@ -1,0 +1,62 @@
+"""Lanes: CasADi's C as C++ whose numbers are several doubles, so that each instruction moves several motions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from importlib import resources
+
+import casadi as ca
+
+# CasADi writes if_else as a sum of these; the operands are variables, or entries that a loop passes over.
+_OPERAND = r"\w+(?:\[\w+\])?|\(\*\w+\+\+\)"
+_CONDITION = re.compile(rf"\(({_OPERAND})\?({_OPERAND}):0\)")
+_SIGN = re.compile(r"^casadi_real casadi_sign\(.*?\}$", re.DOTALL | re.MULTILINE)
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+
+_WIDEST = """
+#if defined(__AVX512F__)
+#define LANES 8
+#elif defined(__AVX__)
+#define LANES 4
+#else
+#define LANES 2
+#endif
+"""
+
+
+def write_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int], lanes: int | None) -> str:
+    """Write the C++ that rolls motions by these Functions, which have the names that `motions.hpp` calls.
+
+    sizes: constants of `motions.hpp`. lanes: motions in each instruction; None: as many as the processor's registers hold. One lane is
+    plain double, and takes any code.
+    """
+    generator = ca.CodeGenerator("motion.c", {"with_header": False})
+    for function in functions.values():
+        generator.add(function)
+    room = {
+        "SIZE_ARG": max(3, *(function.sz_arg() for function in functions.values())),
+        "SIZE_RES": max(function.sz_res() for function in functions.values()),
+        "SIZE_IW": max(function.sz_iw() for function in functions.values()),
+        "SIZE_W": max(function.sz_w() for function in functions.values()),
+    }
+    has = {name.removeprefix("motion_").upper(): 1 for name in functions}
+    return "\n".join(
+        [
+            _WIDEST if lanes is None else f"#define LANES {lanes}",
+            _text("lanes.hpp"),
+            generator.dump() if lanes == 1 else _replace_branches(generator.dump()),
+            *(f"#define {name} {value}" for name, value in {**has, **sizes, **room}.items()),
+            _text("motions.hpp"),
+        ]
+    )
+
+
+def _replace_branches(source: str) -> str:
+    """Write choices between numbers as functions of lanes; what is not known here does not compile as lanes."""
+    source = _CONDITION.sub(r"select(\1, \2)", _COMMENT.sub("", source))
+    return _SIGN.sub("static inline casadi_real casadi_sign(casadi_real x) { return sign(x); }", source)
+
+
+def _text(name: str) -> str:
+    return resources.files("tenscasadi.ensemble").joinpath(name).read_text(encoding="utf-8")
