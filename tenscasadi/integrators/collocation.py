@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, cast
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import build_held_ode, build_switching, count_switches, split_mode
+from tenscasadi.integrators.events import count_switches
 from tenscasadi.integrators.scheme import Complex, add_work, check_ode
-from tenscasadi.scene.ground import Ground
-from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip
-from tenscasadi.util.casadi_tools import call_as_sx, sparse
+from tenscasadi.integrators.stage_iteration import solve_stages, stage_states
 from tenscasadi.util.validate import Array, choice, instance, positive_number, whole_number
 
 _SWEPT_DEGREE = 4  # degree up to which sweeps converge fast
 _LAST_MOVE, _ROUNDING = 100.0, 1e-9  # what the last sweep may have moved: times the tolerance, or relative to the state
 _RESIDUAL = 1e-5  # of the state: what the equations may be off by after Newton's method; stiff forces magnify what is left of its last step
-_RIGID = 1e5  # stiffness that stands in for bars and joints, relative to the stiffest entry: their share of a sweep is exact to its inverse
-_DOUBT = 2.0  # times the last change of a stage: how far past its end a string or contact keeps its mode
-_SMOOTH = 0.3  # of the slip and the slip speed together: velocities that move by less follow the slope of friction
-_BLOCK = 8  # sweeps that are skipped at once when they are not needed
+_HALVINGS = 10  # of a step with slack or contact whose equations are not solved
+_TOLERANCE = 1e-10  # m and m/s
 
 
 @dataclass(frozen=True)
@@ -56,8 +49,9 @@ class Collocation:
     -----
     Steps of a model up to degree 4 are found stage by stage (triangular iteration), which takes 15 to 20 iterations with stiff strings and
     fails where bars turn by more than about a radian in a step. Friction is met with its secant while nodes still slow down, and with
-    its slope then; hard contact with friction may still need smaller steps. Steps of other equations and degrees are found by Newton's
-    method for all stages at once.
+    its slope then. Where strings can go slack or nodes meet the ground, a step that is not found is taken in two halves, and these likewise,
+    down to a 1024th: impacts with friction need that. Steps of other equations and degrees are found by Newton's method for all stages at
+    once.
 
     References
     ----------
@@ -75,7 +69,7 @@ class Collocation:
 
     degree: int = 2
     points: Literal["gauss", "radau"] = "gauss"
-    tolerance: float = 1e-10
+    tolerance: float = _TOLERANCE
     iterations: int = 60
     adaptive: ClassVar[bool] = False
     implicit: ClassVar[bool] = True
@@ -122,22 +116,34 @@ class Collocation:
             If its inputs and outputs are others.
         """
         check_ode(ode)
+        return self._close(self._newton(ode), "x")
+
+    def _close(self, step: ca.Function, name: str) -> ca.Function:
+        """Return the Function (x, u, h) of a Function (x, u, h, tolerance)."""
+        symbols = [ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3)]
+        return ca.Function("step", symbols, [step(*symbols, self.tolerance)], [name, "u", "h"], [f"{name}_next"])
+
+    def _newton(self, ode: ca.Function) -> ca.Function:
+        """Return (x, u, h, tolerance) → x_next, by Newton's method for all stages at once."""
         A, b = self.coefficients
         nx, s = ode.size1_in(0), self.degree
         x, u, h, Z = ca.MX.sym("x", nx), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("h"), ca.MX.sym("Z", nx * s)
-        columns = ca.horzsplit(ca.reshape(Z, nx, s))
+        tolerance = ca.MX.sym("tolerance")
+        scale = tolerance / _TOLERANCE  # of the unknowns: the solver's own tolerance is a constant
+        columns = ca.horzsplit(ca.reshape(scale * Z, nx, s))
         slopes = ca.horzcat(*(ode(x + column, u) for column in columns))
-        residual = Z - h * ca.vec(ca.mtimes(slopes, ca.DM(A.T)))  # in increments of the state, (IV.8.2): well scaled however stiff
-        problem: Any = {"x": Z, "p": ca.vertcat(x, u, h), "g": residual}
-        options: Any = {"linear_solver": "qr", "abstol": 1e-300, "abstolStep": self.tolerance, "max_iter": self.iterations, "error_on_fail": False}
+        residual = scale * Z - h * ca.vec(ca.mtimes(slopes, ca.DM(A.T)))  # in increments of the state, (IV.8.2): well scaled however stiff
+        inputs = ca.vertcat(x, u, h, tolerance)
+        problem: Any = {"x": Z, "p": inputs, "g": residual}
+        options: Any = {"linear_solver": "qr", "abstol": 1e-300, "abstolStep": _TOLERANCE, "max_iter": self.iterations, "error_on_fail": False}
         solve = ca.rootfinder("stages", "fast_newton", problem, options)
         guess = h * ca.vec(ca.mtimes(ode(x, u), ca.DM(A.sum(axis=1)).T))
-        found = solve(guess, ca.vertcat(x, u, h))
-        left = ca.Function("left", [Z, x, u, h], [ca.norm_inf(residual)])(found, x, u, h)
+        found = solve(guess / scale, inputs)
+        left = ca.Function("left", [Z, x, u, h, tolerance], [ca.norm_inf(residual)])(found, x, u, h, tolerance)
+        found = scale * found
         solved = left <= _RESIDUAL * (ca.norm_inf(x) + ca.norm_inf(found))  # generated code does not tell
         after = x + ca.mtimes(ca.reshape(found, nx, s), ca.DM(np.linalg.solve(A.T, b)))  # (IV.8.2b)
-        after = ca.if_else(solved, after, np.nan)
-        return ca.Function("step", [x, u, h], [after], ["x", "u", "h"], ["x_next"])
+        return ca.Function("newton", [x, u, h, tolerance], [ca.if_else(solved, after, np.nan)], ["x", "u", "h", "tolerance"], ["x_next"])
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
         """Build one step of a model with its control held: that of `step(model.ode)`, found in a fraction of the time.
@@ -160,21 +166,50 @@ class Collocation:
         TypeError
             If `model` is no Model.
         """
+        return self._close(self.advance_within(model, power), "z")
+
+    def advance_within(self, model: Model, power: ca.Function | None = None) -> ca.Function:
+        """Build the step of `advance` with the tolerance as an input, so that one compiled loop serves all tolerances.
+
+        Parameters
+        ----------
+        model : Model
+            Model whose state is advanced.
+        power : casadi.Function, optional
+            See `advance`.
+
+        Returns
+        -------
+        casadi.Function
+            Function (z, u, h, tolerance) → z_next.
+
+        Raises
+        ------
+        TypeError
+            If `model` is no Model.
+        """
         instance("model", model, Model, "a tenscasadi.Model")
         if self.degree > _SWEPT_DEGREE or model.nq == 0:
-            return self.step(model.ode if power is None else add_work(model.ode, power))
+            step = self._newton(model.ode if power is None else add_work(model.ode, power))
+        else:
+            step = self._swept(model, power)
+        return _halve_unsolved(step) if any(count_switches(model)) else step
+
+    def _swept(self, model: Model, power: ca.Function | None) -> ca.Function:
+        """Return (z, u, h, tolerance) → z_next, by sweeps through the stages."""
         A, b = self.coefficients
         nx = model.nx
         z, u, h = ca.MX.sym("z", nx + (power is not None)), ca.MX.sym("u", model.nu), ca.MX.sym("h")
+        tolerance = ca.MX.sym("tolerance")
         x = z[:nx]
         _, v, clock = model.split(x)
-        k, change = solve_stages(model, A, self.iterations, self.tolerance)(x, u, h)
+        k, change = solve_stages(model, A, self.iterations)(x, u, h, tolerance)
         moved = ca.vertcat(h * v + h**2 * ca.mtimes(k, ca.DM(A.T @ b)), h * ca.mtimes(k, ca.DM(b)), ca.DM.ones(clock.shape[0]) * h)
         if power is not None:
             watts = [power(state, u) for state in stage_states(model, A, x, k, h)]
             moved = ca.vertcat(moved, h * ca.mtimes(ca.horzcat(*watts), ca.DM(b)))
-        solved = change <= ca.fmax(_LAST_MOVE * self.tolerance, _ROUNDING * ca.norm_inf(x))
-        return ca.Function("step", [z, u, h], [ca.if_else(solved, z + moved, np.nan)], ["z", "u", "h"], ["z_next"])
+        solved = change <= ca.fmax(_LAST_MOVE * tolerance, _ROUNDING * ca.norm_inf(x))
+        return ca.Function("swept", [z, u, h, tolerance], [ca.if_else(solved, z + moved, np.nan)], ["z", "u", "h", "tolerance"], ["z_next"])
 
     def amplification(self, z: Complex) -> Complex:
         """Compute the factor by which one step multiplies y when y' = λ y.
@@ -195,176 +230,22 @@ class Collocation:
         return np.asarray(np.linalg.det(one - z * A + z * np.tile(b, (self.degree, 1))) / np.linalg.det(one - z * A), dtype=complex)
 
 
-# --- triangular iteration ---
+def _halve_unsolved(whole: ca.Function) -> ca.Function:
+    """Return a step (z, u, h, tolerance) → z_next that is taken in two halves where `whole` gives no finite state, and these likewise.
 
-
-def factor_crout(A: Array) -> Array:
-    """Return L, lower triangular, of A = L U with ones on U's diagonal."""
-    n = len(A)
-    L, U = np.zeros((n, n)), np.eye(n)
-    for j in range(n):
-        L[j:, j] = A[j:, j] - L[j:, :j] @ U[:j, j]
-        U[j, j + 1 :] = (A[j, j + 1 :] - L[j, :j] @ U[:j, j + 1 :]) / L[j, j]
-    return L
-
-
-def solve_stages(model: Model, A: Array, sweeps: int, tolerance: float) -> ca.Function:
-    """Return the Function (x, u, h) → accelerations of the stages (nq, s) and the last change of a velocity times h, or of a velocity: m or m/s.
-
-    Stages are found one after the other by small symmetric systems, in sweeps that end when they move none by more than `tolerance`, or after
-    `sweeps`.
-
-    Newton's method for all stages at once needs derivatives of the right-hand side and a system of 2 s times as many unknowns. Here the
-    method's matrix A gives way to the lower triangle L of Crout's A = L U [1]_: in each sweep stage i solves
-    (I − h lᵢᵢ ∂a/∂v − h² lᵢᵢ² ∂a/∂q) δ = a(qᵢ, vᵢ) − kᵢ for its acceleration kᵢ. What stays is the method itself, A; L decides only how fast
-    the sweeps converge: by 0.29 or better each (two of Gauss's points) however stiff the strings, and much faster what is not stiff.
-
-    Bars are not stiff, they are rigid: along them δ is the residual itself. So the system is that of free nodes, M − h l C − h² l² K with C
-    and K from the forces alone, in which very stiff springs hold bars and joints at what the residual asks for. It is symmetric and positive
-    definite: LDLᵀ, a tenth of the work of other factorisations, and no derivative of the multipliers.
-
-    .. [1] van der Houwen, de Swart, Triangularly implicit iteration methods for ODE-IVP solvers, SIAM J. Sci. Comput. 18, 1997.
+    Near an impact the modes of strings and contacts, or sliding and sticking, may change in turns from iteration to iteration; in a short
+    enough step the forces hardly change, and the iterations of each converge. Other steps cost as much as before.
     """
-    nq, s = model.nq, len(A)
-    symbols = [ca.MX.sym("k", nq, s), ca.MX.sym("changes", 2), ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("h")]
-    names, results = ["k", "changes", "x", "u", "h"], ["k_next", "changes_next"]
-    sweep = ca.Function("sweep", symbols, _sweep(model, A, *symbols), names, results)
-    idle = ca.Function("idle", symbols, symbols[:2], names, results)
-
-    def guarded(name: str, function: ca.Function, times: int) -> ca.Function:
-        choice = ca.Function.if_else(f"{name}_choice", function, idle)
-        k, changes, *rest = symbols
-        for _ in range(times):
-            k, changes = choice(ca.logic_not(changes[0] <= tolerance), k, changes, *rest)
-        return ca.Function(name, symbols, [k, changes], names, results)
-
-    all_sweeps = guarded("all_sweeps", guarded("sweeps", sweep, _BLOCK), -(-sweeps // _BLOCK))
-    x, u, h = symbols[2:]
-    k, changes = all_sweeps(ca.DM.zeros(nq, s), ca.DM.inf(2), x, u, h)
-    return ca.Function("stages", [x, u, h], [k, changes[0]], ["x", "u", "h"], ["k", "change"])
-
-
-def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
-    """Return the state (nx,) at each stage with accelerations k (nq, s)."""
-    c, (q, v, clock) = A.sum(axis=1), model.split(x)
-    Q, V = h**2 * ca.mtimes(k, ca.DM((A @ A).T)), h * ca.mtimes(k, ca.DM(A.T))
-    return [ca.vertcat(q + c[i] * h * v + Q[:, i], v + V[:, i], clock + c[i] * h) for i in range(len(A))]
-
-
-def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any) -> list[Any]:
-    """All stages once: their accelerations, how far this sweep moved them, and the least that any sweep did."""
-    L = factor_crout(A)
-    squared = L @ L
-    gaps = build_switching(model)
-    ode = model.ode if gaps is None else build_held_ode(model)
-    solve = _solver(model)
-    found: list[Any] = []
-    for i, state in enumerate(stage_states(model, A, x, k, h)):
-        for j, change in enumerate(found):
-            state = state + ca.vertcat(h**2 * squared[i, j] * change, h * L[i, j] * change, ca.DM.zeros(model.nx - 2 * model.nq))
-        w = u
-        if gaps is not None:
-            # The first sweep keeps the step's first mode. Then strings are held taut while they are too short by less than stages
-            # still move: they would let go and catch in turns. The least move counts, or that would begin anew when one does let go.
-            least = changes[1]
-            doubt = ca.if_else(least < np.inf, _DOUBT * least, 0) * (h + _lead(model))
-            w = ca.vertcat(u, ca.if_else(least < np.inf, gaps(state, u) > -doubt, gaps(x, u) > 0))
-        found.append(solve(state, w, h * L[i, i], model.split(ode(state, w))[1] - k[:, i], changes[0]))
-    delta = ca.horzcat(*found)
-    moved = h * ca.fmax(1, h) * ca.norm_inf(ca.vec(delta))
-    return [k + delta, ca.vertcat(moved, ca.fmin(changes[1], moved))]
-
-
-def _lead(model: Model) -> ca.DM:
-    """By how much a switching function moves with a velocity, s: damping over stiffness (k,)."""
-    scene, (strings, nodes) = model.scene, count_switches(model)
-    s = scene.modelled
-    lead = np.divide(s.damping, s.stiffness, out=np.zeros(len(s.damping)), where=s.stiffness > 0)[:strings]
-    ground = np.full(nodes, scene.ground.damping / scene.ground.stiffness if scene.ground is not None else 0.0)
-    return ca.DM(np.concatenate([lead, ground]))
-
-
-def _solver(model: Model) -> ca.Function:
-    """(x, w, g, r, moved) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, close enough to converge; w as for `build_held_ode`.
-
-    moved, m/s: by how much the last sweep moved velocities.
-    """
-    mech, nq = model.mechanism, model.nq
-    M = sparse(mech.free_mass)
-    strings, nodes = count_switches(model)
-
-    def linear(x: Any, w: Any, g: Any, r: Any, moved: Any) -> tuple[Any, ...]:
-        N, V, time = model.unpack(x)
-        u, mode = split_mode(model, w)
-
-        def slopes(scene: Scene) -> Any:
-            F = forces.total(scene, mech, N, V, u, time, mode)
-            return ca.jacobian(model.split(model.pack(F, F, 0))[0], x)
-
-        ground = model.scene.ground
-        frictionless = ground and replace(ground, friction=None)
-        slope = slopes(model.scene) if frictionless == ground else _drag_slopes(model, slopes, N, V, mode, moved)
-        K, C = ca.horzsplit(slope, [0, nq, 2 * nq, model.nx])[:2]
-        if strings:
-            S, length = ca.mtimes(N, sparse(mech.C_s.T)), type(x).sym("length", 1, strings)
-            springs = replace(model.scene, slack=_Pulling(length), ground=frictionless)
-            K = ca.substitute(slopes(springs)[:, :nq], length, ca.sqrt(ca.sum1(S * S)))
-        W = M - g * _symmetric(C) - g**2 * _symmetric(K)
-        kept = model.constraints(x)
-        G = ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)[:, :nq]
-        rigid = _RIGID * ca.mmax(ca.diag(W)) * ca.mtimes(G.T, G)
-        return W + rigid, ca.mtimes(M + rigid, r)
-
-    sizes = {"x": model.nx, "w": model.nu + strings + nodes, "g": 1, "r": nq, "moved": 1}
-    symbols: list[Any] = [ca.MX.sym(name, size) for name, size in sizes.items()]
-    matrix, rhs = call_as_sx(mech.large, linear, *symbols)
-    return ca.Function("solver", symbols, [ca.solve(matrix, rhs, "ldl")], list(sizes), ["delta"])
-
-
-@dataclass(frozen=True, eq=False)
-class _Pulling(Clip):
-    """Strings that pull where they are taut, none with less than no force: what pushes would make the system indefinite. No damping."""
-
-    length: Any
-
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
-        return super().force_density(squared, ca.fmin(rest, self.length), stiffness, None, unit, taut)
-
-
-@dataclass(frozen=True, eq=False)
-class _Dragging(Ground):
-    """Ground whose friction is linear in the velocity and does not change with the push: its slopes are symmetric.
-
-    It is drag (1×n), N s/m, times the slip, less what of it goes along a direction (3×n).
-    """
-
-    drag: Any = None
-    along: Any = None
-
-    def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
-        normal = ca.DM(self.normal)
-        slip = V - ca.mtimes(normal, ca.mtimes(normal.T, V))
-        slip = slip - self.along * ca.repmat(ca.sum1(self.along * slip), 3, 1)
-        return super().forces(N, V, touching) - slip * ca.repmat(self.drag, 3, 1)
-
-
-def _drag_slopes(model: Model, slopes: Callable[[Scene], Any], N: Any, V: Any, mode: forces.Mode, moved: Any) -> Any:
-    """Return `slopes` of the scene with the friction of `_Dragging` in place of the ground's.
-
-    While velocities still move by more than friction is smooth over, its secant from rest stands in for its slope: from a sliding node,
-    whose friction hardly changes, Newton's method would step past rest and back.
-    """
-    ground, first = cast(Ground, model.scene.ground), model.mechanism.first.tolist()
-    frictionless, normal = replace(ground, friction=None), ca.DM(ground.normal)
-    N, V = N[:, first], V[:, first]
-    slip = V - ca.mtimes(normal, ca.mtimes(normal.T, V))
-    speed = ca.sqrt(ca.sum1(slip * slip) + ground.slip_speed**2)
-    push = ca.fmax(ca.mtimes(normal.T, frictionless.forces(N, V, mode.touching)), 0)
-    along = slip * ca.repmat(ca.if_else(moved < _SMOOTH * speed, 1 / speed, 0), 3, 1)
-    held = [type(N).sym("drag", push.shape), type(N).sym("along", along.shape)]
-    dragging = slopes(replace(model.scene, ground=_Dragging(**vars(frictionless), drag=held[0], along=held[1])))
-    return ca.substitute([dragging], held, [ground.friction * push / speed, along])[0]
-
-
-def _symmetric(J: Any) -> Any:
-    return (J + J.T) / 2
+    symbols = [ca.MX.sym(whole.name_in(i), whole.size1_in(i)) for i in range(4)]
+    z, u, h, tolerance = symbols
+    after = ca.MX.sym("after", z.shape[0])
+    kept = ca.Function("kept", [*symbols, after], [after])
+    step = whole
+    for _ in range(_HALVINGS):
+        middle = step(z, u, h / 2, tolerance)
+        halves = ca.Function("halves", [*symbols, after], [step(middle, u, h / 2, tolerance)])
+        found = whole(*symbols)
+        good = ca.logic_or(ca.fabs(found[0]) < np.inf, ca.logic_not(ca.fabs(z[0]) < np.inf))  # after a failure nothing is tried
+        chosen = ca.Function.if_else("whole_or_halves", kept, halves)(good, *symbols, found)
+        step = ca.Function("step", symbols, [chosen], whole.name_in(), whole.name_out())
+    return step

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable
+from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
@@ -11,6 +12,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.adaptive import ATTEMPTS, Limits, Memory, build_attempts
+from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
@@ -92,7 +94,7 @@ def make_stepper(task: Task, inputs: SampledControl, compiled: Compiled) -> Buil
     function, is_code, note = _build_function(task, every, inputs.steps, compiled)
     if isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive:
         return Built(AdaptiveStepper(task, scheme, function, inputs.longest), is_code, note)
-    return Built(LoopStepper(function), is_code, note)
+    return Built(LoopStepper(function, scheme), is_code, note)
 
 
 def _build_function(task: Task, every: int, steps: int, compiled: Compiled) -> tuple[ca.Function, bool, str]:
@@ -116,9 +118,11 @@ def _build_function(task: Task, every: int, steps: int, compiled: Compiled) -> t
 
 def _write_function(task: Task, steps: int) -> ca.Function:
     """Write the Function that takes `steps` steps, once for each model: further runs find it there."""
-    key = ("steps", *task[1:], steps)
     if not isinstance(task.scheme, Hashable):  # a scheme of somebody's own
         return _new_function(task, steps)
+    if isinstance(task.scheme, Collocation):  # tolerances are inputs
+        task = task._replace(scheme=replace(task.scheme, tolerance=Collocation.tolerance))
+    key = ("steps", *task[1:], steps)
     if key not in task.model.functions:
         task.model.functions[key] = _new_function(task, steps)
     return task.model.functions[key]
@@ -133,15 +137,16 @@ def _new_function(task: Task, steps: int) -> ca.Function:
 class LoopStepper:
     """Calls of `chunk_function`'s Function on NumPy memory, without conversions."""
 
-    def __init__(self, function: ca.Function) -> None:
+    def __init__(self, function: ca.Function, scheme: Scheme) -> None:
         self.steps = function.size2_in(1)
         self._z, self._h = np.zeros(function.size1_in(0)), np.zeros(self.steps)
         self._u = np.zeros((self.steps + 1, function.size1_in(2)))
         self._out = np.zeros((self.steps, len(self._z)))
         self._buffer: Any
         self._buffer, self._trigger = function.buffer()
-        inputs = [self._z, self._h, self._u[:-1], self._u[1:]][: function.n_in()]
-        for i, values in enumerate(inputs):
+        self._tolerance = np.full(self.steps, scheme.tolerance if isinstance(scheme, Collocation) else np.nan)
+        inputs = {"z": self._z, "h": self._h, "u": self._u[:-1], "u_next": self._u[1:], "tolerance": self._tolerance}
+        for i, values in enumerate(inputs[name] for name in function.name_in()):
             if values.size:
                 self._buffer.set_arg(i, values.reshape(-1).data)
         self._buffer.set_res(0, self._out.reshape(-1).data)

@@ -7,6 +7,7 @@ import numpy as np
 
 from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 
@@ -32,7 +33,7 @@ def chunk_function(model: Model, scheme: Scheme, correction: Correction | None, 
 
     z is the state x; with `power` or `jumps`, one entry more: the energy in joule supplied to the model up to then by forces outside
     `model.energy` (`power`), and by changes of the control from u to u_next at the end of a step (`jumps`). With `jumps` there is
-    a fourth input u_next.
+    an input u_next. The last input of Collocation is "tolerance" (1, steps): one compiled loop serves all.
     """
     project = None if correction is None else correction.step(model)
     plain = _advance(model, scheme, None, power, jumps)
@@ -48,17 +49,19 @@ def _advance(model: Model, scheme: Scheme, project: ca.Function | None, power: b
     """Write one step, then the projection, then the account of the energy supplied."""
     nz = model.nx + (power or jumps)
     z, h, u, u_next = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("u", model.nu), ca.MX.sym("u_next", model.nu)
+    own = {"tolerance": ca.MX.sym("tolerance")} if isinstance(scheme, Collocation) else {}
+    build = scheme.advance_within if isinstance(scheme, Collocation) else scheme.advance
     if power and model.power is not None:
-        end = scheme.advance(model, model.power)(z, u, h)
+        end = build(model, model.power)(z, u, h, *own.values())
     else:
-        end = ca.vertcat(scheme.advance(model)(z[: model.nx], u, h), z[model.nx :])
+        end = ca.vertcat(build(model)(z[: model.nx], u, h, *own.values()), z[model.nx :])
     x, supplied = end[: model.nx], end[model.nx :]
     if project is not None:
         x = project(x)
     if jumps:
         energy = model.energy_function
         supplied = supplied + energy(x, u_next) - energy(x, u)
-    inputs = {"z": z, "h": h, "u": u} | ({"u_next": u_next} if jumps else {})
+    inputs = {"z": z, "h": h, "u": u} | ({"u_next": u_next} if jumps else {}) | own
     return ca.Function("advance", list(inputs.values()), [ca.densify(ca.vertcat(x, supplied))], list(inputs), ["z_next"])
 
 

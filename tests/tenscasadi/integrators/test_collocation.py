@@ -11,7 +11,7 @@ from references import certified, solve_certified
 
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.collocation import Collocation, factor_crout
+from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import stability_limit
 from tenscasadi.integrators.stability import stable_step
@@ -149,6 +149,43 @@ def test_what_slides_comes_to_rest_within_a_step(scene: Scene, velocity: tuple[f
     assert abs(run.nodes[-1] - exact).max() < 5e-5
 
 
+@pytest.mark.parametrize(
+    ("structure", "scheme"), [(PRISM, Collocation(2, "radau")), (Structure([(0, 0, 0), (0.5, 0, 0.3)], [(0, 1)]), Collocation())]
+)
+def test_impacts_with_friction(structure: Structure, scheme: Collocation) -> None:
+    """In a step through an impact, sliding, sticking and bouncing change in turns from iteration to iteration: it is taken in halves."""
+    low = float(structure.nodes[:, 2].min())
+    model = Model(Scene(structure, gravity=Gravity(), ground=Ground(1e5, 100.0, friction=0.5, height=low - 0.05)))
+    arms = structure.nodes - structure.nodes.mean(axis=0)
+    start = projection(model)(model.state(structure.nodes, (1.0, 0.5, -1.0) + np.cross((0, 2.0, 1.0), arms)))
+    exact = simulate(model, 0.4, None, DormandPrince853(1e-8), start).nodes[-1]
+    coarse, fine = (simulate(model, 0.4, step, scheme, start) for step in (0.01, 5e-4))
+    assert coarse.success, coarse.message
+    assert abs(fine.nodes[-1] - exact).max() < 2e-3
+
+
+def test_a_step_that_is_not_found_is_taken_in_halves_where_modes_may_change() -> None:
+    """Smooth motions give no finite state there, as documented."""
+    bar = Structure([(-0.5, 0, 0), (0.5, 0, 0)], [(0, 1)])
+    free, above = (Model(Scene(bar, ground=ground)) for ground in (None, Ground(height=-10.0)))
+    start, step = free.state(bar.nodes, [(0, -10.0, 0), (0, 10.0, 0)]), Collocation(2).advance(above)
+    assert np.isnan(Collocation(2).advance(free)(start, [], 0.5).full()).all()
+    whole = step(start, [], 0.5).full()
+    assert np.isfinite(whole).all()
+    assert (whole == step(step(start, [], 0.25), [], 0.25).full()).all()
+
+
+@needs_compiler
+def test_one_compiled_loop_serves_all_tolerances() -> None:
+    model = Model(Scene(shapes.prism(stiffness=1000.0, prestress=31.0), gravity=Gravity()))
+    for degree in (2, 5):
+        start = moving(model)
+        runs = [simulate(model, 0.1, 0.01, Collocation(degree, tolerance=tolerance), start) for tolerance in (1e-3, 1e-6, 1e-10)]
+        assert len([key for key in model.functions if key[0] == "steps" and key[1].degree == degree]) == 1
+        coarse, fine, _ = (abs(run.states[-1] - runs[-1].states[-1]).max() for run in runs)
+        assert 0 < fine < coarse < 1e-3
+
+
 def test_work_is_collocated_too() -> None:
     model = Model(SCENES["damped strings"])
     start = moving(model)
@@ -184,17 +221,3 @@ def test_strings_that_let_go_and_catch_at_large_steps() -> None:
     assert np.isfinite(after).all()
     residual = after - Collocation(2, "radau", tolerance=1e-12, iterations=200).advance(model)(start, [], 0.02).full().ravel()
     assert abs(residual).max() < 1e-6
-
-
-def test_a_step_too_large_for_sweeps_is_not_finite() -> None:
-    model = Model(Scene(Structure([(-0.5, 0, 0), (0.5, 0, 0)], [(0, 1)])))
-    start = model.state(model.structure.nodes, [(0, -10.0, 0), (0, 10.0, 0)])
-    assert np.isnan(Collocation(2).advance(model)(start, [], 0.5).full()).all()
-
-
-def test_crout() -> None:
-    A = np.random.default_rng(1).normal(size=(4, 4)) + 4 * np.eye(4)
-    L = factor_crout(A)
-    U = np.linalg.solve(L, A)
-    assert np.triu(L, 1) == pytest.approx(np.zeros((4, 4)))
-    assert np.tril(U) == pytest.approx(np.eye(4), abs=1e-12)
