@@ -84,6 +84,14 @@ def extremes(rows: Any) -> None:
         assert row.error <= row.stated, row
 
 
+def sweep_stiffness(table: Any) -> None:
+    assert table.success.all(), table.errors
+    assert table["success"].all()
+    soft, stiff = table["stiffness"] < 1e3, table["stiffness"] > 1e3
+    assert table["tension"][stiff].min() > 2 * table["tension"][soft].max()
+    assert table["crushed"][soft].min() > 3 * table["crushed"][stiff].max() > 0
+
+
 CLAIMS = (
     extremes,
     simulate_ball,
@@ -96,6 +104,7 @@ CLAIMS = (
     paper_dbar,
     paper_membrane,
     stiff_strings,
+    sweep_stiffness,
 )
 
 

@@ -12,6 +12,7 @@ from tqdm import tqdm
 from tenscasadi.ensemble.case_files import CaseFiles, Outcome
 from tenscasadi.ensemble.sweep_table import Sweep
 from tenscasadi.ensemble.workers import run_in_processes, run_on_executor
+from tenscasadi.util.interrupts import on_interrupt
 from tenscasadi.util.validate import file_path, flag, instance
 
 _MISSING = Outcome({}, "", float("nan"))
@@ -91,14 +92,17 @@ def sweep(
     read = set(outcomes)
     todo = {key: case for key, case in zip(keys, given, strict=True) if key not in read}
     jobs = run_in_processes(function, todo) if executor is None else run_on_executor(function, todo, executor)
-    interrupted = False
+    interrupted, pressed = False, list[bool]()
     try:
         with tqdm(total=len(todo), unit=" cases", disable=not progress) as bar:
             for key, outcome in jobs:
-                outcomes[key] = outcome
-                if files is not None:
-                    files.write(key, todo[key], outcome)
+                with on_interrupt(lambda: pressed.append(True), then_raise=False):  # what is done is written whole
+                    outcomes[key] = outcome
+                    if files is not None:
+                        files.write(key, todo[key], outcome)
                 bar.update()
+                if pressed:
+                    raise KeyboardInterrupt
     except KeyboardInterrupt:
         interrupted = True
     finally:

@@ -76,8 +76,10 @@ def run_in_processes(function: Function, cases: Mapping[Any, Any]) -> Generator[
                             yield key, _outcome(future)
             except BrokenProcessPool:  # by submit, as the pool has just broken
                 pass
-            finally:
-                _stop(pool)
+            except BaseException:  # Ctrl-C, or nobody wants the rest: no case is waited for
+                _terminate(pool)
+                raise
+            pool.shutdown()
             lost += running.values()
             if width == 1 and lost:
                 yield lost[0], Outcome({}, _DIED, float("nan"))
@@ -135,11 +137,8 @@ def _ignore_interrupt() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _stop(pool: ProcessPoolExecutor) -> None:
-    """End the processes, also in the middle of a case: nobody waits for it any more."""
-    processes = list((pool._processes or {}).values())  # shutdown forgets them
-    pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
+def _terminate(pool: ProcessPoolExecutor) -> None:
+    """End the processes in the middle of their cases."""
+    for process in list((pool._processes or {}).values()):
         process.terminate()
-    for process in processes:
-        process.join()
+    pool.shutdown(cancel_futures=True)

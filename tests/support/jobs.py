@@ -15,7 +15,10 @@ def square(case: Any) -> Any:
     """Square of a number, and who computed it."""
     if case["x"] == "raise":
         raise ZeroDivisionError("on purpose")
+    if case["x"] == 4.5:
+        time.sleep(1.0)  # is running when its neighbour dies
     if case["x"] == "die":
+        time.sleep(0.5)
         os.kill(os.getpid(), signal.SIGKILL)
     if case["x"] == "odd":
         return {"model": object()}

@@ -27,7 +27,8 @@ def one_thread():
 # --- processes of this machine ---
 
 
-def test_processes_outlive_what_raises_and_what_dies(tmp_path):
+def test_processes_outlive_what_raises_and_what_dies(tmp_path, monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
     cases = [{"x": x} for x in (3, "raise", 4.5, "die", -2, "odd", 7)]
     table = tc.sweep(jobs.square, cases, folder=tmp_path)
     assert table.success.tolist() == [True, False, True, False, True, False, True]
