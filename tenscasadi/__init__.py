@@ -26,7 +26,7 @@ from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip, ForceDensity, RestLength, Smooth
+from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.simulation.export import export_c
 from tenscasadi.simulation.simulate import simulate
@@ -49,6 +49,7 @@ __all__ = [
     "ForceDensity",
     "RestLength",
     "Clip",
+    "Linear",
     "Smooth",
     "Gravity",
     "Ground",

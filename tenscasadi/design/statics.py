@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lstsq, null_space
 from scipy.optimize import nnls
 
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, instance, nonnegative, per_item
+from tenscasadi.util.validate import Array, finite_array, instance, item_mask, nonnegative, per_item
 
 TOLERANCE = 1e-9  # relative: singular values and unbalanced forces below it are rounding
 
@@ -56,11 +58,11 @@ def self_stress(structure: Structure) -> Array:
     return np.asarray(null_space(_balance(structure), rcond=TOLERANCE).T)
 
 
-def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = None, minimum: ArrayLike = 1.0) -> Array:
+def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = None, minimum: ArrayLike = 1.0, pushing: Iterable[int] = ()) -> Array:
     """Compute the least force densities that hold a structure at rest in its nodes.
 
     Bars carry what they must and pins react freely. Among all γ that balance the loads and are nowhere below the minimum, that of
-    least Σγ² is returned.
+    least Σγ² is returned; it is negative where strings that may push do so.
 
     Parameters
     ----------
@@ -70,6 +72,8 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
         Forces on the nodes, N; by default none.
     minimum : array_like, shape (α,)
         Least force density of each string, N/m, at least 0, or one number for all.
+    pushing : sequence of int
+        Strings that may push, as those of the law `Linear`: no minimum holds for them.
 
     Returns
     -------
@@ -95,7 +99,8 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
     alpha = len(structure.strings)
-    least = nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
+    pushes = item_mask("pushing", pushing, alpha, "string")
+    least = np.where(pushes, 0.0, nonnegative("minimum", per_item("minimum", minimum, alpha), "string"))
     load = np.zeros(structure.nodes.shape) if loads is None else finite_array("loads", loads, structure.nodes.shape)
     free = ~structure.fixed.ravel()
     w = load.ravel()[free]
@@ -106,12 +111,12 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
     E, f = Q @ A, Q @ w
     force = max(float(np.abs(A * least).max(initial=0.0)), float(np.abs(w).max(initial=0.0)))
 
-    extra, residual = _nonnegative(E, f - E @ least)
+    extra, residual = _balancing(E, f - E @ least, pushes)
     if residual > TOLERANCE * force:
         left = np.zeros(structure.nodes.size)
         left[free] = Q.T @ (f - E @ (least + extra))
-        raise _no_equilibrium(left.reshape(-1, 3), least, residual)
-    gamma = _least_norm(E, f, least)
+        raise _no_equilibrium(left.reshape(-1, 3), least[~pushes], residual)
+    gamma = _least_norm(E, f, least, ~pushes)
     if gamma is None or np.linalg.norm(E @ gamma - f) > max(10.0 * residual, TOLERANCE * force):
         gamma = least + extra
     return gamma
@@ -128,6 +133,14 @@ def _balance(structure: Structure) -> Array:
     return np.concatenate(columns, axis=1)[~structure.fixed.ravel()]
 
 
+def _balancing(A: Array, b: Array, free: NDArray[np.bool_]) -> tuple[Array, float]:
+    """Return x of least ‖A x − b‖, and that norm: x ≥ 0 but for those that are `free`."""
+    x, residual = _nonnegative(np.hstack([A, -A[:, free]]), b)
+    count = A.shape[1]
+    x[:count][free] -= x[count:]
+    return x[:count], residual
+
+
 def _nonnegative(A: Array, b: Array) -> tuple[Array, float]:
     """Return x ≥ 0 of least ‖A x − b‖, and that norm."""
     if A.shape[1] == 0 or A.shape[0] == 0:
@@ -136,27 +149,28 @@ def _nonnegative(A: Array, b: Array) -> tuple[Array, float]:
     return x, float(residual)
 
 
-def _least_norm(E: Array, f: Array, least: Array) -> Array | None:
-    """Return γ of least ‖γ‖ with E γ = f, γ ≥ `least`: least distance programming (Lawson and Hanson, Solving Least Squares, ch. 23).
+def _least_norm(E: Array, f: Array, least: Array, bounded: NDArray[np.bool_]) -> Array | None:
+    """Return γ of least ‖γ‖ with E γ = f, γ ≥ `least` where it is `bounded`: least distance programming.
 
+    Lawson and Hanson, Solving Least Squares Problems, ch. 23.
     With γ = γ₀ + Z y, Z a basis of null(E): min ‖y‖ with Z y ≥ least − γ₀. None where rounding hides that it is feasible.
     """
     if E.shape[0] == 0:
-        return least.copy()
+        return least.copy()  # 0 where there is no bound
     start = np.asarray(lstsq(E, f, cond=TOLERANCE)[0])
     Z = null_space(E, rcond=TOLERANCE)
-    short = least - start
+    short = (least - start)[bounded]
     scale = float(np.abs(short).max(initial=0.0))
     if scale > 0.0 and Z.shape[1]:
         target = np.zeros(Z.shape[1] + 1)
         target[-1] = 1.0
-        system = np.vstack([Z.T, short / scale])
+        system = np.vstack([Z[bounded].T, short / scale])
         u, distance = _nonnegative(system, target)
         if distance < TOLERANCE:
             return None
         r = system @ u - target
         start = start - Z @ (r[:-1] / r[-1]) * scale
-    return np.asarray(np.maximum(start, least))
+    return np.asarray(np.where(bounded, np.maximum(start, least), start))
 
 
 def _no_equilibrium(left: Array, least: Array, residual: float) -> EquilibriumError:

@@ -5,6 +5,7 @@ Only what the scene has is built. In full coordinates loads act on the first cop
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -12,13 +13,13 @@ import numpy as np
 
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.scene.strings import ForceDensity, RestLength, Slack, Smooth
 from tenscasadi.util.casadi_tools import constant_row, sparse, weighted_product
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, Indices
 
 
 class Mode(NamedTuple):
-    """Which strings pull (1×α) and which nodes the ground pushes (1×n): 1 or 0, whatever their length and depth; None: as these say."""
+    """Which of the strings that switch pull (1×k) and which nodes the ground pushes (1×n): 1 or 0, whatever length and depth; None: as these say."""
 
     taut: Any
     touching: Any
@@ -27,17 +28,61 @@ class Mode(NamedTuple):
 FREE = Mode(None, None)
 
 
-def string_force_density(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool = True, taut: Any = None) -> tuple[Any, Any]:
-    """Return γ (1×α), N/m, of the modelled strings under the control u, and their vectors S (3×α), m; taut: see `Mode`."""
-    s = scene.modelled
+def string_force_density(
+    scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool = True, taut: Any = None, longest: Any = None
+) -> tuple[Any, Any]:
+    """Return γ (1×α), N/m, of the modelled strings under the control u, and their vectors S (3×α), m; taut: see `Mode`.
+
+    longest (1×α), m: what rest lengths are at most, but for those of smooth strings, which keep theirs.
+    """
     S = ca.mtimes(N, sparse(mech.C_s.T))  # 3×α, Eq. 66
     if isinstance(scene.control, ForceDensity):
-        return _per_child(scene, u, 1 / s.string_fraction), S  # equal tension along a straight parent
+        return _per_child(scene, u, 1 / scene.modelled.string_fraction), S  # equal tension along a straight parent
+    switching = scene.switching_strings
+
+    def law_of(law: Slack, which: Indices, squared: Any, rest: Any, stiffness: Any, rate: Any, unit: Any) -> Any:
+        if longest is not None and not isinstance(law, Smooth):
+            rest = ca.fmin(rest, _columns(longest, which))
+        held = taut if taut is None or not law.switches or len(which) == len(switching) else taut[:, np.searchsorted(switching, which).tolist()]
+        return law.force_density(squared, rest, stiffness, rate, unit, held)
+
+    return _by_law(scene, law_of, _law_inputs(scene, mech, S, V, u, damped)), S
+
+
+def string_gaps(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any) -> Any:
+    """Return lengths (1×k), m, of the strings that switch: positive where they pull."""
+    inputs = _law_inputs(scene, mech, ca.mtimes(N, sparse(mech.C_s.T)), V, u, True)
+    return _by_law(scene, lambda law, which, *rows: law.gap(*rows), inputs, switching=True)
+
+
+def _law_inputs(scene: Scene, mech: Mechanism, S: Any, V: Any, u: Any, damped: bool) -> tuple[Any, ...]:
+    """Return what laws of strings depend on, rows over the modelled strings: squared lengths, rest lengths, stiffness, rates, typical lengths."""
+    s = scene.modelled
     rate = None
     if damped and is_damped(scene):
         rate = ca.sum1(S * ca.mtimes(V, sparse(mech.C_s.T))) * constant_row(s.damping)  # c sᵀṡ, Eq. 98
-    laws = _rest(scene, u), constant_row(s.stiffness), rate, constant_row(s.rest_length)
-    return scene.slack.force_density(ca.sum1(S * S), *laws, taut), S
+    return ca.sum1(S * S), _rest(scene, u), constant_row(s.stiffness), rate, constant_row(s.rest_length)
+
+
+def _by_law(scene: Scene, evaluate: Callable[..., Any], rows: tuple[Any, ...], switching: bool = False) -> Any:
+    """Return the row of what `evaluate` (law, its strings, their entries of `rows`) returns for each law, string by string.
+
+    switching: of the laws that switch alone.
+    """
+    laws = [(law, which) for law, which in scene.string_laws if law.switches or not switching]
+    if len(scene.string_laws) == 1:
+        return evaluate(*laws[0], *rows)
+    damping = scene.modelled.damping
+    parts = []
+    for law, which in laws:
+        squared, rest, stiffness, rate, unit = (None if row is None else _columns(row, which) for row in rows)
+        parts.append(evaluate(law, which, squared, rest, stiffness, rate if np.any(damping[which] > 0) else None, unit))
+    place = np.argsort(np.concatenate([which for _, which in laws]))
+    return ca.horzcat(*parts)[:, place.tolist()]
+
+
+def _columns(row: Any, which: Indices) -> Any:
+    return row if row.shape[1] == 1 else row[:, which.tolist()]
 
 
 def is_damped(scene: Scene) -> bool:
@@ -77,8 +122,8 @@ def potential_energy(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any
     s = scene.modelled
     elastic: Any = ca.DM(0)
     if len(s.strings) and not isinstance(scene.control, ForceDensity):
-        S = ca.mtimes(N, sparse(mech.C_s.T))
-        elastic = ca.sum2(scene.slack.energy(ca.sum1(S * S), _rest(scene, u), constant_row(s.stiffness), constant_row(s.rest_length)))
+        squared, rest, stiffness, _, unit = _law_inputs(scene, mech, ca.mtimes(N, sparse(mech.C_s.T)), None, u, False)
+        elastic = ca.sum2(_by_law(scene, lambda law, _, *rows: law.energy(*rows[:3], rows[4]), (squared, rest, stiffness, None, unit)))
     if scene.ground is not None:
         elastic = elastic + scene.ground.energy(N[:, mech.first.tolist()])
     return elastic, ca.DM(0) if scene.gravity is None else scene.gravity.energy(N, mech.M.sum(axis=1))

@@ -13,7 +13,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip, ForceDensity, Smooth
+from tenscasadi.scene.strings import Clip, ForceDensity, Linear, Slack, Smooth
 from tenscasadi.structure.class_one import Layout
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.archive import Fields
@@ -26,7 +26,12 @@ _MEMBERS = [name for name in PARAMETERS if name != "pinned"]
 _GROUND = [field.name for field in fields(Ground)]
 _LAYOUT = [name for name in Layout._fields if name != "P"]
 _INDICES = "bars strings string_parent layout.physical layout.bar_columns layout.string_columns layout.tied segments pressure.faces supports.nodes"
-_KINDS = dict.fromkeys(_INDICES.split(), "i") | {"fixed": "b", "ends": "U", "functions": "U"}  # in NumPy's letters; others are real numbers
+_KINDS = dict.fromkeys(_INDICES.split(), "i") | {
+    "fixed": "b",
+    "ends": "U",
+    "functions": "U",
+    "slack.laws": "U",
+}  # in NumPy's letters; others are real numbers
 _DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layout.tied": 0}
 _NOTHING = np.zeros(0)  # stands for None
 
@@ -74,6 +79,7 @@ def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
         "ends": scene.ends,
         "fractions": scene.fractions,
         "slack": [scene.slack.width] if isinstance(scene.slack, Smooth) else None,
+        "slack.laws": _laws_to_array(scene),
         "gravity": gravity and gravity.acceleration,
         **{f"ground.{name}": ground and np.asarray(getattr(ground, name), dtype=float) for name in _GROUND},  # None becomes NaN
         "pressure": pressure and [pressure.difference],
@@ -101,7 +107,7 @@ def model_from_arrays(content: Content) -> Model | None:
         del ground["friction"]
 
     def some(name: str, build: Callable[[Any], Any]) -> Any:
-        return build(told[name]) if told[name].size else None
+        return build(told[name]) if name in told and told[name].size else None  # older files hold fewer
 
     scene = Scene(
         structure_from_arrays(content),
@@ -113,7 +119,7 @@ def model_from_arrays(content: Content) -> Model | None:
         ground=some("ground.normal", lambda _: Ground(**ground)),
         pressure=some("pressure", lambda difference: Pressure(told["pressure.faces"].tolist(), difference.item())),
         forces=some("forces", lambda values: NodalForce(values, some("forces.times", np.asarray))),
-        slack=some("slack", lambda width: Smooth(width.item())) or Clip(),
+        slack=some("slack.laws", _laws_from_array) or some("slack", lambda width: Smooth(width.item())) or Clip(),
     )
     return Model(scene, content["model.coordinates"].item(), content["model.bar_length"].item())
 
@@ -138,6 +144,29 @@ def _indices(name: str, given: Content, shape: tuple[int, ...], count: int) -> I
     if value.dtype.kind != "i" or value.shape != shape or np.any((value < 0) | (value >= count)):
         raise ValueError(f"field {name!r} does not hold indices below {count} in the shape {shape}")
     return np.asarray(value)
+
+
+def _laws_to_array(scene: Scene) -> list[str] | None:
+    """Return the law of each string as text; None where one of the kinds that older files know holds for all."""
+    laws = (scene.slack,) * len(scene.structure.strings) if isinstance(scene.slack, Slack) else tuple(scene.slack)
+    if isinstance(scene.slack, Smooth) or scene.slack == Clip():
+        return None
+    return [" ".join([type(law).__name__, *(str(value) for value in vars(law).values())]) for law in laws]
+
+
+def _laws_from_array(told: Array) -> tuple[Slack, ...]:
+    laws: list[Slack] = []
+    for text in told.tolist():
+        name, *given = text.split()
+        if (name, len(given)) == ("Smooth", 1):
+            laws.append(Smooth(float(given[0])))
+        elif (name, len(given)) == ("Clip", 1):
+            laws.append(Clip(given[0]))
+        elif (name, len(given)) == ("Linear", 0):
+            laws.append(Linear())
+        else:
+            raise ValueError(f"field 'slack.laws' holds {text!r}, which names no law of a string")
+    return tuple(laws)
 
 
 def _sampled(forces: NodalForce, nodes: int, times: Array) -> Any:

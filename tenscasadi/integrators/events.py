@@ -6,16 +6,13 @@ smooth; where a switching function changes its sign, the mode changes.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.strings import Clip, ForceDensity
 from tenscasadi.util.casadi_tools import sparse
 
 
@@ -27,7 +24,7 @@ def build_switching(model: Model) -> ca.Function | None:
         return None
     x, u = model.symbols(not mech.large)
     N, V, _ = model.unpack(x)
-    rows = [forces.string_force_density(replace(scene, slack=_Switching()), mech, N, V, u)[0]] if strings else []
+    rows = [forces.string_gaps(scene, mech, N, V, u)] if strings else []
     if scene.ground is not None:
         first = mech.first.tolist()
         depth, speed = scene.ground.depth(N[:, first]), ca.mtimes(ca.DM(scene.ground.normal).T, V[:, first])
@@ -73,17 +70,4 @@ def build_potential(model: Model) -> ca.Function:
 def count_switches(model: Model) -> tuple[int, int]:
     """Count the strings that can go slack and the nodes that can meet the ground."""
     scene = model.scene
-    slack = isinstance(scene.slack, Clip) and not isinstance(scene.control, ForceDensity)
-    return len(scene.modelled.strings) if slack else 0, len(model.mechanism.first) if scene.ground is not None else 0
-
-
-class _Switching(Clip):
-    """In place of γ a length: positive where a string is longer than at rest and its tension positive."""
-
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
-        length = ca.sqrt(squared + (1e-9 * unit) ** 2)
-        stretch = length - rest
-        if rate is None:
-            return stretch
-        elastic = ca.DM(np.where(stiffness.full() > 0, stiffness.full(), 1.0))
-        return ca.fmin(stretch, (stiffness * stretch + rate / length) / elastic)
+    return len(scene.switching_strings), len(model.mechanism.first) if scene.ground is not None else 0

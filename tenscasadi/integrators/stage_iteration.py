@@ -14,7 +14,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_held_ode, build_switching, count_switches, split_mode
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip
+from tenscasadi.scene.strings import Smooth
 from tenscasadi.util.casadi_tools import call_as_sx, sparse
 from tenscasadi.util.validate import Array
 
@@ -103,9 +103,11 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
 
 def _lead(model: Model) -> ca.DM:
     """By how much a switching function moves with a velocity, s: damping over stiffness (k,)."""
-    scene, (strings, nodes) = model.scene, count_switches(model)
-    s = scene.modelled
-    lead = np.divide(s.damping, s.stiffness, out=np.zeros(len(s.damping)), where=s.stiffness > 0)[:strings]
+    scene, (_, nodes) = model.scene, count_switches(model)
+    s, clamped = scene.modelled, scene.clamped_strings
+    lead = np.zeros(len(s.damping))
+    lead[clamped] = np.divide(s.damping, s.stiffness, out=np.zeros(len(s.damping)), where=s.stiffness > 0)[clamped]
+    lead = lead[scene.switching_strings]
     ground = np.full(nodes, scene.ground.damping / scene.ground.stiffness if scene.ground is not None else 0.0)
     return ca.DM(np.concatenate([lead, ground]))
 
@@ -123,18 +125,22 @@ def _solver(model: Model) -> ca.Function:
         N, V, time = model.unpack(x)
         u, mode = split_mode(model, w)
 
-        def slopes(scene: Scene) -> Any:
-            F = forces.total(scene, mech, N, V, u, time, mode)
+        def slopes(scene: Scene, longest: Any = None) -> Any:
+            found = forces.terms(scene, mech, N, V, u, time, mode)
+            if longest is not None:  # no string with less than no force: what pushes would make the system indefinite
+                pulling = forces.string_force_density(scene, mech, N, V, u, damped=False, taut=mode.taut, longest=longest)
+                found["strings"] = forces.string_forces(mech, *pulling)
+            F = sum(found.values(), start=ca.DM.zeros(*mech.N.shape))
             return ca.jacobian(model.split(model.pack(F, F, 0))[0], x)
 
         ground = model.scene.ground
         frictionless = ground and replace(ground, friction=None)
         slope = slopes(model.scene) if frictionless == ground else _drag_slopes(model, slopes, N, V, mode, moved)
         K, C = ca.horzsplit(slope, [0, nq, 2 * nq, model.nx])[:2]
-        if strings:
-            S, length = ca.mtimes(N, sparse(mech.C_s.T)), type(x).sym("length", 1, strings)
-            springs = replace(model.scene, slack=_Pulling(length), ground=frictionless)
-            K = ca.substitute(slopes(springs)[:, :nq], length, ca.sqrt(ca.sum1(S * S)))
+        if any(len(which) and not isinstance(law, Smooth) for law, which in model.scene.string_laws):
+            S = ca.mtimes(N, sparse(mech.C_s.T))
+            length = type(x).sym("length", 1, S.shape[1])
+            K = ca.substitute(slopes(replace(model.scene, ground=frictionless), length)[:, :nq], length, ca.sqrt(ca.sum1(S * S)))
         W = M - g * _symmetric(C) - g**2 * _symmetric(K)
         kept = model.constraints(x)
         G = ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)[:, :nq]
@@ -145,16 +151,6 @@ def _solver(model: Model) -> ca.Function:
     symbols: list[Any] = [ca.MX.sym(name, size) for name, size in sizes.items()]
     matrix, rhs = call_as_sx(mech.large, linear, *symbols)
     return ca.Function("solver", symbols, [ca.solve(matrix, rhs, "ldl")], list(sizes), ["delta"])
-
-
-@dataclass(frozen=True, eq=False)
-class _Pulling(Clip):
-    """Strings that pull where they are taut, none with less than no force: what pushes would make the system indefinite. No damping."""
-
-    length: Any
-
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
-        return super().force_density(squared, ca.fmin(rest, self.length), stiffness, None, unit, taut)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from matplotlib.animation import PillowWriter
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, members_of, tension_colours, tension_scale
+from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, members_of, tension_colours, tension_label, tension_scale
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import file_path, flag, positive_number, text, whole_number
 
@@ -81,8 +81,8 @@ def animate(
     figure = Figure(figsize=(5.4, 4.6))
     canvas = Canvas(figure, members_of(trajectory), trajectory.nodes)
     scale = tension_scale(float(trajectory.tension.max(initial=0.0)))
-    if trajectory.tension.max(initial=0.0) > 0:
-        canvas.colour_bar(scale, "tension (N)")
+    if np.any(trajectory.tension != 0):
+        canvas.colour_bar(scale, tension_label(trajectory.tension[trajectory.tension != 0]))
     canvas.fit()
     writer = PillowWriter(fps=rate)
     with writer.saving(figure, str(target), dpi=100):

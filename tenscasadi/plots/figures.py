@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from tenscasadi.plots.panels import MOST_NAMED, FilePath, curve_colour, curve_width, make_panels, name_curves, save_figure
-from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, cut_colours, members_of, tension_colours, tension_scale
+from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, cut_colours, members_of, tension_colours, tension_label, tension_scale
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, flag, listed, node_index, per_item, positive_number, text, whole_number
@@ -53,7 +53,7 @@ def structure(
 ) -> Figure:
     """Draw a structure in 3-D, with one scale for all axes.
 
-    Bars are thick; strings are thin and coloured by tension; pinned nodes are triangles.
+    Bars are thick; strings are thin and coloured by tension, grey where they are slack and green where they push; pinned nodes are triangles.
 
     Parameters
     ----------
@@ -103,9 +103,8 @@ def structure(
     canvas = Canvas(figure, members_of(what), nodes)
     scale = tension_scale(float(pull.max(initial=0.0)))
     canvas.draw(Layer(nodes, string_colour=tension_colours(scale, pull)))
-    if np.any(pull > 0):
-        slack = "; grey: slack" if np.any(pull <= 0) else ""
-        canvas.colour_bar(scale, f"tension (N){slack}")
+    if np.any(pull != 0):
+        canvas.colour_bar(scale, tension_label(pull))
     elif len(pull):
         figure.supxlabel("all strings slack", fontsize=9, color="0.35")
     if labels:

@@ -21,6 +21,7 @@ from tenscasadi.util.validate import Array, Indices, instance
 
 BAR = "#39424e"
 SLACK = "#b9bec5"
+PUSHING = "#1b9e77"
 _PIN = "#c0392b"
 _PIECES = 9  # of each member: two that pass each other are then sorted where they do
 _FLAT = 0.05  # of the largest extent: what is thinner is seen from its broad side
@@ -170,10 +171,21 @@ def tension_scale(largest: float) -> ScalarMappable:
 
 
 def tension_colours(scale: ScalarMappable, tension: Array) -> Array:
-    """Return the scale's colours (α, 4) of tensions (α,), N; slack strings are grey."""
+    """Return the scale's colours (α, 4) of tensions (α,), N; slack strings are grey, those that push green."""
     colours = np.array(scale.to_rgba(tension), dtype=float).reshape(-1, 4)
     colours[tension <= 0] = to_rgba_array(SLACK)[0]
+    colours[tension < 0] = to_rgba_array(PUSHING)[0]
     return colours
+
+
+def tension_label(tension: Array) -> str:
+    """Return the label of the scale for tensions, N: which of the colours beside it are seen, and how hard strings push."""
+    told = ["tension (N)"]
+    if np.any(tension == 0):
+        told.append("grey: slack")
+    if np.any(tension < 0):
+        told.append(f"green: pushing, up to {-tension.min():.3g} N")
+    return "; ".join(told)
 
 
 def _per_member(colour: Any, count: int) -> Array:

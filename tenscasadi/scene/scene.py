@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Literal, cast
+
+import numpy as np
 
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
-from tenscasadi.scene.strings import Clip, Control, ForceDensity, RestLength, Slack, Smooth
+from tenscasadi.scene.strings import Clip, Control, ForceDensity, RestLength, Slack, read_slack
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import instance
+from tenscasadi.structure.subdivision import segment_counts
+from tenscasadi.util.validate import Indices, instance
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,9 @@ class Scene:
         Pressure across triangles.
     forces : NodalForce, optional
         Forces on nodes.
-    slack : Clip or Smooth
-        Law of a string about its rest length: exact, or smooth for optimisers.
+    slack : Clip, Smooth or Linear, or a sequence or mapping of them
+        Law of a string about its rest length: exact, smooth for optimisers, or one that pushes too. One for all strings, one for each, or
+        a mapping such as ``{3: tc.Linear()}``: strings that it does not name have `Clip()`. Strings driven by force density have none.
     supports : SupportMotion, optional
         Motion of pinned nodes.
     fractions : sequence of float, shape (segments,), optional
@@ -68,7 +72,7 @@ class Scene:
     ground: Ground | None = None
     pressure: Pressure | None = None
     forces: NodalForce | None = None
-    slack: Slack = field(default_factory=Clip)
+    slack: Slack | Sequence[Slack] | Mapping[int, Slack] = field(default_factory=Clip)
     supports: SupportMotion | None = None
     fractions: Sequence[float] | None = None
 
@@ -80,7 +84,7 @@ class Scene:
                 instance(f"Scene.{name}", value, kind, f"a tenscasadi.{kind.__name__} or None")
         if self.control is not None:
             instance("Scene.control", self.control, (ForceDensity, RestLength), "ForceDensity(), RestLength() or None")
-        instance("Scene.slack", self.slack, (Clip, Smooth), "Clip() or Smooth(width)")
+        object.__setattr__(self, "slack", read_slack(self.slack, len(self.structure.strings)))
         for load in (self.pressure, self.forces):
             if load is not None:
                 load.check(len(self.structure.nodes))
@@ -93,7 +97,39 @@ class Scene:
         """The structure with its strings cut into `segments`: what the model's nodes and strings are."""
         return self.structure.subdivide(self.segments, self.ends, self.fractions)
 
+    @cached_property
+    def string_laws(self) -> list[tuple[Slack, Indices]]:
+        """Each law that strings have, with the modelled strings that have it; none where force densities are commanded."""
+        count = len(self.modelled.strings)
+        if isinstance(self.control, ForceDensity):
+            return []
+        if isinstance(self.slack, Slack):
+            return [(self.slack, np.arange(count))]
+        whose = np.repeat(np.arange(len(self.structure.strings)), segment_counts(self.segments, len(self.structure.strings)))
+        given = cast("tuple[Slack, ...]", self.slack)
+        laws = [given[string] for string in whose]
+        return [(law, np.array([i for i, other in enumerate(laws) if other == law])) for law in dict.fromkeys(laws)]
+
+    @property
+    def switching_strings(self) -> Indices:
+        """The modelled strings that go slack at an instant."""
+        return self._strings_with("switches")
+
+    @property
+    def clamped_strings(self) -> Indices:
+        """The modelled strings that go slack also where damping takes their tension."""
+        return self._strings_with("clamps")
+
+    @property
+    def pushing_strings(self) -> Indices:
+        """The modelled strings that push where they are shorter than at rest."""
+        return self._strings_with("pushes")
+
     @property
     def has_clock(self) -> bool:
         """Whether anything depends on time."""
         return self.supports is not None or (self.forces is not None and self.forces.varies)
+
+    def _strings_with(self, property_of_law: str) -> Indices:
+        none = np.zeros(0, dtype=np.intp)
+        return np.sort(np.concatenate([none, *(which for law, which in self.string_laws if getattr(law, property_of_law))]))

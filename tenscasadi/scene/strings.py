@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Literal, cast
 
 import casadi as ca
 import numpy as np
 
-from tenscasadi.util.validate import Array, positive_number
+from tenscasadi.util.validate import Array, choice, instance, listed, node_index, positive_number
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class ForceDensity:
 class RestLength:
     """Control by rest lengths: the input is ρ of every parent string, m, greater than 0.
 
-    The string law (`Clip` or `Smooth`) turns it into a force density.
+    The string law (`Clip`, `Smooth` or `Linear`) turns it into a force density.
 
     Examples
     --------
@@ -47,13 +48,39 @@ Control = ForceDensity | RestLength
 class Clip:
     """Slack as it is: a string pulls only while it is longer than its rest length and its tension is positive (Eq. 99).
 
+    Parameters
+    ----------
+    damping : {"clamped", "unclamped"}
+        What damping may do to a taut string. "clamped": it never makes it push, the tension ends at zero. "unclamped": it acts in full
+        while the string is longer than at rest, so that one that shortens fast pushes, as in STEDY.
+
+    Notes
+    -----
+    Unclamped damping jumps by c ds/dt where a string becomes taut or slack. It takes c (ds/dt)² out of the motion at any time while the
+    string is longer than at rest, clamped damping less.
+
     Examples
     --------
     >>> import tenscasadi as tc
     >>> gamma = tc.Clip().force_density(squared=4.0, rest=1.0, stiffness=10.0, rate=None, unit=1.0)
     >>> round(float(gamma), 6)
     5.0
+    >>> fast = tc.Clip(damping="unclamped").force_density(squared=4.0, rest=1.0, stiffness=10.0, rate=-40.0, unit=1.0)
+    >>> round(float(fast), 6)
+    -5.0
     """
+
+    switches: ClassVar[bool] = True
+    pushes: ClassVar[bool] = False
+    damping: Literal["clamped", "unclamped"] = "clamped"
+
+    def __post_init__(self) -> None:
+        choice("Clip.damping", self.damping, "clamped", "unclamped")
+
+    @property
+    def clamps(self) -> bool:
+        """Whether damping ends where the tension does."""
+        return self.damping == "clamped"
 
     def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
         """Return the force densities of strings, γ = k (s − ρ)/s + c sᵀṡ/s² where they are taut (Eq. 99).
@@ -83,8 +110,35 @@ class Clip:
         strain = (length - rest) / length if taut is None else 1 - rest / length  # whose derivatives are shorter
         gamma = stiffness * strain if rate is None else stiffness * strain + rate / safe
         if taut is None:
-            taut = strain > 0 if rate is None else (strain > 0) * (gamma > 0)
+            taut = strain > 0 if rate is None or not self.clamps else (strain > 0) * (gamma > 0)
         return gamma * taut  # a product: the shortest code, and finite in all derivatives
+
+    def gap(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any) -> Any:
+        """Return lengths that are positive where strings pull: how much longer than at rest they are, or what their tension would stretch them by.
+
+        Parameters
+        ----------
+        squared : casadi expression
+            Squared lengths s², m².
+        rest : casadi expression
+            Rest lengths ρ, m.
+        stiffness : casadi expression
+            Stiffness k, N/m.
+        rate : casadi expression or None
+            c sᵀṡ of each string, N·m; None when none is damped.
+        unit : casadi expression
+            Typical lengths, m, constant.
+
+        Returns
+        -------
+        casadi expression
+            The lesser of both, m.
+        """
+        length = ca.sqrt(squared + (1e-9 * unit) ** 2)
+        stretch = length - rest
+        if rate is None or not self.clamps:
+            return stretch
+        return ca.fmin(stretch, (stiffness * stretch + rate / length) / (stiffness + (stiffness == 0)))
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
         """Return the elastic energy of strings, ½ k (s − ρ)² where they are taut.
@@ -129,6 +183,9 @@ class Smooth:
     0.05
     """
 
+    switches: ClassVar[bool] = False
+    clamps: ClassVar[bool] = False
+    pushes: ClassVar[bool] = False
     width: float
 
     def __post_init__(self) -> None:
@@ -192,7 +249,95 @@ class Smooth:
         return ca.sqrt(squared + (1e-9 * unit) ** 2)  # finite derivatives at no length
 
 
-Slack = Clip | Smooth
+@dataclass(frozen=True)
+class Linear:
+    """No slack: a spring and a damper, which pull while they are longer than at rest and push while they are shorter.
+
+    Such a string has no events, and its force density may be negative.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> gamma = tc.Linear().force_density(squared=0.25, rest=1.0, stiffness=10.0, rate=None, unit=1.0)
+    >>> round(float(gamma), 6)
+    -10.0
+    """
+
+    switches: ClassVar[bool] = False
+    clamps: ClassVar[bool] = False
+    pushes: ClassVar[bool] = True
+
+    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
+        """Return the force densities of strings, γ = k (s − ρ)/s + c sᵀṡ/s², of either sign.
+
+        Parameters
+        ----------
+        squared : casadi expression
+            Squared lengths s², m².
+        rest : casadi expression
+            Rest lengths ρ, m.
+        stiffness : casadi expression
+            Stiffness k, N/m.
+        rate : casadi expression or None
+            c sᵀṡ of each string, N·m; None when none is damped.
+        unit : casadi expression
+            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to have finite derivatives.
+        taut : None
+            Not needed here: these strings are never slack.
+
+        Returns
+        -------
+        casadi expression
+            γ, N/m, in the shape of the arguments.
+        """
+        safe = squared + (1e-9 * unit) ** 2
+        gamma = stiffness * (1 - rest / ca.sqrt(safe))
+        return gamma if rate is None else gamma + rate / safe
+
+    def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
+        """Return the elastic energy of strings, ½ k (s − ρ)².
+
+        Parameters
+        ----------
+        squared : casadi expression
+            Squared lengths s², m².
+        rest : casadi expression
+            Rest lengths ρ, m.
+        stiffness : casadi expression
+            Stiffness k, N/m.
+        unit : casadi expression
+            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to have finite derivatives.
+
+        Returns
+        -------
+        casadi expression
+            Energy of each string, J.
+        """
+        stretch = ca.sqrt(squared + (1e-9 * unit) ** 2) - rest
+        return stiffness * stretch * stretch / 2
+
+
+Slack = Clip | Smooth | Linear
+
+
+def read_slack(given: Any, strings: int) -> Slack | tuple[Slack, ...]:
+    """Return one law for all strings, or a law for each; of a mapping those that it does not name have `Clip()`. Raises TypeError, ValueError."""
+    example = "Clip(), Smooth(width), Linear(), or one of them for each string, such as {3: Linear()}"
+    if isinstance(given, Slack):
+        return given
+    if isinstance(given, Mapping):
+        laws: list[Any] = [Clip()] * strings
+        for key, law in given.items():
+            laws[node_index("Scene.slack, string", key, strings, "string")] = law
+    else:
+        if isinstance(given, (str, bytes)) or not isinstance(given, Sequence):
+            instance("Scene.slack", given, (Clip, Smooth, Linear), example)
+        laws = list(listed("Scene.slack", given, example))
+        if len(laws) != strings:
+            raise ValueError(f"Scene.slack has {len(laws)} entries: give one law, or one for each of {strings} strings")
+    for string, law in enumerate(laws):
+        instance(f"Scene.slack[{string}]", law, (Clip, Smooth, Linear), "Clip(), Smooth(width) or Linear()")
+    return cast(Slack, laws[0]) if laws and len(set(laws)) == 1 else tuple(laws) if laws else Clip()
 
 
 def rest_length(force_density: Array, length: Array, stiffness: Array) -> Array:

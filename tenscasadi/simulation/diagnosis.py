@@ -119,7 +119,8 @@ def _looks(model: Model, run: Trajectory) -> list[tuple[list[Array], float, list
     ahead = run.states.copy()
     q, v, _ = model.split(ahead)
     q += run.step * v
-    taut = np.vstack([run.tension > 0, _stretched(model, run, ahead)])
+    taut = np.vstack([run.tension != 0, _stretched(model, run, ahead)])
+    taut[:, model.scene.pushing_strings] = True  # they act at any length
     count, last = len(run.time), len(run.time) - 1
     _, first, kind = np.unique(np.packbits(taut, axis=1), axis=0, return_index=True, return_inverse=True)
     kind = kind.ravel()
@@ -140,7 +141,7 @@ def _stretched(model: Model, run: Trajectory, states: Array) -> NDArray[np.bool_
     """Tell which strings (T, α) are longer than at rest at states (T, nx) under the controls of a run."""
     s, scene = model.structure, model.scene
     if isinstance(scene.control, ForceDensity):
-        return run.tension > 0
+        return np.asarray(run.tension != 0)
     rest = run.control[:, s.string_parent] * s.string_fraction if isinstance(scene.control, RestLength) else s.rest_length
     ends = model.nodes(states)
     return np.asarray(np.linalg.norm(ends[:, s.strings[:, 1]] - ends[:, s.strings[:, 0]], axis=2) > rest)

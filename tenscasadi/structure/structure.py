@@ -15,7 +15,19 @@ from tenscasadi.structure.class_one import ClassOne, Layout, bar_mass_matrix, cl
 from tenscasadi.structure.pins import read_pins
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import SMALLEST, Array, Indices, choice, finite_array, flag, node_pairs, nonnegative, per_item, rows_of_size
+from tenscasadi.util.validate import (
+    SMALLEST,
+    Array,
+    Indices,
+    choice,
+    finite_array,
+    flag,
+    item_mask,
+    node_pairs,
+    nonnegative,
+    per_item,
+    rows_of_size,
+)
 
 SHORTEST = 1e-12  # of the largest coordinate: below it rounding decides where a member points
 THICKEST = 1e3  # radius over length: beyond it M loses its positive definiteness to rounding
@@ -247,13 +259,15 @@ class Structure(ReadOnlyArrays):
                 kept.update(_layout=self._layout)
         return new._derived(**kept)
 
-    def prestressed(self, force_density: ArrayLike) -> Structure:
+    def prestressed(self, force_density: ArrayLike, pushing: Iterable[int] = ()) -> Structure:
         """Return the structure with the rest lengths ρ = s (1 − γ/k) at which its strings carry given force densities (Appendix A).
 
         Parameters
         ----------
         force_density : array_like, shape (α,)
             γ of each string in these nodes, N/m, at least 0 and below its stiffness.
+        pushing : sequence of int
+            Strings that may push, where the scene gives them the law `Linear`: their γ may be negative.
 
         Returns
         -------
@@ -265,10 +279,14 @@ class Structure(ReadOnlyArrays):
         ValueError
             Where γ ≥ k: no positive rest length gives as much.
         """
-        gamma = nonnegative("force_density", per_item("force_density", force_density, len(self.strings)), "string")
-        for i in np.flatnonzero((gamma > 0.0) & (gamma >= self.stiffness)):
+        gamma = per_item("force_density", force_density, len(self.strings))
+        pushes = item_mask("pushing", pushing, len(self.strings), "string")
+        nonnegative("force_density", np.where(pushes, 0.0, gamma), "string")
+        for i in np.flatnonzero((gamma != 0.0) & (gamma >= self.stiffness)):
             raise ValueError(f"force_density of string {i} is {gamma[i]:g} N/m: it must be below its stiffness, {self.stiffness[i]:g} N/m")
-        ratio = np.divide(gamma, self.stiffness, out=np.zeros_like(gamma), where=gamma > 0.0)
+        for i in np.flatnonzero((gamma < 0.0) & (self.stiffness == 0.0)):
+            raise ValueError(f"force_density of string {i} is {gamma[i]:g} N/m: its stiffness is 0, it cannot push")
+        ratio = np.divide(gamma, self.stiffness, out=np.zeros_like(gamma), where=gamma != 0.0)
         return self.replace(rest_length=self.string_lengths * (1.0 - ratio))
 
     def subdivide(self, segments: int | Sequence[int] | Indices, ends: str = "interior", fractions: ArrayLike | None = None) -> Structure:

@@ -164,12 +164,12 @@ def whole_number(field: str, value: Any, minimum: int, maximum: int = 2**31 - 1)
     return int(value)
 
 
-def node_index(field: str, value: Any, count: int) -> int:
-    """Return `value` as an index of one of `count` nodes, zero-based. Raises TypeError, ValueError."""
+def node_index(field: str, value: Any, count: int, item: str = "node") -> int:
+    """Return `value` as an index of one of `count` nodes, or other items, zero-based. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{field} is {shown(value)}: give a node index, a whole number")
+        raise TypeError(f"{field} is {shown(value)}: give a {item} index, a whole number")
     if not 0 <= value < count:
-        raise ValueError(f"{field} is {shown(value)}: node indices run from 0 to {count - 1}")
+        raise ValueError(f"{field} is {shown(value)}: {item} indices run from 0 to {count - 1}")
     return int(value)
 
 
@@ -203,6 +203,14 @@ def shown(value: Any) -> str:
     except Exception:  # noqa: BLE001  an object's own repr may raise anything
         return f"a value of type {type(value).__name__}"
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]} …"
+
+
+def item_mask(field: str, value: Any, count: int, item: str) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Return which of `count` items a list of indices names. Raises TypeError, ValueError."""
+    found = np.zeros(count, dtype=bool)
+    for k, index in enumerate(listed(field, value, f"[0, 3] of {item} indices")):
+        found[node_index(f"{field}[{k}]", index, count, item)] = True
+    return found
 
 
 def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> None:

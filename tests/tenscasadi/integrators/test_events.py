@@ -10,14 +10,17 @@ from tenscasadi.integrators.events import build_held_ode, build_switching
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity, RestLength, Smooth
+from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Slack, Smooth
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 
 
-def test_between_events_the_motion_is_that_of_the_ode() -> None:
+@pytest.mark.parametrize(
+    "slack", [Clip(), Clip("unclamped"), {0: Linear(), 5: Clip("unclamped"), 9: Smooth(0.01)}], ids=["clip", "unclamped", "mixed"]
+)
+def test_between_events_the_motion_is_that_of_the_ode(slack: Slack | dict[int, Slack]) -> None:
     ball = shapes.six_bar_ball(prestress=10.0, damping=2.0)
-    scene = Scene(ball, gravity=Gravity(), control=RestLength(), ground=Ground(damping=5.0, friction=0.4, height=-0.2))
+    scene = Scene(ball, gravity=Gravity(), control=RestLength(), ground=Ground(damping=5.0, friction=0.4, height=-0.2), slack=slack)
     rng = np.random.default_rng(1)
     for coordinates in ("reduced", "full"):
         model = Model(scene, coordinates)  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ import ocp
 import tenscasadi as tc
 from tenscasadi import plots
 from tenscasadi.animation import animate
-from tenscasadi.plots.scene3d import BAR, SLACK
+from tenscasadi.plots.scene3d import BAR, PUSHING, SLACK
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +61,12 @@ def test_structure_colours_strings_by_tension(prism):
     figure = plots.structure(prism)
     assert len(colours_of(figure)) == 3  # two tensions of the self-stress
     assert figure.axes[1].get_ylim() == pytest.approx((0.0, (prism.stiffness * (prism.string_lengths - prism.rest_length)).max()))
+
+
+def test_structure_says_which_strings_push(prism):
+    figure = plots.structure(prism, [-7.0, 0.0, *[5.0] * 7])
+    assert figure.axes[1].get_ylabel() == "tension (N); grey: slack; green: pushing, up to 7 N"
+    assert {tuple(np.round(to_rgba(colour), 6)) for colour in (SLACK, PUSHING)} <= colours_of(figure)
 
 
 def test_structure_says_that_all_strings_are_slack():
