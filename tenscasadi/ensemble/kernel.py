@@ -15,8 +15,10 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.lanes import write_source
 from tenscasadi.ensemble.one_by_one import OneByOne
 from tenscasadi.ensemble.request import MEASURED, STOPPED, WORST, make_request
-from tenscasadi.integrators.scheme import Scheme, check_scheme
+from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
+from tenscasadi.integrators.scheme import Scheme, add_work, check_scheme
 from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.integrators.tableaux import Tableau
 from tenscasadi.util.compile import CompileError, compile_library
 from tenscasadi.util.validate import Array
 
@@ -58,19 +60,21 @@ class Kernel:
     lanes: motions that each instruction moves; 0 without C++, `note` then says why.
     """
 
-    def __init__(self, functions: Mapping[str, ca.Function], sizes: Mapping[str, int], every: int, lanes: int | None) -> None:
+    def __init__(
+        self, functions: Mapping[str, ca.Function], sizes: Mapping[str, int], tableau: Tableau | None, every: int, lanes: int | None
+    ) -> None:
         self._sizes, self._every, self.note = sizes, every, ""
         self._one_by_one: OneByOne | None = None
         self.lanes = 0
         for width in dict.fromkeys((lanes, 1)):
             try:
-                self._library = compile_library("motion", write_source(functions, sizes, width))
+                self._library = compile_library("motion", write_source(functions, sizes, tableau, width))
             except CompileError as error:
                 self.note = f"not compiled: {str(error).splitlines()[0]}"
                 continue
             self.lanes, self.note = int(self._library.motion_lanes()), ""
             return
-        self._one_by_one = OneByOne(functions, sizes)
+        self._one_by_one = OneByOne(functions, sizes, tableau)
 
     def __call__(
         self,
@@ -239,9 +243,14 @@ def build_kernel(
         raise ValueError(f"scheme is {scheme}: motions side by side take the same steps, give a scheme of fixed explicit ones such as RungeKutta4()")
     power = _stacked(model, model.power) if measured and model.power is not None else None
     jumps = measured and model.nu > 0
-    advance = scheme.advance(model, power)
-    nw = advance.size1_in(1)
-    functions = {"motion_step": _with_account(advance, model.nx, jumps and power is None)}
+    tableau = _tableau(scheme)
+    if tableau is None:
+        step = _with_account("motion_step", scheme.advance(model, power), model.nx, jumps and power is None)
+    else:
+        ode = _stacked(model, model.ode)
+        step = _with_account("motion_ode", ode if power is None else add_work(ode, power), model.nx, jumps and power is None)
+    functions = {step.name(): step}
+    nw = step.size1_in(1)
     project = None if correction is None else correction.step(model)
     for name, function in (("motion_project", project), ("motion_stage", stage), ("motion_final", final)):
         if function is not None:
@@ -250,9 +259,9 @@ def build_kernel(
         functions["motion_measure"] = _measure(_stacked(model, model.observe))
         if jumps:
             functions["motion_energy"] = _stacked(model, model.energy_function)
-    given = {name: _renamed(name, function) for name, function in functions.items()}
+    given = {name: function if function is step else _renamed(name, function) for name, function in functions.items()}
     sizes = {"NX": model.nx, "NW": nw, "NU": model.nu, "WORK": int(power is not None or jumps), "JUMPS": int(jumps), "M": 5 * measured}
-    return Kernel(given, sizes, 0 if project is None or correction is None else correction.every, lanes)
+    return Kernel(given, sizes, tableau, 0 if project is None or correction is None else correction.every, lanes)
 
 
 def _stacked(model: Model, function: ca.Function) -> ca.Function:
@@ -260,12 +269,21 @@ def _stacked(model: Model, function: ca.Function) -> ca.Function:
     return model.stacked(function) if hasattr(model, "stacked") else function
 
 
-def _with_account(step: ca.Function, nx: int, account: bool) -> ca.Function:
-    """Return `step` with one entry more in its state, which it leaves as it is, where `account` asks for it."""
+def _tableau(scheme: Scheme) -> Tableau | None:
+    """Return the tableau of a scheme that steps as it says, None for others."""
+    own = (
+        isinstance(scheme, ExplicitRungeKutta) and type(scheme).advance is ExplicitRungeKutta.advance and type(scheme).step is ExplicitRungeKutta.step
+    )
+    return scheme.tableau if own and isinstance(scheme, ExplicitRungeKutta) else None
+
+
+def _with_account(name: str, function: ca.Function, nx: int, account: bool) -> ca.Function:
+    """Return a step (z, w, h) or an ode (z, w) under this name, where `account` asks for it with one entry more in z, which does not change."""
     if not account:
-        return step
-    z, w, h = ca.MX.sym("z", nx + 1), ca.MX.sym("w", step.size1_in(1)), ca.MX.sym("h")
-    return ca.Function("step", [z, w, h], [ca.vertcat(step(z[:nx], w, h), z[nx])])
+        return _renamed(name, function)
+    z, *others = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+    z = type(z).sym("z", nx + 1)
+    return ca.Function(name, [z, *others], [ca.vertcat(function(z[:nx], *others), z[nx] if name == "motion_step" else 0)])
 
 
 def _measure(observe: ca.Function) -> ca.Function:
@@ -277,6 +295,8 @@ def _measure(observe: ca.Function) -> ca.Function:
 
 
 def _renamed(name: str, function: ca.Function) -> ca.Function:
-    inputs = function.mx_in()
-    outputs = function.call(inputs, function.class_name() == "MXFunction", False)
+    """Return the Function under another name, without a call of the one in the other where that can be: it would copy what comes out."""
+    scalar = function.is_a("SXFunction")
+    inputs = function.sx_in() if scalar else function.mx_in()
+    outputs = function.call(inputs, not scalar and function.is_a("MXFunction"), False)
     return ca.Function(name, inputs, outputs)

@@ -8,6 +8,9 @@ from importlib import resources
 
 import casadi as ca
 
+from tenscasadi.ensemble.stages import work_size, write_step
+from tenscasadi.integrators.tableaux import Tableau
+
 # CasADi writes if_else as a sum of these; the operands are variables, or entries that a loop passes over.
 _OPERAND = r"\w+(?:\[\w+\])?|\(\*\w+\+\+\)"
 _CONDITION = re.compile(rf"\(({_OPERAND})\?({_OPERAND}):0\)")
@@ -25,10 +28,10 @@ _WIDEST = """
 """
 
 
-def write_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int], lanes: int | None) -> str:
+def write_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int], tableau: Tableau | None, lanes: int | None) -> str:
     """Write the C++ that rolls motions by these Functions, which have the names that `motions.hpp` calls.
 
-    sizes: constants of `motions.hpp`. lanes: motions in each instruction; None: as many as the processor's registers hold. One lane is
+    sizes: constants of `motions.hpp`. tableau: of the method that steps `motion_ode`, None where there is a `motion_step`. lanes: motions in each instruction; None: as many as the processor's registers hold. One lane is
     plain double, and takes any code.
     """
     generator = ca.CodeGenerator("motion.c", {"with_header": False})
@@ -40,6 +43,8 @@ def write_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int],
         "SIZE_IW": max(function.sz_iw() for function in functions.values()),
         "SIZE_W": max(function.sz_w() for function in functions.values()),
     }
+    if tableau is not None:
+        room["SIZE_W"] += work_size(tableau, sizes["NX"] + sizes["WORK"])
     has = {name.removeprefix("motion_").upper(): 1 for name in functions}
     return "\n".join(
         [
@@ -47,6 +52,7 @@ def write_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int],
             _text("lanes.hpp"),
             generator.dump() if lanes == 1 else _replace_branches(generator.dump()),
             *(f"#define {name} {value}" for name, value in {**has, **sizes, **room}.items()),
+            "" if tableau is None else write_step(tableau),
             _text("motions.hpp"),
         ]
     )

@@ -15,7 +15,7 @@ from tenscasadi.integrators.scheme import Complex, add_work, check_ode, check_re
 from tenscasadi.integrators.tableaux import CLASSICAL, DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
 from tenscasadi.util.validate import instance, positive_number, whole_number
 
-_SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
+SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
 
 
 class ExplicitRungeKutta:
@@ -254,7 +254,7 @@ class DormandPrince853(EmbeddedRungeKutta):
 def build_step(tableau: Tableau, ode: ca.Function) -> ca.Function:
     """Return one step of the method: Function "step" (x, u, h) -> x_next that calls `ode` once a stage that counts."""
     x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
-    slopes = _slopes(tableau, ode, x, u, h, _needed(tableau))
+    slopes = _slopes(tableau, ode, x, u, h, needed_stages(tableau))
     return ca.Function("step", [x, u, h], [_advance(x, h, tableau.b, slopes)], ["x", "u", "h"], ["x_next"])
 
 
@@ -280,7 +280,7 @@ def _slopes(tableau: Tableau, ode: ca.Function, x: ca.MX, u: ca.MX, h: ca.MX, ne
     return slopes
 
 
-def _needed(tableau: Tableau) -> set[int]:
+def needed_stages(tableau: Tableau) -> set[int]:
     """Stages on which the result depends: the last one of a pair with "first same as last" serves its error alone."""
     needed: set[int] = set()
     for i in reversed(range(len(tableau.a))):
@@ -291,9 +291,14 @@ def _needed(tableau: Tableau) -> set[int]:
 
 def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
     """Return x + h Σ weight · slope, with slopes of equal weight added first: each product is a pass over the state. Many are one product."""
-    used = {weight: [slope for slope, own in zip(slopes, weights, strict=True) if own == weight] for weight in weights if weight}
-    if len(used) > _SEVERAL:
-        return x + ca.mtimes(ca.horzcat(*(reduce(add, equal) for equal in used.values())), h * ca.DM(list(used)))
-    for weight, equal in used.items():
-        x = x + (weight * h) * reduce(add, equal)
+    used = {weight: reduce(add, (slopes[k] for k in equal)) for weight, equal in equal_weights(weights).items()}
+    if len(used) > SEVERAL:
+        return x + ca.mtimes(ca.horzcat(*used.values()), h * ca.DM(list(used)))
+    for weight, slope in used.items():
+        x = x + (weight * h) * slope
     return x
+
+
+def equal_weights(weights: tuple[float, ...]) -> dict[float, list[int]]:
+    """Return the stages of each weight that is not 0."""
+    return {weight: [k for k, own in enumerate(weights) if own == weight] for weight in weights if weight}
