@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.lanes import write_source
 from tenscasadi.ensemble.one_by_one import OneByOne
+from tenscasadi.ensemble.program import Program, write_program
 from tenscasadi.ensemble.request import MEASURED, STOPPED, WORST, make_request
-from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
-from tenscasadi.integrators.scheme import Scheme, add_work, check_scheme
+from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
-from tenscasadi.integrators.tableaux import Tableau
 from tenscasadi.util.compile import CompileError, compile_library
 from tenscasadi.util.validate import Array
 
@@ -60,21 +59,19 @@ class Kernel:
     lanes: motions that each instruction moves; 0 without C++, `note` then says why.
     """
 
-    def __init__(
-        self, functions: Mapping[str, ca.Function], sizes: Mapping[str, int], tableau: Tableau | None, every: int, lanes: int | None
-    ) -> None:
-        self._sizes, self._every, self.note = sizes, every, ""
+    def __init__(self, program: Program, lanes: int | None) -> None:
+        self._sizes, self._every, self.note = program.sizes, program.every, ""
         self._one_by_one: OneByOne | None = None
         self.lanes = 0
         for width in dict.fromkeys((lanes, 1)):
             try:
-                self._library = compile_library("motion", write_source(functions, sizes, tableau, width))
+                self._library = compile_library("motion", write_source(program, width))
             except CompileError as error:
                 self.note = f"not compiled: {str(error).splitlines()[0]}"
                 continue
             self.lanes, self.note = int(self._library.motion_lanes()), ""
             return
-        self._one_by_one = OneByOne(functions, sizes, tableau)
+        self._one_by_one = OneByOne(program)
 
     def __call__(
         self,
@@ -238,65 +235,4 @@ def build_kernel(
     TypeError, ValueError
         An argument is wrong, or the scheme chooses its own steps or iterates.
     """
-    check_scheme(scheme)
-    if scheme.adaptive or scheme.implicit:
-        raise ValueError(f"scheme is {scheme}: motions side by side take the same steps, give a scheme of fixed explicit ones such as RungeKutta4()")
-    power = _stacked(model, model.power) if measured and model.power is not None else None
-    jumps = measured and model.nu > 0
-    tableau = _tableau(scheme)
-    if tableau is None:
-        step = _with_account("motion_step", scheme.advance(model, power), model.nx, jumps and power is None)
-    else:
-        ode = _stacked(model, model.ode)
-        step = _with_account("motion_ode", ode if power is None else add_work(ode, power), model.nx, jumps and power is None)
-    functions = {step.name(): step}
-    nw = step.size1_in(1)
-    project = None if correction is None else correction.step(model)
-    for name, function in (("motion_project", project), ("motion_stage", stage), ("motion_final", final)):
-        if function is not None:
-            functions[name] = function
-    if measured:
-        functions["motion_measure"] = _measure(_stacked(model, model.observe))
-        if jumps:
-            functions["motion_energy"] = _stacked(model, model.energy_function)
-    given = {name: function if function is step else _renamed(name, function) for name, function in functions.items()}
-    sizes = {"NX": model.nx, "NW": nw, "NU": model.nu, "WORK": int(power is not None or jumps), "JUMPS": int(jumps), "M": 5 * measured}
-    return Kernel(given, sizes, tableau, 0 if project is None or correction is None else correction.every, lanes)
-
-
-def _stacked(model: Model, function: ca.Function) -> ca.Function:
-    """Return a Function of the model as one of (x, w)."""
-    return model.stacked(function) if hasattr(model, "stacked") else function
-
-
-def _tableau(scheme: Scheme) -> Tableau | None:
-    """Return the tableau of a scheme that steps as it says, None for others."""
-    own = (
-        isinstance(scheme, ExplicitRungeKutta) and type(scheme).advance is ExplicitRungeKutta.advance and type(scheme).step is ExplicitRungeKutta.step
-    )
-    return scheme.tableau if own and isinstance(scheme, ExplicitRungeKutta) else None
-
-
-def _with_account(name: str, function: ca.Function, nx: int, account: bool) -> ca.Function:
-    """Return a step (z, w, h) or an ode (z, w) under this name, where `account` asks for it with one entry more in z, which does not change."""
-    if not account:
-        return _renamed(name, function)
-    z, *others = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
-    z = type(z).sym("z", nx + 1)
-    return ca.Function(name, [z, *others], [ca.vertcat(function(z[:nx], *others), z[nx] if name == "motion_step" else 0)])
-
-
-def _measure(observe: ca.Function) -> ca.Function:
-    """Return (x, w) -> errors of bars and joints, and the three energies: what `observe` tells, without the rest."""
-    kind: Any = ca.SX if observe.is_a("SXFunction") else ca.MX
-    x, w = kind.sym("x", observe.size1_in(0)), kind.sym("w", observe.size1_in(1))
-    found = dict(zip(observe.name_out(), observe.call([x, w]), strict=True))
-    return ca.Function("measure", [x, w], [ca.vertcat(*(found[name] for name in ("bar_length_error", "joint_error", "energy")))])
-
-
-def _renamed(name: str, function: ca.Function) -> ca.Function:
-    """Return the Function under another name, without a call of the one in the other where that can be: it would copy what comes out."""
-    scalar = function.is_a("SXFunction")
-    inputs = function.sx_in() if scalar else function.mx_in()
-    outputs = function.call(inputs, not scalar and function.is_a("MXFunction"), False)
-    return ca.Function(name, inputs, outputs)
+    return Kernel(write_program(model, scheme, correction, stage, final, measured), lanes)

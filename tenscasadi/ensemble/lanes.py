@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from importlib import resources
 
 import casadi as ca
 
+from tenscasadi.ensemble.program import Program
 from tenscasadi.ensemble.stages import work_size, write_step
-from tenscasadi.integrators.tableaux import Tableau
 
 # CasADi writes if_else as a sum of these; the operands are variables, or entries that a loop passes over.
 _OPERAND = r"\w+(?:\[\w+\])?|\(\*\w+\+\+\)"
@@ -28,12 +27,12 @@ _WIDEST = """
 """
 
 
-def write_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int], tableau: Tableau | None, lanes: int | None) -> str:
-    """Write the C++ that rolls motions by these Functions, which have the names that `motions.hpp` calls.
+def write_source(program: Program, lanes: int | None) -> str:
+    """Write the C++ of a program.
 
-    sizes: constants of `motions.hpp`. tableau: of the method that steps `motion_ode`, None where there is a `motion_step`. lanes: motions in each instruction; None: as many as the processor's registers hold. One lane is
-    plain double, and takes any code.
+    lanes: motions in each instruction; None: as many as the processor's registers hold. One lane is plain double, and takes any code.
     """
+    functions, sizes, tableau = program.functions, program.sizes, program.tableau
     generator = ca.CodeGenerator("motion.c", {"with_header": False})
     for function in functions.values():
         generator.add(function)

@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from tenscasadi.ensemble.program import Program
 from tenscasadi.ensemble.request import BEYOND, BROKEN, FINISHED, NOT_FINITE, STOPPED
 from tenscasadi.integrators.runge_kutta import build_step
-from tenscasadi.integrators.tableaux import Tableau
 from tenscasadi.util.compile import CompileError, compile_function
 from tenscasadi.util.validate import Array
 
@@ -19,11 +19,12 @@ _BLOCK = 256  # motions that go through time together
 
 
 class OneByOne:
-    """The Functions of a kernel, by name, and its sizes; called with the values of a request."""
+    """A program without C++; called with the values of a request."""
 
-    def __init__(self, functions: Mapping[str, ca.Function], sizes: Mapping[str, int], tableau: Tableau | None) -> None:
-        if tableau is not None:
-            functions = {**functions, "motion_step": build_step(tableau, functions["motion_ode"])}
+    def __init__(self, program: Program) -> None:
+        functions, sizes = dict(program.functions), program.sizes
+        if program.tableau is not None:
+            functions["motion_step"] = build_step(program.tableau, functions.pop("motion_ode"))
         self._functions = {name: _compiled(function) for name, function in functions.items()}
         self._sizes = sizes
         self._mapped: dict[tuple[str, int], ca.Function] = {}

@@ -1,0 +1,90 @@
+"""What a kernel computes, as CasADi Functions under the names that `motions.hpp` calls."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
+from tenscasadi.integrators.scheme import Scheme, add_work, check_scheme
+from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.integrators.tableaux import Tableau
+
+
+class Program(NamedTuple):
+    """Functions by name, the constants of `motions.hpp`, the tableau that steps `motion_ode` (None: there is a `motion_step`), steps a correction."""
+
+    functions: dict[str, ca.Function]
+    sizes: dict[str, int]
+    tableau: Tableau | None
+    every: int
+
+
+def write_program(
+    model: Model, scheme: Scheme, correction: Correction | None, stage: ca.Function | None, final: ca.Function | None, measured: bool
+) -> Program:
+    """Write the Functions of a kernel; arguments and errors as of `build_kernel`."""
+    check_scheme(scheme)
+    if scheme.adaptive or scheme.implicit:
+        raise ValueError(f"scheme is {scheme}: motions side by side take the same steps, give a scheme of fixed explicit ones such as RungeKutta4()")
+    power = _stacked(model, model.power) if measured and model.power is not None else None
+    jumps = measured and model.nu > 0
+    tableau = _tableau(scheme)
+    if tableau is None:
+        step = _with_account("motion_step", scheme.advance(model, power), model.nx, jumps and power is None)
+    else:
+        ode = _stacked(model, model.ode)
+        step = _with_account("motion_ode", ode if power is None else add_work(ode, power), model.nx, jumps and power is None)
+    functions = {step.name(): step}
+    nw = step.size1_in(1)
+    project = None if correction is None else correction.step(model)
+    for name, function in (("motion_project", project), ("motion_stage", stage), ("motion_final", final)):
+        if function is not None:
+            functions[name] = function
+    if measured:
+        functions["motion_measure"] = _measure(_stacked(model, model.observe))
+        if jumps:
+            functions["motion_energy"] = _stacked(model, model.energy_function)
+    given = {name: function if function is step else _renamed(name, function) for name, function in functions.items()}
+    sizes = {"NX": model.nx, "NW": nw, "NU": model.nu, "WORK": int(power is not None or jumps), "JUMPS": int(jumps), "M": 5 * measured}
+    return Program(given, sizes, tableau, 0 if project is None or correction is None else correction.every)
+
+
+def _stacked(model: Model, function: ca.Function) -> ca.Function:
+    """Return a Function of the model as one of (x, w)."""
+    return model.stacked(function) if hasattr(model, "stacked") else function
+
+
+def _tableau(scheme: Scheme) -> Tableau | None:
+    """Return the tableau of a scheme that steps as it says, None for others."""
+    if not isinstance(scheme, ExplicitRungeKutta):
+        return None
+    own = type(scheme).advance is not ExplicitRungeKutta.advance or type(scheme).step is not ExplicitRungeKutta.step
+    return None if own else scheme.tableau
+
+
+def _with_account(name: str, function: ca.Function, nx: int, account: bool) -> ca.Function:
+    """Return a step (z, w, h) or an ode (z, w) under this name, where `account` asks for it with one entry more in z, which does not change."""
+    if not account:
+        return _renamed(name, function)
+    inputs: list[Any] = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+    z, others = type(inputs[0]).sym("z", nx + 1), inputs[1:]
+    return ca.Function(name, [z, *others], [ca.vertcat(function(z[:nx], *others), z[nx] if name == "motion_step" else 0)])
+
+
+def _measure(observe: ca.Function) -> ca.Function:
+    """Return (x, w) -> errors of bars and joints, and the three energies: what `observe` tells, without the rest."""
+    kind: Any = ca.SX if observe.is_a("SXFunction") else ca.MX
+    x, w = kind.sym("x", observe.size1_in(0)), kind.sym("w", observe.size1_in(1))
+    found = dict(zip(observe.name_out(), observe.call([x, w]), strict=True))
+    return ca.Function("measure", [x, w], [ca.vertcat(*(found[name] for name in ("bar_length_error", "joint_error", "energy")))])
+
+
+def _renamed(name: str, function: ca.Function) -> ca.Function:
+    """Return the Function under another name, without a call of the one in the other where that can be: it would copy what comes out."""
+    scalar = function.is_a("SXFunction")
+    inputs: Any = function.sx_in() if scalar else function.mx_in()
+    outputs = function.call(inputs, not scalar and function.is_a("MXFunction"), False)
+    return ca.Function(name, inputs, outputs)
