@@ -10,6 +10,8 @@ from ocp.boundary.unreachable import UnreachableGoal
 from ocp.control.closed_loop import ClosedLoop, run
 from ocp.control.lqr import Tracker, track
 from ocp.control.mpc import Mpc
+from ocp.control.mppi import Mppi
+from ocp.control.spline_noise import SplineNoise
 from ocp.export import export_mpc, export_program
 from ocp.plan.actuation import reachable, replay_wound
 from ocp.plan.plan import Plan
@@ -89,6 +91,8 @@ __all__ = [
     "reachable",
     # in closed loop
     "Mpc",
+    "Mppi",
+    "SplineNoise",
     "Tracker",
     "track",
     "run",

@@ -219,7 +219,8 @@ def build_kernel(
     correction : Projection or BarLengthCorrection, optional
         Applied after every `correction.every`-th step.
     stage, final : casadi.Function, optional
-        Costs (x, w) → (1), w = [u; p]: of each interval, at its end, times its length; and of the end.
+        Costs (x, w) → (1), w = [u; p]: of each interval, at its end, times its length; and of the end. Their w may be longer, by what only
+        costs depend on, such as the time; so are then the inputs.
     measured : bool
         Whether to measure errors of bars and joints, and energies.
     lanes : int, optional

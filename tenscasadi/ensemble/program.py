@@ -38,7 +38,7 @@ def write_program(
         ode = _stacked(model, model.ode)
         step = _with_account("motion_ode", ode if power is None else add_work(ode, power), model.nx, jumps and power is None)
     functions = {step.name(): step}
-    nw = step.size1_in(1)
+    nw = max([step.size1_in(1), *(cost.size1_in(1) for cost in (stage, final) if cost is not None)])
     project = None if correction is None else correction.step(model)
     for name, function in (("motion_project", project), ("motion_stage", stage), ("motion_final", final)):
         if function is not None:
@@ -47,7 +47,7 @@ def write_program(
         functions["motion_measure"] = _measure(_stacked(model, model.observe))
         if jumps:
             functions["motion_energy"] = _stacked(model, model.energy_function)
-    given = {name: function if function is step else _renamed(name, function) for name, function in functions.items()}
+    given = {name: _renamed(name, _widened(function, nw)) for name, function in functions.items()}
     sizes = {"NX": model.nx, "NW": nw, "NU": model.nu, "WORK": int(power is not None or jumps), "JUMPS": int(jumps), "M": 5 * measured}
     return Program(given, sizes, tableau, 0 if project is None or correction is None else correction.every)
 
@@ -80,6 +80,16 @@ def _measure(observe: ca.Function) -> ca.Function:
     x, w = kind.sym("x", observe.size1_in(0)), kind.sym("w", observe.size1_in(1))
     found = dict(zip(observe.name_out(), observe.call([x, w]), strict=True))
     return ca.Function("measure", [x, w], [ca.vertcat(*(found[name] for name in ("bar_length_error", "joint_error", "energy")))])
+
+
+def _widened(function: ca.Function, nw: int) -> ca.Function:
+    """Return a Function (x, w, ...) as one of a longer w, of which it uses the first entries."""
+    if function.n_in() < 2 or function.size1_in(1) == nw:
+        return function
+    inputs: list[Any] = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+    x, own, *others = inputs
+    w = type(own).sym("w", nw)
+    return ca.Function("widened", [x, w, *others], function.call([x, w[: own.shape[0]], *others], True, False))
 
 
 def _renamed(name: str, function: ca.Function) -> ca.Function:

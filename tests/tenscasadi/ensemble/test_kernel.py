@@ -73,15 +73,16 @@ def test_equal_to_simulate(name, lanes):
         np.testing.assert_allclose(result.measured[k, :, 0], run.bar_length_error, rtol=0, atol=1e-15)
 
 
+def refuse(*_):
+    raise CompileError("no C++")
+
+
 def test_without_cpp_the_same_numbers(monkeypatch):
     model = CASES["controlled"][0]()
     x, u = starts(model, 5), inputs(model, 5, 2)
     x[3, 0] = np.nan
     cost = ca.Function("cost", [ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nu)], [ca.MX(2.0)])
     code = build_kernel(model, tc.RungeKutta4(), tc.Projection(2), cost, cost, measured=True)(x, u, STEP, 5, save_every=3)
-
-    def refuse(*_):
-        raise CompileError("no C++")
 
     monkeypatch.setattr(module, "compile_library", refuse)
     kernel = build_kernel(model, tc.RungeKutta4(), tc.Projection(2), cost, cost, measured=True)
@@ -132,6 +133,21 @@ def test_costs_are_those_of_interval_ends():
     running = sum((states[:, k + 1] ** 2).sum(axis=1) + u[:, k, 3] for k in range(intervals)) * STEP * per
     end = np.where(states[:, -1, 2] > 0, states[:, -1, 0], states[:, -1, 1] ** 2)
     np.testing.assert_allclose(result.cost, running + end, rtol=1e-13)
+
+
+def test_costs_may_depend_on_more_than_the_motion_does(monkeypatch):
+    model = CASES["controlled"][0]()
+    x, u = starts(model, 3), inputs(model, 3, 2)
+    z, w = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nu + 1)
+    cost = ca.Function("cost", [z, w], [w[-1]])
+    w = np.concatenate([u, np.broadcast_to([[1.0], [2.0]], (3, 2, 1))], axis=2)
+    plain = build_kernel(model, tc.RungeKutta4())(x, u, STEP, STEPS // 2)
+    for without in (False, True):
+        if without:
+            monkeypatch.setattr(module, "compile_library", refuse)
+        found = build_kernel(model, tc.RungeKutta4(), None, cost, cost)(x, w, STEP, STEPS // 2)
+        np.testing.assert_array_equal(found.states, plain.states)
+        assert found.cost == pytest.approx(np.full(3, STEP * STEPS / 2 * (1.0 + 2.0) + 2.0))
 
 
 def test_wrong_shapes_and_schemes():

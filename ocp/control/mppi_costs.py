@@ -1,0 +1,91 @@
+"""The costs, goals and bounds of a problem as Functions that rollouts sum over a horizon."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from ocp.problem.bounds import PathBound, RateBound
+from ocp.problem.costs import ControlCost, FinalCost, RunningCost
+from ocp.problem.instant import Instant, symbolic
+from ocp.problem.path_constraints import ScaledRows, scaled_rows
+from ocp.problem.problem import FreeStart, Problem
+from ocp.problem.rows import stack
+from ocp.problem.scaling import Scales
+from ocp.problem.waypoints import Waypoint
+
+OVERSTEP = 1e5  # what overstepping a limit costs along a whole horizon, in scaled units, against 1 for a departure of a `place`
+
+
+class HorizonCosts(NamedTuple):
+    """The costs of a motion over a horizon, in parts that are summed.
+
+    stage: Function (x, w) → cost per second, w = [γ; p; time]; final: Function (x, w) → cost of the end. control: Function γ (α, K) → cost
+    of the force densities alone. rates: Function (x, γ, x⁺, γ⁺) → cost of what changes from one period to the next; None where nothing is
+    limited.
+    """
+
+    stage: ca.Function
+    final: ca.Function
+    control: ca.Function | None
+    rates: ca.Function | None
+
+
+def horizon_costs(problem: Problem, scales: Scales, period: float, intervals: int, place: float, strength: float) -> HorizonCosts:
+    """Return the costs of a problem over a horizon of `intervals` periods, s, at whose end its goals are to be met.
+
+    place: m, a departure from a goal that costs 1, as do 10 of it in the problem's duration of speed. strength: a typical γ, N/m.
+    Raises ValueError for goals that no end of a horizon can meet.
+    """
+    now, given = _instant(problem)
+    length = period * intervals
+    limits = scaled_rows(problem, PathBound, scales, strength)
+    stage = sum((cost.rate(now) for cost in problem.costs if isinstance(cost, RunningCost)), ca.DM(0))
+    stage += OVERSTEP / length * sum((_excess(rows, *now.symbols) for rows in limits), ca.DM(0))
+    final = sum((cost.final(now) for cost in problem.costs if isinstance(cost, FinalCost)), ca.DM(0))
+    misses = _misses(problem, now, {"m": place, "m/s": 10 * place / scales.time})
+    stage, final = stage + misses / length, final + misses
+    running, ending = (
+        ca.Function(name, [now.state, given], [ca.densify(value)], ["x", "w"], ["cost"]) for name, value in (("stage", stage), ("final", final))
+    )
+    return HorizonCosts(running, ending, _control_cost(problem, period, intervals), _rate_cost(problem, scales, period, intervals, strength))
+
+
+def _instant(problem: Problem) -> tuple[Instant, Any]:
+    """Return an instant, and w = [γ; p; time] of which it is."""
+    now = symbolic(problem.model)
+    return now, ca.vertcat(now.control, now.time)
+
+
+def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
+    """Return Σ (row/size)² over the rows of all goals."""
+    asked = [type(part).__name__ for part in (problem.start, *problem.goals) if isinstance(part, (FreeStart, Waypoint))]
+    if asked:
+        raise ValueError(f"problem has {asked[0]}, which asks for a motion of a given duration: solve it, and keep to the plan by ocp.Tracking")
+    x = ca.SX.sym("x", problem.model.nx)
+    end = Instant(problem.model, x, ca.SX(problem.model.nu, 1), ca.SX(0))
+    structure = problem.model.scene.structure
+    rows = stack(goal.rows(structure, end.nodes, end.velocities) for goal in problem.final_goals)
+    misses = ca.Function("misses", [x], [ca.sumsqr(rows.value / ca.DM(rows.sizes(sizes)))]) if rows.names else None
+    return misses(now.state) if misses is not None else ca.DM(0)
+
+
+def _excess(rows: ScaledRows, *given: Any) -> Any:
+    """Return by how much the limits are overstepped, summed, in scaled units."""
+    value = rows.function(*given)
+    return ca.sum1(ca.fmax(ca.fmax(value - ca.DM(rows.upper), ca.DM(rows.lower) - value), 0))
+
+
+def _control_cost(problem: Problem, period: float, intervals: int) -> ca.Function | None:
+    costs = [cost for cost in problem.costs if isinstance(cost, ControlCost)]
+    gamma = ca.SX.sym("u", problem.model.nu, intervals)
+    total = sum((ca.SX(cost.expression(gamma, period)) for cost in costs), ca.SX(0))
+    return ca.Function("control", [gamma], [ca.densify(total)]) if costs else None
+
+
+def _rate_cost(problem: Problem, scales: Scales, period: float, intervals: int, strength: float) -> ca.Function | None:
+    limits = scaled_rows(problem, RateBound, scales, strength)
+    symbols = [ca.MX.sym(name, size) for name, size in (("x", problem.model.nx), ("u", problem.model.nu)) * 2]
+    total = sum((_excess(rows, *symbols, period) for rows in limits), ca.DM(0))
+    return ca.Function("rates", symbols, [ca.densify(OVERSTEP / intervals * total)]) if limits else None
