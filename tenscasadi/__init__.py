@@ -23,7 +23,7 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
-from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth
@@ -53,6 +53,7 @@ __all__ = [
     "Smooth",
     "Gravity",
     "Ground",
+    "Terrain",
     "Pressure",
     "NodalForce",
     "SupportMotion",

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.mechanism import Mechanism
+from tenscasadi.scene.ground import Surface
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength, Slack, Smooth
 from tenscasadi.util.casadi_tools import constant_row, sparse, weighted_product
@@ -19,7 +20,7 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class Mode(NamedTuple):
-    """Which of the strings that switch pull (1×k) and which nodes the ground pushes (1×n): 1 or 0, whatever length and depth; None: as these say."""
+    """Which of the strings that switch pull (1×k) and which contacts push (1×c): 1 or 0, whatever length and depth; None: as these say."""
 
     taut: Any
     touching: Any
@@ -90,6 +91,21 @@ def is_damped(scene: Scene) -> bool:
     return not isinstance(scene.control, ForceDensity) and bool(np.any(scene.modelled.damping > 0))
 
 
+def is_rough(scene: Scene) -> bool:
+    """Return whether any ground damps or rubs."""
+    return any(not ground.conservative for ground in scene.grounds)
+
+
+def contacts(scene: Scene, mech: Mechanism) -> list[tuple[Surface, list[int], slice]]:
+    """Return each ground with the columns of N that it acts on, one for each node, and their places among all contacts."""
+    found: list[tuple[Surface, list[int], slice]] = []
+    count = 0
+    for ground in scene.grounds:
+        columns = mech.first if ground.nodes is None else mech.first[list(ground.nodes)]
+        found.append((ground, columns.tolist(), slice(count, count := count + len(columns))))
+    return found
+
+
 def string_forces(mech: Mechanism, gamma: Any, S: Any) -> Any:
     """Return −S γ̂ C_s (3×n, Eq. 56), N."""
     return weighted_product(S, gamma, -mech.C_s)
@@ -104,7 +120,7 @@ def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode
     if scene.gravity is not None:
         result["gravity"] = scene.gravity.forces(mech.M.sum(axis=1))
     if scene.ground is not None:
-        result["ground"] = _on_first(mech, scene.ground.forces(N[:, first], V[:, first], mode.touching))
+        result["ground"] = _ground_forces(scene, mech, N, V, mode.touching)
     if scene.pressure is not None:
         result["pressure"] = _on_first(mech, scene.pressure.forces(N[:, first]))
     if scene.forces is not None:
@@ -125,15 +141,14 @@ def potential_energy(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any
         squared, rest, stiffness, _, unit = _law_inputs(scene, mech, ca.mtimes(N, sparse(mech.C_s.T)), None, u, False)
         elastic = ca.sum2(_by_law(scene, lambda law, _, *rows: law.energy(*rows[:3], rows[4]), (squared, rest, stiffness, None, unit)))
     if scene.ground is not None:
-        elastic = elastic + scene.ground.energy(N[:, mech.first.tolist()])
+        elastic = elastic + sum(ground.energy(N[:, columns]) for ground, columns, _ in contacts(scene, mech))
     return elastic, ca.DM(0) if scene.gravity is None else scene.gravity.energy(N, mech.M.sum(axis=1))
 
 
 def is_conservative(scene: Scene) -> bool:
     """Return whether no force outside the energies does work while the control stands still."""
     driven = isinstance(scene.control, ForceDensity) and len(scene.modelled.strings) > 0
-    rough = scene.ground is not None and not scene.ground.conservative
-    return not (driven or is_damped(scene) or rough or scene.pressure is not None or scene.forces is not None or scene.supports is not None)
+    return not (driven or is_damped(scene) or is_rough(scene) or scene.pressure is not None or scene.forces is not None or scene.supports is not None)
 
 
 def _rest(scene: Scene, u: Any) -> Any:
@@ -148,10 +163,23 @@ def _per_child(scene: Scene, u: Any, factor: Array) -> Any:
     return row if np.all(factor == 1) else row * ca.DM(factor).T
 
 
+def _ground_forces(scene: Scene, mech: Mechanism, N: Any, V: Any, touching: Any) -> Any:
+    """Return the forces of all grounds (3×n), N; touching (1×c): see `Mode`."""
+    parts = [
+        _on_columns(mech, ground.forces(N[:, columns], V[:, columns], None if touching is None else touching[:, places]), columns)
+        for ground, columns, places in contacts(scene, mech)
+    ]
+    return sum(parts[1:], start=parts[0])
+
+
 def _on_first(mech: Mechanism, W: Any) -> Any:
     """Return loads on physical nodes (3×m; nodes inside strings, behind them, may be left out) as columns on the first copy of each."""
-    count, n = W.shape[1], mech.N.shape[1]
-    columns = mech.first[:count].tolist()
+    return _on_columns(mech, W, mech.first[: W.shape[1]].tolist())
+
+
+def _on_columns(mech: Mechanism, W: Any, columns: list[int]) -> Any:
+    """Return forces (3×m) on these columns of N (m) as 3×n."""
+    count, n = len(columns), mech.N.shape[1]
     if columns == list(range(n)):
         return W
     return ca.mtimes(W, ca.DM.triplet(list(range(count)), columns, ca.DM.ones(count), count, n))

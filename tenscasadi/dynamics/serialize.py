@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.ground import Ground, Surface, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Linear, Slack, Smooth
@@ -23,15 +24,11 @@ Content = Mapping[str, Any]
 
 _ROUNDING = 1e-9  # relative: numbers that differ by less are the same, computed elsewhere
 _MEMBERS = [name for name in PARAMETERS if name != "pinned"]
-_GROUND = [field.name for field in fields(Ground)]
+_GROUND = list(dict.fromkeys(field.name for kind in (Ground, Terrain) for field in fields(kind)))
 _LAYOUT = [name for name in Layout._fields if name != "P"]
 _INDICES = "bars strings string_parent layout.physical layout.bar_columns layout.string_columns layout.tied segments pressure.faces supports.nodes"
-_KINDS = dict.fromkeys(_INDICES.split(), "i") | {
-    "fixed": "b",
-    "ends": "U",
-    "functions": "U",
-    "slack.laws": "U",
-}  # in NumPy's letters; others are real numbers
+_TEXTS = dict.fromkeys(["ends", "functions", "slack.laws"], "U")
+_KINDS = dict.fromkeys([*_INDICES.split(), "grounds", "ground.nodes"], "i") | {"fixed": "b"} | _TEXTS  # NumPy's letters; others: real numbers
 _DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layout.tied": 0}
 _NOTHING = np.zeros(0)  # stands for None
 
@@ -70,7 +67,7 @@ def structure_from_arrays(content: Content) -> Structure:
 def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
     """Return all that the motion under force densities depends on, by name; of functions of time their values at `times` (K,), s."""
     scene = model.scene
-    gravity, ground, pressure, forces, supports = scene.gravity, scene.ground, scene.pressure, scene.forces, scene.supports
+    gravity, pressure, forces, supports = scene.gravity, scene.pressure, scene.forces, scene.supports
     functions = [name for name, given in (("forces", forces and callable(forces.values)), ("supports", supports)) if given]
     content: dict[str, Any] = {
         "functions": np.asarray(functions, dtype=str),
@@ -81,7 +78,9 @@ def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
         "slack": [scene.slack.width] if isinstance(scene.slack, Smooth) else None,
         "slack.laws": _laws_to_array(scene),
         "gravity": gravity and gravity.acceleration,
-        **{f"ground.{name}": ground and np.asarray(getattr(ground, name), dtype=float) for name in _GROUND},  # None becomes NaN
+        "grounds": len(scene.grounds),
+        **_ground_to_arrays("ground", None),
+        **{name: value for k, ground in enumerate(scene.grounds) for name, value in _ground_to_arrays(f"ground{k or ''}", ground).items()},
         "pressure": pressure and [pressure.difference],
         "pressure.faces": pressure and np.reshape(pressure.faces, (-1, 3)),
         "forces": forces and _sampled(forces, len(scene.structure.nodes), times),
@@ -102,9 +101,6 @@ def model_from_arrays(content: Content) -> Model | None:
     if "model.coordinates" not in content or content["scene.functions"].size:
         return None
     told = _checked(Fields(content).within("scene."))
-    ground: dict[str, Any] = {name: told[f"ground.{name}"] for name in _GROUND}
-    if ground["friction"].size and np.isnan(ground["friction"]):
-        del ground["friction"]
 
     def some(name: str, build: Callable[[Any], Any]) -> Any:
         return build(told[name]) if name in told and told[name].size else None  # older files hold fewer
@@ -116,7 +112,7 @@ def model_from_arrays(content: Content) -> Model | None:
         ends=told["ends"].item(),
         fractions=some("fractions", np.ndarray.tolist),
         gravity=some("gravity", Gravity),
-        ground=some("ground.normal", lambda _: Ground(**ground)),
+        ground=_grounds_from_arrays(told),
         pressure=some("pressure", lambda difference: Pressure(told["pressure.faces"].tolist(), difference.item())),
         forces=some("forces", lambda values: NodalForce(values, some("forces.times", np.asarray))),
         slack=some("slack.laws", _laws_from_array) or some("slack", lambda width: Smooth(width.item())) or Clip(),
@@ -135,8 +131,30 @@ def _checked(given: Fields) -> Fields:
     """Return the same, once every field is known to hold numbers, indices, flags or text, as it should. Raises ValueError."""
     for name, value in given.items():
         if value.shape != _NOTHING.shape or name in _DIMENSIONS:
-            given.array(name, _KINDS.get(name, "fi"), _DIMENSIONS.get(name))
+            known = re.sub(r"^ground\d+\.", "ground.", name)
+            given.array(name, _KINDS.get(known, "fi"), _DIMENSIONS.get(known))
     return given
+
+
+def _ground_to_arrays(prefix: str, ground: Surface | None) -> dict[str, Any]:
+    values = {name: getattr(ground, name, None) for name in _GROUND}
+    if ground is not None and ground.friction is None:
+        values["friction"] = np.nan
+    return {f"{prefix}.{name}": value for name, value in values.items()}
+
+
+def _grounds_from_arrays(told: Fields) -> list[Surface]:
+    """Return the grounds; files from before there could be several do not tell how many there are."""
+    grounds: list[Surface] = []
+    for k in range(told["grounds"].item() if "grounds" in told else int(told["ground.stiffness"].size > 0)):
+        names = {name: f"ground{k or ''}.{name}" for name in _GROUND}
+        given: dict[str, Any] = {name: told[key] for name, key in names.items() if name == "stiffness" or (key in told and told[key].size)}
+        if np.isnan(given.get("friction", 0.0)):
+            del given["friction"]
+        if "nodes" in given:
+            given["nodes"] = given["nodes"].ravel().tolist()
+        grounds.append(Terrain(**given) if "heights" in given else Ground(**given))
+    return grounds
 
 
 def _indices(name: str, given: Content, shape: tuple[int, ...], count: int) -> Indices:
@@ -180,4 +198,4 @@ def _same(one: Any, other: Any) -> bool:
         return False
     if one.dtype.kind != "f":
         return bool(np.array_equal(one, other))
-    return bool(np.allclose(one, other, rtol=_ROUNDING, atol=_ROUNDING * np.nanmax(np.abs(other), initial=0.0), equal_nan=True))
+    return bool(np.allclose(one, other, rtol=_ROUNDING, atol=_ROUNDING * np.abs(other[np.isfinite(other)]).max(initial=0.0), equal_nan=True))

@@ -1,6 +1,6 @@
 """Events: strings that go slack or taut and nodes that meet or leave the ground, and the smooth motion between two events.
 
-A mode says of each string whether it pulls, and of each node whether the ground pushes it (1 or 0). Within a mode all forces are
+A mode says of each string whether it pulls, and of each contact of a node with a ground whether it pushes (1 or 0). Within a mode all forces are
 smooth; where a switching function changes its sign, the mode changes.
 """
 
@@ -17,18 +17,15 @@ from tenscasadi.util.casadi_tools import sparse
 
 
 def build_switching(model: Model) -> ca.Function | None:
-    """Return (x, u) -> g (k,), m: positive where the mode is 1; strings first, then nodes. None where the scene has no events."""
+    """Return (x, u) -> g (k,), m: positive where the mode is 1; strings first, then contacts. None where the scene has no events."""
     scene, mech = model.scene, model.mechanism
-    strings, nodes = count_switches(model)
-    if strings + nodes == 0:
+    strings, contacts = count_switches(model)
+    if strings + contacts == 0:
         return None
     x, u = model.symbols(not mech.large)
     N, V, _ = model.unpack(x)
     rows = [forces.string_gaps(scene, mech, N, V, u)] if strings else []
-    if scene.ground is not None:
-        first = mech.first.tolist()
-        depth, speed = scene.ground.depth(N[:, first]), ca.mtimes(ca.DM(scene.ground.normal).T, V[:, first])
-        rows.append(ca.fmin(depth, depth - scene.ground.damping / scene.ground.stiffness * speed))
+    rows += [ground.switching(N[:, columns], V[:, columns]) for ground, columns, _ in forces.contacts(scene, mech)]
     return ca.Function("switching", [x, u], ca.cse([ca.densify(ca.horzcat(*rows).T)]), ["x", "u"], ["g"])
 
 
@@ -56,8 +53,8 @@ def build_held_ode(model: Model, work: bool = False) -> ca.Function:
 
 def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
     """Return the control u (nu,) and the mode in w = (u, mode (k,))."""
-    nu, (strings, nodes) = model.nu, count_switches(model)
-    return w[:nu], forces.Mode(w[nu : nu + strings].T if strings else None, w[nu + strings :].T if nodes else None)
+    nu, (strings, contacts) = model.nu, count_switches(model)
+    return w[:nu], forces.Mode(w[nu : nu + strings].T if strings else None, w[nu + strings :].T if contacts else None)
 
 
 def build_potential(model: Model) -> ca.Function:
@@ -68,6 +65,7 @@ def build_potential(model: Model) -> ca.Function:
 
 
 def count_switches(model: Model) -> tuple[int, int]:
-    """Count the strings that can go slack and the nodes that can meet the ground."""
+    """Count the strings that can go slack and the contacts that nodes can have with grounds."""
     scene = model.scene
-    return len(scene.switching_strings), len(model.mechanism.first) if scene.ground is not None else 0
+    contacts = forces.contacts(scene, model.mechanism)
+    return len(scene.switching_strings), contacts[-1][2].stop if contacts else 0

@@ -189,7 +189,7 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
         return (mech.with_inverse(applied_forces(model, N, V, u, time)[0]),)
 
     N, V, time = drift(N, V, time)
-    rough = forces.is_damped(scene) or (scene.ground is not None and not scene.ground.conservative)
+    rough = forces.is_damped(scene) or forces.is_rough(scene)
     if rough or power is not None:
         V = tangent(N, V, time)
     before = V

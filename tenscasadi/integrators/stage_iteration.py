@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_held_ode, build_switching, count_switches, split_mode
-from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.ground import Contact, Surface, along, slip_velocity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Smooth
 from tenscasadi.util.casadi_tools import call_as_sx, sparse
@@ -103,13 +103,13 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
 
 def _lead(model: Model) -> ca.DM:
     """By how much a switching function moves with a velocity, s: damping over stiffness (k,)."""
-    scene, (_, nodes) = model.scene, count_switches(model)
+    scene = model.scene
     s, clamped = scene.modelled, scene.clamped_strings
     lead = np.zeros(len(s.damping))
     lead[clamped] = np.divide(s.damping, s.stiffness, out=np.zeros(len(s.damping)), where=s.stiffness > 0)[clamped]
     lead = lead[scene.switching_strings]
-    ground = np.full(nodes, scene.ground.damping / scene.ground.stiffness if scene.ground is not None else 0.0)
-    return ca.DM(np.concatenate([lead, ground]))
+    grounds = [np.full(len(columns), ground.damping / ground.stiffness) for ground, columns, _ in forces.contacts(scene, model.mechanism)]
+    return ca.DM(np.concatenate([lead, *grounds]))
 
 
 def _solver(model: Model) -> ca.Function:
@@ -119,7 +119,6 @@ def _solver(model: Model) -> ca.Function:
     """
     mech, nq = model.mechanism, model.nq
     M = sparse(mech.free_mass)
-    strings, nodes = count_switches(model)
 
     def linear(x: Any, w: Any, g: Any, r: Any, moved: Any) -> tuple[Any, ...]:
         N, V, time = model.unpack(x)
@@ -133,59 +132,75 @@ def _solver(model: Model) -> ca.Function:
             F = sum(found.values(), start=ca.DM.zeros(*mech.N.shape))
             return ca.jacobian(model.split(model.pack(F, F, 0))[0], x)
 
-        ground = model.scene.ground
-        frictionless = ground and replace(ground, friction=None)
-        slope = slopes(model.scene) if frictionless == ground else _drag_slopes(model, slopes, N, V, mode, moved)
+        rubs = any(ground.friction is not None for ground in model.scene.grounds)
+        slope = _drag_slopes(model, slopes, N, V, mode, moved) if rubs else slopes(model.scene)
         K, C = ca.horzsplit(slope, [0, nq, 2 * nq, model.nx])[:2]
         if any(len(which) and not isinstance(law, Smooth) for law, which in model.scene.string_laws):
             S = ca.mtimes(N, sparse(mech.C_s.T))
             length = type(x).sym("length", 1, S.shape[1])
-            K = ca.substitute(slopes(replace(model.scene, ground=frictionless), length)[:, :nq], length, ca.sqrt(ca.sum1(S * S)))
+            frictionless = replace(model.scene, ground=[_without_friction(ground) for ground in model.scene.grounds])
+            K = ca.substitute(slopes(frictionless, length)[:, :nq], length, ca.sqrt(ca.sum1(S * S)))
         W = M - g * _symmetric(C) - g**2 * _symmetric(K)
         kept = model.constraints(x)
         G = ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)[:, :nq]
         rigid = _RIGID * ca.mmax(ca.diag(W)) * ca.mtimes(G.T, G)
         return W + rigid, ca.mtimes(M + rigid, r)
 
-    sizes = {"x": model.nx, "w": model.nu + strings + nodes, "g": 1, "r": nq, "moved": 1}
+    sizes = {"x": model.nx, "w": model.nu + sum(count_switches(model)), "g": 1, "r": nq, "moved": 1}
     symbols: list[Any] = [ca.MX.sym(name, size) for name, size in sizes.items()]
     matrix, rhs = call_as_sx(mech.large, linear, *symbols)
     return ca.Function("solver", symbols, [ca.solve(matrix, rhs, "ldl")], list(sizes), ["delta"])
 
 
 @dataclass(frozen=True, eq=False)
-class _Dragging(Ground):
-    """Ground whose friction is linear in the velocity and does not change with the push: its slopes are symmetric.
+class _Dragging(Surface):
+    """A ground whose friction is linear in the velocity and does not change with the push: its slopes are symmetric.
 
     It is drag (1×n), N s/m, times the slip, less what of it goes along a direction (3×n).
     """
 
-    drag: Any = None
-    along: Any = None
+    frictionless: Surface
+    drag: Any
+    direction: Any
+    nodes: Any
+
+    def contact(self, N: Any) -> Contact:
+        return self.frictionless.contact(N)
 
     def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
-        normal = ca.DM(self.normal)
-        slip = V - ca.mtimes(normal, ca.mtimes(normal.T, V))
-        slip = slip - self.along * ca.repmat(ca.sum1(self.along * slip), 3, 1)
-        return super().forces(N, V, touching) - slip * ca.repmat(self.drag, 3, 1)
+        slip, _ = slip_velocity(self.contact(N), V)
+        slip = slip - self.direction * ca.repmat(ca.sum1(self.direction * slip), 3, 1)
+        return self.frictionless.forces(N, V, touching) - slip * ca.repmat(self.drag, 3, 1)
+
+
+def _without_friction(ground: Any) -> Surface:
+    frictionless: Surface = replace(ground, friction=None)
+    return frictionless
 
 
 def _drag_slopes(model: Model, slopes: Callable[[Scene], Any], N: Any, V: Any, mode: forces.Mode, moved: Any) -> Any:
-    """Return `slopes` of the scene with the friction of `_Dragging` in place of the ground's.
+    """Return `slopes` of the scene with the friction of `_Dragging` in place of the grounds'.
 
     While velocities still move by more than friction is smooth over, its secant from rest stands in for its slope: from a sliding node,
     whose friction hardly changes, Newton's method would step past rest and back.
     """
-    ground, first = cast(Ground, model.scene.ground), model.mechanism.first.tolist()
-    frictionless, normal = replace(ground, friction=None), ca.DM(ground.normal)
-    N, V = N[:, first], V[:, first]
-    slip = V - ca.mtimes(normal, ca.mtimes(normal.T, V))
-    speed = ca.sqrt(ca.sum1(slip * slip) + ground.slip_speed**2)
-    push = ca.fmax(ca.mtimes(normal.T, frictionless.forces(N, V, mode.touching)), 0)
-    along = slip * ca.repmat(ca.if_else(moved < _SMOOTH * speed, 1 / speed, 0), 3, 1)
-    held = [type(N).sym("drag", push.shape), type(N).sym("along", along.shape)]
-    dragging = slopes(replace(model.scene, ground=_Dragging(**vars(frictionless), drag=held[0], along=held[1])))
-    return ca.substitute([dragging], held, [ground.friction * push / speed, along])[0]
+    grounds: list[Surface] = []
+    held: list[tuple[Any, Any]] = []
+    for k, (ground, columns, places) in enumerate(forces.contacts(model.scene, model.mechanism)):
+        frictionless = _without_friction(ground)
+        if ground.friction is None:
+            grounds.append(ground)
+            continue
+        n, v, contact = N[:, columns], V[:, columns], ground.contact(N[:, columns])
+        slip, share = slip_velocity(contact, v)
+        speed = ca.sqrt(ca.sum1(slip * slip) + ground.slip_speed**2)
+        push = ca.fmax(along(contact.outward, frictionless.forces(n, v, mode.touching[:, places])), 0)
+        drag = ground.friction * (push if share is None else push / share) / speed
+        direction = slip * ca.repmat(ca.if_else(moved < _SMOOTH * speed, 1 / speed, 0), 3, 1)
+        symbols = [type(N).sym(f"{name}{k}", value.shape) for name, value in (("drag", drag), ("direction", direction))]
+        grounds.append(_Dragging(frictionless, symbols[0], symbols[1], ground.nodes))
+        held += zip(symbols, (drag, direction), strict=True)
+    return ca.substitute([slopes(replace(model.scene, ground=grounds))], *(list(side) for side in zip(*held, strict=True)))[0]
 
 
 def _symmetric(J: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.ground import Surface, checked_grounds
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.strings import Clip, Control, ForceDensity, RestLength, Slack, read_slack
 from tenscasadi.scene.supports import SupportMotion
@@ -36,8 +36,8 @@ class Scene:
         Where the mass of a string goes, see `Structure.subdivide`.
     gravity : Gravity, optional
         Gravity.
-    ground : Ground, optional
-        A plane that nodes may touch.
+    ground : Ground or Terrain or a sequence of them, optional
+        Planes and height fields that nodes may touch.
     pressure : Pressure, optional
         Pressure across triangles.
     forces : NodalForce, optional
@@ -69,7 +69,7 @@ class Scene:
     segments: int | Sequence[int] = 1
     ends: Literal["interior", "lumped"] = "interior"
     gravity: Gravity | None = None
-    ground: Ground | None = None
+    ground: Surface | Sequence[Surface] | None = None
     pressure: Pressure | None = None
     forces: NodalForce | None = None
     slack: Slack | Sequence[Slack] | Mapping[int, Slack] = field(default_factory=Clip)
@@ -78,14 +78,17 @@ class Scene:
 
     def __post_init__(self) -> None:
         instance("Scene.structure", self.structure, Structure, "a tenscasadi.Structure")
-        for name, kind in {"gravity": Gravity, "ground": Ground, "pressure": Pressure, "forces": NodalForce, "supports": SupportMotion}.items():
+        for name, kind in {"gravity": Gravity, "pressure": Pressure, "forces": NodalForce, "supports": SupportMotion}.items():
             value = getattr(self, name)
             if value is not None:
                 instance(f"Scene.{name}", value, kind, f"a tenscasadi.{kind.__name__} or None")
         if self.control is not None:
             instance("Scene.control", self.control, (ForceDensity, RestLength), "ForceDensity(), RestLength() or None")
         object.__setattr__(self, "slack", read_slack(self.slack, len(self.structure.strings)))
-        for load in (self.pressure, self.forces):
+        if not isinstance(self.ground, Surface):
+            grounds = checked_grounds(self.ground)
+            object.__setattr__(self, "ground", (grounds if len(grounds) != 1 else grounds[0]) or None)
+        for load in (*self.grounds, self.pressure, self.forces):
             if load is not None:
                 load.check(len(self.structure.nodes))
         if self.supports is not None:
@@ -124,6 +127,11 @@ class Scene:
     def pushing_strings(self) -> Indices:
         """The modelled strings that push where they are shorter than at rest."""
         return self._strings_with("pushes")
+
+    @property
+    def grounds(self) -> tuple[Surface, ...]:
+        """All grounds, one after the other."""
+        return checked_grounds(self.ground)
 
     @property
     def has_clock(self) -> bool:

@@ -88,8 +88,8 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
         cure = f"try step={0.9 * limit:.2g}"
         text = f"the step {run.step:g} s is above the stability limit {limit:.3g} s of {type(scheme).__name__} at t = {when:g} s: {cure}"
         told = "".join(f"; {part}" for part in found) + f": the step is above the stability limit, {cure}" if found else f"; {text}"
-        ground = model.scene.ground
-        rubs = ground is not None and ground.friction is not None  # friction is bounded, so is what its slope at rest amplifies: it only chatters
+        # Friction is bounded, so is what its slope at rest amplifies: it only chatters.
+        rubs = any(ground.friction is not None for ground in model.scene.grounds)
         return told, rubs or growth <= _LOST_GROWTH
     return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run.step, x, u)}" if found else ""), True
 

@@ -1,4 +1,4 @@
-"""The ground's push and friction."""
+"""Grounds: their push and friction, planes, height fields, and what is no ground."""
 
 from __future__ import annotations
 
@@ -7,8 +7,38 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from scipy.interpolate import RegularGridInterpolator
 
-from tenscasadi.scene.ground import Ground
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.ground import Ground, Surface, Terrain
+from tenscasadi.scene.loads import Gravity
+from tenscasadi.scene.scene import Scene
+from tenscasadi.structure.structure import Structure
+
+LOWER, UPPER = (-1.0, 2.0), (3.0, 5.0)
+RNG = np.random.default_rng(5)
+HILLS = RNG.normal(size=(5, 4))
+POINTS = np.column_stack([RNG.uniform(-1, 3, 40), RNG.uniform(2, 5, 40), RNG.uniform(-2, 2, 40)])
+
+
+def terrain(**changes: object) -> Terrain:
+    return Terrain(**{"heights": HILLS, "lower": LOWER, "upper": UPPER, "stiffness": 100.0, **changes})  # type: ignore[arg-type]
+
+
+def tilted(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A plane's heights."""
+    return 0.3 * x - 0.2 * y + 0.7
+
+
+def both(**law: object) -> tuple[Terrain, Ground]:
+    """The same plane as a height field and as a plane."""
+    x, y = (np.linspace(low, high, count) for low, high, count in zip(LOWER, UPPER, (5, 4), strict=True))
+    field = Terrain(tilted(x[:, None], y[None, :]), LOWER, UPPER, **law)  # type: ignore[arg-type]
+    normal = np.array([-0.3, 0.2, 1.0])
+    return field, Ground(normal=normal, height=0.7 / float(np.linalg.norm(normal)), **law)  # type: ignore[arg-type]
 
 
 def test_ground_pushes_below_its_plane_and_never_pulls() -> None:
@@ -37,6 +67,103 @@ def test_a_tilted_ground_pushes_along_its_normal() -> None:
     assert np.allclose(W, 10 * 5 * np.array([0.6, 0, 0.8]))
 
 
+def test_a_height_field_is_bilinear_between_its_points() -> None:
+    x, y = (np.linspace(low, high, count) for low, high, count in zip(LOWER, UPPER, HILLS.shape, strict=True))
+    height = RegularGridInterpolator((x, y), HILLS)(POINTS[:, :2])
+    depth = terrain().depth(ca.DM(POINTS.T)).full().ravel()
+    assert np.array_equal(depth > 0, height > POINTS[:, 2])
+    on = np.column_stack([POINTS[:, :2], height])
+    assert np.abs(terrain().depth(ca.DM(on.T)).full()).max() < 1e-14
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_a_planar_height_field_is_the_plane(kind: object) -> None:
+    field, plane = both(stiffness=100.0, damping=7.0, friction=0.4)
+    N, V = kind.sym("N", 3, len(POINTS)), kind.sym("V", 3, len(POINTS))  # type: ignore[attr-defined]
+    speeds = RNG.normal(size=POINTS.T.shape)
+    deepest = int(np.argmin(POINTS[:, 2] - tilted(*POINTS.T[:2])))
+    makes: list[Callable[[Surface], object]] = [
+        lambda ground: ground.forces(N, V),
+        lambda ground: ground.energy(N),
+        lambda ground: ground.switching(N, V),
+        lambda ground: ca.jacobian(ground.forces(N, V)[:, deepest], N),
+        lambda ground: ca.jacobian(ground.forces(N, V)[:, deepest], V),
+    ]
+    for make in makes:
+        one, other = (ca.Function("f", [N, V], [make(ground)])(POINTS.T, speeds).full() for ground in (field, plane))
+        assert np.abs(other).max() > 0.1
+        assert np.abs(one - other).max() < 1e-11
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_the_push_of_a_height_field_is_the_gradient_of_its_energy(kind: object) -> None:
+    n = kind.sym("n", 3)  # type: ignore[attr-defined]
+    ground = terrain()
+    gradient = ca.Function("g", [n], [ground.forces(n, ca.DM.zeros(3)), ca.gradient(ground.energy(n), n)])
+    for point in POINTS:
+        push, slope = (value.full().ravel() for value in gradient(point))
+        assert np.abs(push + slope).max() < 1e-12 * max(1.0, np.abs(slope).max())
+        moved = [float(ground.energy(ca.DM(point + step))) for step in np.vstack([np.eye(3), -np.eye(3)]) * 1e-6]
+        assert np.abs((np.array(moved[:3]) - moved[3:]) / 2e-6 - slope).max() < 1e-4
+
+
+def test_second_derivatives_of_a_height_field_are_those_of_its_cells() -> None:
+    x = ca.SX.sym("x", 3)
+    energy = terrain().energy(x)
+    hessian, gradient = ca.Function("h", [x], ca.hessian(energy, x)[:1]), ca.Function("g", [x], [ca.gradient(energy, x)])
+    for point in POINTS[:10]:
+        ends = [gradient(point + sign * step).full() for step in 1e-6 * np.eye(3) for sign in (1, -1)]
+        numeric = np.column_stack([(up - down).ravel() / 2e-6 for up, down in zip(ends[::2], ends[1::2], strict=True)])
+        assert np.abs(hessian(point).full() - numeric).max() < 1e-5 * max(1.0, np.abs(numeric).max())
+
+
+@pytest.mark.parametrize(("outside", "border"), [((-9, 3), (-1, 3)), ((3.5, 4.4), (3, 4.4)), ((1.2, 1e6), (1.2, 5)), ((-2, 0), (-1, 2))])
+def test_beyond_the_grid_the_ground_goes_on_as_it_ends(outside: tuple[float, float], border: tuple[float, float]) -> None:
+    here, there = (terrain().depth(ca.DM([*place, -3.0])) for place in (outside, border))
+    assert float(here) == pytest.approx(float(there), abs=1e-9)
+    push = terrain().forces(ca.DM([*outside, -3.0]), ca.DM.zeros(3)).full().ravel()
+    assert push[2] > 0
+    assert all(push[axis] == 0 for axis in (0, 1) if outside[axis] != border[axis] and abs(np.subtract(outside, border)).all())
+
+
+def test_friction_on_a_height_field_goes_along_the_surface_and_is_bounded_by_coulomb() -> None:
+    ground, smooth = terrain(friction=0.5), terrain()
+    for point in POINTS:
+        N, V = ca.DM(point - [0, 0, 1e-6]), ca.DM(RNG.normal(size=3))
+        contact = ground.contact(N)
+        push = smooth.forces(N, V).full().ravel()
+        rub = ground.forces(N, V).full().ravel() - push
+        assert abs(rub @ contact.outward.full().ravel()) < 1e-9 * max(1.0, np.abs(push).max())
+        assert np.linalg.norm(rub) == pytest.approx(0.5 * np.linalg.norm(push), rel=1e-5)
+        assert rub @ V.full().ravel() <= 0
+
+
+def test_a_ground_acts_on_the_nodes_that_are_chosen_and_several_add_up() -> None:
+    two = Structure([(0, 0, -0.1), (1, 0, -0.1), (2, 0, -0.1)], node_mass=1.0)
+    push = Ground(stiffness=50.0, nodes=[2, 0]), Ground(stiffness=20.0, height=1.9, normal=(1, 0, 0), nodes=np.array([1]))
+    for coordinates in ("reduced", "full"):
+        rates = {}
+        for name, grounds in {"first": push[0], "second": push[1:], "both": list(push), "none": ()}.items():
+            model = Model(Scene(two, gravity=Gravity((0, 0, -1)), ground=grounds), coordinates)  # type: ignore[arg-type]
+            rates[name] = model.velocities(model.ode(model.initial_state, []).full().ravel())
+        assert np.allclose(rates["first"], [(0, 0, 4), (0, 0, -1), (0, 0, 4)])
+        assert np.allclose(rates["second"], [(0, 0, -1), (18, 0, -1), (0, 0, -1)])
+        assert np.allclose(rates["both"], [(0, 0, 4), (18, 0, -1), (0, 0, 4)])
+        assert np.allclose(rates["none"], [(0, 0, -1)] * 3)
+
+
+def test_one_ground_is_itself_and_none_costs_nothing() -> None:
+    one = Structure([(0, 0, 0)], node_mass=1.0)
+    ground = Ground(friction=0.1)
+    alone, listed = (Model(Scene(one, ground=value)) for value in (ground, [ground]))
+    assert alone.scene.ground == listed.scene.ground == ground
+    assert alone.describe() == listed.describe()
+    empty, plain = Model(Scene(one, ground=[])), Model(Scene(one))
+    assert empty.scene.ground is None
+    assert empty.describe() == plain.describe()
+    assert "ground" not in empty.describe()
+
+
 @pytest.mark.parametrize(
     ("make", "field"),
     [
@@ -46,8 +173,47 @@ def test_a_tilted_ground_pushes_along_its_normal() -> None:
         (lambda: Ground(height=float("nan")), r"Ground\.height"),
         (lambda: Ground(normal=(0, 0, 0)), r"Ground\.normal"),
         (lambda: Ground(slip_speed=0), r"Ground\.slip_speed"),
+        (lambda: Ground(nodes=[]), r"Ground\.nodes is \(\)"),
+        (lambda: Ground(nodes=[1, 1]), r"Ground\.nodes is \(1, 1\)"),
+        (lambda: Ground(nodes=[-1]), r"Ground\.nodes is -1"),
+        (lambda: Ground(nodes=3), r"Ground\.nodes is 3"),
+        (lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=Ground(nodes=[1])), r"Ground\.nodes is 1: node indices run from 0 to 0"),
+        (lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=[terrain(nodes=[0]), terrain(nodes=[7])]), r"Terrain\.nodes is 7"),
+        (lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=[Ground(), "rock"]), r"Scene\.ground is \[.*'rock'\]"),
+        (lambda: terrain(heights=[1.0, 2.0]), r"Terrain\.heights has shape"),
+        (lambda: terrain(heights=[[1.0, 2.0]]), r"Terrain\.heights has shape \(1, 2\): give two or more"),
+        (lambda: terrain(heights=[[1.0, 2.0], [1.0, np.nan]]), r"Terrain\.heights\[1, 1\] is nan"),
+        (lambda: terrain(lower=(0, 0, 0)), r"Terrain\.lower has shape"),
+        (lambda: terrain(lower=(0, 5)), r"Terrain\.lower is 5 and \.upper 5 along y: give lower < upper"),
+        (lambda: terrain(stiffness=-1.0), r"Terrain\.stiffness"),
+        (lambda: terrain(friction=0.0), r"Terrain\.friction"),
     ],
 )
 def test_what_makes_no_ground_is_refused_by_name(make: Callable[[], object], field: str) -> None:
-    with pytest.raises(ValueError, match=field):
+    with pytest.raises((TypeError, ValueError), match=field):
         make()
+
+
+NUMBERS = st.floats(-1e3, 1e3) | st.sampled_from([0.0, np.inf, np.nan, 1e300])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    heights=arrays.arrays(float, arrays.array_shapes(min_dims=1, max_dims=3, max_side=4), elements=NUMBERS),
+    corners=st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS),
+    place=st.tuples(*[st.floats(-1e4, 1e4)] * 3),
+)
+def test_a_height_field_is_refused_by_name_or_gives_finite_forces(
+    heights: np.ndarray, corners: tuple[float, float, float, float], place: tuple[float, float, float]
+) -> None:
+    def make() -> Terrain:
+        return Terrain(heights, corners[:2], corners[2:], damping=1.0, friction=0.5)
+
+    try:
+        ground = make()
+    except (TypeError, ValueError):
+        with pytest.raises((TypeError, ValueError), match=r"^Terrain\."):
+            make()
+        return
+    assert np.all(np.isfinite(ground.forces(ca.DM(place), ca.DM([1.0, -2.0, 0.5])).full()))
+    assert heights.min() - place[2] <= 0 or float(ground.depth(ca.DM(place))) > 0  # below all of it is below it
