@@ -36,7 +36,7 @@ def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Rows]:
     groups = [*_constraints(model, x)]
     if scene.has_clock:
         groups.append(Rows(clock - float(start[-1]) - time, ("the clock runs",), ("s",), "clock"))
-    if scene.ground is None and scene.pressure is None and scene.forces is None and scene.supports is None:
+    if scene.ground is None and scene.pressure is None and scene.forces is None and not scene.over_time:
         gravity = np.zeros(3) if scene.gravity is None else np.array(scene.gravity.acceleration)
         rows = [_momentum_rows(body, model.mechanism, (N, V), x, start, gravity, time) for body in bodies(model.structure, gravity)]
         values, names, units = zip(*rows, strict=True)

@@ -64,7 +64,7 @@ def _reference(problem: Problem, states: Array) -> Array:
 def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
     if gravity is None:
         return None
-    return np.outer(np.asarray(structure.mass_matrix().sum(axis=1)).ravel(), gravity.acceleration)
+    return np.outer(np.asarray(structure.mass_matrix().sum(axis=1)).ravel(), ca.DM(gravity.at(0.0)).full().ravel())
 
 
 def _bounded_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:

@@ -118,11 +118,11 @@ def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode
     if len(scene.modelled.strings):
         result["strings"] = string_forces(mech, *string_force_density(scene, mech, N, V, u, taut=mode.taut))
     if scene.gravity is not None:
-        result["gravity"] = scene.gravity.forces(mech.M.sum(axis=1))
+        result["gravity"] = scene.gravity.forces(mech.M.sum(axis=1), time)
     if scene.ground is not None:
         result["ground"] = _ground_forces(scene, mech, N, V, mode.touching)
     if scene.pressure is not None:
-        result["pressure"] = _on_first(mech, scene.pressure.forces(N[:, first]))
+        result["pressure"] = _on_first(mech, scene.pressure.forces(N[:, first], time))
     if scene.forces is not None:
         result["nodal forces"] = _on_first(mech, scene.forces.forces(time))
     return result
@@ -148,7 +148,8 @@ def potential_energy(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any
 def is_conservative(scene: Scene) -> bool:
     """Return whether no force outside the energies does work while the control stands still."""
     driven = isinstance(scene.control, ForceDensity) and len(scene.modelled.strings) > 0
-    return not (driven or is_damped(scene) or is_rough(scene) or scene.pressure is not None or scene.forces is not None or scene.supports is not None)
+    loaded = scene.pressure is not None or scene.forces is not None or bool(scene.over_time)
+    return not (driven or is_damped(scene) or is_rough(scene) or loaded)
 
 
 def _rest(scene: Scene, u: Any) -> Any:

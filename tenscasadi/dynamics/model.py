@@ -29,7 +29,7 @@ class Energy(NamedTuple):
     elastic : float
         Energy of taut strings and of the ground's springs, J.
     gravity : float
-        Energy in gravity, J; zero with all mass at the origin.
+        Energy in gravity, J; zero with all mass at the origin, and where gravity changes over time.
 
     Examples
     --------

@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.ground import Ground, Surface, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
+from tenscasadi.scene.over_time import OverTime, read_sample
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Linear, Slack, Smooth
 from tenscasadi.structure.class_one import Layout
@@ -68,7 +69,14 @@ def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
     """Return all that the motion under force densities depends on, by name; of functions of time their values at `times` (K,), s."""
     scene = model.scene
     gravity, pressure, forces, supports = scene.gravity, scene.pressure, scene.forces, scene.supports
-    functions = [name for name, given in (("forces", forces and callable(forces.values)), ("supports", supports)) if given]
+    nodes = len(scene.structure.nodes)
+    loads = {
+        **_load_to_arrays("gravity", gravity, (3,), times),
+        **_load_to_arrays("pressure", pressure, (), times),
+        **_load_to_arrays("forces", forces, (nodes, 3), times),
+    }
+    called = {"gravity": gravity and gravity.is_function, "pressure": pressure and pressure.is_function, "forces": forces and forces.is_function}
+    functions = [name for name, given in (called | {"supports": supports}).items() if given]
     content: dict[str, Any] = {
         "functions": np.asarray(functions, dtype=str),
         "clock": times if functions else None,
@@ -77,14 +85,11 @@ def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
         "fractions": scene.fractions,
         "slack": [scene.slack.width] if isinstance(scene.slack, Smooth) else None,
         "slack.laws": _laws_to_array(scene),
-        "gravity": gravity and gravity.acceleration,
+        **loads,
         "grounds": len(scene.grounds),
         **_ground_to_arrays("ground", None),
         **{name: value for k, ground in enumerate(scene.grounds) for name, value in _ground_to_arrays(f"ground{k or ''}", ground).items()},
-        "pressure": pressure and [pressure.difference],
         "pressure.faces": pressure and np.reshape(pressure.faces, (-1, 3)),
-        "forces": forces and _sampled(forces, len(scene.structure.nodes), times),
-        "forces.times": forces and forces.times,
         "supports": supports and [rates(t)[0].full() for rates in [supports.rates()] for t in times],
         "supports.nodes": supports and supports.nodes,
     }
@@ -111,9 +116,9 @@ def model_from_arrays(content: Content) -> Model | None:
         segments=told["segments"].tolist(),
         ends=told["ends"].item(),
         fractions=some("fractions", np.ndarray.tolist),
-        gravity=some("gravity", Gravity),
+        gravity=some("gravity", lambda values: Gravity(values, some("gravity.times", np.asarray))),
         ground=_grounds_from_arrays(told),
-        pressure=some("pressure", lambda difference: Pressure(told["pressure.faces"].tolist(), difference.item())),
+        pressure=some("pressure", lambda values: _pressure(told["pressure.faces"].tolist(), values, some("pressure.times", np.asarray))),
         forces=some("forces", lambda values: NodalForce(values, some("forces.times", np.asarray))),
         slack=some("slack.laws", _laws_from_array) or some("slack", lambda width: Smooth(width.item())) or Clip(),
     )
@@ -187,10 +192,18 @@ def _laws_from_array(told: Array) -> tuple[Slack, ...]:
     return tuple(laws)
 
 
-def _sampled(forces: NodalForce, nodes: int, times: Array) -> Any:
-    if not callable(forces.values):
-        return forces.values
-    return [finite_array(f"NodalForce.values({t:g})", forces.values(float(t)), (nodes, 3)) for t in times]
+def _pressure(faces: Any, values: Array, times: Array | None) -> Pressure:
+    return Pressure(faces, values.item()) if times is None else Pressure(faces, values, times)
+
+
+def _load_to_arrays(name: str, load: OverTime | None, shape: tuple[int, ...], times: Array) -> dict[str, Any]:
+    """Return the values of a load, or those that its function has at `times` (K,), and the times of its table."""
+    if load is None:
+        return {name: None, f"{name}.times": None}
+    values = load.quantity
+    if load.is_function:
+        values = [read_sample(f"{load.field}({t:g})", values(float(t)), shape) for t in times]
+    return {name: np.atleast_1d(values), f"{name}.times": load.times}
 
 
 def _same(one: Any, other: Any) -> bool:

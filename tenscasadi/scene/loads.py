@@ -3,58 +3,97 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.time_functions import check_over_run, express, find_breaks, interpolate, trace
+from tenscasadi.scene.over_time import OverTime
+from tenscasadi.scene.time_functions import express
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, Indices, finite_array, listed, node_index, number, whole_number
-
-_ROUNDINGS = 4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
+from tenscasadi.util.validate import Array, Indices, listed, node_index, number, whole_number
 
 
 @dataclass(frozen=True)
-class Gravity:
-    """Uniform gravity.
+class Gravity(OverTime):
+    """Uniform gravity, constant or over time.
+
+    A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time.
+    A table is linear between its times and constant before and after them.
 
     Parameters
     ----------
-    acceleration : sequence of float, shape (3,)
-        Acceleration of a free body, m/s².
+    acceleration : sequence of float, shape (3,) or (K, 3), or callable
+        Acceleration of a free body, m/s²; a function of the time t, s, that returns it; or a table of it at `times`.
+    times : array_like, shape (K,), optional
+        Increasing times of a table, s. Steps of a simulation end there.
+    breaks : array_like, shape (B,), optional
+        Times at which a function of time jumps or has a kink, s, beside those that its comparisons, signs and roundings show. Steps of a
+        simulation end there.
+
+    Notes
+    -----
+    Gravity that changes over time has no potential energy: its work counts as supplied from outside.
 
     Examples
     --------
     >>> import tenscasadi as tc
     >>> tc.Gravity((0, 0, -1.62))
     Gravity(acceleration=(0.0, 0.0, -1.62))
+    >>> tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity([(0, 0, -9.81), (0, 0, 0)], times=[0.0, 2.0])).has_clock
+    True
     """
 
-    acceleration: Sequence[float] = (0.0, 0.0, -9.81)
+    _quantity: ClassVar[str] = "acceleration"
+    acceleration: Any = (0.0, 0.0, -9.81)
+    times: Any = field(default=None, repr=False)
+    breaks: Any = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
-        vector = finite_array("Gravity.acceleration", self.acceleration, (3,))
-        object.__setattr__(self, "acceleration", tuple(float(v) for v in vector))
+        self._read((3,))
+        if callable(self.acceleration):
+            self._check_function((3,))
+        _freeze(self, "acceleration")
 
-    def forces(self, node_weight: Array) -> ca.DM:
+    def at(self, time: Any) -> Any:
+        """Return the acceleration at a time.
+
+        Parameters
+        ----------
+        time : casadi expression
+            t, s; not needed where it is constant.
+
+        Returns
+        -------
+        casadi expression, shape (3, 1)
+            Acceleration, m/s².
+        """
+        if self.times is not None:
+            return self._table(time, 3)
+        return ca.vec(express("Gravity.acceleration", self.acceleration, time)) if callable(self.acceleration) else ca.DM(self.acceleration)
+
+    def forces(self, node_weight: Array, time: Any = 0) -> Any:
         """Return the weights of nodes.
 
         Parameters
         ----------
         node_weight : ndarray, shape (n,)
             Mass that each node carries, kg: the row sums of the mass matrix.
+        time : casadi expression
+            t, s; not needed where gravity is constant.
 
         Returns
         -------
-        casadi.DM, shape (3, n)
-            W, N.
+        casadi expression, shape (3, n)
+            W, N; casadi.DM where gravity is constant.
         """
+        if self.varies:
+            return ca.mtimes(self.at(time), ca.DM(node_weight).T)
         return ca.DM(np.outer(self.acceleration, node_weight))
 
     def energy(self, N: Any, node_weight: Array) -> Any:
-        """Return the potential energy −Σ mᵢ gᵀnᵢ.
+        """Return the potential energy −Σ mᵢ gᵀnᵢ; none where gravity changes over time.
 
         Parameters
         ----------
@@ -68,22 +107,27 @@ class Gravity:
         casadi expression
             Energy, J, zero at the origin.
         """
-        return -ca.sum1(ca.sum2(N * self.forces(node_weight)))
+        return ca.DM(0) if self.varies else -ca.sum1(ca.sum2(N * self.forces(node_weight)))
 
 
 @dataclass(frozen=True)
-class Pressure:
-    """A pressure across triangles, which follows them as they move.
+class Pressure(OverTime):
+    """A pressure across triangles, which follows them as they move, constant or over time.
 
     Each node a, b, c of a face takes p/6 (b − a)×(c − a), towards the side from which a, b, c run counterclockwise: outwards, for
-    a closed surface under inner pressure.
+    a closed surface under inner pressure. A function is called with a CasADi symbol, as for `NodalForce`.
 
     Parameters
     ----------
     faces : array_like of int, shape (f, 3)
         Nodes of each triangle.
-    difference : float
-        Pressure p, Pa.
+    difference : float, array_like, shape (K,), or callable
+        Pressure p, Pa; a function of the time t, s, that returns it; or a table of it at `times`.
+    times : array_like, shape (K,), optional
+        Increasing times of a table, s. Steps of a simulation end there.
+    breaks : array_like, shape (B,), optional
+        Times at which a function of time jumps or has a kink, s, beside those that its comparisons, signs and roundings show. Steps of a
+        simulation end there.
 
     Examples
     --------
@@ -93,8 +137,11 @@ class Pressure:
     50.0
     """
 
+    _quantity: ClassVar[str] = "difference"
     faces: Sequence[Sequence[int]] | Indices
-    difference: float
+    difference: Any
+    times: Any = field(default=None, repr=False)
+    breaks: Any = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         given = listed("Pressure.faces", self.faces, "[(0, 1, 2)] of triangles of node indices")
@@ -105,7 +152,12 @@ class Pressure:
             if len(face) != 3 or len(set(face)) != 3:
                 raise ValueError(f"Pressure.faces[{k}] is {face}: give three different node indices")
         object.__setattr__(self, "faces", faces)
-        object.__setattr__(self, "difference", number("Pressure.difference", self.difference))
+        if not self.varies:
+            object.__setattr__(self, "difference", number("Pressure.difference", self.difference))
+        self._read(())
+        if callable(self.difference):
+            self._check_function(())
+        _freeze(self, "difference")
 
     def check(self, nodes: int) -> None:
         """Raise ValueError where a face names a node that is not there.
@@ -119,13 +171,32 @@ class Pressure:
             for node in face:
                 node_index(f"Pressure.faces[{k}]", node, nodes)
 
-    def forces(self, N: Any) -> Any:
+    def at(self, time: Any) -> Any:
+        """Return the pressure at a time.
+
+        Parameters
+        ----------
+        time : casadi expression
+            t, s; not needed where it is constant.
+
+        Returns
+        -------
+        casadi expression
+            p, Pa; a number where it is constant.
+        """
+        if self.times is not None:
+            return self._table(time, 1)
+        return express("Pressure.difference", self.difference, time) if callable(self.difference) else self.difference
+
+    def forces(self, N: Any, time: Any = 0) -> Any:
         """Return the forces on nodes.
 
         Parameters
         ----------
         N : casadi expression, shape (3, n)
             Nodes, m.
+        time : casadi expression
+            t, s; not needed where the pressure is constant.
 
         Returns
         -------
@@ -133,14 +204,14 @@ class Pressure:
             W, N.
         """
         a, b, c = ([face[k] for face in self.faces] for k in range(3))
-        push = self.difference / 6 * ca.cross(N[:, b] - N[:, a], N[:, c] - N[:, a], 1)  # 3×f
+        push = self.at(time) / 6 * ca.cross(N[:, b] - N[:, a], N[:, c] - N[:, a], 1)  # 3×f
         rows = list(range(len(a)))
         spread = ca.DM.triplet(rows * 3, a + b + c, ca.DM.ones(3 * len(a)), len(a), N.shape[1])
         return ca.mtimes(push, spread)
 
 
 @dataclass(frozen=True, eq=False)
-class NodalForce(ReadOnlyArrays):
+class NodalForce(OverTime, ReadOnlyArrays):
     """Forces on nodes, constant or over time.
 
     A function is called once with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time.
@@ -165,27 +236,13 @@ class NodalForce(ReadOnlyArrays):
     True
     """
 
+    _quantity: ClassVar[str] = "values"
     values: Any
     times: Any = None
     breaks: Any = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "breaks", finite_array("NodalForce.breaks", self.breaks, (None,)))
-        if len(self.breaks) and not callable(self.values):
-            raise ValueError(f"NodalForce.breaks is {self.breaks}: give breaks of a function of time alone, a table has its times")
-        if self.times is not None:
-            times = finite_array("NodalForce.times", self.times, (None,))
-            if len(times) < 2 or np.any(np.diff(times) <= 0):
-                raise ValueError(f"NodalForce.times is {times}: give two or more increasing times")
-            object.__setattr__(self, "times", times)
-            object.__setattr__(self, "values", finite_array("NodalForce.values", self.values, (len(times), None, 3)))
-        elif not callable(self.values):
-            object.__setattr__(self, "values", finite_array("NodalForce.values", self.values, (None, 3)))
-
-    @property
-    def varies(self) -> bool:
-        """Whether the forces are a function of time."""
-        return self.times is not None or callable(self.values)
+        self._read((None, 3))
 
     def check(self, nodes: int) -> None:
         """Raise TypeError or ValueError unless there is one row of finite numbers for each node (at t = 0 for a function).
@@ -196,14 +253,7 @@ class NodalForce(ReadOnlyArrays):
             Number of nodes.
         """
         if callable(self.values):
-            try:
-                sample = self.values(0.0)
-            except Exception as error:  # whatever the caller's function raises
-                raise ValueError(f"NodalForce.values raised {error!r} at t = 0: give a function of time that returns ({nodes}, 3)") from error
-            finite_array("NodalForce.values(0.0)", sample, (nodes, 3))
-            rows = express("NodalForce.values", self.values, ca.MX.sym("t"))
-            if rows.shape != (nodes, 3):
-                raise ValueError(f"NodalForce.values returns shape {rows.shape} on a CasADi time: give ({nodes}, 3)")
+            self._check_function((nodes, 3))
         elif self.values.shape[-2] != nodes:
             raise ValueError(f"NodalForce.values has {self.values.shape[-2]} rows: give one row for each of the {nodes} nodes")
 
@@ -221,41 +271,34 @@ class NodalForce(ReadOnlyArrays):
             W, N.
         """
         if self.times is not None:
-            return interpolate(time, self.times, self.values)
+            return self._table(time, 3)
         if not callable(self.values):
             return ca.DM(self.values.T)
         return express("NodalForce.values", self.values, time).T
 
-    def check_run(self, first: float, last: float) -> None:
-        """Raise ValueError where a function of time is not finite in a run or is not written in the mathematics of symbols.
+    def at(self, time: Any) -> Any:
+        """Return the forces at a time: see `forces`.
 
         Parameters
         ----------
-        first, last : float
-            Times at which the run begins and ends, s.
-        """
-        if callable(self.values):
-            check_over_run("NodalForce.values", self.values, trace(self.forces), first, last)
-
-    def find_breaks(self, first: float, last: float, steps: int) -> Array:
-        """Return the times at which steps have to end: those of a table, or just before and just after each jump or kink of a function.
-
-        Parameters
-        ----------
-        first, last : float
-            Times at which the run begins and ends, s.
-        steps : int
-            Number of steps of the run: the clock is the sum of them, and off by their rounding.
+        time : casadi expression
+            t, s; not needed where the forces are constant.
 
         Returns
         -------
-        ndarray
-            Times, s, in order.
+        casadi expression, shape (3, n)
+            W, N.
         """
-        if self.times is not None:
-            return np.asarray(self.times)
-        if not callable(self.values):
-            return np.empty(0)
-        around = _ROUNDINGS * (steps + 1) * float(np.spacing(max(abs(first), abs(last))))
-        jumps = np.concatenate([self.breaks, find_breaks(trace(self.forces), first, last)])
-        return np.unique(np.concatenate([jumps - around, jumps + around]))
+        return self.forces(time)
+
+
+def _freeze(load: OverTime, quantity: str) -> None:
+    """Make tuples of the arrays of a value, which is compared and hashed."""
+    for name in (quantity, "times", "breaks"):
+        value = getattr(load, name)
+        if isinstance(value, np.ndarray):
+            object.__setattr__(load, name, _as_tuple(value.tolist()))
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(map(_as_tuple, value)) if isinstance(value, list) else value

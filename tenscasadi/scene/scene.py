@@ -136,7 +136,13 @@ class Scene:
     @property
     def has_clock(self) -> bool:
         """Whether anything depends on time."""
-        return self.supports is not None or (self.forces is not None and self.forces.varies)
+        return bool(self.over_time)
+
+    @property
+    def over_time(self) -> list[Gravity | Pressure | NodalForce | SupportMotion]:
+        """The parts that change over time."""
+        loads = [load for load in (self.gravity, self.pressure, self.forces) if load is not None and load.varies]
+        return [*loads, *([] if self.supports is None else [self.supports])]
 
     def _strings_with(self, property_of_law: str) -> Indices:
         none = np.zeros(0, dtype=np.intp)

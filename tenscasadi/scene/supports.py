@@ -9,9 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.time_functions import CURE, check_over_run, express, find_breaks, probe_times
+from tenscasadi.scene.time_functions import CURE, at_edges, check_over_run, express, find_breaks, probe_times
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import node_index, shown
+from tenscasadi.util.validate import Array, finite_array, node_index, shown
 
 _AROUND = 1e-9  # of the latest time: how far before and after a switch both sides are compared
 _JUMP = 1e-9  # of the largest value: more is a jump
@@ -30,6 +30,9 @@ class SupportMotion:
     ----------
     positions : mapping of int to callable
         For each moved node a function of the time, s, that returns (x, y, z), m; at t = 0 where the structure has the node.
+    breaks : array_like, shape (B,), optional
+        Times at which an acceleration jumps or begins or ends a pulse, s, beside those that comparisons, signs and roundings show. Steps of
+        a simulation end there.
 
     Examples
     --------
@@ -41,6 +44,7 @@ class SupportMotion:
     """
 
     positions: Mapping[int, Callable[[Any], Any]]
+    breaks: Any = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.positions, Mapping) or not self.positions:
@@ -49,6 +53,7 @@ class SupportMotion:
             if not callable(function):
                 raise TypeError(f"SupportMotion.positions[{shown(node)}] is {shown(function)}: give a function of time that returns (x, y, z)")
         object.__setattr__(self, "positions", dict(self.positions))
+        object.__setattr__(self, "breaks", finite_array("SupportMotion.breaks", self.breaks, (None,)))
 
     @property
     def nodes(self) -> list[int]:
@@ -97,6 +102,23 @@ class SupportMotion:
                     )
                     if jump > max(_JUMP * sizes[k], _STEEP * around * rate):
                         raise ValueError(f"{name}: {what} jumps by {jump:.3g} at t = {time:g} s, which bars and joints cannot follow: {cure}")
+
+    def find_breaks(self, first: float, last: float, steps: int) -> Array:
+        """Return the times at which steps have to end: just before and just after each at which an acceleration may jump.
+
+        Parameters
+        ----------
+        first, last : float
+            Times at which the run begins and ends, s.
+        steps : int
+            Number of steps of the run: the clock is the sum of them, and off by their rounding.
+
+        Returns
+        -------
+        ndarray
+            Times, s, in order.
+        """
+        return at_edges(np.concatenate([self.breaks, find_breaks(self.rates(), first, last)]), first, last, steps)
 
     def rates(self) -> ca.Function:
         """Return positions, velocities and accelerations of the moved nodes.

@@ -17,6 +17,7 @@ _PROBES = 4000  # parts of a run at whose ends functions are looked at
 _COMPARED_TIMES = 4  # times of a run at which functions are called with numbers, too
 _ENTRIES = 2_000_000  # values looked at, at most
 CURE = "write it with NumPy's or CasADi's mathematics, without math, float() and if"
+_ROUNDINGS = 4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
 _BISECTIONS = 60  # from a part of a run to the last digit
 _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  # they switch where both operands are equal
 _SIGNED = (ca.OP_SIGN, ca.OP_FABS)  # they switch where their operand is 0
@@ -29,7 +30,9 @@ def express(field: str, function: Callable[[Any], Any], time: Any) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
             found = function(time)
-            return found if isinstance(found, _CASADI) else ca.vertcat(*map(_row, found))
+            if isinstance(found, _CASADI):
+                return found
+            return ca.vertcat(*map(_row, found)) if isinstance(found, Iterable) else ca.DM(found)
     except Exception as error:  # whatever the caller's function raises
         fault = re.sub(r"\S+:\d+: ", "", str(error))  # CasADi begins with its own files and lines
         raise ValueError(f"{field} raised {type(error).__name__}({fault}) on a CasADi time: {CURE}") from error
@@ -113,12 +116,16 @@ def trace(function: Any) -> ca.Function:
     return ca.Function("traced", [t], [ca.densify(ca.MX(function(t)))])
 
 
-def interpolate(time: Any, times: Array, table: Array) -> Any:
-    """Piecewise linear W (3×n) from a table (K, n, 3), held constant outside its times: nodes without force cost nothing."""
+def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
+    """Piecewise linear values (rows × m/rows, column by column) from a table (K, m), held constant outside its times: zeros cost nothing."""
     t = ca.SX.sym("t")  # pw_lin knows no MX
     inside = ca.fmin(ca.fmax(t, times[0]), times[-1])
-    rows = []
-    for node in range(table.shape[1]):
-        moving = [ca.pw_lin(inside, ca.DM(times), ca.DM(table[:, node, axis])) if table[:, node, axis].any() else 0 for axis in range(3)]
-        rows.append(ca.vertcat(*moving))
-    return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*rows)))])(time)
+    entries = [ca.pw_lin(inside, ca.DM(times), ca.DM(column)) if column.any() else 0 for column in table.T]
+    columns = [ca.vertcat(*entries[k : k + rows]) for k in range(0, len(entries), rows)]
+    return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*columns)))])(time)
+
+
+def at_edges(breaks: Array, first: float, last: float, steps: int) -> Array:
+    """Return the times just before and just after each of `breaks`, s: as far as the clock of a run of so many steps may be off."""
+    around = _ROUNDINGS * (steps + 1) * float(np.spacing(max(abs(first), abs(last))))
+    return np.unique(np.concatenate([breaks - around, breaks + around]))

@@ -14,7 +14,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection, measure_correction
-from tenscasadi.scene.loads import NodalForce
+from tenscasadi.scene.over_time import OverTime
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, cut_steps, sample_control
@@ -53,8 +53,8 @@ def simulate(
     t_end : float
         End of the run, s.
     step : float, optional
-        Largest step, s. The run takes equal steps, the fewest that end exactly at `t_end`; they are cut where a table of forces over time has
-        its times and where a force that is a function of time jumps, see `NodalForce`. Schemes that control their error take any number
+        Largest step, s. The run takes equal steps, the fewest that end exactly at `t_end`; they are cut where a table over time has its
+        times and where a function of time jumps, see `NodalForce`. Schemes that control their error take any number
         of steps of their own within each of these. Default: 1 ms, or a hundredth of `t_end` for schemes that control their error.
     scheme : Scheme, optional
         Integration scheme, such as `RungeKutta4` (default), `Rattle`, `DormandPrince853` or `Cvodes`.
@@ -157,17 +157,18 @@ def _lay_grid(model: Model, start: Array, t_end: float, step: float | None, sche
     n_steps = _count(end, positive_number("step", step))
     if model.scene.has_clock:
         _check_clock(abs(start[-1]) + end, end / n_steps)
-    for load in (model.scene.forces, model.scene.supports):
-        if load is not None:
-            _check_functions(load, float(start[-1]), float(start[-1]) + end)
+    changing = model.scene.over_time
+    first = float(start[-1]) if changing else 0.0
+    for load in changing:
+        _check_functions(load, first, first + end)
     inputs = sample_control(control, model.initial_control, end, n_steps, isinstance(model.scene.control, RestLength))
-    if model.scene.forces is None or not model.scene.forces.varies:
+    if not changing:
         return inputs
-    return cut_steps(inputs, model.scene.forces.find_breaks(float(start[-1]), float(start[-1]) + end, n_steps) - start[-1])
+    return cut_steps(inputs, np.concatenate([load.find_breaks(first, first + end, n_steps) for load in changing]) - first)
 
 
 @lru_cache(maxsize=32)  # many runs of one scene look once
-def _check_functions(load: NodalForce | SupportMotion, first: float, last: float) -> None:
+def _check_functions(load: OverTime | SupportMotion, first: float, last: float) -> None:
     load.check_run(first, last)
 
 

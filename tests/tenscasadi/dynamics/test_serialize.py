@@ -58,6 +58,8 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Scene.ends": lambda: model(ends="lumped"),
     "Scene.fractions": lambda: model(segments=2, fractions=(0.2, 0.8)),
     "Scene.gravity": lambda: model(gravity=tc.Gravity()),
+    "Scene.gravity.times": lambda: model(gravity=tc.Gravity([(0, 0, 1), (0, 2, 0)], times=[0, 0.5])),
+    "Scene.pressure.times": lambda: model(pressure=tc.Pressure([(0, 1, 2)], [3.0, 4.0], times=[0, 0.5])),
     "Scene.ground.friction": lambda: model(ground=tc.Ground(normal=(0.1, 0.2, 1.0), friction=0.3)),
     "Scene.ground.nodes": lambda: model(ground=tc.Ground(nodes=[1, 3])),
     "Scene.ground.heights": lambda: model(ground=tc.Terrain([[0, 1, 0], [0, 0.5, 0.2]], (-1, -1), (1, 1.5), friction=0.3)),
@@ -72,6 +74,8 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
 }
 FUNCTIONS: dict[str, Callable[[], tc.Model]] = {
     "Scene.forces": lambda: model(forces=wind(2.0)),
+    "Scene.gravity": lambda: model(gravity=tc.Gravity(lambda t: [0, 0, np.sin(t)])),
+    "Scene.pressure": lambda: model(pressure=tc.Pressure([(0, 1, 2)], lambda t: 3.0 * t)),
     "Scene.supports": lambda: model(supports=tc.SupportMotion({0: lambda t: (t**2, 0, 0)})),
 }
 

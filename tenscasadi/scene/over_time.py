@@ -1,0 +1,127 @@
+"""Loads that may change over time: a constant, a table at times, or a function of time."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.scene.time_functions import at_edges, check_over_run, express, find_breaks, interpolate, trace
+from tenscasadi.util.validate import Array, finite_array
+
+
+class OverTime:
+    """Base of loads with one quantity that is constant, a table over time, or a function of time.
+
+    A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time. A table is
+    linear between its times and constant before and after them.
+    """
+
+    _quantity: ClassVar[str]  # name of the field that may change over time
+    times: Any
+    breaks: Any
+
+    @property
+    def varies(self) -> bool:
+        """Whether the load is a function of time."""
+        return self.times is not None or self.is_function
+
+    @property
+    def is_function(self) -> bool:
+        """Whether what changes is given as a function, not as a table."""
+        return callable(self.quantity)
+
+    @property
+    def quantity(self) -> Any:
+        """The constant, the table or the function that is given."""
+        return getattr(self, self._quantity)
+
+    @property
+    def field(self) -> str:
+        """Name of that quantity, as messages tell it."""
+        return f"{type(self).__name__}.{self._quantity}"
+
+    def _read(self, shape: tuple[int | None, ...]) -> None:
+        """Check the fields of a frozen value whose quantity has this shape at each time; arrays take their place."""
+        name, value = type(self).__name__, self.quantity
+        checked: dict[str, Any] = {"breaks": finite_array(f"{name}.breaks", self.breaks, (None,))}
+        if len(checked["breaks"]) and not callable(value):
+            raise ValueError(f"{name}.breaks is {checked['breaks']}: give breaks of a function of time alone, a table has its times")
+        if self.times is not None:
+            times = finite_array(f"{name}.times", self.times, (None,))
+            if len(times) < 2 or np.any(np.diff(times) <= 0):
+                raise ValueError(f"{name}.times is {times}: give two or more increasing times")
+            checked |= {"times": times, self._quantity: finite_array(self.field, value, (len(times), *shape))}
+        elif not callable(value):
+            checked[self._quantity] = finite_array(self.field, value, shape)
+        for field, array in checked.items():
+            object.__setattr__(self, field, array)
+
+    def _check_function(self, shape: tuple[int, ...]) -> None:
+        """Raise ValueError unless a function returns finite numbers of this shape at t = 0, and entries as many on a CasADi time."""
+        function, wanted = self.quantity, f"({', '.join(map(str, shape))})" if shape else "one number"
+        try:
+            sample = function(0.0)
+        except Exception as error:  # whatever the caller's function raises
+            raise ValueError(f"{self.field} raised {error!r} at t = 0: give a function of time that returns {wanted}") from error
+        read_sample(f"{self.field}(0.0)", sample, shape)
+        found = express(self.field, function, ca.MX.sym("t")).shape
+        if found not in ((shape,) if len(shape) == 2 else ((*shape, 1), (1, *shape)) if shape else ((1, 1),)):
+            raise ValueError(f"{self.field} returns shape {found} on a CasADi time: give {wanted}")
+
+    def at(self, time: Any) -> Any:
+        """Return the quantity at a time.
+
+        Parameters
+        ----------
+        time : casadi expression
+            t, s; not needed where it is constant.
+
+        Returns
+        -------
+        casadi expression
+            A column of one item, or (3, n) of n of them.
+        """
+        raise NotImplementedError
+
+    def _table(self, time: Any, rows: int) -> Any:
+        values = np.asarray(self.quantity)
+        return interpolate(time, np.asarray(self.times), values.reshape(len(values), -1), rows)
+
+    def check_run(self, first: float, last: float) -> None:
+        """Raise ValueError where a function of time is not finite in a run or is not written in the mathematics of symbols.
+
+        Parameters
+        ----------
+        first, last : float
+            Times at which the run begins and ends, s.
+        """
+        if self.is_function:
+            check_over_run(self.field, self.quantity, trace(self.at), first, last)
+
+    def find_breaks(self, first: float, last: float, steps: int) -> Array:
+        """Return the times at which steps have to end: those of a table, or just before and just after each jump or kink of a function.
+
+        Parameters
+        ----------
+        first, last : float
+            Times at which the run begins and ends, s.
+        steps : int
+            Number of steps of the run: the clock is the sum of them, and off by their rounding.
+
+        Returns
+        -------
+        ndarray
+            Times, s, in order.
+        """
+        if self.times is not None:
+            return np.asarray(self.times)
+        if not self.is_function:
+            return np.empty(0)
+        return at_edges(np.concatenate([self.breaks, find_breaks(trace(self.at), first, last)]), first, last, steps)
+
+
+def read_sample(field: str, value: Any, shape: tuple[int, ...]) -> Array:
+    """Return what a function of time returned for a number, of this shape. Raises TypeError, ValueError."""
+    return finite_array(field, float(value) if isinstance(value, ca.DM) and value.is_scalar() else value, shape)
