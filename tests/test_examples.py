@@ -38,6 +38,12 @@ def ball_rolls(result: Any) -> None:
     assert behind > 0.2
 
 
+def ball_travels(rows: Any) -> None:
+    for row in rows:
+        assert row.ahead > 0.3 * row.motion.time[-1]
+        assert row.motion.nodes[:, :, 2].mean(axis=1).min() > 0.2  # it has not collapsed
+
+
 def prism_gait(result: Any) -> None:
     plan, walk = result
     assert plan.replay_error < 0.02, plan.message  # whether the cost is settled, too, depends on rounding
@@ -98,6 +104,7 @@ CLAIMS = (
     double_pendulum,
     plan_prism,
     ball_rolls,
+    ball_travels,
     prism_gait,
     benchmark_rhs,
     paper_prism,
