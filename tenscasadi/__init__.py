@@ -25,6 +25,8 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
+from tenscasadi.scene.parameter_layout import ParameterLayout
+from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth
 from tenscasadi.scene.supports import SupportMotion
@@ -57,6 +59,8 @@ __all__ = [
     "Pressure",
     "NodalForce",
     "SupportMotion",
+    "Parameters",
+    "ParameterLayout",
     # as equations
     "Model",
     "Energy",

@@ -12,6 +12,7 @@ bar has its own nodes, G is diagonal, λ̂ is eliminated bar by bar and Ω solve
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -20,7 +21,18 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.dynamics.mechanism import Mechanism
-from tenscasadi.util.casadi_tools import call_as_sx, constant_row, drop_rounding, matrix_with_pattern, solve_semidefinite, sparse, weighted_product
+from tenscasadi.util.casadi_tools import (
+    call_as_sx,
+    diagonal_row,
+    entries_at,
+    matrix_with_pattern,
+    multiplied_rows,
+    numbered,
+    product,
+    solve_semidefinite,
+    sparse,
+    weighted_product,
+)
 
 SINGULAR = 1e-9  # eigenvalue below which a constraint counts as redundant, relative to the largest of a system of unit diagonal
 HEAVIEST = 1e12  # times the lightest bar: what rounding leaves of a bar that is heavier does not hold it
@@ -79,8 +91,15 @@ def remove_residuals(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
     """Return Z + (B λ̂ C_b + Ω Pᵀ) M⁻ with the multipliers that take away the residuals r (bars, 1×β) and R (joints, 3×c)."""
     solution: Any = ca.DM.zeros(0, 1)
     if mech.system_size:
-        solution = solve_semidefinite(*call_as_sx(mech.large, partial(assemble_system, mech), B, r, R))
-    return call_as_sx(mech.large, partial(_pushed, mech), Z, B, r, solution)[0]
+        solution = solve_semidefinite(*call_weighted(mech, assemble_system, B, r, R))
+    return call_weighted(mech, _pushed, Z, B, r, solution)[0]
+
+
+def call_weighted(mech: Mechanism, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
+    """Return function(mech, *arguments) as `call_as_sx` does, the masses of `mech` among the arguments where they are expressions."""
+    if mech.weights is None:
+        return call_as_sx(mech.large, partial(function, mech), *arguments)
+    return call_as_sx(mech.large, lambda weights, *rest: function(mech.weighted(weights), *rest), mech.weights, *arguments)
 
 
 def _pushed(mech: Mechanism, Z: Any, B: Any, r: Any, solution: Any) -> tuple[Any, ...]:
@@ -97,22 +116,22 @@ def project_velocities(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
 
 def stretch_bars(mech: Mechanism, N: Any, B: Any, nu: Any) -> Any:
     """Return N moved by impulses along B so that bars which stand alone become b + ν B (ν: 1×β)."""
-    return N + mech.with_inverse(nodal_forces(mech, B, nu / ca.DM(mech.G[0].diagonal()).T))
+    return N + mech.with_inverse(nodal_forces(mech, B, nu / diagonal_row(mech.G[0])))
 
 
 def _bar_scale(mech: Mechanism, B: Any) -> Any:
     """Return h = bᵀb G_ii (1×β) of bars that stand alone; l² G_ii with the paper's constant length."""
     squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
-    return squared * constant_row(mech.G[0].diagonal())
+    return squared * diagonal_row(mech.G[0])
 
 
 def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
     """Σ over axes of (b bᵀ) ∘ G (β×β), on the pattern of G only."""
     G = mech.G
-    pattern = sp.coo_array(sum(abs(g) for g in G) + sp.eye_array(mech.bars))
+    pattern = sp.coo_array(sum(abs(numbered(g)) for g in G) + sp.eye_array(mech.bars))
     order = np.lexsort((pattern.row, pattern.col))
     rows, columns = pattern.row[order].tolist(), pattern.col[order].tolist()
-    weights = [ca.DM(np.asarray(sp.csr_array(g)[rows, columns]).ravel()) for g in G]
+    weights = [entries_at(g, rows, columns) for g in G]
     products = B[:, rows] * B[:, columns]  # 3×nnz
     if len(G) == 1:
         values = ca.sum1(products).T * weights[0]
@@ -124,19 +143,19 @@ def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
 def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
     """(Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ) (3c×3c), with kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ: Eq. 103 with Eᵀ, columns combined to be symmetric."""
     c, K = mech.joints, mech.K
-    E = drop_rounding(mech.P.T @ mech.inverse[0] @ mech.P)
-    pattern = sp.coo_array(abs(E) + abs(K) @ abs(K.T) + sp.eye_array(c))
+    E, links = product(mech.P.T, mech.inverse[0], mech.P), abs(numbered(K))
+    pattern = sp.coo_array(abs(numbered(E)) + links @ links.T + sp.eye_array(c))
     n, j = pattern.row, pattern.col
-    direct = np.asarray(E[n, j]).ravel()
-    pairs = sp.csr_array(K[n, :].multiply(K[j, :]))  # nnz×β: k_ni k_ji
+    direct = entries_at(E, n, j)
+    pairs = multiplied_rows(K, n, j)  # nnz×β: k_ni k_ji
     rows: list[Any] = []
     columns: list[Any] = []
     values = []
     for a in range(3):
         for b in range(3):
             kept = np.flatnonzero(mech.active[a, n] & mech.active[b, j])
-            block = -ca.mtimes(sparse(pairs[kept]), (unit[a, :] * unit[b, :]).T)
-            values.append(ca.densify(block + ca.DM(direct[kept]) if a == b else block))
+            block = -ca.mtimes(pairs[kept.tolist(), :], (unit[a, :] * unit[b, :]).T)
+            values.append(ca.densify(block + direct[kept.tolist()] if a == b else block))
             rows.append(3 * n[kept] + a)
             columns.append(3 * j[kept] + b)
     idle = np.flatnonzero(~mech.active.T.ravel())  # a multiplier that constrains nothing is zero

@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.constraint_forces import assemble_system, nodal_forces, recover_multipliers
-from tenscasadi.dynamics.mechanism import build_mechanism
+from tenscasadi.dynamics.constraint_forces import assemble_system, call_weighted, nodal_forces, recover_multipliers
+from tenscasadi.dynamics.mechanism import Mechanism, scene_mechanism
 from tenscasadi.dynamics.state_space import StateSpace
-from tenscasadi.util.casadi_tools import call_as_sx, solve_semidefinite, sparse
+from tenscasadi.util.casadi_tools import solve_semidefinite, sparse
 
 
 def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE) -> tuple[Any, Any, Any]:
@@ -24,8 +24,8 @@ def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode:
         Scene, mechanism and moved supports.
     N, V : casadi matrix, shape (3, n)
         Nodes, m, and velocities, m/s, in the columns of the mechanism.
-    u : casadi column, shape (nu,)
-        Control.
+    u : casadi column, shape (nu + np,)
+        Control, and below it the parameters.
     time : casadi scalar
         Time, s.
     mode : Mode
@@ -40,17 +40,16 @@ def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode:
     -----
     Up to sizes that are worth unrolling, both steps around the linear system are scalar code, called once each.
     """
-    large = space.mechanism.large
-    F, B, r, *system = call_as_sx(large, partial(_unconstrained, space, mode), N, V, u, time)
+    mech = space.weighted(u)
+    F, B, r, *system = call_weighted(mech, partial(_unconstrained, space, mode), N, V, u, time)
     solution = solve_semidefinite(*system) if system else ca.DM.zeros(0, 1)
-    A, lam, Omega = call_as_sx(large, partial(_constrained, space), F, B, r, solution, time)
+    A, lam, Omega = call_weighted(mech, partial(_constrained, space), F, B, r, solution, time)
     return A, lam, Omega
 
 
-def _unconstrained(space: StateSpace, mode: forces.Mode, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
+def _unconstrained(space: StateSpace, mode: forces.Mode, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
     """F, B, the residuals r that forces alone leave along the bars, and the linear system of the multipliers where there is one."""
-    mech = space.mechanism
-    F, moved = applied_forces(space, N, V, u, time, mode)  # 3×n, Eq. 67
+    F, moved = applied_forces(space, N, V, u, time, mode, mech)  # 3×n, Eq. 67
     B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)  # 3×β
     Bdd = mech.with_inverse(F, mech.C_b.T) + mech.bar_vectors(moved)  # 3×β, while bars do not push
     r = ca.sum1(Bd * Bd) + ca.sum1(B * Bdd)  # 1×β: the constraint ḃᵀḃ + bᵀb̈ = 0, Eq. 28
@@ -60,28 +59,32 @@ def _unconstrained(space: StateSpace, mode: forces.Mode, N: Any, V: Any, u: Any,
     return F, B, r, *assemble_system(mech, B, r, R)  # Eq. 103
 
 
-def _constrained(space: StateSpace, F: Any, B: Any, r: Any, solution: Any, time: Any) -> tuple[Any, ...]:
+def _constrained(space: StateSpace, mech: Mechanism, F: Any, B: Any, r: Any, solution: Any, time: Any) -> tuple[Any, ...]:
     """N̈, λ and Ω from the solution of the linear system."""
-    mech = space.mechanism
     lam, Omega = recover_multipliers(mech, B, r, solution)  # 1×β, Eq. 87; 3×c, Eq. 103
     A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + space.support_accelerations(time)  # 3×n, Eqs. 85-86
     return A, lam, Omega
 
 
-def applied_forces(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE) -> tuple[Any, Any]:
+def applied_forces(
+    space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE, mech: Mechanism | None = None
+) -> tuple[Any, Any]:
     """Return the forces F of strings and loads less the inertia of moved supports (3×n), N, and the supports' accelerations (3×n), m/s².
 
-    mode: see `forward_dynamics`. F M⁻ plus those accelerations is the motion that no bar and no joint constrains.
+    mode: see `forward_dynamics`; mech: the mechanism with the masses of u, where it is known.
+    F M⁻ plus those accelerations is the motion that no bar and no joint constrains.
     """
-    moved = space.support_accelerations(time)
-    return forces.total(space.scene, space.mechanism, N, V, u, time, mode) - ca.mtimes(moved, sparse(space.mechanism.M)), moved
+    moved, mech = space.support_accelerations(time), mech or space.weighted(u, inverse=False)
+    return forces.total(space.scene, mech, N, V, u, time, mode) - ca.mtimes(moved, sparse(mech.M)), moved
 
 
 def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
     """Return Ω (3×c) of reduced coordinates: the forces that the class-one nodes of Eq. 85 lack for the accelerations A that they have."""
-    full = build_mechanism(space.structure, "full")
+    full = scene_mechanism(space.scene, "full")
     if not full.joints:
         return ca.DM.zeros(3, 0)
+    if full.masses is not None:
+        full = full.weighted(full.masses.weigh(u[space.nu :]))
     N, V, A = (Z[:, full.physical.tolist()] for Z in (N, V, A))
     known = forces.total(space.scene, full, N, V, u, time)
     lacking = ca.mtimes(A, sparse(full.M)) - known - nodal_forces(full, full.bar_vectors(N), lam)  # Ω Pᵀ

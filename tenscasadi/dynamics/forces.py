@@ -1,6 +1,7 @@
 """The forces of a scene on the columns of N: strings and loads, F = W − S γ̂ C_s (3×n, Eq. 67), and their potential energy.
 
-Only what the scene has is built. In full coordinates loads act on the first copy of each physical node.
+Only what the scene has is built. In full coordinates loads act on the first copy of each physical node. Where the scene has parameters,
+u is followed by them: (nu + np).
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.mechanism import Mechanism
+from tenscasadi.scene.binding import bind
 from tenscasadi.scene.ground import Surface
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength, Slack, Smooth
-from tenscasadi.util.casadi_tools import constant_row, sparse, weighted_product
+from tenscasadi.util.casadi_tools import constant_row, is_expression, sparse, weighted_product
 from tenscasadi.util.validate import Array, Indices
 
 
@@ -36,6 +38,7 @@ def string_force_density(
 
     longest (1×α), m: what rest lengths are at most, but for those of smooth strings, which keep theirs.
     """
+    scene, u = bind(scene, u)
     S = ca.mtimes(N, sparse(mech.C_s.T))  # 3×α, Eq. 66
     if isinstance(scene.control, ForceDensity):
         return _per_child(scene, u, 1 / scene.modelled.string_fraction), S  # equal tension along a straight parent
@@ -52,6 +55,7 @@ def string_force_density(
 
 def string_gaps(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any) -> Any:
     """Return lengths (1×k), m, of the strings that switch: positive where they pull."""
+    scene, u = bind(scene, u)
     inputs = _law_inputs(scene, mech, ca.mtimes(N, sparse(mech.C_s.T)), V, u, True)
     return _by_law(scene, lambda law, which, *rows: law.gap(*rows), inputs, switching=True)
 
@@ -77,7 +81,7 @@ def _by_law(scene: Scene, evaluate: Callable[..., Any], rows: tuple[Any, ...], s
     parts = []
     for law, which in laws:
         squared, rest, stiffness, rate, unit = (None if row is None else _columns(row, which) for row in rows)
-        parts.append(evaluate(law, which, squared, rest, stiffness, rate if np.any(damping[which] > 0) else None, unit))
+        parts.append(evaluate(law, which, squared, rest, stiffness, rate if is_expression(damping) or np.any(damping[which] > 0) else None, unit))
     place = np.argsort(np.concatenate([which for _, which in laws]))
     return ca.horzcat(*parts)[:, place.tolist()]
 
@@ -88,12 +92,15 @@ def _columns(row: Any, which: Indices) -> Any:
 
 def is_damped(scene: Scene) -> bool:
     """Return whether any string damps: force densities that are commanded do not."""
-    return not isinstance(scene.control, ForceDensity) and bool(np.any(scene.modelled.damping > 0))
+    if isinstance(scene.control, ForceDensity):
+        return False
+    damping = scene.modelled.damping
+    return is_expression(damping) or scene.has_parameter("damping") or bool(np.any(damping > 0))
 
 
 def is_rough(scene: Scene) -> bool:
     """Return whether any ground damps or rubs."""
-    return any(not ground.conservative for ground in scene.grounds)
+    return scene.has_parameter("ground_damping") or any(not ground.conservative for ground in scene.grounds)
 
 
 def contacts(scene: Scene, mech: Mechanism) -> list[tuple[Surface, list[int], slice]]:
@@ -113,12 +120,13 @@ def string_forces(mech: Mechanism, gamma: Any, S: Any) -> Any:
 
 def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE) -> dict[str, Any]:
     """Return the terms of F (3×n), N, by the name of their origin."""
+    scene, u = bind(scene, u)
     first = mech.first.tolist()
     result: dict[str, Any] = {}
     if len(scene.modelled.strings):
         result["strings"] = string_forces(mech, *string_force_density(scene, mech, N, V, u, taut=mode.taut))
     if scene.gravity is not None:
-        result["gravity"] = scene.gravity.forces(mech.M.sum(axis=1), time)
+        result["gravity"] = _weights(scene, mech, time)
     if scene.ground is not None:
         result["ground"] = _ground_forces(scene, mech, N, V, mode.touching)
     if scene.pressure is not None:
@@ -135,6 +143,7 @@ def total(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode
 
 def potential_energy(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any, Any]:
     """Return elastic energy (taut strings and the ground's springs) and gravity energy, J."""
+    scene, u = bind(scene, u)
     s = scene.modelled
     elastic: Any = ca.DM(0)
     if len(s.strings) and not isinstance(scene.control, ForceDensity):
@@ -142,7 +151,18 @@ def potential_energy(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any
         elastic = ca.sum2(_by_law(scene, lambda law, _, *rows: law.energy(*rows[:3], rows[4]), (squared, rest, stiffness, None, unit)))
     if scene.ground is not None:
         elastic = elastic + sum(ground.energy(N[:, columns]) for ground, columns, _ in contacts(scene, mech))
-    return elastic, ca.DM(0) if scene.gravity is None else scene.gravity.energy(N, mech.M.sum(axis=1))
+    if scene.gravity is None:
+        return elastic, ca.DM(0)
+    if is_expression(mech.M):
+        return elastic, ca.DM(0) if scene.gravity.varies else -ca.sum1(ca.sum2(N * _weights(scene, mech, 0)))
+    return elastic, scene.gravity.energy(N, mech.node_weight)
+
+
+def _weights(scene: Any, mech: Mechanism, time: Any) -> Any:
+    """Weights (3×n) of the columns, N."""
+    if is_expression(mech.M):
+        return ca.mtimes(scene.gravity.at(time), mech.node_weight)
+    return scene.gravity.forces(mech.node_weight, time)
 
 
 def is_conservative(scene: Scene) -> bool:

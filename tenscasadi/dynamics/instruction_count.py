@@ -32,8 +32,9 @@ def count_instructions(function: ca.Function) -> int:
 
 def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
     """Return the terms that the scene of `space` builds, each with the instructions that it adds to its right-hand side `ode`."""
-    scene, mech = space.scene, space.mechanism
-    x, u = space.symbols(not mech.large)
+    scene = space.scene
+    x, u = space.symbols(not space.mechanism.large)
+    mech = space.weighted(u, inverse=False)
     N, V, time = space.unpack(x)
     built = forces.terms(scene, mech, N, V, u, time)
     if forces.is_damped(scene):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -10,9 +10,11 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from tenscasadi.dynamics.masses import Masses, read_masses
+from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.casadi_tools import block_inverse, drop_rounding, is_diagonal, sparse
+from tenscasadi.util.casadi_tools import block_inverse, is_diagonal, is_expression, matrix_with_pattern, numbered, product, sparse
 from tenscasadi.util.validate import Array, Indices
 
 UNROLL_MEMBERS = 300  # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
@@ -50,7 +52,10 @@ class Multipliers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
-    """The constant matrices of a structure in one of the two coordinates. Columns: physical nodes (reduced) or class-one nodes (full)."""
+    """The constant matrices of a structure in one of the two coordinates. Columns: physical nodes (reduced) or class-one nodes (full).
+
+    Where masses are parameters M and M⁻ are nominal, and CasADi's in what `weighted` returns.
+    """
 
     N: Array  # 3×n initial nodes
     free: Any  # (n, 3) bool: coordinates that are part of the state
@@ -58,13 +63,15 @@ class Mechanism:
     first: Indices  # one column for each physical node
     C_b: sp.csr_array  # β×n
     C_s: sp.csr_array  # α×n
-    M: sp.csr_array  # n×n
-    inverse: tuple[sp.csr_array, ...]  # M⁻ (n×n) for each axis, or once for all three
+    M: Any  # n×n
+    inverse: tuple[Any, ...]  # M⁻ (n×n) for each axis, or once for all three
     P: sp.csr_array  # n×c, no columns in reduced coordinates
     D: Array  # 3×c
     active: Any  # 3×c bool: axes that a column of P constrains (all, but for per-axis supports)
     lengths: Array  # (β,)
     constant_length: bool  # λ̂ divides by l² as Eqs. 46-87 print it, instead of by the current bᵀb
+    masses: Masses | None = None  # how M and M⁻ follow from parameters; None: they are constant
+    weights: Any = None  # entries of M and M⁻, a CasADi column, where they are expressions
 
     @property
     def bars(self) -> int:
@@ -97,9 +104,26 @@ class Mechanism:
         return np.flatnonzero(self.free.ravel())
 
     @cached_property
-    def free_mass(self) -> sp.csr_array:
+    def free_mass(self) -> Any:
         """The mass matrix (nq×nq) of the free coordinates, kg."""
-        return sp.csr_array(sp.kron(self.M, sp.eye_array(3)))[self.free_index][:, self.free_index]
+        if not is_expression(self.M):
+            return sp.csr_array(sp.kron(self.M, sp.eye_array(3)))[self.free_index][:, self.free_index]
+        wide = sp.csc_array(sp.csr_array(sp.kron(numbered(self.M), sp.eye_array(3)))[self.free_index][:, self.free_index])
+        wide.sort_indices()
+        pattern = ca.Sparsity(*wide.shape, wide.indptr.tolist(), wide.indices.tolist())
+        return matrix_with_pattern(pattern, self.M.nz[:][(wide.data - 1).astype(int).tolist()])
+
+    @property
+    def node_weight(self) -> Any:
+        """Mass that each column carries, kg: the row sums (n,) of M, or a CasADi row (1×n)."""
+        return ca.sum1(self.M) if is_expression(self.M) else self.M.sum(axis=1)
+
+    def weighted(self, weights: Any) -> Mechanism:
+        """Return the mechanism whose M and M⁻ have these entries, of `masses.weigh`."""
+        if self.masses is None:
+            return self
+        M, inverse = self.masses.matrices(weights)
+        return replace(self, M=M, inverse=inverse, weights=weights)
 
     @property
     def active_mask(self) -> ca.DM:
@@ -112,29 +136,40 @@ class Mechanism:
 
     def with_inverse(self, X: Any, then: Any = None) -> Any:
         """X M⁻ (3×n), or X M⁻ `then` (a constant matrix of n rows)."""
-        factors = [sparse(inverse if then is None else drop_rounding(inverse @ then)) for inverse in self.inverse]
+        factors = [sparse(inverse if then is None else product(inverse, then)) for inverse in self.inverse]
         if len(factors) == 1:
             return ca.mtimes(X, factors[0])
         return ca.vertcat(*(ca.mtimes(X[axis, :], factors[axis]) for axis in range(3)))
 
     @cached_property
-    def G(self) -> tuple[sp.csr_array, ...]:
+    def G(self) -> tuple[Any, ...]:
         """C_b M⁻ C_bᵀ (β×β) for each axis, or once."""
-        return tuple(drop_rounding(self.C_b @ inverse @ self.C_b.T) for inverse in self.inverse)
+        return tuple(product(self.C_b, inverse, self.C_b.T) for inverse in self.inverse)
 
     @cached_property
-    def K(self) -> sp.csr_array:
+    def K(self) -> Any:
         """Pᵀ M⁻ C_bᵀ (c×β), of full coordinates: how bar forces accelerate what joints hold."""
-        return drop_rounding(self.P.T @ self.inverse[0] @ self.C_b.T)
+        return product(self.P.T, self.inverse[0], self.C_b.T)
 
     @cached_property
     def system_size(self) -> int:
         """Unknowns of the linear system that has to be solved: 0 where every bar stands alone."""
         if self.joints:
             return 3 * self.joints
-        G = self.G
+        if self.masses is not None:  # whatever the masses
+            G = [product(self.C_b, pattern, self.C_b.T) for pattern in self.masses.patterns]
+        else:
+            G = list(self.G)
         alone = len(G) == 1 and is_diagonal(G[0]) and bool(np.all(G[0].diagonal() > 0))
         return 0 if alone else self.bars
+
+
+def scene_mechanism(scene: Scene, coordinates: Coordinates, bar_length: BarLength = "current") -> Mechanism:
+    """Return the matrices of a scene's modelled structure, with `masses` where these are parameters."""
+    mechanism = build_mechanism(scene.modelled, coordinates, bar_length)
+    layout = scene.modelled._layout if coordinates == "full" else None
+    masses = read_masses(scene, mechanism.physical, mechanism.inverse, layout)
+    return mechanism if masses is None else replace(mechanism, masses=masses)
 
 
 def build_mechanism(structure: Structure, coordinates: Coordinates, bar_length: BarLength = "current") -> Mechanism:

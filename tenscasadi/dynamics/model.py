@@ -12,7 +12,7 @@ from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics, joint_forces
 from tenscasadi.dynamics.instruction_count import TermCounts, count_terms
-from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Multipliers
+from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism, Multipliers
 from tenscasadi.dynamics.state_space import StateSpace
 from tenscasadi.scene.scene import Scene
 from tenscasadi.util.casadi_tools import sparse
@@ -48,6 +48,10 @@ class Energy(NamedTuple):
     def total(self) -> float:
         """The sum of all three, J."""
         return self.kinetic + self.elastic + self.gravity
+
+
+def _kinetic_energy(mech: Mechanism, V: Any) -> Any:
+    return ca.sum2(ca.sum1(V * ca.mtimes(V, sparse(mech.M)))) / 2
 
 
 class Model(StateSpace):
@@ -121,7 +125,7 @@ class Model(StateSpace):
         A, _, _ = forward_dynamics(self, N, V, u, time)
         rate = [self.pack(V, A, 1)]
         # Of vector operations cse would share the zeros too that each product starts from, and copy them.
-        return ca.Function("ode", [x, u], ca.cse(rate) if self.mechanism.unrolled else rate, ["x", "u"], ["xdot"])
+        return self._function("ode", x, u, ca.cse(rate) if self.mechanism.unrolled else rate, ["xdot"])
 
     def compile(self) -> ca.Function:
         """Compile `ode` to machine code.
@@ -147,25 +151,26 @@ class Model(StateSpace):
         """
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
-        gamma, S = forces.string_force_density(self.scene, self.mechanism, N, V, u)
+        mech = self.weighted(u, inverse=False)
+        gamma, S = forces.string_force_density(self.scene, mech, N, V, u)
         first = self.mechanism.first.tolist()
         outputs = {
             "nodes": ca.vec(N[:, first]),
             "velocities": ca.vec(V[:, first]),
             "force_density": gamma.T,
             "tension": (gamma * ca.sqrt(ca.sum1(S * S))).T,
-            "energy": ca.vertcat(self._kinetic(V), *forces.potential_energy(self.scene, self.mechanism, N, u)),
+            "energy": ca.vertcat(_kinetic_energy(mech, V), *forces.potential_energy(self.scene, mech, N, u)),
             "bar_length_error": self._bar_length_error(N),
             "joint_error": self._joint_error(N, time),
         }
-        return ca.Function("observe", [x, u], [ca.densify(value) for value in outputs.values()], ["x", "u"], list(outputs))
+        return self._function("observe", x, u, [ca.densify(value) for value in outputs.values()], list(outputs))
 
     @cached_property
     def energy_function(self) -> ca.Function:
         """Total energy: Function "energy" (x, u) → J, without the rest of `observe`."""
         x, u = self.symbols(not self.mechanism.large)
-        energy = ca.sum1(self.observe(x, u)[self.observe.index_out("energy")])
-        return ca.Function("energy", [x, u], [energy], ["x", "u"], ["energy"])
+        energy = ca.sum1(self.stacked(self.observe)(x, u)[self.observe.index_out("energy")])
+        return self._function("energy", x, u, [energy], ["energy"])
 
     @cached_property
     def power(self) -> ca.Function | None:
@@ -177,14 +182,15 @@ class Model(StateSpace):
             return None
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
+        mech = self.weighted(u, inverse=False)
         if self._supports is None:
-            push = forces.total(self.scene, self.mechanism, N, V, u, time)
+            push = forces.total(self.scene, mech, N, V, u, time)
         else:  # with the reactions of the supports, which work too: all that moves the mass
-            push = ca.mtimes(forward_dynamics(self, N, V, u, time)[0], sparse(self.mechanism.M))
+            push = ca.mtimes(forward_dynamics(self, N, V, u, time)[0], sparse(mech.M))
         n: Any = type(N).sym("n", N.shape)
-        total = sum(forces.potential_energy(self.scene, self.mechanism, n, u))
+        total = sum(forces.potential_energy(self.scene, mech, n, u))
         slope = ca.substitute(ca.jtimes(total, n, V), n, N)
-        return ca.Function("power", [x, u], [ca.densify(ca.sum2(ca.sum1(push * V)) + slope)], ["x", "u"], ["power"])
+        return self._function("power", x, u, [ca.densify(ca.sum2(ca.sum1(push * V)) + slope)], ["power"])
 
     @cached_property
     def multiplier_function(self) -> ca.Function:
@@ -194,11 +200,11 @@ class Model(StateSpace):
         A, lam, omega = forward_dynamics(self, N, V, u, time)
         if self.coordinates == "reduced" and len(self.structure.bars):
             omega = joint_forces(self, N, V, A, lam, u, time)
-        return ca.Function("multipliers", [x, u], [ca.densify(lam.T), ca.densify(omega)], ["x", "u"], ["bar_force_density", "joint_force"])
+        return self._function("multipliers", x, u, [ca.densify(lam.T), ca.densify(omega)], ["bar_force_density", "joint_force"])
 
     # --- numbers in, numbers out ---
 
-    def force_density(self, x: Any, u: Any = None) -> Any:
+    def force_density(self, x: Any, u: Any = None, parameters: Any = None) -> Any:
         """Return the force densities γ of the modelled strings.
 
         Parameters
@@ -207,15 +213,17 @@ class Model(StateSpace):
             State.
         u : array_like, shape (nu,), or CasADi column, optional
             Control; the initial control if None.
+        parameters : array_like, shape (np,), mapping, or CasADi column, optional
+            Parameters, see `ParameterLayout.values`; nominal if None.
 
         Returns
         -------
         ndarray, shape (α,), or CasADi column
             Tension divided by length, N/m (Eq. 99); CasADi where x or u is.
         """
-        return self._observed("force_density", x, u)
+        return self._observed("force_density", x, u, parameters)
 
-    def tension(self, x: Any, u: Any = None) -> Any:
+    def tension(self, x: Any, u: Any = None, parameters: Any = None) -> Any:
         """Return the tensions of the modelled strings.
 
         Parameters
@@ -224,15 +232,17 @@ class Model(StateSpace):
             State.
         u : array_like, shape (nu,), or CasADi column, optional
             Control; the initial control if None.
+        parameters : array_like, shape (np,), mapping, or CasADi column, optional
+            Parameters, see `ParameterLayout.values`; nominal if None.
 
         Returns
         -------
         ndarray, shape (α,), or CasADi column
             Tensions, N; CasADi where x or u is.
         """
-        return self._observed("tension", x, u)
+        return self._observed("tension", x, u, parameters)
 
-    def multipliers(self, x: Any, u: Any = None) -> Multipliers:
+    def multipliers(self, x: Any, u: Any = None, parameters: Any = None) -> Multipliers:
         """Return the force densities of bars and the forces in joints and pins.
 
         Parameters
@@ -241,6 +251,8 @@ class Model(StateSpace):
             State.
         u : array_like, shape (nu,), optional
             Control; the initial control if None.
+        parameters : array_like, shape (np,), mapping, or CasADi column, optional
+            Parameters, see `ParameterLayout.values`; nominal if None.
 
         Returns
         -------
@@ -252,10 +264,10 @@ class Model(StateSpace):
         -----
         Where constraints are redundant many multipliers give the same motion: these are the smallest, in scaled rows.
         """
-        lam, omega = self.multiplier_function(*self.arguments(x, u))
+        lam, omega = self.multiplier_function(*self.arguments(x, u, parameters))
         return Multipliers(lam.full().ravel(), omega.full())
 
-    def energy(self, x: Any, u: Any = None) -> Energy:
+    def energy(self, x: Any, u: Any = None, parameters: Any = None) -> Energy:
         """Return kinetic, elastic and gravity energy.
 
         Parameters
@@ -264,13 +276,15 @@ class Model(StateSpace):
             State.
         u : array_like, shape (nu,), optional
             Control; the initial control if None.
+        parameters : array_like, shape (np,), mapping, or CasADi column, optional
+            Parameters, see `ParameterLayout.values`; nominal if None.
 
         Returns
         -------
         Energy
             The three energies, J. Strings driven by force density store none.
         """
-        return Energy(*self._observed("energy", x, u).tolist())
+        return Energy(*self._observed("energy", x, u, parameters).tolist())
 
     def bar_length_error(self, x: Any) -> float:
         """Return the largest relative error of a bar's length.
@@ -319,9 +333,6 @@ class Model(StateSpace):
 
     # --- expressions ---
 
-    def _kinetic(self, V: Any) -> Any:
-        return ca.sum2(ca.sum1(V * ca.mtimes(V, sparse(self.mechanism.M)))) / 2
-
     def _bar_length_error(self, N: Any) -> Any:
         if not self.mechanism.bars:
             return ca.DM(0)
@@ -336,8 +347,8 @@ class Model(StateSpace):
 
     # --- numbers ---
 
-    def _observed(self, name: str, x: Any, u: Any) -> Any:
-        arguments = self.arguments(x, u)
+    def _observed(self, name: str, x: Any, u: Any, parameters: Any = None) -> Any:
+        arguments = self.arguments(x, u, parameters)
         value = self.observe(*arguments)[self.observe.index_out(name)]
         return value.full().ravel() if isinstance(value, ca.DM) else value
 

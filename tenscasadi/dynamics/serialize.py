@@ -14,6 +14,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.ground import Ground, Surface, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.over_time import OverTime, read_sample
+from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Linear, Slack, Smooth
 from tenscasadi.structure.class_one import Layout
@@ -28,7 +29,7 @@ _MEMBERS = [name for name in PARAMETERS if name != "pinned"]
 _GROUND = list(dict.fromkeys(field.name for kind in (Ground, Terrain) for field in fields(kind)))
 _LAYOUT = [name for name in Layout._fields if name != "P"]
 _INDICES = "bars strings string_parent layout.physical layout.bar_columns layout.string_columns layout.tied segments pressure.faces supports.nodes"
-_TEXTS = dict.fromkeys(["ends", "functions", "slack.laws"], "U")
+_TEXTS = dict.fromkeys(["ends", "functions", "slack.laws", "parameters"], "U")
 _KINDS = dict.fromkeys([*_INDICES.split(), "grounds", "ground.nodes"], "i") | {"fixed": "b"} | _TEXTS  # NumPy's letters; others: real numbers
 _DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layout.tied": 0}
 _NOTHING = np.zeros(0)  # stands for None
@@ -92,6 +93,7 @@ def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
         "pressure.faces": pressure and np.reshape(pressure.faces, (-1, 3)),
         "supports": supports and [rates(t)[0].full() for rates in [supports.rates()] for t in times],
         "supports.nodes": supports and supports.nodes,
+        "parameters": scene.parameters and _parameters_to_text(scene.parameters),
     }
     told = {f"scene.{name}": _NOTHING if value is None else np.asarray(value) for name, value in content.items()}
     own = {"model.coordinates": model.coordinates, "model.bar_length": "constant" if model.mechanism.constant_length else "current"}
@@ -120,6 +122,7 @@ def model_from_arrays(content: Content) -> Model | None:
         ground=_grounds_from_arrays(told),
         pressure=some("pressure", lambda values: _pressure(told["pressure.faces"].tolist(), values, some("pressure.times", np.asarray))),
         forces=some("forces", lambda values: NodalForce(values, some("forces.times", np.asarray))),
+        parameters=_parameters_from_text(told["parameters"].tolist()) if told.get("parameters", _NOTHING).size else None,
         slack=some("slack.laws", _laws_from_array) or some("slack", lambda width: Smooth(width.item())) or Clip(),
     )
     return Model(scene, content["model.coordinates"].item(), content["model.bar_length"].item())
@@ -130,6 +133,21 @@ def find_differences(content: Content, model: Model) -> list[str]:
     own = model_to_arrays(model, content.get("scene.clock", _NOTHING))
     told = own.keys() & content.keys() - {"scene.clock", "scene.functions"}
     return [name[0].upper() + name[1:] for name in own if name in told and not _same(content[name], own[name])]
+
+
+def _parameters_to_text(parameters: Parameters) -> list[str]:
+    groups = [f"groups {name} " + (" ".join(",".join(map(str, group)) for group in groups) or "all") for name, groups in parameters.groups]
+    return [*(f"name {name}" for name in parameters.names), *(f"scale {name}" for name in parameters.scale), *groups]
+
+
+def _parameters_from_text(lines: list[str]) -> Parameters:
+    said: dict[str, dict[str, Any]] = {"name": {}, "scale": {}, "groups": {}}
+    for line in lines:
+        what, name, *rest = line.split(" ")
+        if what not in said:
+            raise ValueError(f"field 'parameters' has {line!r}")
+        said[what][name] = "all" if rest == ["all"] else [[int(index) for index in group.split(",")] for group in rest]
+    return Parameters(*said["name"], scale=said["scale"], groups=said["groups"])
 
 
 def _checked(given: Fields) -> Fields:

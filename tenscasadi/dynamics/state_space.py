@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ from tenscasadi.dynamics.constraint_forces import (
     residual_rates,
     residuals,
 )
-from tenscasadi.dynamics.mechanism import BarLength, Coordinates, build_mechanism
+from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism, scene_mechanism
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.util.validate import Array, choice, finite_array, instance, rows_of_size
@@ -62,7 +63,7 @@ class StateSpace:
         self.scene = scene
         self.structure = scene.modelled
         self.coordinates: Coordinates = coordinates
-        self.mechanism = build_mechanism(self.structure, coordinates, bar_length)
+        self.mechanism = scene_mechanism(scene, coordinates, bar_length)
         check_mass_ratio(self.mechanism)
         if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:
             raise ValueError('Model.bar_length is "constant": bars that meet or are pinned need coordinates="full" for it')
@@ -70,7 +71,9 @@ class StateSpace:
         self._free = self.mechanism.free_index
         self.nq = len(self._free)
         self.nx = 2 * self.nq + (1 if scene.has_clock else 0)
-        self.nu = 0 if scene.control is None else len(scene.structure.strings)
+        self.nu = scene.nu
+        self.parameters = scene.layout
+        self.np = len(self.parameters)
         self.functions: dict[tuple[Any, ...], ca.Function] = {}  # of this model, built by other modules that need the same several times
         self.redundancy = find_redundancy(self.mechanism)
         if self.redundancy:
@@ -81,21 +84,41 @@ class StateSpace:
     @cached_property
     def initial_state(self) -> Array:
         """State (nx,) of the structure's nodes at rest, or at the velocities nearest to rest that moved supports leave possible."""
+        return self._at_rest(np.concatenate([self.initial_control, self.parameters.nominal]))
+
+    def _at_rest(self, w: Array) -> Array:
         x = self.state(self.structure.nodes)
         if self._supports is None or not self.mechanism.constrained:
             return x
         N, V, time = self.unpack(ca.DM(x))
-        return self.pack(N, project_velocities(self.mechanism, N, V, self.targets(time)[1]), time).full().ravel()  # type: ignore[no-any-return]
+        V = project_velocities(self.weighted(ca.DM(w)), N, V, self.targets(time)[1])
+        return self.pack(N, V, time).full().ravel()  # type: ignore[no-any-return]
 
     @cached_property
     def initial_control(self) -> Array:
         """Control (nu,) that leaves the strings as the structure has them: its rest lengths, m, or their force densities, N/m."""
+        return self.control_at(self.parameters.nominal)
+
+    def control_at(self, p: Array) -> Array:
+        """Return the initial control (nu,) of the structure that parameters (np,) make."""
         s = self.scene.structure
         if isinstance(self.scene.control, RestLength):
-            return s.rest_length.copy()
+            return self.parameters.item_values("rest_length", p, s.rest_length)
         if isinstance(self.scene.control, ForceDensity):
-            return s.stiffness * np.maximum(0.0, 1 - s.rest_length / s.string_lengths)  # Eq. 99 at rest
+            stiffness, rest = (self.parameters.item_values(name, p, getattr(s, name)) for name in ("stiffness", "rest_length"))
+            return stiffness * np.maximum(0.0, 1 - rest / s.string_lengths)  # Eq. 99 at rest
         return np.zeros(0)
+
+    def held(self, u: Any = None, parameters: Any = None) -> Array:
+        """Return the held input w (nw,): the control u (nu; None: the initial one), and below it the parameters (None: nominal), checked."""
+        p = self.parameters.values(parameters)
+        return np.concatenate([self.control_at(p) if u is None else finite_array("u", u, (self.nu,)), p])
+
+    def start_at(self, p: Array) -> Array:
+        """Return the initial state (nx,) of the structure that parameters (np,) make: masses share out how moved supports pull."""
+        if self._supports is None or self.mechanism.masses is None:
+            return self.initial_state
+        return self._at_rest(np.concatenate([self.control_at(p), p]))
 
     def state(self, nodes: Any, velocities: Any = None) -> Array:
         """Return the state of given nodes and velocities; its clock is 0.
@@ -186,7 +209,7 @@ class StateSpace:
         ``ca.vertcat(*model.constraints(x))`` are the rows that a free start has to satisfy in a tool for optimal control. Every motion
         keeps them: imposed at later times too they are redundant, and their gradients linearly dependent with those of the dynamics.
         """
-        value, _ = self.arguments(x, None)
+        value = self.arguments(x, None)[0]
         N, V, time = self.unpack(value)
         mech = self.mechanism
         B, (D, Dd, _) = mech.bar_vectors(N), self.targets(time)
@@ -195,24 +218,80 @@ class StateSpace:
         rows = [row.T / ca.DM(mech.lengths) for row in (bars, bar_rates)] + [ca.vec(ca.densify(row))[held] for row in (joints, joint_rates)]
         return Constraints(*(row.full().ravel() if isinstance(row, ca.DM) else row for row in rows))
 
-    def arguments(self, x: Any, u: Any) -> tuple[Any, Any]:
-        """Return x (nx) and u (nu; None: the initial control) as CasADi values; raises TypeError or ValueError where they are no such."""
-        if u is None:
-            u = self.initial_control
-        for name, value, size in (("x", x, self.nx), ("u", u, self.nu)):
+    def arguments(self, x: Any, u: Any, parameters: Any = None) -> tuple[Any, ...]:
+        """Return x (nx), u (nu; None: the initial control) and, where there are any, p (np; None: nominal) as CasADi values.
+
+        Raises TypeError or ValueError where they are no such.
+        """
+        symbolic = isinstance(parameters, (ca.SX, ca.MX))
+        p = parameters if symbolic else self.parameters.values(parameters)
+        if u is None and symbolic and self.nu:
+            raise ValueError("u is None: give the control, too, where parameters are CasADi's")
+        given = [("x", x, self.nx), ("u", (self.initial_control if symbolic else self.control_at(p)) if u is None else u, self.nu)]
+        if self.np or symbolic:
+            given.append(("parameters", p, self.np))
+        for name, value, size in given:
             if isinstance(value, (ca.SX, ca.MX)) and value.shape != (size, 1):
                 raise ValueError(f"{name} has shape {value.shape}: give a column of {size}")
-        return tuple(
-            value if isinstance(value, (ca.SX, ca.MX)) else ca.DM(finite_array(name, value, (size,)))
-            for name, value, size in (("x", x, self.nx), ("u", u, self.nu))
-        )  # type: ignore[return-value]
+        return tuple(value if isinstance(value, (ca.SX, ca.MX)) else ca.DM(finite_array(name, value, (size,))) for name, value, size in given)
+
+    @property
+    def nw(self) -> int:
+        """Size of the held input w: the control u, and below it the parameters p."""
+        return self.nu + self.np
+
+    # --- CasADi Functions ---
+
+    def stacked(self, function: ca.Function) -> ca.Function:
+        """Return a Function (x, u, p) of this model as one of (x, w), with w the control u and below it the parameters p.
+
+        Integrators know one held input. Without parameters it is the Function itself.
+
+        Parameters
+        ----------
+        function : casadi.Function
+            One of the model's Functions, such as `Model.ode`.
+
+        Returns
+        -------
+        casadi.Function
+            The same outputs, of x (nx) and w (nu + np).
+        """
+        if not self.np:
+            return function
+        key = "stacked", function.name(), hash(function)
+        if key not in self.functions:
+            kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
+            x, w = kind.sym("x", self.nx), kind.sym("w", self.nw)
+            outputs = function.call([x, w[: self.nu], w[self.nu :]], True, False)
+            self.functions[key] = ca.Function(function.name(), [x, w], outputs, ["x", "w"], function.name_out())
+        return self.functions[key]
+
+    def _function(self, name: str, x: Any, w: Any, outputs: list[Any], names: list[str]) -> ca.Function:
+        """Return the Function (x, u) → outputs, or (x, u, p) where there are parameters, of expressions of x and w."""
+        if not self.np:
+            return ca.Function(name, [x, w], outputs, ["x", "u"], names)
+        stacked = ca.Function(name, [x, w], outputs, ["x", "w"], names)
+        x, u, p = type(x).sym("x", self.nx), type(x).sym("u", self.nu), type(x).sym("p", self.np)
+        public = ca.Function(name, [x, u, p], stacked.call([x, ca.vertcat(u, p)], True, False), ["x", "u", "p"], names)
+        self.functions["stacked", name, hash(public)] = stacked
+        return public
 
     # --- expressions ---
 
+    def weighted(self, w: Any, inverse: bool = True) -> Mechanism:
+        """Return the mechanism with the masses of the parameters in w = (u, p), a CasADi column; its M⁻ only where `inverse`."""
+        mechanism, masses = self.mechanism, self.mechanism.masses
+        if masses is None:
+            return mechanism
+        if inverse:
+            return mechanism.weighted(masses.weigh(w[self.nu :]))
+        return replace(mechanism, M=masses.mass_matrix(w[self.nu :]), inverse=())
+
     def symbols(self, scalar: bool) -> tuple[Any, Any]:
-        """Return symbols of x and u: scalars (SX) that unroll, or vectors (MX)."""
+        """Return symbols of x and of the held input w, see `nw`: scalars (SX) that unroll, or vectors (MX)."""
         kind = ca.SX if scalar else ca.MX
-        return kind.sym("x", self.nx), kind.sym("u", self.nu)
+        return kind.sym("x", self.nx), kind.sym("u", self.nw)
 
     def split(self, x: Any) -> tuple[Any, Any, Any]:
         """Return positions (nq), velocities (nq) and clock (1 or 0) of states: views of arrays (…, nx), rows of CasADi matrices (nx, …)."""

@@ -9,8 +9,8 @@ import casadi as ca
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_held_ode, build_potential, build_switching
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta, build_trial
-from tenscasadi.integrators.scheme import add_work
-from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.integrators.scheme import equations
+from tenscasadi.integrators.stabilization import Correction, correct
 from tenscasadi.util.casadi_tools import hermite_cubic
 
 ATTEMPTS = 64  # a call: those that are not needed cost next to nothing
@@ -84,7 +84,7 @@ def _symbols(function: ca.Function) -> list[ca.MX]:
 
 def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
     """One trial of a step and what follows from it."""
-    z, u = ca.MX.sym("z", model.nx + power), ca.MX.sym("u", model.nu)
+    z, u = ca.MX.sym("z", model.nx + power), ca.MX.sym("u", model.nw)
     packed, limits = ca.MX.sym("memory", len(Memory._fields)), ca.MX.sym("limits", len(Limits._fields))
     m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), Limits(*ca.vertsplit(limits))
     gaps = build_switching(model)
@@ -92,7 +92,7 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
     trial = ca.if_else(m.high > 0, m.aim, ca.if_else(m.step >= m.rest, m.rest, m.step))
 
     if gaps is None:
-        ode = add_work(model.ode, model.power) if power and model.power is not None else model.ode
+        ode = equations(model, model.stacked(model.power) if power and model.power is not None else None)
         mode = ca.MX(0, 1)
     else:
         ode, mode = build_held_ode(model, power), gaps(x, u) > 0
@@ -102,7 +102,7 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
         after = ca.vertcat(after[: model.nx], after[model.nx :] + stored(after[: model.nx], u) - stored(x, u))
     project = None if correction is None else correction.step(model)
     if project is not None:
-        after = ca.vertcat(project(after[: model.nx]), after[model.nx :])
+        after = ca.vertcat(correct(model, project, after[: model.nx], u), after[model.nx :])
 
     moving = slice(0, 2 * model.nq)
     scale = atol + rtol * ca.fmax(ca.fabs(z[moving]), ca.fabs(after[moving]))
@@ -220,4 +220,4 @@ def _root(gaps: ca.Function, model: Model) -> ca.Function:
 def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:
     """Symbols for a step: x and its slope, where it ends and the slope there, u, the step's length, s, and the mode."""
     ends = [ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end")]
-    return [*ends, ca.MX.sym("u", model.nu), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]
+    return [*ends, ca.MX.sym("u", model.nw), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]

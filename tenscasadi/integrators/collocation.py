@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import count_switches
-from tenscasadi.integrators.scheme import Complex, add_work, check_ode
+from tenscasadi.integrators.scheme import Complex, check_ode, equations
 from tenscasadi.integrators.stage_iteration import solve_stages, stage_states
 from tenscasadi.util.validate import Array, choice, instance, positive_number, whole_number
 
@@ -159,7 +159,7 @@ class Collocation:
         -------
         casadi.Function
             Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x (nx,); with `power` it holds one entry
-            more, the work done, J.
+            more, the work done, J. Below the control, u holds the parameters, if there are any.
 
         Raises
         ------
@@ -190,7 +190,7 @@ class Collocation:
         """
         instance("model", model, Model, "a tenscasadi.Model")
         if self.degree > _SWEPT_DEGREE or model.nq == 0:
-            step = self._newton(model.ode if power is None else add_work(model.ode, power))
+            step = self._newton(equations(model, power))
         else:
             step = self._swept(model, power)
         return _halve_unsolved(step) if any(count_switches(model)) else step
@@ -199,7 +199,7 @@ class Collocation:
         """Return (z, u, h, tolerance) → z_next, by sweeps through the stages."""
         A, b = self.coefficients
         nx = model.nx
-        z, u, h = ca.MX.sym("z", nx + (power is not None)), ca.MX.sym("u", model.nu), ca.MX.sym("h")
+        z, u, h = ca.MX.sym("z", nx + (power is not None)), ca.MX.sym("u", model.nw), ca.MX.sym("h")
         tolerance = ca.MX.sym("tolerance")
         x = z[:nx]
         _, v, clock = model.split(x)

@@ -13,6 +13,7 @@ import casadi as ca
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics
 from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.binding import bind
 from tenscasadi.util.casadi_tools import sparse
 
 
@@ -25,7 +26,7 @@ def build_switching(model: Model) -> ca.Function | None:
     x, u = model.symbols(not mech.large)
     N, V, _ = model.unpack(x)
     rows = [forces.string_gaps(scene, mech, N, V, u)] if strings else []
-    rows += [ground.switching(N[:, columns], V[:, columns]) for ground, columns, _ in forces.contacts(scene, mech)]
+    rows += [ground.switching(N[:, columns], V[:, columns]) for ground, columns, _ in forces.contacts(bind(scene, u)[0], mech)]
     return ca.Function("switching", [x, u], ca.cse([ca.densify(ca.horzcat(*rows).T)]), ["x", "u"], ["g"])
 
 
@@ -35,14 +36,14 @@ def build_held_ode(model: Model, work: bool = False) -> ca.Function:
     With `work`, z has one entry more: the work of all forces, J. `potential` tells how much of it comes out of the model's energy: that
     has kinks of its own, where a damped string lets go while it is still stretched, and would spoil the order as an integrand.
     """
-    mech = model.mechanism
-    kind: Any = ca.MX if mech.large else ca.SX  # no calls of staged functions: they would not know the mode
-    z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nu + sum(count_switches(model)))
+    kind: Any = ca.MX if model.mechanism.large else ca.SX  # no calls of staged functions: they would not know the mode
+    z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nw + sum(count_switches(model)))
     N, V, time = model.unpack(z[: model.nx])
     u, mode = split_mode(model, w)
     acceleration = forward_dynamics(model, N, V, u, time, mode)[0]
     parts = [model.pack(V, acceleration, 1)]
     if work:
+        mech = model.weighted(u, inverse=False)
         if model.scene.supports is None:
             push = forces.total(model.scene, mech, N, V, u, time, mode)
         else:  # reactions of moved supports work too
@@ -52,15 +53,16 @@ def build_held_ode(model: Model, work: bool = False) -> ca.Function:
 
 
 def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
-    """Return the control u (nu,) and the mode in w = (u, mode (k,))."""
-    nu, (strings, contacts) = model.nu, count_switches(model)
+    """Return u (nw,), the control and the parameters, and the mode in w = (u, mode (k,))."""
+    nu, (strings, contacts) = model.nw, count_switches(model)
     return w[:nu], forces.Mode(w[nu : nu + strings].T if strings else None, w[nu + strings :].T if contacts else None)
 
 
 def build_potential(model: Model) -> ca.Function:
     """Return (x, u) -> elastic and gravity energy, J."""
     x, u = model.symbols(not model.mechanism.large)
-    total = ca.densify(sum(forces.potential_energy(model.scene, model.mechanism, model.unpack(x)[0], u)))
+    mech = model.weighted(u, inverse=False)
+    total = ca.densify(sum(forces.potential_energy(model.scene, mech, model.unpack(x)[0], u)))
     return ca.Function("potential", [x, u], [total], ["x", "u"], ["potential"])
 
 

@@ -9,13 +9,12 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.constraint_forces import project_velocities, remove_residuals, residuals, stretch_bars
+from tenscasadi.dynamics.constraint_forces import call_weighted, project_velocities, remove_residuals, residuals, stretch_bars
 from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, Tableau
-from tenscasadi.util.casadi_tools import call_as_sx
 from tenscasadi.util.validate import instance, shown, whole_number
 
 _OUTER = 1 / (4 - 4 ** (1 / 3))  # Suzuki's five steps of order 4: Hairer, Lubich, Wanner, Geometric Numerical Integration, (II.4.5)
@@ -116,7 +115,7 @@ class Rattle:
         -------
         casadi.Function
             Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x (nx,); with `power` it holds one entry
-            more, the work done, J.
+            more, the work done, J. Below the control, u holds the parameters, if there are any.
 
         Raises
         ------
@@ -126,7 +125,7 @@ class Rattle:
         instance("model", model, Model, "a tenscasadi.Model")
         leap = _leap(model, power, _KICKS[self.order], self.iterations)
         start = z = ca.MX.sym("z", leap.size1_in(0))
-        u, h = ca.MX.sym("u", model.nu), ca.MX.sym("h")
+        u, h = ca.MX.sym("u", model.nw), ca.MX.sym("h")
         for fraction in _FRACTIONS[self.order]:
             z = leap(z, u, fraction * h)
         return ca.Function("step", [start, u, h], [z], ["z", "u", "h"], ["z_next"])
@@ -167,9 +166,9 @@ def _swing(z: Complex, fraction: float, kick: Tableau) -> Any:
 
 def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: int) -> ca.Function:
     """Drift, kick, drift: Function "leap" (z, u, h) -> z_next."""
-    mech, scene = model.mechanism, model.scene
-    kind: Any = ca.SX if mech.unrolled else ca.MX
-    z, u, h = kind.sym("z", model.nx + (power is not None)), kind.sym("u", model.nu), kind.sym("h")
+    kind: Any = ca.SX if model.mechanism.unrolled else ca.MX
+    z, u, h = kind.sym("z", model.nx + (power is not None)), kind.sym("u", model.nw), kind.sym("h")
+    mech, scene = model.weighted(u), model.scene
     N, V, time = model.unpack(z[: model.nx])
 
     def drift(N: Any, V: Any, time: Any) -> tuple[Any, Any, Any]:
@@ -185,8 +184,8 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
     def tangent(N: Any, V: Any, time: Any) -> Any:
         return project_velocities(mech, N, V, model.targets(time)[1])
 
-    def acceleration(N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
-        return (mech.with_inverse(applied_forces(model, N, V, u, time)[0]),)
+    def acceleration(mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
+        return (mech.with_inverse(applied_forces(model, N, V, u, time, mech=mech)[0]),)
 
     N, V, time = drift(N, V, time)
     rough = forces.is_damped(scene) or forces.is_rough(scene)
@@ -197,10 +196,10 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
         slopes: list[Any] = []
         for row in kick.a:
             stage = tangent(N, V + h * _weighted(row, slopes), time) if any(row) else V
-            slopes.append(call_as_sx(mech.large, acceleration, N, stage, u, time)[0])
+            slopes.append(call_weighted(mech, acceleration, N, stage, u, time)[0])
         V = tangent(N, V + h * _weighted(kick.b, slopes), time)
     else:
-        V = tangent(N, V + h * call_as_sx(mech.large, acceleration, N, V, u, time)[0], time)
+        V = tangent(N, V + h * call_weighted(mech, acceleration, N, V, u, time)[0], time)
     supplied = [] if power is None else [z[model.nx] + h * power(model.pack(N, (before + V) / 2, time), u)]
 
     N, V, time = drift(N, V, time)

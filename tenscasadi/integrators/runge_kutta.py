@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import Complex, add_work, check_ode, check_relative_tolerance, extent, stability_limit
+from tenscasadi.integrators.scheme import Complex, check_ode, check_relative_tolerance, equations, extent, stability_limit
 from tenscasadi.integrators.tableaux import CLASSICAL, DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
 from tenscasadi.util.validate import instance, positive_number, whole_number
 
@@ -66,7 +66,7 @@ class ExplicitRungeKutta:
         -------
         casadi.Function
             Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x (nx,); with `power` it holds one entry
-            more, the work done, J.
+            more, the work done, J. Below the control, u holds the parameters, if there are any.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class ExplicitRungeKutta:
             If `model` is no Model.
         """
         instance("model", model, Model, "a tenscasadi.Model")
-        return self.step(model.ode if power is None else add_work(model.ode, power))
+        return self.step(equations(model, power))
 
     def amplification(self, z: Complex) -> Complex:
         """Compute the factor by which one step multiplies y when y' = λ y.

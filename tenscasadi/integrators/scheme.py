@@ -33,6 +33,7 @@ class Scheme(Protocol):
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
         """Build one step of a model with u held: Function "step" (z, u, h) -> z_next, z = x.
 
+        Where the model has parameters, u is the control and below it these, `model.nw` entries.
         With `power` (x, u) -> W, z holds one entry more: the work that it has done, J. TypeError for anything but a Model.
         """
 
@@ -64,6 +65,12 @@ def add_work(ode: ca.Function, power: ca.Function) -> ca.Function:
     """Return (z, u) -> zdot: the ode with the work of `power` (x, u) -> W as one more state, so that a scheme integrates both alike."""
     x, u, work = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("work")
     return ca.Function("ode_and_work", [ca.vertcat(x, work), u], [ca.vertcat(ode(x, u), power(x, u))], ["z", "u"], ["zdot"])
+
+
+def equations(model: Model, power: ca.Function | None) -> ca.Function:
+    """Return the model's ode (x, w) -> xdot, w the control and below it the parameters; with `power` (x, w) -> W as `add_work` does."""
+    ode = model.stacked(model.ode)
+    return ode if power is None else add_work(ode, power)
 
 
 def check_ode(ode: ca.Function) -> None:

@@ -22,15 +22,15 @@ _ROUNDED = 1e-9  # growth of a mode in a step that may be rounding
 _HALF_DISC = np.append(1j * np.linspace(0, 1, 101), np.exp(1j * np.linspace(np.pi / 2, np.pi, 100)))  # edge of its upper half
 
 
-def fastest_rate(model: Model, x: Any = None, u: Any = None) -> float:
+def fastest_rate(model: Model, x: Any = None, u: Any = None, parameters: Any = None) -> float:
     """Compute ω_max, rad/s: the largest |eigenvalue| of ∂ode/∂x at state `x` (nx,) and control `u` (nu,); None: the model's initial ones.
 
     Above 400 states it is found by Arnoldi's method to about 1 %. NaN where the linearisation is not finite. Raises TypeError, ValueError.
     """
-    return float(np.abs(_rates(model, x, u)).max(initial=0.0))
+    return float(np.abs(_rates(model, x, u, parameters)).max(initial=0.0))
 
 
-def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = RungeKutta4(), safety: float = 0.9) -> float:
+def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = RungeKutta4(), safety: float = 0.9, parameters: Any = None) -> float:
     """Compute the largest step at which a scheme is stable for the motion linearised at a state.
 
     A larger step makes vibrations grow until the run breaks down; a much smaller one is a matter of accuracy. Strings that go taut and bars
@@ -48,6 +48,8 @@ def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = Run
         Integration scheme.
     safety : float
         Factor on the limit.
+    parameters : array_like, shape (np,), or mapping, optional
+        Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
     Returns
     -------
@@ -77,20 +79,21 @@ def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = Run
     0.2828
     """
     check_scheme(scheme)
-    limit = positive_number("safety", safety) * step_limit(scheme, _rates(model, x, u))
+    limit = positive_number("safety", safety) * step_limit(scheme, _rates(model, x, u, parameters))
     if np.isnan(limit):
         warnings.warn("stable_step is NaN: the equations have no finite derivative at x, as where a bar has no length", UserWarning, stacklevel=2)
     return limit
 
 
-def log_growth(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignored: float) -> float:
+def log_growth(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignored: float, parameters: Any = None) -> float:
     """Compute log |R| of the mode of the motion linearised at a state that one step, s, of a scheme amplifies most; 0 where none grows.
 
     Growth of the motion itself is none of the scheme. What a bound on the rates leaves below `ignored` is returned as 0.
     """
-    if _largest_log(scheme, step * _rate_bound(model, x, u) * _HALF_DISC) <= ignored:  # R is analytic: it is largest on the edge
+    bound = _rate_bound(model, x, model.held(u, parameters))
+    if _largest_log(scheme, step * bound * _HALF_DISC) <= ignored:  # R is analytic: it is largest on the edge
         return 0.0
-    rates = _rates(model, x, u)
+    rates = _rates(model, x, u, parameters)
     return _largest_log(scheme, step * np.where(rates.real > 0, 1j * np.abs(rates), rates))
 
 
@@ -120,14 +123,14 @@ def _rate_bound(model: Model, x: Any, u: Any) -> float:
 
 
 def _linearisation(model: Model) -> ca.Function:
-    """Return (x, u) -> ∂ode/∂x, or its product with a vector, (x, u, v) -> ∂ode/∂x v, where the model is large."""
+    """Return (x, w) -> ∂ode/∂x, or its product with a vector, (x, w, v) -> ∂ode/∂x v, where the model is large."""
     key = ("linearisation",)
     if key not in model.functions:
-        X, U, V = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("v", model.nx)
+        X, W, V, ode = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw), ca.MX.sym("v", model.nx), model.stacked(model.ode)
         if model.nx > DENSE:
-            model.functions[key] = ca.Function("along", [X, U, V], [ca.jtimes(model.ode(X, U), X, V)])
+            model.functions[key] = ca.Function("along", [X, W, V], [ca.jtimes(ode(X, W), X, V)])
         else:
-            model.functions[key] = ca.Function("jacobian", [X, U], [ca.jacobian(model.ode(X, U), X)])
+            model.functions[key] = ca.Function("jacobian", [X, W], [ca.jacobian(ode(X, W), X)])
     return model.functions[key]
 
 
@@ -140,11 +143,11 @@ def step_limit(scheme: Scheme, rates: Complex) -> float:
     return float(stability_limit(scheme, moving).min(initial=np.inf))
 
 
-def _rates(model: Model, x: Any, u: Any) -> Complex:
+def _rates(model: Model, x: Any, u: Any, parameters: Any) -> Complex:
     """Eigenvalues of ∂ode/∂x: all of them for small models, the largest for others."""
     instance("model", model, Model, "a tenscasadi.Model")
     state = ca.DM(model.initial_state if x is None else finite_array("x", x, (model.nx,)))
-    control = ca.DM(model.initial_control if u is None else finite_array("u", u, (model.nu,)))
+    control = ca.DM(model.held(u, parameters))
     if model.nx == 0:
         return np.zeros(0, dtype=complex)
     if model.nx <= DENSE:
@@ -173,6 +176,6 @@ def _largest_eigenvalues(model: Model, state: ca.DM, control: ca.DM) -> Complex:
     if len(found):
         return np.asarray(found, dtype=complex)
     # Undamped motion has |eigenvalue|² at most ‖A²‖: a bound, on the safe side.
-    X, U = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
-    jacobian = ca.Function("jacobian", [X, U], [ca.jacobian(model.ode(X, U), X)])(state, control).sparse()
+    X, W = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
+    jacobian = ca.Function("jacobian", [X, W], [ca.jacobian(model.stacked(model.ode)(X, W), X)])(state, control).sparse()
     return np.array([1j * np.sqrt(abs(jacobian @ jacobian).sum(axis=1).max())])

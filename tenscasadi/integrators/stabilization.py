@@ -71,7 +71,7 @@ class Projection:
         Returns
         -------
         casadi.Function or None
-            Function (x) → x corrected, both (nx,); None where the model has nothing to keep.
+            Function (x) → x corrected, both (nx,), or (x, p) where the model has parameters; None where it has nothing to keep.
 
         Raises
         ------
@@ -133,7 +133,7 @@ class BarLengthCorrection:
         Returns
         -------
         casadi.Function or None
-            Function (x) → x corrected, both (nx,); None where the model has nothing to keep.
+            Function (x) → x corrected, both (nx,), or (x, p) where the model has parameters; None where it has nothing to keep.
 
         Raises
         ------
@@ -166,7 +166,7 @@ def projection(model: Model, iterations: int = 3) -> ca.Function:
     Returns
     -------
     casadi.Function
-        Function (x) → x projected, both (nx,): moved by as little as the mass matrix says.
+        Function (x) → x projected, both (nx,), or (x, p) where the model has parameters: moved by as little as the mass matrix says.
 
     Raises
     ------
@@ -193,8 +193,9 @@ def projection(model: Model, iterations: int = 3) -> ca.Function:
 
 
 def _projection(model: Model, iterations: int) -> ca.Function:
-    mech = model.mechanism
-    x: Any = (ca.SX if mech.unrolled else ca.MX).sym("x", model.nx)
+    kind: Any = ca.SX if model.mechanism.unrolled else ca.MX
+    x, p = kind.sym("x", model.nx), kind.sym("p", model.np)
+    mech = model.weighted(ca.vertcat(kind(model.nu, 1), p))
     N, V, time = model.unpack(x)
     D, Dd, _ = model.targets(time)
     if mech.system_size:
@@ -203,7 +204,18 @@ def _projection(model: Model, iterations: int) -> ca.Function:
             N = remove_residuals(mech, N, B, *residuals(mech, N, B, D))
     elif mech.constrained:
         N = _rescale(mech, N)
-    return ca.Function("project", [x], [model.pack(N, project_velocities(mech, N, V, Dd), time)], ["x"], ["projected"])
+    return _correcting("project", x, p, model.pack(N, project_velocities(mech, N, V, Dd), time), "projected")
+
+
+def _correcting(name: str, x: Any, p: Any, result: Any, what: str) -> ca.Function:
+    """Return the Function (x) → result, or (x, p) where there are parameters."""
+    inputs = {"x": x} | ({"p": p} if p.numel() else {})
+    return ca.Function(name, list(inputs.values()), [result], list(inputs), [what])
+
+
+def correct(model: Model, project: ca.Function, x: Any, w: Any) -> Any:
+    """Return the state x (nx) moved by a correction's Function: that of `Correction.step`; w (nw): control, and below it parameters."""
+    return project(x, w[model.nu :]) if model.np else project(x)
 
 
 def _rescale(mech: Mechanism, N: Any) -> Any:
@@ -214,7 +226,8 @@ def _rescale(mech: Mechanism, N: Any) -> Any:
 
 def _appendix_c(model: Model, weight: float) -> ca.Function:
     mech = model.mechanism
-    x: Any = (ca.MX if mech.large else ca.SX).sym("x", model.nx)
+    kind: Any = ca.MX if mech.large else ca.SX
+    x, parameters = kind.sym("x", model.nx), kind.sym("p", model.np)
     N, V, time = model.unpack(x)
     D, Dd, _ = model.targets(time)
     B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)
@@ -222,7 +235,7 @@ def _appendix_c(model: Model, weight: float) -> ca.Function:
     p = direction * ca.repmat(ca.DM(mech.lengths).T, 3, 1) - B  # Eq. 120
     r = -direction * ca.repmat(ca.sum1(direction * Bd), 3, 1)
     moved = [_rejoined(mech, Z, change, target) for Z, change, target in ((N, p, D), (V, r, Dd))]
-    return ca.Function("correct", [x], [model.pack(moved[0], moved[1], time)], ["x"], ["corrected"])
+    return _correcting("correct", x, parameters, model.pack(moved[0], moved[1], time), "corrected")
 
 
 def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:
@@ -258,20 +271,20 @@ def _rejoined(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
 def measure_correction(model: Model, scheme: Scheme, correction: Correction, states: Array, controls: Array, step: float) -> tuple[Array, Array]:
     """Return the largest movement of a node, m, and the energy added, J, (T,) each: of the correction that follows `every` steps from each state.
 
-    states (T, nx) and controls (T, nu) are those of a trajectory, `step` its step, s. The steps are taken again without correction and
-    the correction's part is measured at their end.
+    states (T, nx) and controls (T, nw), with the parameters, are those of a trajectory, `step` its step, s. The steps are taken again without
+    correction and the correction's part is measured at their end.
     """
     project = correction.step(model)
     if project is None:
         return np.zeros(len(states)), np.zeros(len(states))
-    advance, energy = scheme.advance(model), model.energy_function
-    x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
+    advance, energy = scheme.advance(model), model.stacked(model.energy_function)
+    x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nw)
     chained = advance if correction.every == 1 else advance.fold(correction.every)
     before: Any = chained(x, ca.repmat(u, 1, correction.every), ca.DM.ones(1, correction.every) * step)
-    after = project(before)
+    after = correct(model, project, before, u)
     shift = model.nodes(after) - model.nodes(before)
     distance = ca.sqrt(ca.mmax(ca.sum1(shift * shift)))
     effect = ca.Function("effect", [x, u], [ca.vertcat(distance, energy(after, u) - energy(before, u))])
     with np.errstate(all="ignore"):
-        values = effect.map(len(states))(ca.DM(states.T), ca.DM(controls.T) if model.nu else ca.DM(0, len(states))).full()
+        values = effect.map(len(states))(ca.DM(states.T), ca.DM(controls.T) if model.nw else ca.DM(0, len(states))).full()
     return values[0], values[1]

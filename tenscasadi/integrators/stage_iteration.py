@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -12,10 +12,11 @@ import numpy as np
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_held_ode, build_switching, count_switches, split_mode
+from tenscasadi.scene.binding import bind, with_fields
 from tenscasadi.scene.ground import Contact, Surface, along, slip_velocity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Smooth
-from tenscasadi.util.casadi_tools import call_as_sx, sparse
+from tenscasadi.util.casadi_tools import call_as_sx, constant_row, sparse
 from tenscasadi.util.validate import Array
 
 _RIGID = 1e5  # stiffness that stands in for bars and joints, relative to the stiffest entry: their share of a sweep is exact to its inverse
@@ -52,7 +53,7 @@ def solve_stages(model: Model, A: Array, sweeps: int) -> ca.Function:
     .. [1] van der Houwen, de Swart, Triangularly implicit iteration methods for ODE-IVP solvers, SIAM J. Sci. Comput. 18, 1997.
     """
     nq, s = model.nq, len(A)
-    sizes = {"k": (nq, s), "changes": (2, 1), "x": (model.nx, 1), "u": (model.nu, 1), "h": (1, 1), "tolerance": (1, 1)}
+    sizes = {"k": (nq, s), "changes": (2, 1), "x": (model.nx, 1), "u": (model.nw, 1), "h": (1, 1), "tolerance": (1, 1)}
     symbols = [ca.MX.sym(name, *size) for name, size in sizes.items()]
     names, results = list(sizes), ["k_next", "changes_next"]
     sweep = ca.Function("sweep", symbols, _sweep(model, A, *symbols[:-1]), names, results)
@@ -82,7 +83,7 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
     L = factor_crout(A)
     squared = L @ L
     gaps = build_switching(model)
-    ode = model.ode if gaps is None else build_held_ode(model)
+    ode = model.stacked(model.ode) if gaps is None else build_held_ode(model)
     solve = _solver(model)
     found: list[Any] = []
     for i, state in enumerate(stage_states(model, A, x, k, h)):
@@ -93,7 +94,7 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
             # The first sweep keeps the step's first mode. Then strings are held taut while they are too short by less than stages
             # still move: they would let go and catch in turns. The least move counts, or that would begin anew when one does let go.
             least = changes[1]
-            doubt = ca.if_else(least < np.inf, _DOUBT * least, 0) * (h + _lead(model))
+            doubt = ca.if_else(least < np.inf, _DOUBT * least, 0) * (h + _lead(model, u))
             w = ca.vertcat(u, ca.if_else(least < np.inf, gaps(state, u) > -doubt, gaps(x, u) > 0))
         found.append(solve(state, w, h * L[i, i], model.split(ode(state, w))[1] - k[:, i], changes[0]))
     delta = ca.horzcat(*found)
@@ -101,15 +102,16 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
     return [k + delta, ca.vertcat(moved, ca.fmin(changes[1], moved))]
 
 
-def _lead(model: Model) -> ca.DM:
+def _lead(model: Model, u: Any) -> Any:
     """By how much a switching function moves with a velocity, s: damping over stiffness (k,)."""
-    scene = model.scene
-    s, clamped = scene.modelled, scene.clamped_strings
-    lead = np.zeros(len(s.damping))
-    lead[clamped] = np.divide(s.damping, s.stiffness, out=np.zeros(len(s.damping)), where=s.stiffness > 0)[clamped]
-    lead = lead[scene.switching_strings]
-    grounds = [np.full(len(columns), ground.damping / ground.stiffness) for ground, columns, _ in forces.contacts(scene, model.mechanism)]
-    return ca.DM(np.concatenate([lead, *grounds]))
+    scene = bind(model.scene, u)[0]
+    stiffness, damping = constant_row(scene.modelled.stiffness), constant_row(scene.modelled.damping)
+    lead = ca.if_else(stiffness > 0, damping / stiffness, 0).T
+    lead = ca.densify(lead if lead.shape[0] != 1 else ca.repmat(lead, len(scene.modelled.strings), 1))
+    clamped = ca.DM(np.isin(scene.switching_strings, scene.clamped_strings).astype(float))
+    contacts = forces.contacts(scene, model.mechanism)
+    grounds = [ca.repmat(ca.densify(ground.damping / ground.stiffness), len(columns), 1) for ground, columns, _ in contacts]
+    return ca.vertcat(lead[scene.switching_strings.tolist()] * clamped, *grounds)
 
 
 def _solver(model: Model) -> ca.Function:
@@ -117,12 +119,13 @@ def _solver(model: Model) -> ca.Function:
 
     moved, m/s: by how much the last sweep moved velocities.
     """
-    mech, nq = model.mechanism, model.nq
-    M = sparse(mech.free_mass)
+    nq = model.nq
 
     def linear(x: Any, w: Any, g: Any, r: Any, moved: Any) -> tuple[Any, ...]:
         N, V, time = model.unpack(x)
         u, mode = split_mode(model, w)
+        mech = model.weighted(u, inverse=False)
+        M = sparse(mech.free_mass)
 
         def slopes(scene: Scene, longest: Any = None) -> Any:
             found = forces.terms(scene, mech, N, V, u, time, mode)
@@ -133,12 +136,12 @@ def _solver(model: Model) -> ca.Function:
             return ca.jacobian(model.split(model.pack(F, F, 0))[0], x)
 
         rubs = any(ground.friction is not None for ground in model.scene.grounds)
-        slope = _drag_slopes(model, slopes, N, V, mode, moved) if rubs else slopes(model.scene)
+        slope = _drag_slopes(model, slopes, N, V, u, mode, moved) if rubs else slopes(model.scene)
         K, C = ca.horzsplit(slope, [0, nq, 2 * nq, model.nx])[:2]
         if any(len(which) and not isinstance(law, Smooth) for law, which in model.scene.string_laws):
             S = ca.mtimes(N, sparse(mech.C_s.T))
             length = type(x).sym("length", 1, S.shape[1])
-            frictionless = replace(model.scene, ground=[_without_friction(ground) for ground in model.scene.grounds])
+            frictionless = with_fields(model.scene, ground=tuple(map(_without_friction, model.scene.grounds)) or None)
             K = ca.substitute(slopes(frictionless, length)[:, :nq], length, ca.sqrt(ca.sum1(S * S)))
         W = M - g * _symmetric(C) - g**2 * _symmetric(K)
         kept = model.constraints(x)
@@ -146,9 +149,9 @@ def _solver(model: Model) -> ca.Function:
         rigid = _RIGID * ca.mmax(ca.diag(W)) * ca.mtimes(G.T, G)
         return W + rigid, ca.mtimes(M + rigid, r)
 
-    sizes = {"x": model.nx, "w": model.nu + sum(count_switches(model)), "g": 1, "r": nq, "moved": 1}
+    sizes = {"x": model.nx, "w": model.nw + sum(count_switches(model)), "g": 1, "r": nq, "moved": 1}
     symbols: list[Any] = [ca.MX.sym(name, size) for name, size in sizes.items()]
-    matrix, rhs = call_as_sx(mech.large, linear, *symbols)
+    matrix, rhs = call_as_sx(model.mechanism.large, linear, *symbols)
     return ca.Function("solver", symbols, [ca.solve(matrix, rhs, "ldl")], list(sizes), ["delta"])
 
 
@@ -174,11 +177,11 @@ class _Dragging(Surface):
 
 
 def _without_friction(ground: Any) -> Surface:
-    frictionless: Surface = replace(ground, friction=None)
+    frictionless: Surface = with_fields(ground, friction=None)
     return frictionless
 
 
-def _drag_slopes(model: Model, slopes: Callable[[Scene], Any], N: Any, V: Any, mode: forces.Mode, moved: Any) -> Any:
+def _drag_slopes(model: Model, slopes: Callable[[Scene], Any], N: Any, V: Any, u: Any, mode: forces.Mode, moved: Any) -> Any:
     """Return `slopes` of the scene with the friction of `_Dragging` in place of the grounds'.
 
     While velocities still move by more than friction is smooth over, its secant from rest stands in for its slope: from a sliding node,
@@ -186,7 +189,7 @@ def _drag_slopes(model: Model, slopes: Callable[[Scene], Any], N: Any, V: Any, m
     """
     grounds: list[Surface] = []
     held: list[tuple[Any, Any]] = []
-    for k, (ground, columns, places) in enumerate(forces.contacts(model.scene, model.mechanism)):
+    for k, (ground, columns, places) in enumerate(forces.contacts(bind(model.scene, u)[0], model.mechanism)):
         frictionless = _without_friction(ground)
         if ground.friction is None:
             grounds.append(ground)
@@ -200,7 +203,7 @@ def _drag_slopes(model: Model, slopes: Callable[[Scene], Any], N: Any, V: Any, m
         symbols = [type(N).sym(f"{name}{k}", value.shape) for name, value in (("drag", drag), ("direction", direction))]
         grounds.append(_Dragging(frictionless, symbols[0], symbols[1], ground.nodes))
         held += zip(symbols, (drag, direction), strict=True)
-    return ca.substitute([slopes(replace(model.scene, ground=grounds))], *(list(side) for side in zip(*held, strict=True)))[0]
+    return ca.substitute([slopes(with_fields(model.scene, ground=tuple(grounds)))], *(list(side) for side in zip(*held, strict=True)))[0]
 
 
 def _symmetric(J: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import Complex, add_work, check_ode, check_relative_tolerance, extent
+from tenscasadi.integrators.scheme import Complex, check_ode, check_relative_tolerance, equations, extent
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import instance, positive_number, whole_number
 
@@ -78,7 +78,7 @@ class Sundials:
         -------
         casadi.Function
             Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x (nx,); with `power` it holds one entry
-            more, the work done, J.
+            more, the work done, J. Below the control, u holds the parameters, if there are any.
 
         Raises
         ------
@@ -103,8 +103,8 @@ class Sundials:
 
     def equations(self, model: Model, power: ca.Function | None) -> dict[str, Any]:
         """Return x, u and ode for CasADi's integrator."""
-        ode = model.ode if power is None else add_work(model.ode, power)
-        x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", model.nu)
+        ode = equations(model, power)
+        x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", model.nw)
         return {"x": x, "u": u, "ode": ode(x, u)}
 
     def algebraic_start(self, model: Model) -> ca.Function | None:
@@ -242,12 +242,13 @@ class Idas(Sundials):
                 f"{type(self).__name__} cannot tell redundant constraints apart, use another scheme, such as Cvodes(): {model.redundancy}"
             )
         kind: Any = ca.MX if mech.large else ca.SX
-        state, u = kind.sym("x", model.nx + (power is not None)), kind.sym("u", model.nu)
+        state, u = kind.sym("x", model.nx + (power is not None)), kind.sym("u", model.nw)
+        mech = model.weighted(u)
         z = kind.sym("z", mech.bars + 3 * mech.joints)
         N, V, time = model.unpack(state[: model.nx])
         lam, Omega = z[: mech.bars].T, ca.reshape(z[mech.bars :], 3, mech.joints)
         B, Bd, active = mech.bar_vectors(N), mech.bar_vectors(V), mech.active_mask
-        F, moved = applied_forces(model, N, V, u, time)
+        F, moved = applied_forces(model, N, V, u, time, mech=mech)
         A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + moved
         stretching = ca.sum1(Bd * Bd) + ca.sum1(B * mech.bar_vectors(A))  # Eq. 28
         gaping = active * (ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2]) + (1 - active) * Omega
@@ -274,6 +275,6 @@ class Idas(Sundials):
         mech = model.mechanism
         if not mech.constrained:
             return None
-        x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
-        lam, Omega = model.multiplier_function(x, u)
+        x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nw)
+        lam, Omega = model.stacked(model.multiplier_function)(x, u)
         return ca.Function("start", [x, u], [ca.vertcat(lam, ca.vec(Omega)[: 3 * mech.joints])])

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, finite_array, listed, node_index, number, positive_number, whole_number
 
@@ -72,7 +73,7 @@ class Surface(ABC):
         contact = self.contact(N)
         depth, outward, _ = contact
         push = self.stiffness * depth
-        if self.damping:
+        if is_expression(self.damping) or self.damping:
             push = push - self.damping * along(outward, V)
             push = ca.fmax(push, 0) if touching is None else push
         push = ca.if_else(depth > 0, push, 0) if touching is None else touching * push  # 1×n

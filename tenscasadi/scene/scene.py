@@ -11,6 +11,8 @@ import numpy as np
 
 from tenscasadi.scene.ground import Surface, checked_grounds
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
+from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, lay_out
+from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.strings import Clip, Control, ForceDensity, RestLength, Slack, read_slack
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.structure.structure import Structure
@@ -49,6 +51,8 @@ class Scene:
         Motion of pinned nodes.
     fractions : sequence of float, shape (segments,), optional
         Shares of each string's length that its segments have; by default equal.
+    parameters : Parameters, optional
+        Quantities whose values are given to each run; by default all are constant.
 
     Raises
     ------
@@ -75,6 +79,7 @@ class Scene:
     slack: Slack | Sequence[Slack] | Mapping[int, Slack] = field(default_factory=Clip)
     supports: SupportMotion | None = None
     fractions: Sequence[float] | None = None
+    parameters: Parameters | None = None
 
     def __post_init__(self) -> None:
         instance("Scene.structure", self.structure, Structure, "a tenscasadi.Structure")
@@ -93,7 +98,9 @@ class Scene:
                 load.check(len(self.structure.nodes))
         if self.supports is not None:
             self.supports.check(self.structure)
-        _ = self.modelled  # subdivides now, so that a fault shows here
+        if self.parameters is not None:
+            instance("Scene.parameters", self.parameters, Parameters, 'tenscasadi.Parameters("stiffness") or None')
+        _ = self.modelled, self.layout  # now, so that a fault shows here
 
     @cached_property
     def modelled(self) -> Structure:
@@ -127,6 +134,31 @@ class Scene:
     def pushing_strings(self) -> Indices:
         """The modelled strings that push where they are shorter than at rest."""
         return self._strings_with("pushes")
+
+    @cached_property
+    def layout(self) -> ParameterLayout:
+        """The vector p that the parameters make, with its nominal values: `Model.parameters`."""
+        return EMPTY if self.parameters is None else lay_out(self, self.parameters)
+
+    def has_parameter(self, name: str) -> bool:
+        """Return whether a quantity is a parameter.
+
+        Parameters
+        ----------
+        name : str
+            Quantity, as `Parameters` names it.
+
+        Returns
+        -------
+        bool
+            Whether p holds it or its scale.
+        """
+        return self.parameters is not None and name in self.parameters
+
+    @property
+    def nu(self) -> int:
+        """Size of the control."""
+        return 0 if self.control is None else len(self.structure.strings)
 
     @property
     def grounds(self) -> tuple[Surface, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -102,6 +102,16 @@ def sample_control(control: ControlInput | ControlProfile, default: Array, t_end
             return SampledControl(steps, t_end, True, lambda first, count: table[np.arange(first, first + count) * intervals // steps])
         value = table.reshape(-1)
     return SampledControl(steps, t_end, False, lambda first, count: np.broadcast_to(value, (count, nu)))
+
+
+def append_constants(inputs: SampledControl, values: Array) -> SampledControl:
+    """Append constants (k,) to the control of each step."""
+
+    def sample(first: int, count: int) -> Array:
+        control = inputs.sample(first, count)
+        return np.concatenate([control, np.broadcast_to(values, (len(control), len(values)))], axis=1)
+
+    return replace(inputs, sample=sample)
 
 
 def cut_steps(inputs: SampledControl, breaks: Array) -> SampledControl:

@@ -52,11 +52,11 @@ def explain_divergence(model: Model, scheme: Scheme, run: Trajectory, last: int)
     limits = []
     for row in (0, last):  # the start first: a state that is about to break has limits of its own
         x, u = run.states[row], run.control[row]
-        limits.append(stable_step(model, x, u, scheme, safety=1.0))
+        limits.append(stable_step(model, x, u, scheme, safety=1.0, parameters=run.parameters))
         if step > limits[-1]:
             return (
                 f"the step {step:g} s is above the stability limit {limits[-1]:.3g} s of {name} at t = {run.time[row]:g} s "
-                f"(fastest rate ω_max = {fastest_rate(model, x, u):.4g} rad/s): try step={0.9 * limits[-1]:.2g}"
+                f"(fastest rate ω_max = {fastest_rate(model, x, u, run.parameters):.4g} rad/s): try step={0.9 * limits[-1]:.2g}"
             )
     limit = min(limits)
     stable = f"is below the stability limit {limit:.3g} s of the linearised motion" if np.isfinite(limit) else f"is stable, as any of {name}"
@@ -72,7 +72,7 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
 
     Its start, its bars, or its energy, as when a correction hides what the step destroys.
     """
-    x, u = run.states[0], run.control[0]
+    x = run.states[0]
     if off := off_constraints(model, x, _OFF):
         return f"; the start is {off}", constraint_violation(model, x) <= _WRONG_START
     growth, limit, when = _find_growth(model, scheme, run)
@@ -91,7 +91,7 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
         # Friction is bounded, so is what its slope at rest amplifies: it only chatters.
         rubs = any(ground.friction is not None for ground in model.scene.grounds)
         return told, rubs or growth <= _LOST_GROWTH
-    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run.step, x, u)}" if found else ""), True
+    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run)}" if found else ""), True
 
 
 def _find_growth(model: Model, scheme: Scheme, run: Trajectory) -> tuple[float, float, float]:
@@ -101,13 +101,14 @@ def _find_growth(model: Model, scheme: Scheme, run: Trajectory) -> tuple[float, 
     steps = max(1.0, float(run.time[-1]) / run.step)
     total, worst = 0.0, (0.0, run.states[0], 0)
     for states, share, rows in _looks(model, run):
-        logs = [log_growth(model, scheme, run.step, x, run.control[row], _SPOKEN_GROWTH / steps) for x, row in zip(states, rows, strict=True)]
+        least = _SPOKEN_GROWTH / steps
+        logs = [log_growth(model, scheme, run.step, x, run.control[row], least, run.parameters) for x, row in zip(states, rows, strict=True)]
         k = int(np.argmax(logs))
         total += logs[k] * max(1.0, share * steps)
         worst = max(worst, (logs[k], states[k], rows[k]), key=lambda item: item[0])
     if total <= _SPOKEN_GROWTH:
         return total, np.inf, 0.0
-    return total, stable_step(model, worst[1], run.control[worst[2]], scheme, safety=1.0), float(run.time[worst[2]])
+    return total, stable_step(model, worst[1], run.control[worst[2]], scheme, safety=1.0, parameters=run.parameters), float(run.time[worst[2]])
 
 
 def _looks(model: Model, run: Trajectory) -> list[tuple[list[Array], float, list[int]]]:
@@ -147,11 +148,12 @@ def _stretched(model: Model, run: Trajectory, states: Array) -> NDArray[np.bool_
     return np.asarray(np.linalg.norm(ends[:, s.strings[:, 1]] - ends[:, s.strings[:, 0]], axis=2) > rest)
 
 
-def _finer(model: Model, scheme: Scheme, step: float, x: Array, u: Array) -> str:
+def _finer(model: Model, scheme: Scheme, run: Trajectory) -> str:
     """Name the cure for a run that is not accurate."""
+    step, x, u = run.step, run.states[0], run.control[0]
     if scheme.adaptive:
         return f"try a smaller {type(scheme).__name__}(rtol)"
-    limit = stable_step(model, x, u, scheme, safety=1.0)
+    limit = stable_step(model, x, u, scheme, safety=1.0, parameters=run.parameters)
     return f"the step is above the stability limit, try step={0.9 * limit:.2g}" if step > limit else "try a smaller step"
 
 

@@ -17,7 +17,7 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction
 from tenscasadi.scene.over_time import OverTime
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.scene.supports import SupportMotion
-from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, cut_steps, sample_control
+from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, append_constants, cut_steps, sample_control
 from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
 from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
 from tenscasadi.simulation.trajectory import Trajectory, first_rows, observe_states, record_trajectory
@@ -43,6 +43,7 @@ def simulate(
     progress: bool = False,
     *,
     energy_balance: bool = True,
+    parameters: Any = None,
 ) -> Trajectory:
     """Simulate the motion of a model from time 0 on.
 
@@ -76,6 +77,9 @@ def simulate(
     energy_balance : bool, optional
         False leaves out the account of the work of damping, contact and control, which takes time; `energy_error` is then NaN where it
         needs that account.
+    parameters : array_like, shape (np,), or mapping of str to array_like, optional
+        Values of the model's parameters (`Scene.parameters`), or of some by name, see `ParameterLayout.values`. One compiled loop serves all
+        values. Default: nominal.
 
     Returns
     -------
@@ -117,8 +121,9 @@ def simulate(
     True
     """
     _check_options(model, scheme, correction, compiled, progress, energy_balance)
-    start = np.array(model.initial_state if state is None else finite_array("state", state, (model.nx,)))
-    inputs = _lay_grid(model, start, t_end, step, scheme, control)
+    p = model.parameters.values(parameters)
+    start = np.array(model.start_at(p) if state is None else finite_array("state", state, (model.nx,)))
+    inputs = _lay_grid(model, start, t_end, step, scheme, control, p)
     every = max(1, -(-inputs.steps // _ROWS)) if save_every is None else whole_number("save_every", save_every, 1)
     power, jumps = energy_balance and model.power is not None, energy_balance and inputs.varies
     built = make_stepper(Task(model, scheme, correction, power, jumps), inputs, compiled)
@@ -132,7 +137,9 @@ def simulate(
     kept = first_rows(recorded, good)
     if correction is not None:
         unknown = scheme.adaptive or inputs.ends is not None
-        shift, added = np.full((2, good), np.nan) if unknown else measure_correction(model, scheme, correction, kept.states, kept.control, kept.step)
+        shift, added = (
+            np.full((2, good), np.nan) if unknown else measure_correction(model, scheme, correction, kept.states, run.controls[:good], kept.step)
+        )
         kept = replace(kept, correction_shift=shift, correction_energy=added)
     attempts, interrupted = run.report.attempts, run.interrupted
     return replace(kept, success=success, message=message + built.note, compiled=built.compiled, attempts=attempts, interrupted=interrupted)
@@ -149,8 +156,10 @@ def _check_options(model: Any, scheme: Any, correction: Any, compiled: Any, prog
         instance(name, flag, bool, "True or False")
 
 
-def _lay_grid(model: Model, start: Array, t_end: float, step: float | None, scheme: Scheme, control: ControlInput | ControlProfile) -> SampledControl:
-    """Choose the steps of a run and sample the control at each."""
+def _lay_grid(
+    model: Model, start: Array, t_end: float, step: float | None, scheme: Scheme, control: ControlInput | ControlProfile, p: Array
+) -> SampledControl:
+    """Choose the steps of a run and sample the control at each, with the parameters p below it."""
     end = positive_number("t_end", t_end)
     if step is None:
         step = end / 100 if scheme.adaptive else 1e-3
@@ -161,7 +170,9 @@ def _lay_grid(model: Model, start: Array, t_end: float, step: float | None, sche
     first = float(start[-1]) if changing else 0.0
     for load in changing:
         _check_functions(load, first, first + end)
-    inputs = sample_control(control, model.initial_control, end, n_steps, isinstance(model.scene.control, RestLength))
+    inputs = sample_control(control, model.control_at(p), end, n_steps, isinstance(model.scene.control, RestLength))
+    if model.np:
+        inputs = append_constants(inputs, p)
     if not changing:
         return inputs
     return cut_steps(inputs, np.concatenate([load.find_breaks(first, first + end, n_steps) for load in changing]) - first)
@@ -216,7 +227,7 @@ def _check_clock(latest: float, step: float) -> None:
 
 def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, every: int, progress: bool) -> _Run:
     """Call `stepper` until the end of the run or its failure; keep each `every`-th state and the last."""
-    kept, rows, controls = _rows_to_keep(inputs.steps, every, len(start), model.nu)
+    kept, rows, controls = _rows_to_keep(inputs.steps, every, len(start), model.nw)
     z, u = start, inputs.window(0, 1)
     rows[0], controls[0], count = z, u[0], 1
     interrupted, failure = False, ""

@@ -176,11 +176,11 @@ class AdaptiveStepper:
     def __init__(self, task: Task, scheme: EmbeddedRungeKutta, function: ca.Function, step: float) -> None:
         self._scheme, self._step, self._calls = scheme, step, 0
         self._nx, self._nz = task.model.nx, function.size1_in(0)
-        self._energy = task.model.energy_function if task.jumps else None
+        self._energy = task.model.stacked(task.model.energy_function) if task.jumps else None
         self._z, self._out = np.zeros(self._nz), np.zeros((1, task.model.nx + (task.power or task.jumps)))
         self._memory = np.zeros(len(Memory._fields))
         self._memory[_STEP] = step
-        self._u, self._next_u = np.zeros(task.model.nu), np.zeros(task.model.nu)
+        self._u, self._next_u = np.zeros(task.model.nw), np.zeros(task.model.nw)
         self._limits = np.array(Limits(step, *scheme.tolerances(task.model)))
         self._buffer: Any
         self._buffer, self._trigger = function.buffer()
@@ -245,12 +245,12 @@ class SundialsStepper:
         model, correction = task.model, task.correction
         if model.nx == 0:
             raise ValueError(f"{type(scheme).__name__} needs something that can move: this scene has no free node")
-        power = model.power if task.power else None
+        power = model.stacked(model.power) if task.power and model.power is not None else None
         self._every = 1 if correction is None else correction.every
         self.steps = self._every * max(1, _SUNDIALS_STEPS // self._every)
         self._model, self._scheme = model, scheme
         self._project = None if correction is None else correction.step(model)
-        self._energy = model.energy_function if task.jumps else None
+        self._energy = model.stacked(model.energy_function) if task.jumps else None
         self._extra = task.jumps and power is None  # an entry for the energy supplied that the integrator does not know
         self._integrators: dict[int, ca.Function] = {}  # by the steps of a call: none goes on past the end of the run
         self._equations = scheme.equations(model, power)
@@ -295,7 +295,8 @@ class SundialsStepper:
         """Correct states (k, nx or more) in place."""
         if self._project is not None:
             nx = self._model.nx
-            rows[:, :nx] = self._project(rows[:, :nx].T).full().T
+            p = self._controls[0, self._model.nu :]
+            rows[:, :nx] = self._project(rows[:, :nx].T, *([np.tile(p[:, None], len(rows))] if len(p) else [])).full().T
 
     def _run(self, start: Array, controls: Array) -> Array:
         steps = len(controls)

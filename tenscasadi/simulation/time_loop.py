@@ -9,7 +9,7 @@ from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.scheme import Scheme
-from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.integrators.stabilization import Correction, correct
 
 _BASE = 32  # calls in a row at each level of nesting: code and work space grow like the logarithm of the steps
 _LONGEST = 1024  # steps a call; beyond this the cost of a call no longer shows
@@ -29,7 +29,7 @@ def block_steps(model: Model, every: int) -> int:
 
 
 def chunk_function(model: Model, scheme: Scheme, correction: Correction | None, power: bool, jumps: bool, steps: int) -> ca.Function:
-    """Chain `steps` steps: Function "chunk" (z, h (1, steps), u (nu, steps)[, u_next (nu, steps)]) -> z after each step (nz, steps).
+    """Chain `steps` steps: Function "chunk" (z, h (1, steps), u (nw, steps)[, u_next (nw, steps)]) -> z after each step (nz, steps).
 
     z is the state x; with `power` or `jumps`, one entry more: the energy in joule supplied to the model up to then by forces outside
     `model.energy` (`power`), and by changes of the control from u to u_next at the end of a step (`jumps`). With `jumps` there is
@@ -48,18 +48,18 @@ def chunk_function(model: Model, scheme: Scheme, correction: Correction | None, 
 def _advance(model: Model, scheme: Scheme, project: ca.Function | None, power: bool, jumps: bool) -> ca.Function:
     """Write one step, then the projection, then the account of the energy supplied."""
     nz = model.nx + (power or jumps)
-    z, h, u, u_next = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("u", model.nu), ca.MX.sym("u_next", model.nu)
+    z, h, u, u_next = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("u", model.nw), ca.MX.sym("u_next", model.nw)
     own = {"tolerance": ca.MX.sym("tolerance")} if isinstance(scheme, Collocation) else {}
     build = scheme.advance_within if isinstance(scheme, Collocation) else scheme.advance
     if power and model.power is not None:
-        end = build(model, model.power)(z, u, h, *own.values())
+        end = build(model, model.stacked(model.power))(z, u, h, *own.values())
     else:
         end = ca.vertcat(build(model)(z[: model.nx], u, h, *own.values()), z[model.nx :])
     x, supplied = end[: model.nx], end[model.nx :]
     if project is not None:
-        x = project(x)
+        x = correct(model, project, x, u)
     if jumps:
-        energy = model.energy_function
+        energy = model.stacked(model.energy_function)
         supplied = supplied + energy(x, u_next) - energy(x, u)
     inputs = {"z": z, "h": h, "u": u} | ({"u_next": u_next} if jumps else {}) | own
     return ca.Function("advance", list(inputs.values()), [ca.densify(ca.vertcat(x, supplied))], list(inputs), ["z_next"])

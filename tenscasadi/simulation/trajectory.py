@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
@@ -77,6 +78,8 @@ class Trajectory(ReadOnlyArrays):
         Number of steps computed, with those that the control of the error rejected or took to locate events; 0 where they were not counted.
     interrupted : bool
         Whether the run was interrupted from the keyboard.
+    parameters : ndarray, shape (np,)
+        Values of the model's parameters.
 
     See Also
     --------
@@ -117,6 +120,7 @@ class Trajectory(ReadOnlyArrays):
     compiled: Annotated[bool, "", "b"]
     attempts: Annotated[int, "", "i"] = 0
     interrupted: Annotated[bool, "", "b"] = False
+    parameters: Annotated[Array, "q", "f"] = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         _check({field.name: getattr(self, field.name) for field in fields(self)})
@@ -229,20 +233,22 @@ class Trajectory(ReadOnlyArrays):
         for field in fields(Trajectory):
             if field.name in content:
                 given[field.name] = _as_array(field.name, content[field.name])
-            elif field.default is MISSING:
-                raise ValueError(f"it has no field {field.name!r}")
-            else:
+            elif field.default is not MISSING:
                 given[field.name] = np.asarray(field.default)
+            elif field.default_factory is not MISSING:
+                given[field.name] = field.default_factory()
+            else:
+                raise ValueError(f"it has no field {field.name!r}")
         _check(given)
         _check_values(given)
         return Trajectory(**{name: value.item() if value.ndim == 0 else value for name, value in given.items()})
 
 
 def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Array]:
-    """Evaluate `model.observe` on states (T, nx) and controls (T, nu): its outputs by name, each (T, size)."""
+    """Evaluate `model.observe` on states (T, nx) and controls (T, nw), with the parameters: its outputs by name, each (T, size)."""
     rows = len(states)
-    mapped = model.observe.map(rows)
-    results = mapped.call([ca.DM(states.T), ca.DM(controls.T) if model.nu else ca.DM(0, rows)])
+    mapped = model.stacked(model.observe).map(rows)
+    results = mapped.call([ca.DM(states.T), ca.DM(controls.T) if model.nw else ca.DM(0, rows)])
     return {name: result.full().T.copy() for name, result in zip(model.observe.name_out(), results, strict=True)}
 
 
@@ -258,7 +264,7 @@ def record_trajectory(
     supplied: Array | float = np.nan,
     seconds: float = 0.0,
 ) -> Trajectory:
-    """Compute all that a trajectory tells of states (T, nx) under controls (T, nu) at `time` (T,).
+    """Compute all that a trajectory tells of states (T, nx) under controls (T, nw) at `time` (T,); below the control these hold parameters.
 
     supplied: energy given to the model since the start, J, a number or (T,), NaN: not known. The rest as in `Trajectory`.
     """
@@ -280,7 +286,8 @@ def record_trajectory(
         correction_shift=np.zeros(rows),
         correction_energy=np.zeros(rows),
         states=states.copy(),
-        control=controls,
+        control=controls[:, : model.nu],
+        parameters=controls[0, model.nu :].copy(),
         bars=model.structure.bars,
         strings=model.structure.strings,
         pinned=np.array(sorted(model.structure.pinned), dtype=np.intp),

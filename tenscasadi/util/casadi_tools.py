@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
+from operator import matmul
 from typing import Any
 
 import casadi as ca
@@ -42,16 +44,32 @@ def call_as_sx(large: bool, function: Callable[..., tuple[Any, ...]], *arguments
     return tuple(ca.Function("scalar", symbols, ca.cse([ca.SX(value) for value in function(*symbols)])).call(inputs))
 
 
-def sparse(matrix: Any) -> ca.DM:
-    """Return a matrix of SciPy or NumPy as a sparse one of CasADi."""
+def is_expression(value: Any) -> bool:
+    """Say whether `value` is CasADi's, not an array."""
+    return isinstance(value, (ca.SX, ca.MX, ca.DM))
+
+
+def product(*factors: Any) -> Any:
+    """Return the product of sparse matrices: SciPy's without entries that are rounding, CasADi's where one factor is."""
+    if not any(is_expression(factor) for factor in factors):
+        return drop_rounding(reduce(matmul, factors))
+    return reduce(ca.mtimes, map(sparse, factors))
+
+
+def sparse(matrix: Any) -> Any:
+    """Return a matrix of SciPy or NumPy as a sparse one of CasADi; what is CasADi's as it is."""
+    if is_expression(matrix):
+        return matrix
     csc = sp.csc_array(matrix)
     csc.sort_indices()
     rows, columns = csc.shape
     return ca.DM(ca.Sparsity(rows, columns, csc.indptr.tolist(), csc.indices.tolist()), csc.data)
 
 
-def constant_row(values: Any) -> ca.DM:
-    """Return constants (k,) as 1×k, or as 1×1 where all are the same: that is shorter code, and less memory to read."""
+def constant_row(values: Any) -> Any:
+    """Return constants (k,) as 1×k, or as 1×1 where all are the same: that is shorter code, and less memory to read. Expressions stay."""
+    if is_expression(values):
+        return values
     return ca.DM(values[0]) if len(values) and np.ptp(values) == 0 else ca.DM(values).T
 
 
@@ -99,8 +117,44 @@ def drop_rounding(matrix: Any) -> sp.csr_array:
     return result
 
 
-def is_diagonal(matrix: sp.csr_array) -> bool:
+def numbered(matrix: Any) -> sp.csr_array:
+    """Return SciPy's sparse matrix as it is, and of a CasADi matrix the pattern: each entry is its place among the nonzeros, from 1 on."""
+    if not is_expression(matrix):
+        return sp.csr_array(matrix)
+    row, column = matrix.sparsity().get_triplet()
+    return sp.csr_array((np.arange(1, len(row) + 1), (row, column)), shape=matrix.shape)
+
+
+def entries_at(matrix: Any, rows: Any, columns: Any) -> Any:
+    """Return the entries of a sparse matrix at these places as a CasADi column, 0 where none is stored."""
+    found = np.asarray(numbered(matrix)[rows, columns]).ravel()
+    if not is_expression(matrix):
+        return ca.DM(found)
+    return ca.vertcat(0, matrix.nz[:])[found.tolist()]
+
+
+def multiplied_rows(matrix: Any, one: Any, other: Any) -> Any:
+    """Return the products of rows `one` and `other` of a sparse matrix, entry by entry, as a sparse CasADi matrix (rows × columns)."""
+    index = numbered(matrix)
+    if not is_expression(matrix):
+        return sparse(index[one, :].multiply(index[other, :]))
+    both = sp.csc_array(index[one, :].multiply(index[other, :]))
+    both.sort_indices()
+    row, column = both.indices, np.repeat(np.arange(both.shape[1]), np.diff(both.indptr))
+    factors = [matrix.nz[:][(np.asarray(index[np.asarray(rows)[row], column]).ravel() - 1).tolist()] for rows in (one, other)]
+    pattern = ca.Sparsity(*both.shape, both.indptr.tolist(), both.indices.tolist())
+    return matrix_with_pattern(pattern, factors[0] * factors[1])
+
+
+def diagonal_row(matrix: Any) -> Any:
+    """Return the diagonal of a matrix as 1×n, or as 1×1 where it is constant and all the same."""
+    return ca.diag(matrix).T if is_expression(matrix) else constant_row(matrix.diagonal())
+
+
+def is_diagonal(matrix: Any) -> bool:
     """Say whether nothing is stored off the diagonal."""
+    if is_expression(matrix):
+        return bool(matrix.sparsity().is_diag())
     coo = sp.coo_array(matrix)
     return bool(np.all(coo.row == coo.col))
 

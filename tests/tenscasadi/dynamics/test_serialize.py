@@ -67,6 +67,7 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Scene.pressure": lambda: model(pressure=tc.Pressure([(0, 1, 2)], 3.0)),
     "Scene.forces": lambda: model(forces=tc.NodalForce(np.ones((5, 3)))),
     "Scene.forces.times": lambda: model(forces=tc.NodalForce(np.arange(30.0).reshape(2, 5, 3), times=[0, 0.5])),
+    "Scene.parameters": lambda: model(parameters=tc.Parameters("bar_mass", scale=["stiffness"], groups={"bar_mass": "all"})),
     "Scene.slack": lambda: model(slack=tc.Smooth(0.01)),
     "Scene.slack.laws": lambda: model(slack={0: tc.Linear(), 1: tc.Smooth(0.1), 2: tc.Clip("unclamped")}),
     "Model.coordinates": lambda: model("reduced"),
@@ -97,8 +98,9 @@ def test_a_model_comes_back_and_is_told_from_others(name):
     assert name in find_differences(content, model())
     state = own.initial_state + 1e-3 * np.random.default_rng(0).normal(size=own.nx)
     control = np.arange(own.nu) + 10.0
+    given = [state, control, 1.1 * own.parameters.nominal] if own.np else [state, control]
     for function in ("ode", "observe"):
-        for value, expected in zip(*(getattr(one, function).call([state, control]) for one in (again, own)), strict=True):
+        for value, expected in zip(*(getattr(one, function).call(given) for one in (again, own)), strict=True):
             assert np.array_equal(value.full(), expected.full())
     assert again.structure.pinned == own.structure.pinned
 

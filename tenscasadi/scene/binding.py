@@ -1,0 +1,112 @@
+"""A scene whose constants are expressions of its parameters: what force laws read in place of numbers."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+Value = TypeVar("Value")
+
+
+def with_fields(value: Value, **fields: Any) -> Value:
+    """Return a copy of a frozen value in which some fields are other ones, which are not checked: expressions of CasADi's in place of numbers."""
+    new = copy.copy(value)
+    for name, field in fields.items():
+        object.__setattr__(new, name, field)
+    return new
+
+
+def bind(scene: Any, w: Any) -> tuple[Any, Any]:
+    """Return the scene with expressions of the parameters in w = (u, p) as its constants, and the control u; itself and w where it has none.
+
+    Strings' quantities are then rows (1×α, or 1×1) of the modelled strings. The scene that comes back has no parameters left.
+    """
+    if scene.parameters is None:
+        return scene, w
+    nu, layout = scene.nu, scene.layout
+    p = w[nu:]
+    changes: dict[str, Any] = {"parameters": None}
+    items = layout.quantities
+    s = scene.modelled
+    own, fraction, parent = {}, s.string_fraction, s.string_parent
+    for name in items.keys() & {"stiffness", "damping", "rest_length"}:
+        share = fraction if name == "rest_length" else 1 / fraction
+        onto_segments = sp.csr_array((share, (np.arange(len(parent)), parent)), shape=(len(parent), len(items[name].constant)))
+        own[name] = items[name].then(onto_segments).expression(p).T
+    if own:
+        changes["modelled"] = _with_attributes(s, own)
+    on_grounds = {name.removeprefix("ground_"): _column(affine, p) for name, affine in items.items() if name.startswith("ground_")}
+    if on_grounds:
+        changes["ground"] = tuple(_bind_ground(ground, k, on_grounds) for k, ground in enumerate(scene.grounds))
+    for name in items.keys() & {"gravity", "pressure", "forces"}:
+        values = _column(items[name], p)
+        load = getattr(scene, name)
+        if name in scene.parameters.scale:
+            changes[name] = _Scaled(load, values)
+        else:
+            changes[name] = {"gravity": _Weight, "forces": _Pushes}[name](values) if name != "pressure" else with_fields(load, difference=values)
+    return with_fields(scene, **changes), w[:nu]
+
+
+def _bind_ground(ground: Any, k: int, values: dict[str, Any]) -> Any:
+    """Return ground k with its entries of `values` (grounds×1); one that has been made frictionless stays so."""
+    return with_fields(ground, **{name: value[k] for name, value in values.items() if getattr(ground, name, None) is not None})
+
+
+def _column(affine: Any, p: Any) -> Any:
+    value = affine.expression(p)
+    return value if value.shape[0] == len(affine.constant) else ca.repmat(value, len(affine.constant), 1)
+
+
+def _with_attributes(structure: Any, attributes: dict[str, Any]) -> Any:
+    new = copy.copy(structure)
+    new.__dict__.update(attributes)
+    return new
+
+
+class _Scaled:
+    """A load times a factor."""
+
+    def __init__(self, load: Any, factor: Any) -> None:
+        self._load, self._factor, self.varies = load, factor, load.varies
+
+    def at(self, time: Any) -> Any:
+        return self._factor * self._load.at(time)
+
+    def forces(self, *arguments: Any) -> Any:
+        return self._factor * self._load.forces(*arguments)
+
+    def energy(self, *arguments: Any) -> Any:
+        return self._factor * self._load.energy(*arguments)
+
+
+class _Weight:
+    """Constant gravity whose acceleration (3×1) is an expression."""
+
+    varies = False
+
+    def __init__(self, acceleration: Any) -> None:
+        self._acceleration = acceleration
+
+    def at(self, time: Any) -> Any:
+        return self._acceleration
+
+    def forces(self, node_weight: Any, time: Any = 0) -> Any:
+        return ca.mtimes(self._acceleration, ca.DM(node_weight).T)
+
+    def energy(self, N: Any, node_weight: Any) -> Any:
+        return -ca.sum1(ca.sum2(N * self.forces(node_weight)))
+
+
+class _Pushes:
+    """Constant forces on nodes (3n×1) that are expressions."""
+
+    def __init__(self, values: Any) -> None:
+        self._values = values
+
+    def forces(self, time: Any) -> Any:
+        return ca.reshape(self._values, 3, self._values.shape[0] // 3)
