@@ -103,7 +103,7 @@ def draw(rows: list[Row], path: Path, instants: int = 5) -> None:
     for ax, row in zip(np.ravel(figure.subplots(len(rows), 1, sharex=True)), rows, strict=True):
         angle, motion = np.radians(row.slope), row.motion
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # from the ground's axes to the level
-        ground = turn @ [[-0.8, 3.2], [0.0, 0.0]]
+        ground = turn @ [[-0.8, 3.6], [0.0, 0.0]]
         ax.fill_between(ground[0], ground[1], ground[1] - 0.15, color="0.9")
         shots = np.linspace(0, len(motion.time) - 1, instants).astype(int)
         for shade, shot in zip(np.linspace(0.25, 1.0, instants), shots, strict=True):
@@ -113,7 +113,7 @@ def draw(rows: list[Row], path: Path, instants: int = 5) -> None:
         centre = motion.nodes.mean(axis=1)[:, [0, 2]] @ turn.T
         ax.plot(*centre.T, color="tab:red", lw=1.2, label="way of the centre")
         ax.set(aspect="equal", ylabel="z (m)", title=f"{row.slope:g}°: {row.ahead:.2f} m in {motion.time[-1]:g} s")
-        ax.set_xlim(-0.7, 3.1)
+        ax.set_xlim(-0.7, 3.5)
     ax.set_xlabel("x (m)")
     ax.legend(loc="upper left", fontsize=9, frameon=False)
     figure.suptitle("six-bar ball, steered by sampled motions; shown at equal intervals of time, later is darker")

@@ -18,6 +18,7 @@ from numpydoc.validate import validate
 
 import ocp
 import tenscasadi
+from ocp.plan.planned_forces import PlannedForces
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"tenscasadi": tenscasadi, "ocp": ocp}
@@ -42,7 +43,8 @@ def faults(name: str, codes: set[str]) -> list[str]:
 
 
 def methods(name: str, cls: type) -> Iterator[str]:
-    for own, value in vars(cls).items():
+    inherited = vars(PlannedForces) if cls is ocp.Plan else {}
+    for own, value in {**inherited, **vars(cls)}.items():
         if not own.startswith("_") and (inspect.isfunction(value) or isinstance(value, (classmethod, staticmethod))):
             yield f"{name}.{own}"
 

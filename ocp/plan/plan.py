@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ocp.boundary.target import Target
 from ocp.plan.mesh_refinement import refine_mesh
+from ocp.plan.planned_forces import PlannedForces
 from ocp.plan.report import Report, report_of
 from ocp.plan.serialize import FORMAT, plan_arrays, plan_fields, rebuilt
 from ocp.problem.problem import Problem
@@ -25,20 +25,19 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.serialize import find_differences
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.scene.strings import rest_length
 from tenscasadi.simulation.control_input import ControlProfile
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import archive
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, flag, instance, nonnegative, per_item, positive_number, whole_number
+from tenscasadi.util.validate import Array, instance, positive_number, whole_number
 
 REPLAY_STEPS = 10  # steps of a replay for one interval of the plan
 
 
 @dataclass(frozen=True, eq=False)
-class Plan(ReadOnlyArrays):
+class Plan(PlannedForces, ReadOnlyArrays):
     """Force densities over time, the motion that they cause, and how far its replay ends from the goals.
 
     `solve` returns one; also where no plan was found: it then holds the best that there is, and says why.
@@ -130,83 +129,6 @@ class Plan(ReadOnlyArrays):
             f"tension       {tension.min():.4g} … {tension.max():.4g} N\n"
             f"replay        ends {self.replay_error:.2g} m and {self.replay_speed_error:.2g} m/s from the goal"
         )
-
-    @property
-    def linear(self) -> bool:
-        """Whether force densities are given at the nodes of the mesh, and linear between them."""
-        return len(self.force_density) == len(self.time)
-
-    def lengths(self) -> Array:
-        """Return the distances between the ends of each string.
-
-        Returns
-        -------
-        ndarray, shape (K + 1, α)
-            Lengths at the nodes of the mesh, m.
-        """
-        ends = self.trajectory.nodes[:, self.structure.strings]
-        return np.asarray(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2))
-
-    def tension(self, end: bool = False) -> Array:
-        """Return the tensions of the strings, force density times length.
-
-        Parameters
-        ----------
-        end : bool
-            Whether to take them at the end of each interval, instead of at its start.
-
-        Returns
-        -------
-        ndarray, shape (K, α)
-            Tensions, N.
-        """
-        flag("end", end)
-        instants, gamma = slice(1, None) if end else slice(-1), self.force_density
-        return np.asarray((gamma[instants] if self.linear else gamma) * self.lengths()[instants])
-
-    def bar_forces(self) -> Array:
-        """Return the forces of the bars at the start of each interval, λ ‖b‖ (Eqs. 46, 87).
-
-        Returns
-        -------
-        ndarray, shape (K, β)
-            Forces, N, positive in compression.
-
-        Raises
-        ------
-        ValueError
-            The model is not known.
-        """
-        model, count = self.known_model("bar_forces"), len(self.time) - 1
-        lam = model.multiplier_function.map(count)(self.trajectory.states[:-1].T, self.force_density[:count].T)[0]
-        ends = self.trajectory.nodes[:-1, self.structure.bars]
-        return np.asarray(np.asarray(lam.full()).T * np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2))
-
-    def rest_lengths(self, stiffness: ArrayLike | None = None) -> Array:
-        """Return the rest lengths of elastic strings that pull as planned, s (1 − γ/k) (Eq. 99, without damping).
-
-        Parameters
-        ----------
-        stiffness : array_like, scalar or shape (α,), optional
-            Stiffness k, N/m. Default: the structure's.
-
-        Returns
-        -------
-        ndarray, shape (K, α) or (K + 1, α)
-            Rest lengths, m, at the start of each interval; at all nodes of the mesh where force densities are linear.
-
-        Raises
-        ------
-        ValueError
-            The force density of a string reaches its stiffness; the message names it.
-        """
-        k = per_item("stiffness", self.structure.stiffness if stiffness is None else stiffness, self.force_density.shape[1])
-        nonnegative("stiffness", k, "string")
-        largest = self.force_density.max(axis=0)
-        if np.any(soft := (largest > 0) & (largest >= k)):
-            i = int(np.argmax(soft))
-            raise ValueError(f"stiffness of string {i} is {k[i]:g} N/m: it must exceed its force density, up to {largest[i]:g} N/m in this plan")
-        return rest_length(self.force_density, self.lengths()[: len(self.force_density)], k)
 
     def replay(self, scheme: Scheme | None = None, step: float | None = None) -> Trajectory:
         """Simulate the motion under the planned force densities, from the plan's start, without corrections.
