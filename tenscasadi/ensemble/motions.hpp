@@ -1,5 +1,5 @@
 // Motions through time, LANES at once. Around it stand: lanes.hpp, sizes, and CasADi's code of
-//   motion_step (z, w, h) -> z after a step          motion_project (x) -> x on its bars and joints
+//   motion_step (z, w, h) -> z after a step          motion_project (x, w) -> x on its bars and joints
 //   motion_measure (x, w) -> M errors and energies   motion_energy (x, w) -> total energy
 //   motion_stage (x, w) -> cost rate of an interval  motion_final (x, w) -> cost of the end
 // z is the state x and, with WORK, the energy supplied. Those that a kernel does not have are not called.
@@ -133,7 +133,7 @@ static int advance(const Request &q, Room &room, double length, bool correct) {
 #ifdef PROJECT
   if (correct) {
     lanes *x = room.z;
-    if (EVALUATE(motion_project, room.after, 0, 0, x)) return 1;
+    if (EVALUATE(motion_project, room.after, room.w, 0, x)) return 1;
     for (int i = NX; i < NX + WORK; ++i) x[i] = room.after[i];
     return 0;
   }

@@ -121,7 +121,7 @@ class _Block:
     def _advance(self, length: float, step: int) -> None:
         self.z = self.engine.evaluate("motion_step", self.z, self.w, np.full((len(self.z), 1), length)).copy()
         if self.q["correct_every"] and step % self.q["correct_every"] == 0:
-            self.z[:, : self.sizes["NX"]] = self.engine.evaluate("motion_project", self._x)
+            self.z[:, : self.sizes["NX"]] = self.engine.evaluate("motion_project", self._x, self.w)
 
     def _mark(self, codes: NDArray[Any], step: int) -> None:
         new = (self.status == FINISHED) & (codes != FINISHED)

@@ -9,7 +9,7 @@ import casadi as ca
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
 from tenscasadi.integrators.scheme import Scheme, add_work, check_scheme
-from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.integrators.stabilization import Correction, held_correction
 from tenscasadi.integrators.tableaux import Tableau
 
 
@@ -39,7 +39,7 @@ def write_program(
         step = _with_account("motion_ode", ode if power is None else add_work(ode, power), model.nx, jumps and power is None)
     functions = {step.name(): step}
     nw = max([step.size1_in(1), *(cost.size1_in(1) for cost in (stage, final) if cost is not None)])
-    project = None if correction is None else correction.step(model)
+    project = None if correction is None else held_correction(model, correction)
     for name, function in (("motion_project", project), ("motion_stage", stage), ("motion_final", final)):
         if function is not None:
             functions[name] = function

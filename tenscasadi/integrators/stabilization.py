@@ -213,6 +213,17 @@ def _correcting(name: str, x: Any, p: Any, result: Any, what: str) -> ca.Functio
     return ca.Function(name, list(inputs.values()), [result], list(inputs), [what])
 
 
+def held_correction(model: Model, correction: Correction) -> ca.Function | None:
+    """Return a correction's Function in the form (x, w) → x, w (nw) the control and below it the parameters; None where there is nothing to keep."""
+    project = correction.step(model)
+    if project is None:
+        return None
+    kind: Any = ca.SX if project.is_a("SXFunction") else ca.MX
+    x, w = kind.sym("x", model.nx), kind.sym("w", model.nw)
+    inputs = [x, w[model.nu :]] if model.np else [x]
+    return ca.Function(project.name(), [x, w], project.call(inputs, True, False), ["x", "w"], project.name_out())
+
+
 def correct(model: Model, project: ca.Function, x: Any, w: Any) -> Any:
     """Return the state x (nx) moved by a correction's Function: that of `Correction.step`; w (nw): control, and below it parameters."""
     return project(x, w[model.nu :]) if model.np else project(x)

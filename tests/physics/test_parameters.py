@@ -5,6 +5,7 @@ import pytest
 
 import tenscasadi as tc
 import tenscasadi.util.compile as compiling
+from tenscasadi.ensemble.kernel import build_kernel
 
 STRINGS = "stiffness", "damping", "rest_length"
 GROUND = "ground_stiffness", "ground_damping", "ground_friction"
@@ -104,3 +105,13 @@ def test_one_compiled_code_serves_all_values(monkeypatch):
     runs = [tc.simulate(model, 0.01, compiled=True, parameters={"stiffness": k, "bar_mass": m}) for k, m in ((900, 1), (1000, 2), (1100, 0.5))]
     assert len(model.functions) == built
     assert len({run.energy[0] for run in runs}) == 3
+
+
+def test_many_motions_side_by_side_are_those_of_simulate():
+    model = tc.Model(tc.Scene(prism(), parameters=tc.Parameters("stiffness", "bar_mass", "node_mass"), gravity=tc.Gravity()))
+    values = model.parameters.nominal * np.random.default_rng(0).uniform(0.9, 1.1, (3, model.np)) + 0.01
+    kernel = build_kernel(model, tc.RungeKutta4(), tc.Projection())
+    found = kernel(model.initial_state[None], values[:, None, :], 1e-3, 50)
+    for row, p in zip(found.states, values, strict=True):
+        run = tc.simulate(model, 0.05, 1e-3, correction=tc.Projection(), parameters=p, compiled=False)
+        np.testing.assert_allclose(row, run.states[-1], rtol=0, atol=1e-12)
