@@ -127,7 +127,7 @@ class _Finder:
         """Keep of a change of y what moves nodes; where none is pinned, relative to their mean."""
         nq = self.problem.model.nq
         result = np.where(np.arange(len(step)) < nq, step, 0.0)
-        if not self.problem.model.structure.fixed.any():
+        if not self.problem.model.structure.held.any():
             result[:nq] -= np.tile(step[:nq].reshape(-1, 3).mean(axis=0), nq // 3)
         return result
 

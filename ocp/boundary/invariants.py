@@ -61,7 +61,7 @@ def _constraints(model: Model, x: Any) -> list[Rows]:
         groups.append(Rows(ca.vertcat(rows.bars, rows.bar_rates), 2 * names, ("m",) * mech.bars + ("m/s",) * mech.bars, "bar"))
     if mech.joints:
         held = np.flatnonzero(mech.active.T.ravel()).tolist()
-        names = tuple(f"joint {k // 3} holds along {AXES[k % 3]}" for k in held)
+        names = tuple(f"joint {k // 3} holds along {AXES[k % 3] if mech.frames is None else f'direction {k % 3}'}" for k in held)
         groups.append(Rows(ca.vertcat(rows.joints, rows.joint_rates), 2 * names, ("m",) * len(held) + ("m/s",) * len(held), "joint"))
     return groups
 
@@ -105,7 +105,7 @@ def bodies(structure: Structure, gravity: Array) -> list[Body]:
     for k, moving in enumerate(groups):
         touching = np.unique(held[np.isin(held, moving).any(axis=1)])
         nodes = np.union1d(moving, touching[pinned[touching]])
-        along, rotations = free_motions(structure.nodes[nodes], structure.fixed[nodes], gravity)
+        along, rotations = free_motions(structure.nodes[nodes], structure.held[nodes], gravity)
         found.append(Body(moving, along, rotations, f" of body {k}" if len(groups) > 1 else ""))
     return found
 

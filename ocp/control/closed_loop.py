@@ -172,7 +172,7 @@ def _check_plant(plant: Any, believed: Model) -> None:
     if not isinstance(plant.scene.control, ForceDensity):
         raise ValueError(f"model has the control {plant.scene.control}: give a model of Scene(..., control=ForceDensity())")
     own, other = plant.structure, believed.structure
-    same = np.array_equal(own.strings, other.strings) and np.array_equal(own.fixed, other.fixed)
+    same = np.array_equal(own.strings, other.strings) and np.array_equal(own.fixed, other.fixed) and own.rollers == other.rollers
     if not same or plant.nu != believed.nu or plant.nq != believed.nq:
         raise ValueError("model has other nodes, pins or strings than the controller's: give one with the same")
 

@@ -16,7 +16,7 @@ def departures(model: Model, place: float, speed: float) -> ca.Function:
     Coordinates and velocities; of free structures, which may drift and turn, distances between nodes and their rates.
     """
     x = ca.SX.sym("x", model.nx)
-    if model.scene.structure.fixed.any() or model.scene.ground is not None:
+    if model.scene.structure.held.any() or model.scene.ground is not None:
         q, v, _ = model.split(x)
     else:
         N = model.nodes(x)

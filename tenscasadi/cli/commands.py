@@ -107,7 +107,7 @@ def run_info(arguments: argparse.Namespace) -> int:
     scene = chosen.scene()
     model, s = Model(scene), scene.structure
     print(f"{arguments.shape}: {chosen.text}")
-    print(f"nodes         {len(s.nodes)}, pinned: {', '.join(map(str, s.pinned)) or 'none'}")
+    print(f"nodes         {len(s.nodes)}, pinned: {', '.join(map(str, sorted({*s.pinned, *s.rollers}))) or 'none'}")
     print(f"bars          {len(s.bars)}, lengths {_range(s.bar_lengths)} m, mass {s.bar_mass.sum():g} kg in all")
     print(
         f"strings       {len(s.strings)}" + (f", lengths {_range(s.string_lengths)} m, stiffness {_range(s.stiffness)} N/m" if len(s.strings) else "")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lstsq, null_space
 from scipy.optimize import nnls
+from scipy.sparse import block_diag, csr_array
 
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
@@ -102,8 +103,8 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
     pushes = item_mask("pushing", pushing, alpha, "string")
     least = np.where(pushes, 0.0, nonnegative("minimum", per_item("minimum", minimum, alpha), "string"))
     load = np.zeros(structure.nodes.shape) if loads is None else finite_array("loads", loads, structure.nodes.shape)
-    free = ~structure.fixed.ravel()
-    w = load.ravel()[free]
+    directions = _free_directions(structure)
+    w = directions.T @ load.ravel()
     balance = _balance(structure)
     A = balance[:, :alpha]
     # the bars take whatever acts along them: what is left is balanced by strings alone
@@ -113,8 +114,7 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
 
     extra, residual = _balancing(E, f - E @ least, pushes)
     if residual > TOLERANCE * force:
-        left = np.zeros(structure.nodes.size)
-        left[free] = Q.T @ (f - E @ (least + extra))
+        left = directions @ (Q.T @ (f - E @ (least + extra)))
         raise _no_equilibrium(left.reshape(-1, 3), least[~pushes], residual)
     gamma = _least_norm(E, f, least, ~pushes)
     if gamma is None or np.linalg.norm(E @ gamma - f) > max(10.0 * residual, TOLERANCE * force):
@@ -130,7 +130,15 @@ def _balance(structure: Structure) -> Array:
         C = connectivity(pairs, n).toarray()
         vectors = C @ structure.nodes
         columns.append(sign * np.einsum("mn,mx->nxm", C, vectors).reshape(3 * n, len(pairs)))
-    return np.concatenate(columns, axis=1)[~structure.fixed.ravel()]
+    return np.asarray(_free_directions(structure).T @ np.concatenate(columns, axis=1))
+
+
+def _free_directions(structure: Structure) -> csr_array:
+    """Return an orthonormal basis (3n × free coordinates) of the displacements that pins and rollers allow."""
+    blocks = [np.eye(3)[:, ~fixed] for fixed in structure.fixed]
+    for node, normals in structure.rollers.items():
+        blocks[node] = null_space(np.array(normals))
+    return csr_array(block_diag(blocks))
 
 
 def _balancing(A: Array, b: Array, free: NDArray[np.bool_]) -> tuple[Array, float]:

@@ -65,14 +65,18 @@ def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
     if not mech.joints:
         return _reduced_matrix(mech, B), -r.T
     h = _bar_scale(mech, B)
-    rhs = (ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(mech.K.T)) - R) * mech.active_mask  # 3×c
-    return _joint_matrix(mech, B / ca.repmat(ca.sqrt(h), 3, 1)), ca.vec(rhs)
+    rhs = mech.along_held(ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(mech.K.T)) - R)  # 3×c
+    matrix = _joint_matrix(mech, B / ca.repmat(ca.sqrt(h), 3, 1))
+    if mech.frames is None:
+        return matrix, ca.vec(rhs)
+    directions, idle = mech.held_directions, sparse(sp.diags_array(1.0 - mech.active.T.ravel()))
+    return ca.mtimes(ca.mtimes(directions.T, matrix), directions) + idle, ca.mtimes(directions.T, ca.vec(rhs))
 
 
 def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, Any]:
     """Return λ (1×β) and Ω (3×c) from the solution of `assemble_system`, or bar by bar where nothing had to be solved (Eq. 87)."""
     if mech.joints:
-        Omega = ca.reshape(solution, 3, mech.joints)
+        Omega = ca.reshape(solution if mech.frames is None else ca.mtimes(mech.held_directions, solution), 3, mech.joints)
         return -(r + ca.sum1(B * ca.mtimes(Omega, sparse(mech.K)))) / _bar_scale(mech, B), Omega
     lam = solution.T if mech.system_size else -r / _bar_scale(mech, B)
     return lam, ca.DM.zeros(3, 0)
@@ -142,7 +146,7 @@ def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
 
 def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
     """(Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ) (3c×3c), with kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ: Eq. 103 with Eᵀ, columns combined to be symmetric."""
-    c, K = mech.joints, mech.K
+    c, K, active = mech.joints, mech.K, mech.active if mech.frames is None else np.ones_like(mech.active)
     E, links = product(mech.P.T, mech.inverse[0], mech.P), abs(numbered(K))
     pattern = sp.coo_array(abs(numbered(E)) + links @ links.T + sp.eye_array(c))
     n, j = pattern.row, pattern.col
@@ -153,12 +157,12 @@ def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
     values = []
     for a in range(3):
         for b in range(3):
-            kept = np.flatnonzero(mech.active[a, n] & mech.active[b, j])
+            kept = np.flatnonzero(active[a, n] & active[b, j])
             block = -ca.mtimes(pairs[kept.tolist(), :], (unit[a, :] * unit[b, :]).T)
             values.append(ca.densify(block + direct[kept.tolist()] if a == b else block))
             rows.append(3 * n[kept] + a)
             columns.append(3 * j[kept] + b)
-    idle = np.flatnonzero(~mech.active.T.ravel())  # a multiplier that constrains nothing is zero
+    idle = np.flatnonzero(~active.T.ravel())  # a multiplier that constrains nothing is zero
     rows.append(idle)
     columns.append(idle)
     values.append(ca.DM.ones(len(idle)))

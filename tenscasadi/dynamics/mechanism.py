@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from tenscasadi.dynamics.masses import Masses, read_masses
 from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.pins import Normals
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import block_inverse, is_diagonal, is_expression, matrix_with_pattern, numbered, product, sparse
 from tenscasadi.util.validate import Array, Indices
@@ -67,9 +68,10 @@ class Mechanism:
     inverse: tuple[Any, ...]  # M⁻ (n×n) for each axis, or once for all three
     P: sp.csr_array  # n×c, no columns in reduced coordinates
     D: Array  # 3×c
-    active: Any  # 3×c bool: axes that a column of P constrains (all, but for per-axis supports)
+    active: Any  # 3×c bool: axes that a column of P constrains (all, but for per-axis supports), or directions of its frame
     lengths: Array  # (β,)
     constant_length: bool  # λ̂ divides by l² as Eqs. 46-87 print it, instead of by the current bᵀb
+    frames: Any = None  # (c, 3, 3): the directions of each column's frame, as columns, of which `active` are held; None: the axes
     masses: Masses | None = None  # how M and M⁻ follow from parameters; None: they are constant
     weights: Any = None  # entries of M and M⁻, a CasADi column, where they are expressions
 
@@ -130,6 +132,17 @@ class Mechanism:
         """`active` as numbers (3×c): 1 along the axes that a column of P constrains, 0 along others."""
         return ca.DM(self.active.astype(float))
 
+    @cached_property
+    def held_directions(self) -> ca.DM:
+        """Block-diagonal matrix (3c×3c) of the directions that each column of P constrains; without entries along others."""
+        return sparse(sp.block_diag([frame * active for frame, active in zip(self.frames, self.active.T, strict=True)]))
+
+    def along_held(self, gap: Any) -> Any:
+        """Return the part of vectors (3×c) along the directions that the columns of P constrain."""
+        if self.frames is None:
+            return gap * self.active_mask
+        return ca.reshape(ca.mtimes(ca.mtimes(self.held_directions, self.held_directions.T), ca.vec(gap)), 3, self.joints)
+
     def bar_vectors(self, Z: Any) -> Any:
         """Z C_bᵀ (3×β): the bar vectors B where Z is N, their rates where Z is V."""
         return ca.mtimes(Z, sparse(self.C_b.T))
@@ -188,15 +201,25 @@ def build_mechanism(structure: Structure, coordinates: Coordinates, bar_length: 
     n = split.N.shape[1]
     first = np.unique(split.physical, return_index=True)[1]
     free = np.ones((n, 3), dtype=bool)
-    fixed = structure.fixed
-    rollers = np.flatnonzero(fixed.any(axis=1) & ~fixed.all(axis=1))  # supports that NP = D cannot say: a column each, for some axes
-    columns = sp.csr_array((np.ones(len(rollers)), (first[rollers], np.arange(len(rollers)))), shape=(n, len(rollers)))
+    # Supports that NP = D cannot say: a column each, for some axes, then one for each roller along other directions.
+    fixed, inclined = structure.fixed, np.array(list(structure.rollers), dtype=np.intp)
+    partly = np.flatnonzero(fixed.any(axis=1) & ~fixed.all(axis=1))
+    held = np.concatenate([partly, inclined])
+    columns = sp.csr_array((np.ones(len(held)), (first[held], np.arange(len(held)))), shape=(n, len(held)))
     P = sp.csr_array(sp.hstack([split.P, columns]))
-    D = np.hstack([split.D, structure.nodes[rollers].T])
-    active = np.hstack([np.ones(split.D.shape, bool), fixed[rollers].T])
+    D = np.hstack([split.D, structure.nodes[held].T])
+    among = np.array([[k < len(normals) for normals in structure.rollers.values()] for k in range(3)], dtype=bool).reshape(3, -1)
+    active = np.hstack([np.ones(split.D.shape, bool), fixed[partly].T, among])
+    frames = np.array([*[np.eye(3)] * (P.shape[1] - len(inclined)), *map(_frame, structure.rollers.values())]) if len(inclined) else None
     C_b = sp.csr_array(split.C_b @ split.C_nb)
     # A pinned string node may have no mass; it never moves, so any mass gives the same motion.
     diagonal = split.M_s.diagonal()
     inverse = (block_inverse(split.M_s + sp.diags_array(np.where(diagonal == 0, diagonal.max(initial=0.0) or 1.0, 0.0)), free[:, 0]),)
     C_s = sp.csr_array(split.C_s)
-    return Mechanism(split.N, free, split.physical, first, C_b, C_s, split.M_s, inverse, P, D, active, structure.bar_lengths, constant)
+    return Mechanism(split.N, free, split.physical, first, C_b, C_s, split.M_s, inverse, P, D, active, structure.bar_lengths, constant, frames=frames)
+
+
+def _frame(normals: Normals) -> Array:
+    """Return an orthonormal basis (3×3), as columns, that begins with one or two orthonormal directions."""
+    directions = np.array(normals)
+    return np.column_stack([*directions, *np.linalg.svd(directions)[2][len(directions) :]])

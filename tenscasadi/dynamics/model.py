@@ -258,7 +258,7 @@ class Model(StateSpace):
         -------
         Multipliers
             λ̂ and Ω in the paper's signs (Eqs. 85, 87). The columns of Ω are those of `structure.class_one().P`, then one for each
-            node that is pinned along some axes only.
+            node that is pinned along some axes only, then one for each roller along other directions.
 
         Notes
         -----
@@ -342,7 +342,7 @@ class Model(StateSpace):
     def _joint_error(self, N: Any, time: Any) -> Any:
         if not self.mechanism.joints:
             return ca.DM(0)
-        gap = (ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0]) * self.mechanism.active_mask
+        gap = self.mechanism.along_held(ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0])
         return ca.mmax(ca.fabs(gap))
 
     # --- numbers ---

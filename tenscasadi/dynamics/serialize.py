@@ -25,12 +25,13 @@ from tenscasadi.util.validate import Array, Indices, finite_array
 Content = Mapping[str, Any]
 
 _ROUNDING = 1e-9  # relative: numbers that differ by less are the same, computed elsewhere
-_MEMBERS = [name for name in PARAMETERS if name != "pinned"]
+_MEMBERS = [name for name in PARAMETERS if name not in ("pinned", "rollers")]
 _GROUND = list(dict.fromkeys(field.name for kind in (Ground, Terrain) for field in fields(kind)))
 _LAYOUT = [name for name in Layout._fields if name != "P"]
 _INDICES = "bars strings string_parent layout.physical layout.bar_columns layout.string_columns layout.tied segments pressure.faces supports.nodes"
+_MORE_INDICES = ["grounds", "ground.nodes", "rollers.nodes"]
 _TEXTS = dict.fromkeys(["ends", "functions", "slack.laws", "parameters"], "U")
-_KINDS = dict.fromkeys([*_INDICES.split(), "grounds", "ground.nodes"], "i") | {"fixed": "b"} | _TEXTS  # NumPy's letters; others: real numbers
+_KINDS = dict.fromkeys([*_INDICES.split(), *_MORE_INDICES], "i") | {"fixed": "b"} | _TEXTS  # NumPy's letters; others: real numbers
 _DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layout.tied": 0}
 _NOTHING = np.zeros(0)  # stands for None
 
@@ -40,6 +41,8 @@ def structure_to_arrays(structure: Structure) -> dict[str, Array]:
     layout = structure._layout
     ties = layout.P.tocoo()
     content = {name: getattr(structure, name) for name in (*_MEMBERS, "fixed", "string_parent", "string_fraction")}
+    content |= {"rollers": [normal for normals in structure.rollers.values() for normal in normals]}
+    content |= {"rollers.nodes": [node for node, normals in structure.rollers.items() for _ in normals]}
     content |= {f"layout.{name}": getattr(layout, name) for name in _LAYOUT}
     content |= {"layout.ties": np.column_stack([*ties.coords, ties.data]), "layout.tied": np.asarray(layout.P.shape[1])}
     return {f"structure.{name}": np.asarray(value) for name, value in content.items()}
@@ -49,7 +52,10 @@ def structure_from_arrays(content: Content) -> Structure:
     """Return the structure of `structure_to_arrays`; files from before there were layouts have the default one. Raises ValueError."""
     given = _checked(Fields(content).within("structure."))
     pinned = {int(node): "".join(np.array(list("xyz"))[axes]) for node, axes in enumerate(given["fixed"]) if axes.any()}
-    structure = Structure(**{name: given[name] for name in _MEMBERS}, pinned=pinned)
+    rollers: dict[int, list[Array]] = {}
+    for node, normal in zip(given.get("rollers.nodes", _NOTHING).tolist(), given.get("rollers", _NOTHING), strict=True):
+        rollers.setdefault(node, []).append(normal)
+    structure = Structure(**{name: given[name] for name in _MEMBERS}, pinned=pinned, rollers=rollers)
     if "layout.ties" not in given:
         return structure
     bars, strings, columns = len(structure.bars), len(structure.strings), len(given["layout.physical"])

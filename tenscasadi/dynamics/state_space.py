@@ -62,6 +62,9 @@ class StateSpace:
         choice("Model.bar_length", bar_length, "current", "constant")
         self.scene = scene
         self.structure = scene.modelled
+        if coordinates == "reduced" and self.structure.rollers:
+            node = next(iter(self.structure.rollers))
+            raise ValueError(f'Model.coordinates is "reduced": the roller of node {node} is along no axis, give coordinates="full" for it')
         self.coordinates: Coordinates = coordinates
         self.mechanism = scene_mechanism(scene, coordinates, bar_length)
         check_mass_ratio(self.mechanism)
@@ -155,6 +158,11 @@ class StateSpace:
             if np.any(wrong & fixed):
                 node, axis = np.argwhere(wrong & fixed)[0]
                 raise ValueError(f"{name}[{node}, {axis}] moves a pinned coordinate: keep node {node} at {self.structure.nodes[node]}, at rest")
+        for node, normals in self.structure.rollers.items():
+            sizes = {"nodes": 1e-9 * max(size, 1e-300), "velocities": 1e-9 * abs(speeds).max(initial=0.0)}
+            for (name, least), vector in zip(sizes.items(), (positions[node] - self.structure.nodes[node], speeds[node]), strict=True):
+                if np.any(abs(np.array(normals) @ vector) > least):
+                    raise ValueError(f"{name}[{node}] moves node {node} off its roller: keep it where it is along {normals}")
         columns = self.mechanism.physical
         x = np.zeros(self.nx)
         q, v, _ = self.split(x)
@@ -215,7 +223,10 @@ class StateSpace:
         B, (D, Dd, _) = mech.bar_vectors(N), self.targets(time)
         held = np.flatnonzero(mech.active.ravel(order="F")).tolist()
         (bars, joints), (bar_rates, joint_rates) = residuals(mech, N, B, D), residual_rates(mech, V, B, Dd)
-        rows = [row.T / ca.DM(mech.lengths) for row in (bars, bar_rates)] + [ca.vec(ca.densify(row))[held] for row in (joints, joint_rates)]
+        own = [ca.vec(ca.densify(row)) for row in (joints, joint_rates)]
+        if mech.frames is not None:
+            own = [ca.mtimes(mech.held_directions.T, row) for row in own]
+        rows = [row.T / ca.DM(mech.lengths) for row in (bars, bar_rates)] + [row[held] for row in own]
         return Constraints(*(row.full().ravel() if isinstance(row, ca.DM) else row for row in rows))
 
     def arguments(self, x: Any, u: Any, parameters: Any = None) -> tuple[Any, ...]:

@@ -234,7 +234,7 @@ def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
 
     def residual(N: Any) -> tuple[Any, Any, Any]:
         excess, gap = residuals(mech, N, mech.bar_vectors(N), D)
-        return excess, gap, ca.norm_inf(ca.vertcat((excess / ca.DM(mech.lengths).T).T, ca.vec(gap * mech.active_mask)))
+        return excess, gap, ca.norm_inf(ca.vertcat((excess / ca.DM(mech.lengths).T).T, ca.vec(mech.along_held(gap))))
 
     moved = free
     excess, gap, size = residual(moved)

@@ -275,7 +275,7 @@ def _rejoined(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
         return Z
     strings = np.flatnonzero(np.asarray(ends.sum(axis=0)).ravel() == 0)
     spread = sp.csr_array(sp.vstack([ends, sp.csr_array(sp.eye_array(Z.shape[1]))[strings]]))  # of centres and string nodes onto nodes
-    gap = (target - ca.mtimes(Z, sparse(mech.P))) * mech.active_mask
+    gap = mech.along_held(target - ca.mtimes(Z, sparse(mech.P)))
     return Z + ca.mtimes(ca.mtimes(gap, ca.DM(np.linalg.pinv((spread @ mech.P).toarray()))), sparse(spread))
 
 

@@ -247,11 +247,11 @@ class Idas(Sundials):
         z = kind.sym("z", mech.bars + 3 * mech.joints)
         N, V, time = model.unpack(state[: model.nx])
         lam, Omega = z[: mech.bars].T, ca.reshape(z[mech.bars :], 3, mech.joints)
-        B, Bd, active = mech.bar_vectors(N), mech.bar_vectors(V), mech.active_mask
+        B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)
         F, moved = applied_forces(model, N, V, u, time, mech=mech)
         A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + moved
         stretching = ca.sum1(Bd * Bd) + ca.sum1(B * mech.bar_vectors(A))  # Eq. 28
-        gaping = active * (ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2]) + (1 - active) * Omega
+        gaping = mech.along_held(ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2]) + Omega - mech.along_held(Omega)
         xdot = [model.pack(V, A, 1)] + ([] if power is None else [power(state[: model.nx], u)])
         rows = ca.densify(ca.vertcat(stretching.T, ca.vec(gaping)))
         equations = ca.Function("equations", [state, z, u], [ca.vertcat(*xdot), rows])

@@ -148,7 +148,7 @@ class Canvas:
 
 def members_of(what: Structure | Trajectory) -> Members:
     """Return the members of a structure or trajectory, as a `Canvas` draws them."""
-    pinned: Indices = what.pinned if isinstance(what, Trajectory) else np.array(sorted(what.pinned), dtype=np.intp)
+    pinned: Indices = what.pinned if isinstance(what, Trajectory) else np.array(sorted({*what.pinned, *what.rollers}), dtype=np.intp)
     return Members(what.bars, what.strings, pinned)
 
 

@@ -62,7 +62,7 @@ class Trajectory(ReadOnlyArrays):
     strings : ndarray of int, shape (α, 2)
         Nodes at the ends of each string.
     pinned : ndarray of int
-        Nodes that are pinned.
+        Nodes that are pinned or roll.
     success : bool
         Whether the run reached its end, and can be trusted: False, too, where its start was far off its bars and joints, or where
         its steps, above the stability limit, made vibrations grow.
@@ -290,7 +290,7 @@ def record_trajectory(
         parameters=controls[0, model.nu :].copy(),
         bars=model.structure.bars,
         strings=model.structure.strings,
-        pinned=np.array(sorted(model.structure.pinned), dtype=np.intp),
+        pinned=np.array(sorted({*model.structure.pinned, *model.structure.rollers}), dtype=np.intp),
         success=success,
         message=message,
         step=step,

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, diags_array, issparse
 
-from tenscasadi.util.validate import Array, Indices, finite_array, per_item
+from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, per_item
+
+SHORTEST = 1e-12  # of the largest coordinate: below it rounding decides where a member points
 
 Matrix = Any  # ndarray, or scipy csr_array where the caller asks for sparse matrices
 
@@ -96,6 +98,25 @@ def connectivity(pairs: Indices, count: int) -> csr_array:
     members = len(pairs)
     rows = np.repeat(np.arange(members), 2)
     return csr_array((np.tile([-1.0, 1.0], members), (rows, pairs.ravel())), shape=(members, count))
+
+
+def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array:
+    """Return the lengths of members, m; ValueError where one has none."""
+    lengths = np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
+    for i in np.flatnonzero(lengths < max(SHORTEST * np.abs(nodes).max(), SMALLEST)):
+        a, b = pairs[i]
+        raise ValueError(f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: move one or leave the {item} out")
+    return np.asarray(lengths)
+
+
+def refuse_massless_nodes(node_mass: Array, still: Any, bars: Indices, heavy_strings: Indices) -> None:
+    """Refuse a node of no bar and no mass, unless it stands `still` (n,), where M would be singular."""
+    heavy = (node_mass > SMALLEST) | still
+    heavy[bars] = True
+    heavy[heavy_strings] = True
+    for node in np.flatnonzero(~heavy):
+        cure = "give it a mass, pin it in all axes, or give its strings a string_mass"
+        raise ValueError(f"node_mass of node {node} is {node_mass[node]:g} and no bar ends there: {cure}")
 
 
 def selection_matrix(columns: Indices, count: int) -> csr_array:

@@ -1,4 +1,4 @@
-"""Pinned nodes: which of their coordinates are held."""
+"""Pinned nodes and rollers: along which directions nodes are held."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from tenscasadi.util.validate import node_index, shown
+import numpy as np
+
+from tenscasadi.util.validate import Array, finite_array, nesting, node_index, shown
+
+Normals = tuple[tuple[float, float, float], ...]
+
+_PARALLEL = 1e-6  # sine of the angle between two directions below which they count as one
 
 
 def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
@@ -26,3 +32,52 @@ def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
             raise ValueError(f"pinned: node {node} is given twice: leave one out")
         pins[node] = "".join(sorted(axes))
     return MappingProxyType(dict(sorted(pins.items())))
+
+
+def read_rollers(rollers: Any, pins: Mapping[int, str], count: int) -> tuple[Mapping[int, str], Mapping[int, Normals]]:
+    """Return the pins with the rollers along axes among them, and {node: one or two orthonormal directions} of the others.
+
+    Raises TypeError, ValueError.
+    """
+    if not isinstance(rollers, Mapping):
+        raise TypeError(f"rollers is {shown(rollers)}: give a mapping from nodes to normals, such as {{3: (1, 0, 1)}}")
+    held, found = dict(pins), {}
+    for key, given in rollers.items():
+        node = node_index("rollers", key, count)
+        if node in pins:
+            raise ValueError(f"rollers: node {node} is pinned along {pins[node]}, too: give all its directions in rollers")
+        normals = _orthonormal(f"rollers of node {node}", given)
+        if np.count_nonzero(normals) == len(normals):
+            held[node] = "".join(sorted("xyz"[int(np.argmax(np.abs(normal)))] for normal in normals))
+        else:
+            found[node] = tuple((float(x), float(y), float(z)) for x, y, z in normals)
+    return MappingProxyType(dict(sorted(held.items()))), MappingProxyType(dict(sorted(found.items())))
+
+
+def read_axes(pinned: Mapping[int, str], rollers: Mapping[int, Normals], count: int) -> tuple[Any, Any]:
+    """Return whether nodes are pinned along x, y and z (count, 3), and whether pins or rollers have a share in holding them along these."""
+    fixed = np.array([[axis in pinned.get(node, "") for axis in "xyz"] for node in range(count)])
+    held = fixed.copy()
+    for node, normals in rollers.items():
+        held[node] = np.any(normals, axis=0)
+    return fixed, held
+
+
+def _orthonormal(field: str, given: Any) -> Array:
+    """Return one or two orthonormal directions (k, 3) that span those given; what is orthonormal stays as it is."""
+    directions = np.atleast_2d(finite_array(field, given, (3,) if nesting(given) < 2 else (None, 3)))
+    if not 1 <= len(directions) <= 2:
+        raise ValueError(f"{field} has {len(directions)} directions: give one or two, or pin the node")
+    sizes = np.linalg.norm(directions, axis=1)
+    if not sizes.all():
+        raise ValueError(f"{field} is {shown(given)}: give directions of some length")
+    units = np.where(abs(sizes - 1) < 1e-15, 1.0, sizes)[:, None]
+    normals = directions / units
+    for k in range(1, len(normals)):
+        along = float(normals[0] @ normals[k])
+        if abs(along) > 1e-15:
+            rest = normals[k] - along * normals[0]
+            if np.linalg.norm(rest) < _PARALLEL:
+                raise ValueError(f"{field} is {shown(given)}: its directions are parallel, leave one out")
+            normals[k] = rest / np.linalg.norm(rest)
+    return np.asarray(normals)

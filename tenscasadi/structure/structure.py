@@ -11,8 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, diags_array
 
-from tenscasadi.structure.class_one import ClassOne, Layout, bar_mass_matrix, class_one, connectivity, default_layout, extend_layout, read_matrices
-from tenscasadi.structure.pins import read_pins
+from tenscasadi.structure.class_one import (
+    ClassOne,
+    Layout,
+    bar_mass_matrix,
+    class_one,
+    connectivity,
+    default_layout,
+    extend_layout,
+    member_lengths,
+    read_matrices,
+    refuse_massless_nodes,
+)
+from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
@@ -29,7 +40,6 @@ from tenscasadi.util.validate import (
     rows_of_size,
 )
 
-SHORTEST = 1e-12  # of the largest coordinate: below it rounding decides where a member points
 THICKEST = 1e3  # radius over length: beyond it M loses its positive definiteness to rounding
 
 
@@ -63,11 +73,15 @@ class Structure(ReadOnlyArrays):
         Unstretched length of each string, m; by default its length in `nodes`.
     string_mass : array_like, shape (α,)
         Mass of each string, kg, which `subdivide` puts on nodes.
+    rollers : mapping of int to array_like, shape (3,) or (k, 3)
+        Nodes that are held along any direction, such as ``{3: (1, 0, 1)}``: the normal of the plane that it rolls on, or two of a line.
 
     Attributes
     ----------
     fixed : ndarray of bool, shape (n, 3)
         Whether a node is held along x, y and z.
+    held : ndarray of bool, shape (n, 3)
+        The same, and along each axis that the normal of a roller has a share of.
     bar_lengths, string_lengths : ndarray, shape (β,) and (α,)
         Lengths in `nodes`, m.
     bar_inertia : ndarray, shape (β,)
@@ -99,11 +113,13 @@ class Structure(ReadOnlyArrays):
     bar_radius: Array
     node_mass: Array
     pinned: Mapping[int, str]
+    rollers: Mapping[int, Normals]
     stiffness: Array
     damping: Array
     rest_length: Array
     string_mass: Array
     fixed: np.ndarray[Any, np.dtype[np.bool_]]
+    held: np.ndarray[Any, np.dtype[np.bool_]]
     bar_lengths: Array
     string_lengths: Array
     bar_inertia: Array
@@ -124,6 +140,7 @@ class Structure(ReadOnlyArrays):
         damping: ArrayLike = 0.0,
         rest_length: ArrayLike | None = None,
         string_mass: ArrayLike = 0.0,
+        rollers: Mapping[int, ArrayLike] = MappingProxyType({}),
     ) -> None:
         own = self.__dict__
         own["nodes"] = finite_array("nodes", nodes, (None, 3))
@@ -132,10 +149,10 @@ class Structure(ReadOnlyArrays):
             raise ValueError("nodes is empty: give at least one node")
         own["bars"] = node_pairs("bars", bars, n, "bar")
         own["strings"] = node_pairs("strings", strings, n, "string", parallel=True)
-        own["pinned"] = read_pins(pinned, n)
-        own["fixed"] = np.array([[axis in self.pinned.get(node, "") for axis in "xyz"] for node in range(n)])
-        own["bar_lengths"] = _lengths("bars", self.nodes, self.bars, "bar")
-        own["string_lengths"] = _lengths("strings", self.nodes, self.strings, "string")
+        own["pinned"], own["rollers"] = read_rollers(rollers, read_pins(pinned, n), n)
+        own["fixed"], own["held"] = read_axes(self.pinned, self.rollers, n)
+        own["bar_lengths"] = member_lengths("bars", self.nodes, self.bars, "bar")
+        own["string_lengths"] = member_lengths("strings", self.nodes, self.strings, "string")
         beta, alpha = len(self.bars), len(self.strings)
         for name, value, count, item in (
             ("bar_mass", bar_mass, beta, "bar"),
@@ -152,7 +169,7 @@ class Structure(ReadOnlyArrays):
             most = f"{THICKEST:g} times its length, {self.bar_lengths[i]:g} m"
             raise ValueError(f"bar_radius of bar {i} is {self.bar_radius[i]:g} m: it must be at most {most}")
         own["bar_inertia"] = self.bar_mass * (1.0 / 12.0 + slenderness**2 / 4.0)  # Eq. 19
-        self._refuse_massless_nodes()
+        refuse_massless_nodes(self.node_mass, self.fixed.all(axis=1), self.bars, self.strings[self.string_mass > SMALLEST])
         layout = default_layout(n, self.bars, self.strings, np.flatnonzero(self.fixed.all(axis=1)))
         self._derived(string_parent=np.arange(alpha), string_fraction=np.ones(alpha), _layout=layout)
 
@@ -364,10 +381,10 @@ class Structure(ReadOnlyArrays):
         raise AttributeError(f"a Structure does not change: use structure.replace({name}=...)")
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "pinned": dict(self.pinned)}
+        return {**self.__dict__, "pinned": dict(self.pinned), "rollers": dict(self.rollers)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__({**state, "pinned": MappingProxyType(state["pinned"])})  # which does not pickle
+        super().__setstate__({**state, **{name: MappingProxyType(state[name]) for name in ("pinned", "rollers")}})  # which does not pickle
 
     def _derived(self, **attributes: Any) -> Structure:
         """Self, just built, with what a constructor keyword cannot say, and from now on read-only."""
@@ -377,22 +394,5 @@ class Structure(ReadOnlyArrays):
                 value.flags.writeable = False
         return self
 
-    def _refuse_massless_nodes(self) -> None:
-        """Refuse a node of no bar and no mass, where M would be singular."""
-        heavy = (self.node_mass > SMALLEST) | self.fixed.all(axis=1)
-        heavy[self.bars] = True
-        heavy[self.strings[self.string_mass > SMALLEST]] = True
-        for node in np.flatnonzero(~heavy):
-            cure = "give it a mass, pin it in all axes, or give its strings a string_mass"
-            raise ValueError(f"node_mass of node {node} is {self.node_mass[node]:g} and no bar ends there: {cure}")
-
 
 PARAMETERS = tuple(inspect.signature(Structure).parameters)
-
-
-def _lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array:
-    lengths = np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
-    for i in np.flatnonzero(lengths < max(SHORTEST * np.abs(nodes).max(), SMALLEST)):
-        a, b = pairs[i]
-        raise ValueError(f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: move one or leave the {item} out")
-    return np.asarray(lengths)

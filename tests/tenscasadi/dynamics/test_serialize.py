@@ -48,6 +48,7 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Structure.bar_radius": lambda: model(made=structure(bar_radius=0.01)),
     "Structure.node_mass": lambda: model(made=structure(node_mass=[0, 0, 0, 1, 2])),
     "Structure.fixed": lambda: model(made=structure(pinned={0: "xyz", 2: "x"})),
+    "Structure.rollers": lambda: model(made=structure(rollers={1: (1, 0, 1), 4: [(1, 1, 0), (0, 0, 1)]})),
     "Structure.stiffness": lambda: model(made=structure(stiffness=101.0)),
     "Structure.damping": lambda: model(made=structure(damping=1.0)),
     "Structure.rest_length": lambda: model(made=structure(rest_length=0.5)),
