@@ -55,7 +55,7 @@ def horizon_costs(problem: Problem, scales: Scales, period: float, intervals: in
 def _instant(problem: Problem) -> tuple[Instant, Any]:
     """Return an instant, and w = [γ; p; time] of which it is."""
     now = symbolic(problem.model)
-    return now, ca.vertcat(now.control, now.time)
+    return now, ca.vertcat(now.control, type(now.time).sym("p", problem.model.np), now.time)
 
 
 def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:

@@ -90,3 +90,15 @@ def test_models_of_matrices_have_the_same_costs():
         found.append(controller._costs(0.0, model.initial_state, controller._perturbed()))
     assert found[0].min() > 1.0
     assert found[0] == pytest.approx(found[1], rel=1e-6)
+
+
+def test_parameters_have_their_nominal_values():
+    parametric = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity(), parameters=tc.Parameters("bar_mass")))
+    assert parametric.np == len(CROSS.structure.bars)
+    cost = ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities))
+    found = []
+    for model in (CROSS, parametric):
+        problem = ocp.Problem(model, bounds=[ocp.ForceDensityLimits(0.0, 9.0)], costs=[cost, ocp.Tracking({1: lambda t: (t, None, None)})])
+        controller = ocp.Mppi(problem, samples=4, initial=3.0)
+        found.append(controller._costs(0.3, model.initial_state, controller._perturbed()))
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
