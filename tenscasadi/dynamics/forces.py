@@ -1,7 +1,7 @@
 """The forces of a scene on the columns of N: strings and loads, F = W − S γ̂ C_s (3×n, Eq. 67), and their potential energy.
 
-Only what the scene has is built. In full coordinates loads act on the first copy of each physical node. Where the scene has parameters,
-u is followed by them: (nu + np).
+Only what the scene has is built. In full coordinates loads act on the first copy of each physical node, unless another is given.
+Where the scene has parameters, u is followed by them: (nu + np).
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode
     if scene.pressure is not None:
         result["pressure"] = _on_first(mech, scene.pressure.forces(N[:, first], time))
     if scene.forces is not None:
-        result["nodal forces"] = _on_first(mech, scene.forces.forces(time))
+        result["nodal forces"] = _on_columns(mech, scene.forces.forces(time), _loaded_columns(scene, mech))
     return result
 
 
@@ -191,6 +191,15 @@ def _ground_forces(scene: Scene, mech: Mechanism, N: Any, V: Any, touching: Any)
         for ground, columns, places in contacts(scene, mech)
     ]
     return sum(parts[1:], start=parts[0])
+
+
+def _loaded_columns(scene: Scene, mech: Mechanism) -> list[int]:
+    """Return the column that takes the nodal force of each node: its first copy, or that of the bar that is given."""
+    columns = mech.first[: len(scene.structure.nodes)].copy()
+    for node, bar in (scene.forces.bars if scene.forces is not None and scene.forces.bars else {}).items():
+        ends = mech.C_b[[bar]].tocoo().col
+        columns[node] = ends[mech.physical[ends] == node][0]
+    return columns.tolist()  # type: ignore[no-any-return]
 
 
 def _on_first(mech: Mechanism, W: Any) -> Any:

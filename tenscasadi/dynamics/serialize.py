@@ -29,7 +29,7 @@ _MEMBERS = [name for name in PARAMETERS if name not in ("pinned", "rollers")]
 _GROUND = list(dict.fromkeys(field.name for kind in (Ground, Terrain) for field in fields(kind)))
 _LAYOUT = [name for name in Layout._fields if name != "P"]
 _INDICES = "bars strings string_parent layout.physical layout.bar_columns layout.string_columns layout.tied segments pressure.faces supports.nodes"
-_MORE_INDICES = ["grounds", "ground.nodes", "rollers.nodes"]
+_MORE_INDICES = ["grounds", "ground.nodes", "rollers.nodes", "forces.bars"]
 _TEXTS = dict.fromkeys(["ends", "functions", "slack.laws", "parameters"], "U")
 _KINDS = dict.fromkeys([*_INDICES.split(), *_MORE_INDICES], "i") | {"fixed": "b"} | _TEXTS  # NumPy's letters; others: real numbers
 _DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layout.tied": 0}
@@ -53,7 +53,7 @@ def structure_from_arrays(content: Content) -> Structure:
     given = _checked(Fields(content).within("structure."))
     pinned = {int(node): "".join(np.array(list("xyz"))[axes]) for node, axes in enumerate(given["fixed"]) if axes.any()}
     rollers: dict[int, list[Array]] = {}
-    for node, normal in zip(given.get("rollers.nodes", _NOTHING).tolist(), given.get("rollers", _NOTHING), strict=True):
+    for node, normal in zip(given.get("rollers.nodes", _NOTHING).ravel().tolist(), np.atleast_1d(given.get("rollers", _NOTHING)), strict=True):
         rollers.setdefault(node, []).append(normal)
     structure = Structure(**{name: given[name] for name in _MEMBERS}, pinned=pinned, rollers=rollers)
     if "layout.ties" not in given:
@@ -81,6 +81,7 @@ def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
         **_load_to_arrays("gravity", gravity, (3,), times),
         **_load_to_arrays("pressure", pressure, (), times),
         **_load_to_arrays("forces", forces, (nodes, 3), times),
+        "forces.bars": forces and list((forces.bars or {}).items()),
     }
     called = {"gravity": gravity and gravity.is_function, "pressure": pressure and pressure.is_function, "forces": forces and forces.is_function}
     functions = [name for name, given in (called | {"supports": supports}).items() if given]
@@ -127,7 +128,12 @@ def model_from_arrays(content: Content) -> Model | None:
         gravity=some("gravity", lambda values: Gravity(values, some("gravity.times", np.asarray))),
         ground=_grounds_from_arrays(told),
         pressure=some("pressure", lambda values: _pressure(told["pressure.faces"].tolist(), values, some("pressure.times", np.asarray))),
-        forces=some("forces", lambda values: NodalForce(values, some("forces.times", np.asarray))),
+        forces=some(
+            "forces",
+            lambda values: NodalForce(
+                values, some("forces.times", np.asarray), bars=some("forces.bars", lambda pairs: dict(pairs.reshape(-1, 2).tolist()))
+            ),
+        ),
         parameters=_parameters_from_text(told["parameters"].tolist()) if told.get("parameters", _NOTHING).size else None,
         slack=some("slack.laws", _laws_from_array) or some("slack", lambda width: Smooth(width.item())) or Clip(),
     )

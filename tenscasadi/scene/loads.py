@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -12,7 +12,7 @@ import numpy as np
 from tenscasadi.scene.over_time import OverTime
 from tenscasadi.scene.time_functions import express
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, Indices, listed, node_index, number, whole_number
+from tenscasadi.util.validate import Array, Indices, listed, node_index, number, shown, whole_number
 
 
 @dataclass(frozen=True)
@@ -226,6 +226,9 @@ class NodalForce(OverTime, ReadOnlyArrays):
     breaks : array_like, shape (B,), optional
         Times at which a function of time jumps, has a kink, or begins or ends a pulse, s. Steps of a simulation end there, and where
         comparisons, signs and roundings switch, which are found without being given.
+    bars : mapping of int to int, optional
+        Nodes of several bars, and the bar whose end takes the node's force; by default the one that is first in the columns of
+        `Structure.class_one`. The motion is the same, the forces in the joint (Ω of `Model.multipliers`) are not.
 
     Examples
     --------
@@ -240,18 +243,30 @@ class NodalForce(OverTime, ReadOnlyArrays):
     values: Any
     times: Any = None
     breaks: Any = ()
+    bars: Mapping[int, int] | None = None
 
     def __post_init__(self) -> None:
         self._read((None, 3))
+        if self.bars is not None:
+            if not isinstance(self.bars, Mapping):
+                raise TypeError(f"NodalForce.bars is {shown(self.bars)}: give a mapping from nodes to bars, such as {{1: 0}}")
+            object.__setattr__(self, "bars", dict(self.bars))
 
-    def check(self, nodes: int) -> None:
-        """Raise TypeError or ValueError unless there is one row of finite numbers for each node (at t = 0 for a function).
+    def check(self, nodes: int, pairs: Indices | None = None) -> None:
+        """Raise TypeError or ValueError unless there is one row of finite numbers for each node (at t = 0 for a function), and `bars` end there.
 
         Parameters
         ----------
         nodes : int
             Number of nodes.
+        pairs : ndarray of int, shape (β, 2), optional
+            Nodes at the ends of each bar.
         """
+        for node, bar in (self.bars or {}).items() if pairs is not None else ():
+            node_index("NodalForce.bars", node, nodes)
+            if whole_number(f"NodalForce.bars[{node}]", bar, 0) >= len(pairs) or node not in pairs[bar]:
+                ends = np.flatnonzero((pairs == node).any(axis=1)).tolist()
+                raise ValueError(f"NodalForce.bars[{node}] is {bar}, which is no bar of node {node}: give one of {ends}, or leave it out")
         if callable(self.values):
             self._check_function((nodes, 3))
         elif self.values.shape[-2] != nodes:

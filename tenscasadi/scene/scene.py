@@ -93,9 +93,11 @@ class Scene:
         if not isinstance(self.ground, Surface):
             grounds = checked_grounds(self.ground)
             object.__setattr__(self, "ground", (grounds if len(grounds) != 1 else grounds[0]) or None)
-        for load in (*self.grounds, self.pressure, self.forces):
+        for load in (*self.grounds, self.pressure):
             if load is not None:
                 load.check(len(self.structure.nodes))
+        if self.forces is not None:
+            self.forces.check(len(self.structure.nodes), self.structure.bars)
         if self.supports is not None:
             self.supports.check(self.structure)
         if self.parameters is not None:

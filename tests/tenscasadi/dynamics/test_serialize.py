@@ -67,6 +67,7 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Scene.grounds": lambda: model(ground=[tc.Ground(), tc.Ground(friction=0.2), tc.Terrain([[0, 1], [0, 0.5]], (-1, -1), (1, 1), nodes=[2])]),
     "Scene.pressure": lambda: model(pressure=tc.Pressure([(0, 1, 2)], 3.0)),
     "Scene.forces": lambda: model(forces=tc.NodalForce(np.ones((5, 3)))),
+    "Scene.forces.bars": lambda: model(forces=tc.NodalForce(np.ones((5, 3)), bars={1: 1})),
     "Scene.forces.times": lambda: model(forces=tc.NodalForce(np.arange(30.0).reshape(2, 5, 3), times=[0, 0.5])),
     "Scene.parameters": lambda: model(parameters=tc.Parameters("bar_mass", scale=["stiffness"], groups={"bar_mass": "all"})),
     "Scene.slack": lambda: model(slack=tc.Smooth(0.01)),

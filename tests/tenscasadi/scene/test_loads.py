@@ -6,9 +6,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
+from tenscasadi.scene.scene import Scene
+from tenscasadi.structure.structure import Structure
 
 TETRAHEDRON = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float).T
+HINGED = np.array([(0, 1), (1, 2)])
 OUTWARD = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
 
 
@@ -61,6 +65,11 @@ def test_forces_may_be_a_table_over_time() -> None:
         (lambda: NodalForce(np.zeros((2, 3, 3)), times=[0, 1]).check(4), r"NodalForce\.values has 3 rows"),
         (lambda: NodalForce(np.zeros((3, 2))), r"NodalForce\.values"),
         (lambda: NodalForce(np.zeros((3, 3))).check(4), r"NodalForce\.values has 3 rows"),
+        (lambda: NodalForce(np.zeros((3, 3)), bars=[0]), r"NodalForce\.bars is \[0\]: give a mapping"),
+        (lambda: NodalForce(np.zeros((3, 3)), bars={3: 0}).check(3, HINGED), r"NodalForce\.bars is 3: node indices"),
+        (lambda: NodalForce(np.zeros((3, 3)), bars={1: 2}).check(3, HINGED), r"NodalForce\.bars\[1\] is 2, .* give one of \[0, 1\]"),
+        (lambda: NodalForce(np.zeros((3, 3)), bars={0: 1}).check(3, HINGED), r"NodalForce\.bars\[0\] is 1, .* give one of \[0\]"),
+        (lambda: NodalForce(np.zeros((3, 3)), bars={0: "a"}).check(3, HINGED), r"NodalForce\.bars\[0\] is 'a'"),
         (lambda: NodalForce(lambda t: [[0, 0, 0]]).check(2), r"NodalForce\.values"),
         (lambda: NodalForce(lambda t: 1 / 0).check(2), r"NodalForce\.values raised"),
         (lambda: NodalForce(lambda t: [[1 if t > 0 else 0, 0, 0]]).forces(ca.SX.sym("t")), r"NodalForce\.values raised"),
@@ -84,3 +93,29 @@ def test_forces_over_time_are_rows_of_any_kind(law):
     t = ca.SX.sym("t")
     found = ca.Function("forces", [t], [NodalForce(law).forces(t)])(2.0)
     assert found.full().T.tolist() == [[2.0, 0.0, 0.0], [0.0, 2.0, 1.0]]
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_a_force_on_a_joint_may_act_on_either_bar(coordinates):
+    nodes = np.array([(0, 0, 0), (1, 0.1, -0.4), (1.8, -0.3, 0.2)])
+    chain = Structure(nodes, bars=HINGED, bar_mass=[1.0, 2.0], pinned=[0])
+    load = np.array([3.0, -5.0, 7.0])
+    found = []
+    for bars in (None, {1: 1}, {1: 0}):  # node 1 is the first end of bar 1, which comes first
+        forces = NodalForce([(0, 0, 0), load, (0, 0, 0)], bars=bars)
+        model = Model(Scene(chain, gravity=Gravity((0, 0, -9.0)), forces=forces), coordinates)
+        x = model.state(nodes, [(0, 0, 0), (0, 0.4, 0.1), (0, 0, 0)])
+        found.append((model.ode(x, []).full().ravel(), model.multipliers(x)))
+    rates, multipliers = zip(*found, strict=True)
+    assert np.abs(rates[1] - rates[0]).max() == 0
+    assert np.abs(rates[2] - rates[0]).max() < 1e-12 * np.abs(rates[0]).max()
+    assert np.abs(multipliers[2].bar_force_density - multipliers[0].bar_force_density).max() < 1e-9
+    joints = [part.joint_force @ chain.class_one().P.T for part in multipliers]  # on the ends: first of bars 0 and 1, then second
+    assert np.abs(joints[1] - joints[0]).max() == 0
+    assert np.abs(joints[2][:, 1] - joints[0][:, 1] - load).max() < 1e-9  # bar 1 gets it through the joint
+    assert np.abs(joints[2][:, 2] - joints[0][:, 2] + load).max() < 1e-9
+    # Newton's law of bar 1 alone: what pushes it is the joint, its weight, and the load where it is its own
+    acceleration = model.velocities(rates[0])
+    centre = 2.0 * (acceleration[1] + acceleration[2]) / 2 - 2.0 * np.array([0, 0, -9.0])
+    for joint, own in zip(joints, (load, load, 0), strict=True):
+        assert centre == pytest.approx(joint[:, 1] + joint[:, 3] + own, abs=1e-9)
