@@ -20,6 +20,7 @@ from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, shown, whole_number
 
 MOST = 1e7  # decisions in a run
+MOST_STEPS = 1000  # in a decision
 ROUNDED = 1e-3  # of lengths and speeds: what a start may be off its bars and joints by
 
 
@@ -130,7 +131,7 @@ def run(
     period = positive_number("controller.period", controller.period)
     plant = controller.model if model is None else model
     _check_plant(plant, controller.model)
-    n = whole_number("steps", steps, 1)
+    n = whole_number("steps", steps, 1, MOST_STEPS)
     if disturbance is not None and not callable(disturbance):
         raise TypeError(f"disturbance is {shown(disturbance)}: give a function (time, x) -> x, or None")
     ratio = positive_number("t_end", t_end) / period

@@ -18,6 +18,8 @@ from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number
 
+MOST = 10_000  # decisions: each has a gain
+
 
 @dataclass(frozen=True, eq=False)
 class Tracker:
@@ -150,7 +152,7 @@ def track(
     """
     instance("plan", plan, Plan, "an ocp.Plan")
     model, T = plan.known_model("track"), float(plan.time[-1])
-    count = len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1)
+    count = len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, MOST)
     size = 0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) if place is None else positive_number("place", place)
     force = 0.1 * float(plan.force_density.mean()) or 1.0 if effort is None else positive_number("effort", effort)
     known = (0.0, np.inf) if plan.problem is None else plan.problem.force_density_limits

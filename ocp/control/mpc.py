@@ -26,6 +26,7 @@ from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
 OVERSTEP = 1e5  # what oversteps limits of the path costs, in scaled units, against 1 for a departure of a `place`
+MOST = 1000  # intervals, steps of each, improvements of a decision
 NOTHING = 1e-6  # of force densities that move the structure: fewer are rounding, as where nothing has to be held
 
 
@@ -108,9 +109,9 @@ class Mpc:
                 raise ValueError("plan is of another structure than the problem: give one whose model has the same nodes and strings")
         self.model: Model = problem.model
         self.period = positive_number("period", period)
-        self.intervals = whole_number("intervals", intervals, 1)
-        self._iterations = whole_number("iterations", iterations, 1)
-        self._substeps = whole_number("substeps", substeps, 1)
+        self.intervals = whole_number("intervals", intervals, 1, MOST)
+        self._iterations = whole_number("iterations", iterations, 1, MOST)
+        self._substeps = whole_number("substeps", substeps, 1, MOST)
         scales = Scales.of(problem)
         size = 0.01 * scales.length if place is None else positive_number("place", place)
         self._departures = departures(self.model, size, 10 * size / scales.time)

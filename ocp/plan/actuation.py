@@ -15,6 +15,7 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, instance, nonnegative, per_item, whole_number
 
+MOST_UPDATES = 1000  # of rest lengths in an interval
 WOUND_STEPS = 5  # steps of a replay from one change of rest lengths to the next
 
 
@@ -99,7 +100,7 @@ def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayL
     True
     """
     instance("plan", plan, Plan, "an ocp.Plan")
-    whole_number("updates", updates, 1)
+    whole_number("updates", updates, 1, MOST_UPDATES)
     plan.rest_lengths(stiffness)  # names the string that is too soft
     planned = plan.known_model("replay_wound")
     k = per_item("stiffness", plan.structure.stiffness if stiffness is None else stiffness, len(plan.structure.strings))

@@ -27,7 +27,7 @@ from tenscasadi.integrators import collocation
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.archive import Fields
-from tenscasadi.util.validate import Array, instance
+from tenscasadi.util.validate import LARGEST, Array, instance
 
 _TABLE = (
     *(goals.StringLengths, goals.NodePositions, goals.Shape, goals.AtRest, Periodic, waypoints.Waypoint, FreeStart),
@@ -71,10 +71,11 @@ def plan_arrays(plan: Mapping[str, Any]) -> dict[str, Array]:
 
 def plan_fields(content: Fields) -> dict[str, Any]:
     """Return the fields of a plan that `plan_arrays` told, but for how it was solved. Raises ValueError."""
-    model = model_from_arrays(content)
-    structure = structure_from_arrays(content) if model is None else model.scene.structure
     values = {name: content.array(name, kind, 0).item() for name, kind in _VALUES.items()}
     trajectory = Trajectory.from_arrays(content.within("trajectory."))
+    _check_segments(content, trajectory.nodes.shape[1])
+    model = model_from_arrays(content)
+    structure = structure_from_arrays(content) if model is None else model.scene.structure
     if model is not None and trajectory.states.shape[1] != model.nx:
         raise ValueError(f"field 'trajectory.states' has {trajectory.states.shape[1]} columns, not {model.nx}")
     intervals, strings = len(trajectory.time) - 1, len(structure.strings)
@@ -83,8 +84,8 @@ def plan_fields(content: Fields) -> dict[str, Any]:
     for name, value, shape in (("time", time, (intervals + 1,)), ("force_density", gamma, (rows, strings))):
         if value.shape != shape:
             raise ValueError(f"field {name!r} has shape {value.shape}, not {shape}")
-        if values["success"] and not np.all(np.isfinite(value)):
-            raise ValueError(f"field {name!r} is not finite, although the plan succeeded")
+        if values["success"] and not np.all(np.abs(value) <= LARGEST):
+            raise ValueError(f"field {name!r} is not finite or above {LARGEST:g}, although the plan succeeded")
     _check_values(values, time, trajectory, model)
     duals = None
     if "duals.names" in content:
@@ -92,6 +93,18 @@ def plan_fields(content: Fields) -> dict[str, Any]:
         if len(duals.values) != len(duals.names):
             raise ValueError(f"field 'duals.values' has {len(duals.values)} entries, not {len(duals.names)} as 'duals.names'")
     return {**values, "time": time, "force_density": gamma, "trajectory": trajectory, "structure": structure, "model": model, "duals": duals}
+
+
+def _check_segments(content: Fields, nodes: int) -> None:
+    """ValueError unless a scene's segments make as many nodes as moved: a damaged number of them would make more than memory holds."""
+    if "scene.segments" not in content or content["structure.nodes"].ndim == 0:
+        return
+    strings, segments = len(content.array("structure.strings", "i", 2)), content.array("scene.segments", "i")
+    if segments.shape not in ((), (strings,)):  # the scene refuses them by name
+        return
+    count = len(content["structure.nodes"]) + np.broadcast_to(segments - 1.0, strings).sum()
+    if count != nodes:
+        raise ValueError(f"field 'scene.segments' makes {count:g} nodes of the structure's, and 'trajectory.nodes' has {nodes}")
 
 
 def _check_values(values: Mapping[str, Any], time: Array, trajectory: Trajectory, model: Model | None) -> None:

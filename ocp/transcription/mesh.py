@@ -14,12 +14,13 @@ from tenscasadi.util.casadi_tools import hermite_cubic
 from tenscasadi.util.validate import Array, finite_array, positive_number, shown, whole_number
 
 Intervals = int | Sequence[float]
+MOST_INTERVALS = 100_000  # a file may ask for more than memory holds
 
 
 def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
     """Return a number of equal intervals, or the shares of the duration that intervals take, which sum to one. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_, int, np.integer, float, str)):
-        return whole_number(field, value, 1)
+        return whole_number(field, value, 1, MOST_INTERVALS)
     shares = finite_array(field, value, (None,))
     if not shares.size:
         raise ValueError(f"{field} is empty: give a number of intervals, or their lengths relative to each other")

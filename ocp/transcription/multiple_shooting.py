@@ -18,6 +18,7 @@ from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.validate import Array, whole_number
 
+MOST_SUBSTEPS = 10_000  # in an interval
 _UNIFORM = ca.Function("ode", [ca.SX.sym("x"), ca.SX.sym("u")], [ca.SX.ones(1)])  # x' = 1
 
 
@@ -68,7 +69,7 @@ class MultipleShooting(Transcription):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        whole_number("MultipleShooting.substeps", self.substeps, 1)
+        whole_number("MultipleShooting.substeps", self.substeps, 1, MOST_SUBSTEPS)
         check_scheme(self.scheme)
         try:
             self.scheme.step(_UNIFORM)

@@ -21,6 +21,7 @@ from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
 DENSE = 600  # coordinates up to which all modes are computed, by dense matrices
+_MOST_ROWS = 100_000  # times of a motion
 LOWEST = 20  # modes of larger structures where no number is asked for
 NEUTRAL = 1e-9  # stiffness against a rigid-body motion that counts as none, relative to that of all motions
 
@@ -255,7 +256,7 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
     instance("modes", modes, Modes, "the result of tenscasadi.modes(model)")
     if whole_number("index", index, 0) >= len(modes.frequency):
         raise ValueError(f"index is {index}: modes are numbered from 0 to {len(modes.frequency) - 1}")
-    count = whole_number("rows", rows, 3)
+    count = whole_number("rows", rows, 3, _MOST_ROWS)
     shape = modes.shape[index]
     if shape.shape != model.structure.nodes.shape:
         raise ValueError(f"modes.shape has {shape.shape[0]} nodes: give the modes of this model, which has {len(model.structure.nodes)}")

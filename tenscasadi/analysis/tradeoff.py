@@ -25,6 +25,7 @@ from tenscasadi.util.compile import Compiled, CompileError, Single
 from tenscasadi.util.validate import Array, call_user_function, finite_array, flag, instance, positive_number, shown, whole_number
 
 _TIMED = 0.02  # s of one timed run, about: short enough for many, long enough for the clock
+_MOST_REPEATS = 1000
 _TRIAL = 2048  # steps that tell how many take that long
 _MOST = 2**18  # steps of a timed run
 LONGEST = 1 / 20  # of the run: the largest step of a scheme that controls its error
@@ -99,7 +100,7 @@ def tradeoff(
     """
     named = dict(models) if isinstance(models, Mapping) else {"": models}
     _check_models(named, schemes, corrections)
-    t_end, repeats = positive_number("t_end", t_end), whole_number("repeats", repeats, 1)
+    t_end, repeats = positive_number("t_end", t_end), whole_number("repeats", repeats, 1, _MOST_REPEATS)
     flag("progress", progress)
     ways = _check_sequence("compiled", compiled)
     for way in ways:

@@ -21,6 +21,8 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, flag, listed, node_index, per_item, positive_number, text, whole_number
 
+_MOST_INSTANTS = 1000
+
 
 class ForceHistory(Protocol):
     """Force densities over time: a `Trajectory`, with a row for each time, or a plan, with a row for each interval between times.
@@ -148,7 +150,7 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
     'time (s)'
     """
     check_drawable("trajectory", trajectory)
-    count = whole_number("instants", instants, 2)
+    count = whole_number("instants", instants, 2, _MOST_INSTANTS)
     text("title", title)
     rows = np.unique([_nearest_row(trajectory, t) for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)])
     figure = Figure(figsize=(7.0, 5.4))

@@ -229,7 +229,7 @@ def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, e
     """Call `stepper` until the end of the run or its failure; keep each `every`-th state and the last."""
     kept, rows, controls = _rows_to_keep(inputs.steps, every, len(start), model.nw)
     z, u = start, inputs.window(0, 1)
-    rows[0], controls[0], count = z, u[0], 1
+    rows[0], controls[0], count, reached = z, u[0], 1, (0, z, u[0])
     interrupted, failure = False, ""
     pressed: list[bool] = []  # CasADi's integrators make a failure of the KeyboardInterrupt that Ctrl-C raises
     began = looked = time.perf_counter()
@@ -244,7 +244,8 @@ def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, e
                     stepper.hold(u, inputs.lengths(first, stepper.steps))
                 taken = min(stepper.steps, inputs.steps - first)
                 after = stepper(z, taken)
-                z = after[taken - 1].copy()
+                reached = first + taken, after[taken - 1].copy(), u[taken]
+                z = reached[1]
                 end = int(np.searchsorted(kept, first + stepper.steps, side="right"))
                 local = kept[count:end] - first
                 rows[count:end], controls[count:end] = after[local - 1], u[local]
@@ -263,6 +264,8 @@ def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, e
         interrupted, failure = bool(pressed), "" if pressed else str(error)
     except KeyboardInterrupt:
         interrupted = True
+    if (failure or interrupted) and kept[count - 1] < reached[0]:
+        (kept[count], rows[count], controls[count]), count = reached, count + 1
     report = stepper.report(int(kept[count - 1]), inputs.step)
     return _Run(inputs.times(kept[:count]), rows[:count], controls[:count], report, time.perf_counter() - began, interrupted, failure)
 

@@ -19,7 +19,7 @@ from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.simulation.control_input import SampledControl
 from tenscasadi.simulation.time_loop import chunk_function, chunk_steps
-from tenscasadi.util.compile import Compiled, CompileError, Single, compile_function, find_compiler
+from tenscasadi.util.compile import Compiled, CompileError, CompileTimeout, Single, compile_function, find_compiler
 from tenscasadi.util.validate import Array
 
 _SINGLE = 1e-6  # some ten times the rounding of float, as 1e-15 is of double
@@ -111,9 +111,10 @@ def _build_function(task: Task, every: int, steps: int, compiled: Compiled) -> t
             if compiled:
                 raise
             found = find_compiler()
-            note = "; not compiled: " + (f"{found[0]} failed, compiled=True shows why" if found else str(error))
-    short = every * min(chunk // every, -(-steps // every))  # nothing is reused: no longer than the run
-    return _write_function(task, short), False, note
+            refused = found and not isinstance(error, CompileTimeout)
+            note = "; not compiled: " + (f"{found[0]} failed, compiled=True shows why" if found and refused else str(error))
+    longest = 1 if task.scheme.implicit else chunk // every  # many iterations in the virtual machine would let Ctrl-C wait
+    return _write_function(task, every * min(longest, -(-steps // every))), False, note  # nothing is reused: no longer than the run
 
 
 def _write_function(task: Task, steps: int) -> ca.Function:

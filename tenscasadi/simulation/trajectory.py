@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util import archive
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, Indices, shown
+from tenscasadi.util.validate import LARGEST, Array, Indices, shown
 
 _FORMAT = "tenscasadi trajectory 1"
 
@@ -346,8 +346,8 @@ def _check_values(content: dict[str, Any]) -> None:
             raise ValueError(f"field {name!r} is {content[name]:g}: it must be {'greater than' if name == 'step' else 'at least'} 0")
     for name in _FINITE if content["success"] else ():
         value = np.asarray(content[name])
-        for place in np.argwhere(~np.isfinite(value))[:1].tolist():
-            raise ValueError(f"field {name!r} is {value[tuple(place)]} at {place}, although the run succeeded: it must be finite")
+        for place in np.argwhere(~(np.abs(value) <= LARGEST))[:1].tolist():
+            raise ValueError(f"field {name!r} is {value[tuple(place)]} at {place}, although the run succeeded: it must be finite, below {LARGEST:g}")
 
 
 def _largest(errors: Array, unit: str = "") -> str:

@@ -6,10 +6,12 @@ import errno
 import math
 import os
 import shutil
+import time
 import uuid
 import zipfile
 import zlib
 from collections.abc import Callable, Container, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +21,8 @@ from tenscasadi.util.validate import file_path
 
 T = TypeVar("T")
 _LIMIT = 1_000_000_000  # bytes that a file may unpack to, however small it is
+_UNFINISHED = ".tenscasadi-"  # what files are called while they are written
+_ABANDONED = 3600.0  # s since it was written to, after which an unfinished file is nobody's any more
 _RATIO = 20  # bytes that each byte of a larger file may unpack to: numbers of real motions need less
 # Anything that reading a damaged or foreign archive may raise.
 _UNREADABLE = (
@@ -55,7 +59,8 @@ def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) ->
     whole = Path(os.path.realpath(target))  # where a link leads to
     if (target.exists() or whole.is_symlink()) and not target.is_file():
         raise OSError(errno.EISDIR if target.is_dir() else errno.EINVAL, "Not a regular file, give another name", os.fspath(path))
-    part = whole.with_name(f".tenscasadi-{uuid.uuid4().hex}")
+    _clean(whole.parent)
+    part = whole.with_name(f"{_UNFINISHED}{uuid.uuid4().hex}")
     arrays = {name: np.asarray(value) for name, value in content.items()}
     write = np.savez_compressed if sum(value.nbytes for value in arrays.values()) <= _LIMIT else np.savez  # else `load` could refuse it
     try:
@@ -73,6 +78,16 @@ def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) ->
     finally:
         part.unlink(missing_ok=True)
     return target
+
+
+def _clean(folder: Path) -> None:
+    """Remove the unfinished files that processes which were killed left behind."""
+    with suppress(OSError):
+        for entry in os.scandir(folder):
+            if entry.name.startswith(_UNFINISHED):
+                with suppress(OSError):  # another process has removed it, or it is another user's
+                    if time.time() - entry.stat(follow_symlinks=False).st_mtime > _ABANDONED:
+                        os.unlink(entry)
 
 
 def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fields], T], names: Container[str] | None = None) -> T:

@@ -25,7 +25,9 @@ from pathlib import Path
 from typing import TypeVar
 
 import casadi as ca
+import numpy as np
 
+from tenscasadi.util.processes import run_program
 from tenscasadi.util.validate import instance, shown
 
 T = TypeVar("T")
@@ -39,6 +41,8 @@ _FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-funroll-loops", "-fvi
 _LIMIT = 500_000_000  # bytes of all libraries in the cache
 _RECENT = 60.0  # s since a library was used in which it is not removed: another process may be about to load it
 _ABANDONED = 86_400.0  # s after which what a compilation left behind is nobody's any more
+_SECONDS = "TENSCASADI_COMPILE_SECONDS"
+_QUICK = 20.0  # s for a compiler to say what it is
 _NATIVE = "-march=native"  # 10 to 20 % faster
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 _LIBRARY, _BUILD = re.compile(rf"-[0-9a-f]{{32}}{re.escape(_SUFFIX)}$"), "tenscasadi-build-"
@@ -69,6 +73,10 @@ class CompileError(RuntimeError):
     """There is no C compiler, or it refused the code; the message holds what it said."""
 
 
+class CompileTimeout(CompileError):
+    """The compiler did not end in time."""
+
+
 def find_compiler() -> tuple[str, ...] | None:
     """Return the C compiler as a command, None when there is none.
 
@@ -90,8 +98,8 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None, 
 
     The library is kept in `cache_folder` under the hash of its source, the compiler, the flags, what these mean on this machine,
     and CasADi's version, so that it is compiled once. Any number of processes may do so at the same time. A library that is not as it
-    was written, by the hash at its end, is not loaded but compiled again. Libraries beyond 500 MB are removed, those first that have
-    not been used for longest; what a process has loaded, it keeps.
+    was written, by the hash at its end, is not loaded but compiled again; what is loaded is a private copy of the bytes that were looked
+    at. Libraries beyond 500 MB are removed, those first that have not been used for longest; what a process has loaded, it keeps.
 
     Parameters
     ----------
@@ -112,7 +120,7 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None, 
     TypeError
         For anything but a casadi.Function and strings.
     CompileError
-        Where compilation fails, with the compiler's words.
+        Where compilation fails, with the compiler's words, or takes more than $TENSCASADI_COMPILE_SECONDS, 600 unless set.
     """
     instance("function", function, ca.Function, "a casadi.Function")
     if flags is not None and (isinstance(flags, str) or not all(isinstance(flag, str) for flag in flags)):
@@ -146,15 +154,13 @@ def _load(compiler: tuple[str, ...], flags: Sequence[str] | None, source: str, n
     key = hashlib.sha256("\0".join(identity).encode()).hexdigest()
     library = cache_folder() / f"{name}-{key[:32]}{_SUFFIX}"
     reason: object = ""
-    for build in (False, True, True):  # twice: another process may remove the first before it is loaded
+    for build in (False, True):
         try:
+            code = _build(compiler, flags, source, suffix, library, key) if build else _read_whole(library, key)
             if build:
-                _build(compiler, flags, source, suffix, library, key)
                 _trim(library.parent)
-            elif not library.is_file() or _distrust(library) or not _is_whole(library, key):
-                continue
-            os.utime(library)  # used now
-            return load(library)
+            if code:
+                return _load_copy(load, code, library)
         except (RuntimeError, OSError) as error:  # removed by another process, or damaged, for instance by a disk that was full
             if isinstance(error, CompileError):
                 raise
@@ -245,18 +251,33 @@ def _default_flags(compiler: tuple[str, ...]) -> tuple[str, ...]:
 @functools.cache
 def _identity(compiler: tuple[str, ...], flags: tuple[str, ...]) -> str:
     """Tell this compiler from another by its path, arguments, and predefined macros, which hold its version and the processor's features."""
-    macros = _run([*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull])
+    macros = _run([*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull], most=_QUICK)
     return "\n".join((os.path.realpath(compiler[0]), *compiler[1:], macros))
 
 
-def _run(command: list[str]) -> str:
+def _run(command: list[str], folder: Path | None = None, most: float = np.inf) -> str:
+    """Return what a command prints; its temporary files go to `folder`. Raises CompileError, after `most` s at the latest."""
+    seconds = min(most, _patience())
+    own = {} if folder is None else dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
     try:
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False, env={**os.environ, "LC_ALL": "C"})
+        done = run_program(command, seconds, {**os.environ, "LC_ALL": "C", **own})
     except OSError as error:
         raise CompileError(f"{command[0]} cannot be run: {error}") from None
+    except subprocess.TimeoutExpired:
+        cure = f"set {_SECONDS} to wait longer, CC to another compiler, or give compiled=False"
+        raise CompileTimeout(f"{command[0]} did not end within {seconds:g} s: {cure}") from None
     if done.returncode:
         raise CompileError(f"{shlex.join(command)} failed with code {done.returncode}:\n{done.stderr.strip()}")
     return done.stdout
+
+
+def _patience() -> float:
+    """Return the time that a compilation may take, s."""
+    told = os.environ.get(_SECONDS, "600")
+    with contextlib.suppress(ValueError):
+        if 0 < float(told) < np.inf:
+            return float(told)
+    raise CompileError(f"{_SECONDS} is {told!r}: give a number of seconds greater than 0")
 
 
 def _seal(code: bytes, key: str) -> bytes:
@@ -264,29 +285,52 @@ def _seal(code: bytes, key: str) -> bytes:
     return hashlib.sha256(key.encode() + code).digest()
 
 
-def _is_whole(library: Path, key: str) -> bool:
-    content = library.read_bytes()
-    size = len(content) - len(_seal(b"", key))
-    return size > 0 and content[size:] == _seal(content[:size], key)
+def _read_whole(library: Path, key: str) -> bytes:
+    """Return what the cache holds, nothing where that is no library, or not as it was written."""
+    if not library.is_file() or _distrust(library):
+        return b""
+    code = library.read_bytes()
+    size = len(code) - len(_seal(b"", key))
+    if size <= 0 or code[size:] != _seal(code[:size], key):
+        return b""
+    os.utime(library)  # used now
+    return code
 
 
-def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, suffix: str, library: Path, key: str) -> None:
-    """Compile in a folder of its own, then move the library into place in one operation: no process ever sees half a file."""
+def _load_copy(load: Callable[[Path], T], code: bytes, library: Path) -> T:
+    """Load a library from a copy of its bytes that nobody else knows of, and that is removed at once: a loaded library needs no name.
+
+    Who alters or cuts the file in the cache, before or after it is loaded, would otherwise end this process.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix=_BUILD, dir=library.parent, ignore_cleanup_errors=True))
+            copy = Path(folder) / library.name
+            copy.write_bytes(code)
+            copy.chmod(0o700)
+        except OSError:  # no room for a copy
+            copy = library
+        return load(copy)
+
+
+def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, suffix: str, library: Path, key: str) -> bytes:
+    """Compile in a folder of its own, then move the library into place in one operation: no process ever sees half a file. Return it."""
     try:
         with tempfile.TemporaryDirectory(prefix=_BUILD, dir=library.parent) as folder:
-            code, result = Path(folder) / f"code{suffix}", Path(folder) / library.name
-            code.write_text(source, encoding="utf-8")
+            text, result = Path(folder) / f"code{suffix}", Path(folder) / library.name
+            text.write_text(source, encoding="utf-8")
             position = [] if sys.platform == "win32" else ["-fPIC"]
-            _run([*compiler, *flags, *position, "-shared", "-o", str(result), str(code), "-lm"])
-            seal = _seal(result.read_bytes(), key)
-            with result.open("ab") as file:
-                file.write(seal)  # loaders do not mind what follows the code
+            _run([*compiler, *flags, *position, "-shared", "-o", str(result), str(text), "-lm"], Path(folder))
+            code = result.read_bytes()
+            code += _seal(code, key)  # loaders do not mind what follows the code
+            result.write_bytes(code)
             result.chmod(0o700)  # whatever the umask
             try:
                 os.replace(result, library)
             except PermissionError:  # Windows: another process has just put it there and uses it
                 if not library.exists():
                     raise
+            return code
     except OSError as error:
         raise CompileError(f"{library} cannot be written: {error}") from error
 

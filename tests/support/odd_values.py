@@ -31,7 +31,7 @@ def raising(*_: Any) -> Any:
 
 
 ODD: list[Any] = [
-    float("nan"), float("inf"), -float("inf"), -1, 0, 0.0, 1e-320, 1e200, 10**400, -(10**5000), 10**9 + 0.5, True, None, "x", "", b"x", 1j, 1 + 0j,
+    float("nan"), float("inf"), -float("inf"), -1, 0, 0.0, 1e-320, 1e200, 10**400, -(10**5000), 10**9, True, None, "x", "", b"x", 1j, 1 + 0j,
     np.complex128(2), np.array(3), np.array(3.0), np.array([]), np.zeros((0, 3)), np.zeros((2, 2, 2)), np.array([1 + 1j]), np.array(["a"]),
     np.array([None]), np.array([np.nan, 1.0]), np.float32("nan"), np.int64(-3), np.datetime64("2020-01-01"), np.ma.masked,
     np.ma.array([1.0, 2.0], mask=[True, False]), np.ma.array([[1.0, 2.0, 3.0]], mask=[[False, True, False]]), np.ma.array(1.0, mask=True),

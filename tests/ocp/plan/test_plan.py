@@ -125,6 +125,7 @@ NUMBERS = {
     "replay_error": lambda old: np.asarray(-1.0),
     "duals.values": lambda old: old[:-1],
     "trajectory.time": lambda old: old * 2,
+    "scene.segments": lambda old: np.asarray(100_000),
     "trajectory.success": lambda old: np.asarray(False),
     "trajectory.strings": lambda old: old[::-1],
     "trajectory.bars": lambda old: old[:, ::-1],
@@ -214,7 +215,7 @@ def test_files_that_are_no_plans_are_refused(plan, tmp_path):
     with np.load(path) as archive:
         content = dict(archive)
     wrong = {"force_density": np.zeros((3, 9)), "structure.bars": np.array([[0, 99]]), "iterations": np.zeros(3), "scene.segments": np.zeros(9, int)}
-    for name, value in {**wrong, "time": None, "structure.fixed": None, "scene.slack": None}.items():
+    for name, value in {**wrong, "time": None, "structure.fixed": None, "scene.slack": None, "scene.gravity": None, "scene.slack.laws": None}.items():
         kept = {key: entry for key, entry in content.items() if key != name} | ({} if value is None else {name: value})
         np.savez_compressed(path, **kept)
         with pytest.raises(ValueError, match="is not a plan"):

@@ -122,6 +122,18 @@ def without(path, *names, **others):
     return path
 
 
+@pytest.mark.parametrize("many", [1_000_000_000, 200_000])
+def test_a_file_that_asks_for_too_many_intervals_is_a_plan_that_cannot_be_refined(coarse, many, tmp_path):
+    path = coarse.save(tmp_path / "plan.npz")
+    with np.load(path) as archive:
+        text = re.sub(r'"intervals": \d+', f'"intervals": {many}', archive["solved"].item())
+    loaded = ocp.Plan.load(without(path, "solved", solved=np.asarray(text)))
+    assert loaded.success
+    assert loaded.transcription is None
+    with pytest.raises(ValueError, match=r"refine needs to know how the plan was solved \(\w+\.intervals is .*: it must be at most 100000\)"):
+        loaded.refine(1e-4)
+
+
 def test_a_plan_of_an_older_version_says_how_it_is_refined(coarse, tmp_path):
     path = without(coarse.save(tmp_path / "plan.npz"), "solved")
     loaded = ocp.Plan.load(path)

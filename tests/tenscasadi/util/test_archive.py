@@ -7,6 +7,7 @@ import pickle
 import stat
 import subprocess
 import sys
+import time
 import zipfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -79,6 +80,15 @@ def test_what_is_no_regular_file_is_neither_replaced_nor_read(tmp_path: Path) ->
             archive.load(path, "form 1", "thing", dict)
 
 
+def test_what_a_killed_process_left_is_removed_by_the_next_save(tmp_path: Path) -> None:
+    left, busy, other = (tmp_path / name for name in (".tenscasadi-0", ".tenscasadi-1", ".mine"))
+    for path, age in ((left, 7200), (busy, 60), (other, 7200)):
+        path.write_bytes(b"half")
+        os.utime(path, (time.time() - age,) * 2)
+    archive.save(tmp_path / "a.npz", "form 1", {"x": np.ones(2)})
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".mine", ".tenscasadi-1", "a.npz"]
+
+
 @posix
 def test_who_may_read_a_file_stays_the_same(tmp_path: Path) -> None:
     path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.ones(2)})
@@ -104,7 +114,8 @@ import os, resource, signal, sys
 import numpy as np
 from tenscasadi.util import archive
 
-path, old, new = sys.argv[1], np.random.default_rng(0).normal(size=3000), np.random.default_rng(1).normal(size=3000)
+path, folder = sys.argv[1], os.path.dirname(sys.argv[1])
+old, new = np.random.default_rng(0).normal(size=3000), np.random.default_rng(1).normal(size=3000)
 
 def child(action):
     pid = os.fork()
@@ -137,15 +148,15 @@ total = save()
 seen = set()
 for last in [*np.linspace(1, total - 20, 35).astype(int).tolist(), *range(total - 16, total - 1)]:
     archive.save(path, "form 1", {"x": old})
+    assert os.listdir(folder) == [os.path.basename(path)], last  # what the last one left is gone
     status = child(lambda: save(last) * 0)
     assert os.WTERMSIG(status) == signal.SIGKILL, (last, status)
     found = content()
     assert np.array_equal(found, old) or np.array_equal(found, new), last
     seen.add(bool(np.array_equal(found, new)))
+    for left in os.listdir(folder):
+        os.utime(os.path.join(folder, left), (0, 0))
 assert seen == {False, True}
-for left in os.listdir(os.path.dirname(path)):
-    if left.startswith(".tenscasadi-"):
-        os.unlink(os.path.join(os.path.dirname(path), left))
 
 def cut(size):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
