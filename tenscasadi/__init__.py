@@ -15,6 +15,9 @@ from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.mechanism import Multipliers
 from tenscasadi.dynamics.model import Energy, Model
 from tenscasadi.dynamics.state_space import Constraints
+from tenscasadi.ensemble.feedback import Feedback
+from tenscasadi.ensemble.result import Rollouts
+from tenscasadi.ensemble.rollouts import rollouts
 from tenscasadi.ensemble.sweep import sweep
 from tenscasadi.ensemble.sweep_table import Sweep
 from tenscasadi.integrators.collocation import Collocation
@@ -92,6 +95,10 @@ __all__ = [
     # many at once
     "sweep",
     "Sweep",
+    # many at once
+    "rollouts",
+    "Rollouts",
+    "Feedback",
     # speed against accuracy
     "tradeoff",
     "Tradeoff",

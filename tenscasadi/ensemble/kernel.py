@@ -18,13 +18,12 @@ from tenscasadi.ensemble.program import Program, write_program
 from tenscasadi.ensemble.request import MEASURED, STOPPED, WORST, make_request
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.simulation.diagnosis import BEYOND, BROKEN_BARS
 from tenscasadi.util.compile import CompileError, compile_library
 from tenscasadi.util.validate import Array
 
 Integers = NDArray[np.int64]
 _POLL = 0.05  # s between two looks at what other threads have done
-_BROKEN_BARS = 0.1
-_BEYOND = 1e12
 
 
 class Intervals(NamedTuple):
@@ -36,7 +35,7 @@ class Intervals(NamedTuple):
 
 
 class KernelResult(NamedTuple):
-    """What became of n motions; one that failed ends in NaN and costs inf.
+    """Ends of n motions; one that failed ends in NaN and costs inf.
 
     states (n, nx): their ends. saved (n, T, nx): the start, each `save_every`-th step and the end; None where nothing is saved.
     cost (n,). status (n,): 0, or the code of what went wrong; `fault`, `good` (n,): the step at which that was found, and the last one at
@@ -56,7 +55,7 @@ class KernelResult(NamedTuple):
 class Kernel:
     """Steps of many motions of one model as machine code; `build_kernel` makes it.
 
-    lanes: motions that each instruction moves; 0 without C++, `note` then says why.
+    lanes: motions that each instruction moves; 0 without C++, `note` then says why, as it does where code that branches leaves one lane.
     """
 
     def __init__(self, program: Program, lanes: int | None) -> None:
@@ -67,9 +66,9 @@ class Kernel:
             try:
                 self._library = compile_library("motion", write_source(program, width))
             except CompileError as error:
-                self.note = f"not compiled: {str(error).splitlines()[0]}"
+                self.note = f"{'not compiled' if width == 1 else 'not compiled in lanes'}: {_reason(str(error))}"
                 continue
-            self.lanes, self.note = int(self._library.motion_lanes()), ""
+            self.lanes = int(self._library.motion_lanes())
             return
         self._one_by_one = OneByOne(program)
 
@@ -102,20 +101,23 @@ class Kernel:
         save_every: int = 0,
         *,
         look_every: int = 0,
+        parameters: Array | None = None,
         feedback: Mapping[str, Any] | None = None,
         threads: int = 1,
         watch: Callable[[int], object] | None = None,
     ) -> KernelResult:
         """Roll n motions through `intervals`.
 
-        look_every: steps from one measurement to the next, 0: only where a row is kept and at the end. feedback: controls that depend on the
+        look_every: steps from one measurement to the next, 0: only where a row is kept and at the end. parameters (n or 1, np): p, where the
+        inputs hold u alone. feedback: controls that depend on the
         state, by name as `motions.hpp` reads them. watch: called with the steps done now and then; the work is then done in other
         threads, and after Ctrl-C motions that have not arrived have the status STOPPED.
         """
         sizes = self._sizes
         states = _rows("states", states, (None, sizes["NX"]))
-        inputs = _rows("inputs", inputs, (None, None, sizes["NW"]))
-        n = _common(len(states), len(inputs))
+        held = np.empty((1, 0)) if parameters is None else _rows("parameters", parameters, (None, sizes["NW"] - sizes["NU"]))
+        inputs = _rows("inputs", inputs, (None, None, sizes["NW"] - held.shape[1]))
+        n = _common(states=len(states), inputs=len(inputs), parameters=len(held))
         steps = int(intervals.steps.sum())
         rows = 1 + -(-steps // save_every) if save_every else 0
         measured = sizes["M"] > 0
@@ -133,16 +135,19 @@ class Kernel:
         values = {
             "motions": n,
             "state_stride": sizes["NX"] if len(states) > 1 else 0,
-            "input_stride": inputs.shape[1] * sizes["NW"] if len(inputs) > 1 else 0,
+            "input_stride": inputs.shape[1] * inputs.shape[2] if len(inputs) > 1 else 0,
+            "parameter_stride": held.shape[1] if len(held) > 1 else 0,
+            "width": inputs.shape[2],
             "intervals": len(intervals.row),
             "row": np.ascontiguousarray(intervals.row, dtype=np.int64),
             "count": np.ascontiguousarray(intervals.steps, dtype=np.int64),
             "length": np.ascontiguousarray(intervals.length, dtype=float),
             "states": states,
             "inputs": inputs,
+            "parameters": held,
             **(feedback or {}),
             **{"correct_every": self._every, "save_every": save_every, "look_every": look_every, "rows": rows},
-            **{"broken": _BROKEN_BARS, "beyond": _BEYOND},
+            **{"broken": BROKEN_BARS, "beyond": BEYOND},
             **{"last": result.states, "saved": result.saved, "measured": result.measured, "worst": result.worst, "cost": result.cost},
             **{"status": result.status, "fault": result.fault, "good": result.good},
             **dict(zip(("next", "done", "stop"), np.zeros((3, 1), dtype=np.int64), strict=True)),
@@ -166,23 +171,43 @@ class Kernel:
             raise MemoryError("there is no memory for the motions on their way") if 2 in failed else RuntimeError("CasADi could not evaluate a step")
 
 
+def _reason(told: str) -> str:
+    """Return the line of a compiler's words that says what is wrong."""
+    lines = told.splitlines()
+    return next((line.split("error: ")[1] for line in lines if "error: " in line), lines[0])
+
+
 def _share(work: Callable[[], Any], threads: int, values: Mapping[str, Any], watch: Callable[[int], object] | None) -> None:
     """Let `threads` threads do the work, and wait; Ctrl-C tells them to stop."""
-    workers = [threading.Thread(target=work, daemon=True) for _ in range(threads)]
+    ended: list[bool] = []
+    wake = threading.Event()
+
+    def labour() -> None:
+        try:
+            work()
+        finally:
+            ended.append(True)
+            wake.set()
+
+    workers = [threading.Thread(target=labour, daemon=True) for _ in range(threads)]
     try:
         for worker in workers:
             worker.start()
-        for worker in workers:
-            while worker.is_alive():
-                worker.join(_POLL)
-                if watch is not None:
-                    watch(int(values["done"][0]))
+        _wait(wake, lambda: len(ended) == threads, values, watch)
     except KeyboardInterrupt:
         values["stop"][0] = 1
-    finally:
-        for worker in workers:
-            if worker.ident is not None:
-                worker.join()
+        _wait(wake, lambda: len(ended) == sum(worker.ident is not None for worker in workers), values, watch)
+
+
+def _wait(wake: threading.Event, over: Callable[[], bool], values: Mapping[str, Any], watch: Callable[[int], object] | None) -> None:
+    """Wait for what sets `wake` until it is over. Threads are not joined: a join that Ctrl-C ends takes them for dead (CPython issue 89437)."""
+    while not over():
+        wake.wait(_POLL)
+        wake.clear()
+        if watch is not None:
+            watch(int(values["done"][0]))
+    if watch is not None:
+        watch(int(values["done"][0]))
 
 
 def _rows(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
@@ -192,10 +217,13 @@ def _rows(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     return array
 
 
-def _common(states: int, inputs: int) -> int:
-    if states != inputs and 1 not in (states, inputs):
-        raise ValueError(f"states has {states} rows and inputs {inputs}: give as many of both, or one row that all share")
-    return 0 if 0 in (states, inputs) else max(states, inputs)
+def _common(**rows: int) -> int:
+    """Return the number of motions that these rows make, of which each is as many or one that all share. Raises ValueError."""
+    several = {name: count for name, count in rows.items() if count != 1}
+    if len(set(several.values())) > 1:
+        told = " and ".join(f"{name} has {count} rows" for name, count in several.items())
+        raise ValueError(f"{told}: give as many of each, or one row that all motions share")
+    return next(iter(several.values()), 1)
 
 
 def build_kernel(

@@ -44,7 +44,7 @@ def write_source(program: Program, lanes: int | None) -> str:
     }
     if tableau is not None:
         room["SIZE_W"] += work_size(tableau, sizes["NX"] + sizes["WORK"])
-    has = {name.removeprefix("motion_").upper(): 1 for name in functions}
+    has = {name.replace("motion_", "HAS_").upper(): 1 for name in functions}
     return "\n".join(
         [
             _WIDEST if lanes is None else f"#define LANES {lanes}",

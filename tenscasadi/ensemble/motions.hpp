@@ -8,14 +8,14 @@ enum { FINISHED, NOT_FINITE, BEYOND, BROKEN, STOPPED };
 enum { BARS, JOINTS, ENERGY, KINETIC, ELASTIC_LOW, ELASTIC_HIGH, GRAVITY_LOW, GRAVITY_HIGH, WORST };
 
 struct Request {
-  // motions; rows of states and inputs of each: 0 where all share one
-  int64_t motions, state_stride, input_stride;
+  // motions; numbers from the states, inputs and parameters of one to those of the next, 0 where all share one; width of a row of inputs
+  int64_t motions, state_stride, input_stride, parameter_stride, width;
   // intervals of time: the row of the inputs in each, its steps and their length; whether feedback decides anew at its start
   int64_t intervals;
   const int64_t *row, *count;
   const double *length;
   const int64_t *decides;
-  const double *states, *inputs;
+  const double *states, *inputs, *parameters;  // no parameters: inputs hold them, too
   // feedback: controls, states, gains of each decision, and limits; no gains: none
   const int64_t *decision;
   const double *given, *reference, *gains, *lower, *upper;
@@ -58,8 +58,10 @@ static inline double smaller(double a, double b) { return a < b ? a : b; }
 
 static void load(const Request &q, const Group &g, Room &room, int64_t row) {
   for (int k = 0; k < LANES; ++k) {
-    const double *w = q.inputs + g.motion(k) * q.input_stride + row * NW;
-    for (int i = 0; i < NW; ++i) set(room.w[i], k, w[i]);
+    const double *w = q.inputs + g.motion(k) * q.input_stride + row * q.width;
+    for (int i = 0; i < q.width; ++i) set(room.w[i], k, w[i]);
+    const double *p = q.parameters + g.motion(k) * q.parameter_stride;
+    for (int64_t i = q.width; i < NW; ++i) set(room.w[i], k, p[i - q.width]);
   }
 }
 
@@ -130,7 +132,7 @@ static void keep(const Request &q, const Group &g, Room &room, int64_t row) {
 static int advance(const Request &q, Room &room, double length, bool correct) {
   lanes h = length;
   if (EVALUATE(motion_step, room.z, room.w, &h, room.after)) return 1;
-#ifdef PROJECT
+#ifdef HAS_PROJECT
   if (correct) {
     lanes *x = room.z;
     if (EVALUATE(motion_project, room.after, room.w, 0, x)) return 1;
@@ -170,6 +172,7 @@ static int roll_group(const Request &q, Group &g, Room &room) {
     const double *x = q.states + g.motion(k) * q.state_stride;
     for (int i = 0; i < NX; ++i) set(room.z[i], k, x[i]);
     for (int i = NX; i < NX + WORK; ++i) set(room.z[i], k, 0.0);
+    for (int i = 0; i < WORST; ++i) set(room.worst[i], k, NAN);
     g.status[k] = FINISHED, g.fault[k] = -1, g.good[k] = 0;
   }
   lanes cost = 0.0, value;
@@ -196,14 +199,14 @@ static int roll_group(const Request &q, Group &g, Room &room) {
       if (save || step == total || (q.look_every && step % q.look_every == 0)) look(q, g, room, step);
       if (save) keep(q, g, room, row++);
     }
-#ifdef STAGE
+#ifdef HAS_STAGE
     if (EVALUATE(motion_stage, room.z, room.w, 0, &value)) return 1;
     cost += value * lanes(q.length[interval] * q.count[interval]);
 #endif
     __atomic_fetch_add(q.done, g.live * q.count[interval], __ATOMIC_RELAXED);
     if (g.all_lost()) break;
   }
-#ifdef FINAL
+#ifdef HAS_FINAL
   if (EVALUATE(motion_final, room.z, room.w, 0, &value)) return 1;
   cost += value;
 #endif

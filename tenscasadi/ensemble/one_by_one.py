@@ -107,8 +107,10 @@ class _Block:
     def _hold(self, interval: int) -> None:
         q, nx = self.q, self.sizes["NX"]
         before = self.engine.evaluate("motion_energy", self._x, self.w) if self.sizes["JUMPS"] and interval else None
-        inputs = q["inputs"][self.motions if q["input_stride"] else np.zeros(len(self.z), int)]
-        self.w = inputs[:, q["row"][interval]].copy()
+        own, shared = self.motions, np.zeros(len(self.z), dtype=int)
+        self.w = q["inputs"][own if q["input_stride"] else shared, q["row"][interval]]
+        if q["parameters"].shape[1]:
+            self.w = np.hstack([self.w, q["parameters"][own if q["parameter_stride"] else shared]])
         if q.get("gains") is not None:
             if q["decides"][interval]:
                 k = q["decision"][interval]
@@ -151,7 +153,7 @@ class _Block:
             kinetic, elastic, gravity = self.measure[:, 2:5].T
             now = np.stack([bars, self.measure[:, 1], error, kinetic, elastic, elastic, gravity, gravity], axis=1)
             if step == 0:
-                self.worst = now
+                self.worst = np.where(fine[:, None], now, np.nan)
             lower = [4, 6]
             new = np.maximum(self.worst, now)
             new[:, lower] = np.minimum(self.worst, now)[:, lower]

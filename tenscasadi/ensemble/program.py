@@ -1,4 +1,4 @@
-"""What a kernel computes, as CasADi Functions under the names that `motions.hpp` calls."""
+"""The program of a kernel: CasADi Functions under the names that `motions.hpp` calls."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import casadi as ca
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
-from tenscasadi.integrators.scheme import Scheme, add_work, check_scheme
+from tenscasadi.integrators.scheme import Scheme, check_scheme, equations
 from tenscasadi.integrators.stabilization import Correction, held_correction
 from tenscasadi.integrators.tableaux import Tableau
 
@@ -29,14 +29,11 @@ def write_program(
     check_scheme(scheme)
     if scheme.adaptive or scheme.implicit:
         raise ValueError(f"scheme is {scheme}: motions side by side take the same steps, give a scheme of fixed explicit ones such as RungeKutta4()")
-    power = _stacked(model, model.power) if measured and model.power is not None else None
+    power = model.stacked(model.power) if measured and model.power is not None else None
     jumps = measured and model.nu > 0
     tableau = _tableau(scheme)
-    if tableau is None:
-        step = _with_account("motion_step", scheme.advance(model, power), model.nx, jumps and power is None)
-    else:
-        ode = _stacked(model, model.ode)
-        step = _with_account("motion_ode", ode if power is None else add_work(ode, power), model.nx, jumps and power is None)
+    move = scheme.advance(model, power) if tableau is None else equations(model, power)
+    step = _with_account("motion_step" if tableau is None else "motion_ode", move, model.nx, jumps and power is None)
     functions = {step.name(): step}
     nw = max([step.size1_in(1), *(cost.size1_in(1) for cost in (stage, final) if cost is not None)])
     project = None if correction is None else held_correction(model, correction)
@@ -44,17 +41,12 @@ def write_program(
         if function is not None:
             functions[name] = function
     if measured:
-        functions["motion_measure"] = _measure(_stacked(model, model.observe))
+        functions["motion_measure"] = _measure(model.stacked(model.observe))
         if jumps:
-            functions["motion_energy"] = _stacked(model, model.energy_function)
+            functions["motion_energy"] = model.stacked(model.energy_function)
     given = {name: _renamed(name, _widened(function, nw)) for name, function in functions.items()}
     sizes = {"NX": model.nx, "NW": nw, "NU": model.nu, "WORK": int(power is not None or jumps), "JUMPS": int(jumps), "M": 5 * measured}
     return Program(given, sizes, tableau, 0 if project is None or correction is None else correction.every)
-
-
-def _stacked(model: Model, function: ca.Function) -> ca.Function:
-    """Return a Function of the model as one of (x, w)."""
-    return model.stacked(function) if hasattr(model, "stacked") else function
 
 
 def _tableau(scheme: Scheme) -> Tableau | None:

@@ -1,4 +1,4 @@
-"""What the machine code of `motions.hpp` is asked for: numbers and arrays by name, in the order of its struct."""
+"""Requests to the machine code of `motions.hpp`: numbers and arrays by name, in the order of its struct."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy as np
 # the codes of `motions.hpp`
 FINISHED, NOT_FINITE, BEYOND, BROKEN, STOPPED = range(5)
 MEASURED = ("bar_length_error", "joint_error", "kinetic", "elastic", "gravity", "supplied")
+SUPPLIED = MEASURED.index("supplied")
 WORST = ("bar_length_error", "joint_error", "energy_error", "kinetic", "elastic_low", "elastic_high", "gravity_low", "gravity_high")
 
 _NUMBERS, _ARRAY, _REAL = ctypes.c_int64, ctypes.c_void_p, ctypes.c_double
 _FIELDS: dict[str, Any] = {
-    **dict.fromkeys(("motions", "state_stride", "input_stride", "intervals"), _NUMBERS),
-    **dict.fromkeys(("row", "count", "length", "decides", "states", "inputs"), _ARRAY),
+    **dict.fromkeys(("motions", "state_stride", "input_stride", "parameter_stride", "width", "intervals"), _NUMBERS),
+    **dict.fromkeys(("row", "count", "length", "decides", "states", "inputs", "parameters"), _ARRAY),
     **dict.fromkeys(("decision", "given", "reference", "gains", "lower", "upper"), _ARRAY),
     **dict.fromkeys(("referred", "correct_every", "save_every", "look_every", "rows"), _NUMBERS),
     **dict.fromkeys(("broken", "beyond"), _REAL),

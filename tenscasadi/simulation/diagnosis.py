@@ -14,15 +14,15 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.validate import Array
 
-_BROKEN_BARS = 0.1  # relative length error at which a run has diverged
-_BEYOND = 1e12  # entries of a state above this are not physical in any unit
-_DRIFTED_BARS = 0.01  # relative length error at which the message speaks of it
-_LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
+BROKEN_BARS = 0.1  # relative length error at which a run has diverged
+BEYOND = 1e12  # entries of a state above this are not physical in any unit
+DRIFTED_BARS = 0.01  # relative length error at which the message speaks of it
+LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
 _ROUNDING = {False: 1e-9, True: 1e-5}  # of the energies, what a run may lose by rounding, in double and in single precision
-_OFF = 1e-6  # of lengths and speeds: what a start may be off its bars and joints by without a word
-_WRONG_START = 0.2  # of lengths and speeds: a start that is off by more is another structure's
-_SPOKEN_GROWTH = float(np.log(1.5))  # of a mode that the steps should not amplify: what the message speaks of
-_LOST_GROWTH = float(np.log(10.0))  # and what takes the trust out of the run
+OFF = 1e-6  # of lengths and speeds: what a start may be off its bars and joints by without a word
+WRONG_START = 0.2  # of lengths and speeds: a start that is off by more is another structure's
+SPOKEN_GROWTH = float(np.log(1.5))  # of a mode that the steps should not amplify: what the message speaks of
+LOST_GROWTH = float(np.log(10.0))  # and what takes the trust out of the run
 _MOST_LOOKS = 8  # sets of taut strings at which a run is linearised
 _EPSILON = 64 * float(np.finfo(float).eps)  # of the largest entry of a state: what rounding may change differences of entries by
 
@@ -31,8 +31,8 @@ def first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
     """Count the good rows of states (T, nx) and bar_length_error (T,), and say what is wrong with the next; "" when all are good."""
     faults = {
         "the state is not finite": ~np.all(np.isfinite(states), axis=1),
-        "the state is beyond any physical size": np.any(np.abs(states) > _BEYOND, axis=1),
-        f"a bar is off by more than {_BROKEN_BARS:.0%} of its length": bar_length_error > _BROKEN_BARS + bar_length_error[0],
+        "the state is beyond any physical size": np.any(np.abs(states) > BEYOND, axis=1),
+        f"a bar is off by more than {BROKEN_BARS:.0%} of its length": bar_length_error > BROKEN_BARS + bar_length_error[0],
     }
     bad = np.any(list(faults.values()), axis=0)
     bad[0] = False  # the start is the caller's
@@ -45,7 +45,7 @@ def first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
 def explain_divergence(model: Model, scheme: Scheme, run: Trajectory, last: int) -> str:
     """Say why a run diverged after row `last`, as far as the start and the linearised motion tell, and what to do."""
     step, name = run.step, type(scheme).__name__
-    if off := off_constraints(model, run.states[0], _OFF):
+    if off := off_constraints(model, run.states[0], OFF):
         return f"the start is {off}"
     if scheme.adaptive:
         return f"the error of each step was kept, so the motion itself breaks down or was not resolved: try a smaller {name}(rtol)"
@@ -73,24 +73,24 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
     Its start, its bars, or its energy, as when a correction hides what the step destroys.
     """
     x = run.states[0]
-    if off := off_constraints(model, x, _OFF):
-        return f"; the start is {off}", constraint_violation(model, x) <= _WRONG_START
+    if off := off_constraints(model, x, OFF):
+        return f"; the start is {off}", constraint_violation(model, x) <= WRONG_START
     growth, limit, when = _find_growth(model, scheme, run)
     drift = float(run.bar_length_error.max())
-    found = [f"bars are off by up to {drift:.2g} of their length (correction=Projection() holds them)"] if drift > _DRIFTED_BARS else []
+    found = [f"bars are off by up to {drift:.2g} of their length (correction=Projection() holds them)"] if drift > DRIFTED_BARS else []
     parts = run.energy_parts
     scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
     rounding = _ROUNDING[isinstance(compiled, Single)] * float(np.abs(parts).max() + run.tension.sum(axis=1).max() * np.ptp(run.nodes))
     largest = float(np.abs(run.energy_error).max())
-    if largest > max(_LOST_ENERGY * scale, rounding):  # not for NaN: not known
+    if largest > max(LOST_ENERGY * scale, rounding):  # not for NaN: not known
         found.append(f"energy is off by {largest:.2g} J where {scale:.2g} J move")
-    if growth > _SPOKEN_GROWTH:
+    if growth > SPOKEN_GROWTH:
         cure = f"try step={0.9 * limit:.2g}"
         text = f"the step {run.step:g} s is above the stability limit {limit:.3g} s of {type(scheme).__name__} at t = {when:g} s: {cure}"
         told = "".join(f"; {part}" for part in found) + f": the step is above the stability limit, {cure}" if found else f"; {text}"
         # Friction is bounded, so is what its slope at rest amplifies: it only chatters.
         rubs = any(ground.friction is not None for ground in model.scene.grounds)
-        return told, rubs or growth <= _LOST_GROWTH
+        return told, rubs or growth <= LOST_GROWTH
     return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run)}" if found else ""), True
 
 
@@ -101,12 +101,12 @@ def _find_growth(model: Model, scheme: Scheme, run: Trajectory) -> tuple[float, 
     steps = max(1.0, float(run.time[-1]) / run.step)
     total, worst = 0.0, (0.0, run.states[0], 0)
     for states, share, rows in _looks(model, run):
-        least = _SPOKEN_GROWTH / steps
+        least = SPOKEN_GROWTH / steps
         logs = [log_growth(model, scheme, run.step, x, run.control[row], least, run.parameters) for x, row in zip(states, rows, strict=True)]
         k = int(np.argmax(logs))
         total += logs[k] * max(1.0, share * steps)
         worst = max(worst, (logs[k], states[k], rows[k]), key=lambda item: item[0])
-    if total <= _SPOKEN_GROWTH:
+    if total <= SPOKEN_GROWTH:
         return total, np.inf, 0.0
     return total, stable_step(model, worst[1], run.control[worst[2]], scheme, safety=1.0, parameters=run.parameters), float(run.time[worst[2]])
 

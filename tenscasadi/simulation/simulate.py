@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -163,16 +164,27 @@ def _lay_grid(
     end = positive_number("t_end", t_end)
     if step is None:
         step = end / 100 if scheme.adaptive else 1e-3
-    n_steps = _count(end, positive_number("step", step))
+    positive = isinstance(model.scene.control, RestLength)
+
+    def sample(end: float, steps: int) -> SampledControl:
+        inputs = sample_control(control, model.control_at(p), end, steps, positive)
+        return append_constants(inputs, p) if model.np else inputs
+
+    return lay_grid(model, float(start[-1]) if model.scene.has_clock else 0.0, end, positive_number("step", step), sample)
+
+
+def lay_grid(model: Model, first: float, end: float, step: float, sample: Callable[[float, int], SampledControl]) -> SampledControl:
+    """Lay steps over `end` s from the time `first` on, s, with what `sample` (end, steps) says of the control, and check what depends on time.
+
+    Raises ValueError.
+    """
+    n_steps = _count(end, step)
     if model.scene.has_clock:
-        _check_clock(abs(start[-1]) + end, end / n_steps)
+        _check_clock(abs(first) + end, end / n_steps)
     changing = model.scene.over_time
-    first = float(start[-1]) if changing else 0.0
     for load in changing:
         _check_functions(load, first, first + end)
-    inputs = sample_control(control, model.control_at(p), end, n_steps, isinstance(model.scene.control, RestLength))
-    if model.np:
-        inputs = append_constants(inputs, p)
+    inputs = sample(end, n_steps)
     if not changing:
         return inputs
     return cut_steps(inputs, np.concatenate([load.find_breaks(first, first + end, n_steps) for load in changing]) - first)

@@ -61,7 +61,10 @@ def test_equal_to_simulate(name, lanes):
     model = build()
     n = 11
     x, u = starts(model, n), inputs(model, n, 4)
-    result = build_kernel(model, scheme, correction, measured=True, lanes=lanes)(x, u, STEP, STEPS // 4, save_every=7)
+    kernel = build_kernel(model, scheme, correction, measured=True, lanes=lanes)
+    assert kernel.lanes == (lanes or kernel.lanes) > 0
+    assert kernel.note == ""
+    result = kernel(x, u, STEP, STEPS // 4, save_every=7)
     assert not result.status.any()
     for k in (0, 10):
         control = u[k] if model.nu else None
@@ -157,7 +160,7 @@ def test_wrong_shapes_and_schemes():
         kernel(np.zeros((3, 4)), np.zeros((1, 1, 0)), STEP, 1)
     with pytest.raises(ValueError, match=r"inputs has shape \(1, 0\)"):
         kernel(np.zeros((3, 36)), np.zeros((1, 0)), STEP, 1)
-    with pytest.raises(ValueError, match="states has 3 rows and inputs 2"):
+    with pytest.raises(ValueError, match="states has 3 rows and inputs has 2 rows: give as many of each"):
         kernel(np.zeros((3, 36)), np.zeros((2, 1, 0)), STEP, 1)
     for scheme in (tc.DormandPrince54(rtol=1e-6), tc.Collocation(2), tc.Cvodes()):
         with pytest.raises(ValueError, match="give a scheme of fixed explicit ones"):

@@ -1,0 +1,156 @@
+"""Input of rollouts: starts, parameters, controls and the steps that they are laid over, for one motion or for each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.ensemble.feedback import Feedback
+from tenscasadi.ensemble.kernel import Intervals
+from tenscasadi.scene.strings import RestLength
+from tenscasadi.simulation.control_input import ControlProfile, SampledControl, sample_control
+from tenscasadi.simulation.simulate import lay_grid
+from tenscasadi.util.validate import SMALLEST, Array, finite_array, nesting, positive_number, real_array
+
+
+class Plan(NamedTuple):
+    """Controls (n or 1, K, nu) on K equal parts, or feedback, with controls (1, 1, nu) that it replaces."""
+
+    controls: Array
+    feedback: Feedback | None
+
+
+def read_starts(model: Model, states: Any, p: Array) -> Array:
+    """Return the starts (n or 1, nx); one that is not finite is its motion's own fault. Raises TypeError, ValueError."""
+    wanted = f"states of shape (n, {model.nx}) or ({model.nx},)"
+    given = _shared([model.start_at(row) for row in p]) if states is None else real_array("states", states, wanted)
+    if given.ndim not in (1, 2) or given.shape[-1] != model.nx:
+        raise ValueError(f"states has shape {given.shape}: give {wanted}")
+    starts = np.atleast_2d(given)
+    clocks = model.split(starts)[2]
+    if clocks.size and len(np.unique(clocks[np.isfinite(clocks)])) > 1:
+        raise ValueError(f"states[:, {model.nx - 1}] are clocks from {np.nanmin(clocks):g} to {np.nanmax(clocks):g} s: start all motions at one time")
+    return starts
+
+
+def read_parameters(model: Model, given: Any) -> Array:
+    """Return the parameters (n or 1, np), checked. Raises TypeError, ValueError."""
+    layout = model.parameters
+    if isinstance(given, Mapping):
+        rows = np.tile(layout.nominal, (count_motions(**{f"parameters[{name!r}]": len(v) if nesting(v) == 2 else 1 for name, v in given.items()}), 1))
+        shared = layout.values({name: value for name, value in given.items() if nesting(value) < 2})
+        rows[:] = shared
+        for name, value in given.items():
+            if nesting(value) >= 2:
+                place = layout.places.get(name, slice(0, 0))
+                rows[:, place] = finite_array(f"parameters[{name!r}]", value, (None, place.stop - place.start))
+    elif nesting(given) < 2:
+        return layout.values(given)[None]
+    else:
+        rows = finite_array("parameters", given, (None, len(layout)))
+    layout.check(rows)
+    return rows
+
+
+def _shared(rows: list[Array]) -> Array:
+    """Return rows as an array, one where they are one and the same."""
+    return np.array(rows[:1] if all(row is rows[0] for row in rows) else rows)
+
+
+def read_controls(model: Model, controls: Any, p: Array) -> Plan:
+    """Return the controls, checked. Raises TypeError, ValueError."""
+    nu = model.nu
+    if isinstance(controls, Feedback):
+        if controls.controls.shape[1] != nu or controls.states.shape[1] != model.nx:
+            raise ValueError(
+                f"controls is a Feedback of {controls.controls.shape[1]} controls and {controls.states.shape[1]} states: "
+                f"the model has {nu} and {model.nx}"
+            )
+        return Plan(np.zeros((1, 1, nu)), controls)
+    if controls is None:
+        return Plan(_initial(model, p)[:, None], None)
+    depth = nesting(controls)
+    shapes: dict[int, tuple[int | None, ...]] = {1: (nu,), 2: (None, nu)}
+    table = finite_array("controls", controls, shapes.get(depth, (None, None, nu)))
+    table = table[None, None] if depth == 1 else table[:, None] if depth == 2 else table
+    if table.shape[1] == 0:
+        raise ValueError(f"controls has shape {table.shape}: give at least one interval")
+    bad = np.argwhere(table < SMALLEST)
+    if isinstance(model.scene.control, RestLength) and len(bad):
+        place = tuple(int(i) for i in bad[0])
+        raise ValueError(f"controls{list(place)} is {table[place]:g}: rest lengths (RestLength) must be greater than 0")
+    return Plan(table, None)
+
+
+def _initial(model: Model, p: Array) -> Array:
+    """Return the control (n or 1, nu) that leaves the strings as they are."""
+    controls = np.array([model.control_at(row) for row in p]).reshape(len(p), model.nu)
+    return controls[:1] if len(controls) and not np.ptp(controls, axis=0).any() else controls
+
+
+def count_motions(**rows: int) -> int:
+    """Return the number of motions. Raises ValueError where the arguments do not agree."""
+    several = {name: count for name, count in rows.items() if count != 1}
+    if len(set(several.values())) > 1:
+        told = ", ".join(f"{name} has {count} rows" for name, count in several.items())
+        raise ValueError(f"{told}: give as many of each, or one row that all motions share")
+    return next(iter(several.values()), 1)
+
+
+def lay_steps(model: Model, starts: Array, t_end: float, step: float, plan: Plan) -> SampledControl:
+    """Lay the steps; what is sampled at each is the number of the interval of control that it belongs to."""
+    times = model.split(starts)[2]
+    first = float(times[np.isfinite(times)][0]) if np.any(np.isfinite(times)) else 0.0
+
+    def sample(end: float, steps: int) -> SampledControl:
+        if plan.feedback is None:
+            return sample_control(np.arange(plan.controls.shape[1], dtype=float)[:, None], np.zeros(1), end, steps)
+        nodes = plan.feedback.time
+        period = nodes[-1] - nodes[-2]
+        later = nodes[-1] + period * np.arange(1, max(0, np.ceil((end - nodes[-1]) / period)) + 1)
+        nodes = np.append(nodes, later)
+        nodes = np.append(nodes[nodes < end - 1e-9 * period], end)
+        return sample_control(ControlProfile(nodes, np.arange(len(nodes) - 1, dtype=float)[:, None]), np.zeros(1), end, steps)
+
+    return lay_grid(model, first, positive_number("t_end", t_end), positive_number("step", step), sample)
+
+
+def gather_intervals(model: Model, inputs: SampledControl, plan: Plan) -> tuple[Intervals, dict[str, Any] | None]:
+    """Gather steps of one length and one control, and what feedback decides there."""
+    if inputs.ends is None:
+        count = plan.controls.shape[1]  # equal parts
+        row, steps, length = np.arange(count), np.full(count, inputs.steps // count), np.full(count, inputs.step)
+    else:
+        owner, lengths = inputs.window(0, inputs.steps)[:, 0].astype(np.int64), inputs.lengths(0, inputs.steps)
+        begins = np.flatnonzero(np.concatenate([[True], (np.diff(owner) != 0) | (np.diff(lengths) != 0)]))
+        row, steps, length = owner[begins], np.diff(np.append(begins, inputs.steps)), lengths[begins]
+    if plan.feedback is None:
+        return Intervals(row, steps, length), None
+    plan_size, referred = len(plan.feedback.controls), 2 * model.nq
+    last = [plan_size - 1]  # after the plan: its last gain, about its last state
+    feedback = {
+        "decides": np.concatenate([[1], np.diff(row) != 0]).astype(np.int64),
+        "decision": np.minimum(row, plan_size).astype(np.int64),
+        "given": np.concatenate([plan.feedback.controls, plan.feedback.controls[last]]),
+        "reference": np.ascontiguousarray(plan.feedback.states[:, :referred]),
+        "gains": np.ascontiguousarray(np.concatenate([plan.feedback.gains, plan.feedback.gains[last]])[:, :, :referred]),
+        "lower": plan.feedback.lower,
+        "upper": plan.feedback.upper,
+        "referred": referred,
+    }
+    return Intervals(np.zeros_like(row), steps, length), feedback
+
+
+def controls_at(plan: Plan, model: Model, time: Array, saved: Any, k: int) -> Array:
+    """Return the controls (T, nu) of motion k at saved times, s; those of feedback as if it were decided there."""
+    if plan.feedback is None:
+        table = plan.controls[k if len(plan.controls) > 1 else 0]
+        return np.asarray(table[np.minimum((time / time[-1] * len(table) + 1e-9).astype(int), len(table) - 1)])
+    f, known = plan.feedback, 2 * model.nq
+    row = np.searchsorted(f.time, time + 1e-9, side="right") - 1
+    gain = np.minimum(row, len(f.controls) - 1)
+    away = saved[k][:, :known] - f.states[row, :known]
+    return np.asarray(np.clip(f.controls[gain] - np.einsum("tux,tx->tu", f.gains[gain][:, :, :known], away), f.lower, f.upper))

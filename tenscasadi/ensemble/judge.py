@@ -1,0 +1,136 @@
+"""Judgement of each of many motions: how it ended, and what is not to be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.ensemble.kernel import KernelResult
+from tenscasadi.ensemble.request import BEYOND, BROKEN, NOT_FINITE, STOPPED, SUPPLIED, WORST
+from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.simulation.diagnosis import BROKEN_BARS, DRIFTED_BARS, LOST_ENERGY, OFF, WRONG_START, constraint_violation, describe_doubts
+from tenscasadi.simulation.trajectory import record_trajectory
+from tenscasadi.util.validate import Array
+
+_ROUNDING = 1e-9  # of the energies, what a run may lose by rounding
+_LOOKED_AT = 8  # motions that are looked at closely, and for each parameter the two with its extremes
+_LIMIT = "stability limit"
+
+_FAULTS = {
+    NOT_FINITE: "the state is not finite",
+    BEYOND: "the state is beyond any physical size",
+    BROKEN: f"a bar is off by more than {BROKEN_BARS:.0%} of its length",
+}
+
+
+class Run(NamedTuple):
+    """Request as it was, with the kernel's answer.
+
+    starts (n or 1, nx), controls (n or 1, K, nu), parameters (n or 1, np); steps and their mean length, s; time (T,) of saved rows, times: of
+    steps; rows: the controls (T, nu) of motion k at the saved times.
+    """
+
+    model: Model
+    scheme: Scheme
+    starts: Array
+    controls: Array
+    parameters: Array
+    steps: int
+    step: float
+    time: Array
+    times: Callable[[int], float]
+    rows: Callable[[int], Array]
+    result: KernelResult
+
+
+def judge(run: Run) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
+    """Tell of each motion whether it reached its end and can be trusted, and how it ended."""
+    result, n = run.result, len(run.result.status)
+    success = result.status == 0
+    told = np.array([_finished(run)] * n, dtype=object)
+    for k in np.flatnonzero(~success).tolist():
+        told[k] = _describe_end(run, k)
+    violation = _violations(run, np.flatnonzero(success))
+    for k in np.flatnonzero(violation > OFF).tolist():
+        told[k] += (
+            f"; the start is off the lengths of its bars or its joints, or about to leave them, relatively by {violation[k]:.2g}: "
+            "start from tenscasadi.projection(model)(state)"
+        )
+    success &= violation <= WRONG_START
+    worst = dict(zip(WORST, result.worst.T if result.worst is not None else np.empty((len(WORST), n)), strict=True))
+    for k in np.flatnonzero(success & (worst["bar_length_error"] > DRIFTED_BARS)).tolist():
+        told[k] += f"; bars are off by up to {worst['bar_length_error'][k]:.2g} of their length (correction=Projection() holds them)"
+    moved = worst["kinetic"] + worst["elastic_high"] - worst["elastic_low"] + worst["gravity_high"] - worst["gravity_low"]
+    size = worst["kinetic"] + abs(worst["elastic_high"]) + abs(worst["gravity_low"]) + abs(worst["gravity_high"])
+    for k in np.flatnonzero(success & (worst["energy_error"] > np.maximum(LOST_ENERGY * moved, _ROUNDING * size))).tolist():
+        told[k] += f"; energy is off by {worst['energy_error'][k]:.2g} J where {moved[k]:.2g} J move: try a smaller step"
+    _look_closer(run, worst["energy_error"] / np.maximum(moved, 1e-300), success, told)
+    return success, np.array(told.tolist(), dtype=np.str_).reshape(n)
+
+
+def _finished(run: Run) -> str:
+    return f"finished {run.steps} steps of {run.step:g} s"
+
+
+def _describe_end(run: Run, k: int) -> str:
+    status, good, fault = (int(values[k]) for values in (run.result.status, run.result.good, run.result.fault))
+    if status == STOPPED:
+        return f"interrupted from the keyboard after t = {run.times(fault):g} s"
+    if fault == 0:
+        return f"the start is not one: {_FAULTS[status]}"
+    return (
+        f"diverged between t = {run.times(good):g} and {run.times(fault):g} s: {_FAULTS[status]}; "
+        f"try a step below tenscasadi.stable_step(model, x, u, scheme), such as step={run.step / 5:.2g}, or correction=Projection()"
+    )
+
+
+def _violations(run: Run, motions: NDArray[np.intp]) -> Array:
+    """Return by how much each start is off its bars and joints, see `constraint_violation`; 0 where it was not looked at."""
+    found = np.zeros(len(run.result.status))
+    if len(run.starts) == 1:
+        found[motions] = constraint_violation(run.model, run.starts[0]) if len(motions) else 0.0
+        return found
+    x = ca.MX.sym("x", run.model.nx)
+    rows = ca.Function("rows", [x], [ca.vertcat(ca.MX(0, 1), *run.model.constraints(x))])
+    # a bound that many starts pass at once; those that do not are looked at one by one
+    if rows.size1_out(0) and len(motions):
+        off = abs(rows.map(len(motions))(run.starts[motions].T).full()).max(axis=0)
+        lengths = run.model.mechanism.lengths
+        small = OFF * float(lengths.min(initial=np.inf if len(lengths) else 1.0))
+        for k in motions[off > small].tolist():
+            found[k] = constraint_violation(run.model, run.starts[k])
+    return found
+
+
+def _look_closer(run: Run, share: Array, success: NDArray[np.bool_], told: NDArray[Any]) -> None:
+    """Ask of some motions all that `simulate` asks: of those likeliest to be wrong, and of all where a step is above the stability limit."""
+    left = np.flatnonzero(success)
+    if not len(left) or not run.model.nx:
+        return
+    chosen = {int(left[0]), int(left[-1]), *left[np.argsort(-np.nan_to_num(share[left]), kind="stable")[:_LOOKED_AT]].tolist()}
+    for values in (run.parameters, run.controls[:, 0]):
+        if len(values) > 1 and values.shape[1]:
+            columns = values[left] if values.shape[1] <= _LOOKED_AT else values[left].sum(axis=1, keepdims=True)
+            chosen |= {int(left[pick(column)]) for column in columns.T for pick in (np.argmin, np.argmax)}
+    for k in sorted(chosen):
+        _ask(run, k, success, told)
+    if any(_LIMIT in told[k] for k in chosen):
+        for k in sorted(set(left.tolist()) - chosen):
+            _ask(run, k, success, told)
+
+
+def _ask(run: Run, k: int, success: NDArray[np.bool_], told: NDArray[Any]) -> None:
+    """Say of a motion what `simulate` says of one with the same rows."""
+    saved, measured = run.result.saved, run.result.measured
+    if saved is None or measured is None:
+        return
+    inputs = np.hstack([run.rows(k), np.broadcast_to(run.parameters[k if len(run.parameters) > 1 else 0], (len(run.time), run.parameters.shape[1]))])
+    recorded = record_trajectory(run.model, run.time, saved[k], inputs, step=run.step, message="", supplied=measured[k, :, SUPPLIED])
+    doubts, success[k] = describe_doubts(run.model, run.scheme, recorded, None)
+    if doubts:
+        told[k] = _finished(run) + doubts

@@ -1,0 +1,246 @@
+"""Results of rollouts: motions side by side, with their errors and how each ended, kept in .npz files."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tenscasadi.util import archive
+from tenscasadi.util.validate import Array, Indices, node_index
+
+_FORMAT = "tenscasadi rollouts 1"
+_TOLD = 3  # kinds of ends that a summary names
+
+
+@dataclass(frozen=True, eq=False)
+class Rollouts:
+    """Motions of one model side by side: n of them, at T saved times; `rollouts` returns them. All arrays are read-only.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        Saved times, s, from the start of the runs.
+    states : ndarray, shape (n, T, nx)
+        States of the model. A motion that diverged is NaN from where it was found lost.
+    success : ndarray of bool, shape (n,)
+        Whether a motion reached the end, and can be trusted.
+    message : ndarray of str, shape (n,)
+        How it ended, and what is not to be trusted.
+    bar_length_error : ndarray, shape (n,)
+        Largest relative error of a bar's length on the way.
+    joint_error : ndarray, shape (n,)
+        Largest gap of a joint on the way, m.
+    energy : ndarray, shape (n, T)
+        Total energy, J.
+    energy_error : ndarray, shape (n,)
+        Largest energy gained or lost beyond the work of all forces and of changes of the control, J: an error of the numerics.
+    place : ndarray of int, shape (N, 3)
+        Entry of the state that holds each coordinate of a node, -1 where it is given.
+    given : ndarray, shape (T, N, 3)
+        Positions of nodes that are pinned or moved, m; NaN for those that are free.
+    step : float
+        Mean length of a step, s.
+    steps : int
+        Steps of each motion.
+    seconds : float
+        Wall time of the steps, s.
+    lanes : int
+        Motions that each instruction moved; 0: they ran one by one, not compiled as C++.
+    note : str
+        Why not, or why there is but one lane; empty otherwise.
+    threads : int
+        Threads that worked on them.
+    interrupted : bool
+        Whether the run was interrupted from the keyboard.
+
+    See Also
+    --------
+    rollouts : Simulate many motions.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.double_pendulum(), gravity=tc.Gravity((0, -9.81, 0))))
+    >>> tc.rollouts(model, t_end=0.1, step=1e-3, states=[model.initial_state] * 3, save_every=50)
+    Rollouts(3 motions, 3 rows, t = 0 … 0.1 s, 3 succeeded)
+    """
+
+    # the shape by letters, and NumPy's letter of the numbers
+    time: Annotated[Array, "T", "f"]
+    states: Annotated[Array, "nTx", "f"]
+    success: Annotated[NDArray[np.bool_], "n", "b"]
+    message: Annotated[NDArray[np.str_], "n", "U"]
+    bar_length_error: Annotated[Array, "n", "f"]
+    joint_error: Annotated[Array, "n", "f"]
+    energy: Annotated[Array, "nT", "f"]
+    energy_error: Annotated[Array, "n", "f"]
+    place: Annotated[Indices, "N3", "i"]
+    given: Annotated[Array, "TN3", "f"]
+    step: Annotated[float, "", "f"]
+    steps: Annotated[int, "", "i"]
+    seconds: Annotated[float, "", "f"]
+    lanes: Annotated[int, "", "i"]
+    note: Annotated[str, "", "U"]
+    threads: Annotated[int, "", "i"]
+    interrupted: Annotated[bool, "", "b"] = False
+
+    def __post_init__(self) -> None:
+        _check({field.name: getattr(self, field.name) for field in fields(self)})
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                view = value.view()
+                view.flags.writeable = False
+                object.__setattr__(self, field.name, view)
+
+    def __repr__(self) -> str:
+        n, rows, _ = self.states.shape
+        return f"Rollouts({n} motions, {rows} rows, t = {self.time[0]:g} … {self.time[-1]:g} s, {np.count_nonzero(self.success)} succeeded)"
+
+    @property
+    def final(self) -> Array:
+        """States (n, nx) at the end; NaN where a motion did not reach it."""
+        return self.states[:, -1]
+
+    def path(self, node: int) -> Array:
+        """Return the positions of a node in all motions.
+
+        Parameters
+        ----------
+        node : int
+            Physical node.
+
+        Returns
+        -------
+        ndarray, shape (n, T, 3)
+            Positions at the saved times, m; NaN where a motion is lost.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is no such node.
+        """
+        place = self.place[node_index("node", node, len(self.place))]
+        path = np.broadcast_to(self.given[:, node], (len(self.states), *self.given[:, node].shape)).copy()
+        free = place >= 0
+        path[..., free] = self.states[..., place[free]]
+        return path
+
+    def summary(self) -> str:
+        """Return a few lines of text: how the motions ended, their errors and their speed.
+
+        Returns
+        -------
+        str
+            One quantity a line, with its unit.
+        """
+        n, good = len(self.states), int(np.count_nonzero(self.success))
+        total = n * self.steps
+        rate = f" ({total / self.seconds:,.0f} steps/s)" if self.seconds > 0 else ""
+        way = f"{self.lanes} lanes" if self.lanes else "one by one"
+        lines = [
+            f"{good} of {n} motions succeeded, of which errors are told below" + (", interrupted" if self.interrupted else ""),
+            f"time          {self.time[0]:g} … {self.time[-1]:g} s, {self.steps} steps of {self.step:g} s each, {len(self.time)} rows kept",
+            f"wall time     {self.seconds:.3g} s{rate}, {way}, {self.threads} threads" + (f"; {self.note}" if self.note else ""),
+            f"energy        largest error {_largest(self.energy_error[self.success], 'J')}",
+            f"bar lengths   largest relative error {_largest(self.bar_length_error[self.success])}",
+            f"joints        largest gap {_largest(self.joint_error[self.success], 'm')}",
+        ]
+        ends = Counter(self.message[~self.success].tolist()).most_common()
+        lines += [f"{count:<13} {message}" for message, count in ends[:_TOLD]]
+        lines += [f"{sum(count for _, count in ends[_TOLD:]):<13} for other reasons"] if len(ends) > _TOLD else []
+        return "\n".join(lines)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the rollouts to a compressed .npz file, which holds NumPy arrays only.
+
+        Parameters
+        ----------
+        path : str or PathLike
+            File to write; no ending is added.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        return archive.save(path, _FORMAT, {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)})
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Rollouts:
+        """Read rollouts that `save` has written. No code in the file is ever run.
+
+        Parameters
+        ----------
+        path : str or PathLike
+            File to read.
+
+        Returns
+        -------
+        Rollouts
+            The saved rollouts.
+
+        Raises
+        ------
+        FileNotFoundError
+            There is no such file.
+        ValueError
+            The file cannot be read, holds no rollouts, or such as no run can have; the message names the file and the field.
+        """
+        return archive.load(path, _FORMAT, "file of rollouts", _from_arrays, Rollouts.__dataclass_fields__)
+
+
+_SHAPES = {name: hint.__metadata__ for name, hint in get_type_hints(Rollouts, include_extras=True).items()}
+
+
+def _from_arrays(content: dict[str, Any]) -> Rollouts:
+    given = {name: content[name] for name in _SHAPES}
+    _check(given)
+    _check_values(given)
+    return Rollouts(**{name: value.item() if value.ndim == 0 else value for name, value in given.items()})
+
+
+def _check(content: dict[str, Any]) -> None:
+    """ValueError naming the first field whose kind, shape or indices do not fit the others."""
+    sizes: dict[str, int] = {"3": 3}
+    for name, (letters, kind) in _SHAPES.items():
+        value = np.asarray(content[name])
+        if value.dtype.kind != kind:
+            raise ValueError(f"field {name!r} holds values of type {value.dtype}")
+        if value.ndim != len(letters) or any(sizes.setdefault(letter, size) != size for letter, size in zip(letters, value.shape, strict=True)):
+            raise ValueError(f"field {name!r} has shape {value.shape}, which does not fit the others")
+    if sizes["T"] < 1:
+        raise ValueError("field 'time' is empty")
+    place = np.asarray(content["place"])
+    if place.size and not -1 <= place.min() <= place.max() < max(sizes["x"], 1):
+        raise ValueError(f"field 'place' holds indices outside -1 … {sizes['x'] - 1}")
+
+
+def _check_values(content: dict[str, Any]) -> None:
+    """ValueError naming the first field whose numbers no run can have; what is not finite belongs to motions that failed."""
+    time = np.asarray(content["time"])
+    if not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0):
+        raise ValueError("field 'time' does not increase")
+    for name, least in {"step": 0.0, "steps": 0, "seconds": 0.0, "lanes": 0, "threads": 0}.items():
+        if not content[name] >= least:
+            raise ValueError(f"field {name!r} is {content[name]:g}: it must be at least {least:g}")
+    good = np.asarray(content["success"])
+    for name in ("states", "energy", "energy_error", "bar_length_error", "joint_error"):
+        if not np.all(np.isfinite(content[name][good])):
+            raise ValueError(f"field {name!r} is not finite in a motion that succeeded")
+
+
+def _largest(errors: Array, unit: str = "") -> str:
+    known = np.abs(errors[np.isfinite(errors)])
+    return f"{known.max():.2g} {unit}".strip() if known.size else "not computed"

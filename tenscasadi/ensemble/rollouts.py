@@ -1,0 +1,226 @@
+"""Many motions of one model at once: starts, controls and parameters become motions with their errors."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time as clock
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from tqdm import tqdm
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.ensemble.inputs import controls_at, count_motions, gather_intervals, lay_steps, read_controls, read_parameters, read_starts
+from tenscasadi.ensemble.judge import Run, judge
+from tenscasadi.ensemble.kernel import Kernel, build_kernel
+from tenscasadi.ensemble.request import MEASURED, STOPPED
+from tenscasadi.ensemble.result import Rollouts
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
+from tenscasadi.util.validate import flag, instance, whole_number
+
+_LOOKS = 200  # measurements of a motion on its way
+_KERNELS: WeakKeyDictionary[Model, dict[Any, Kernel]] = WeakKeyDictionary()
+
+
+def rollouts(
+    model: Model,
+    t_end: float,
+    step: float = 1e-3,
+    states: Any = None,
+    controls: Any = None,
+    parameters: Any = None,
+    scheme: Scheme = RungeKutta4(),
+    correction: Correction | None = None,
+    save_every: int | None = None,
+    threads: int | None = None,
+    *,
+    progress: bool = False,
+) -> Rollouts:
+    """Simulate many motions of one model, which differ in start, control and parameters, from time 0 on.
+
+    Parameters
+    ----------
+    model : Model
+        The model of all motions.
+    t_end : float
+        End of the runs, s.
+    step : float
+        Largest step, s; steps are laid as by `simulate`.
+    states : array_like, shape (n, nx) or (nx,), optional
+        State at the start of each motion, or of all. Default: `model.initial_state`.
+    controls : array_like or Feedback, optional
+        Control: (nu,) is constant and the same for all, (n, nu) is constant, (n, K, nu) is constant on each of K equal parts of [0, t_end];
+        (1, K, nu) is the same for all. A `Feedback` decides by the state of each motion. Default: `model.initial_control`.
+    parameters : array_like, shape (n, np) or (np,), or mapping of str to array_like, optional
+        Values of the model's parameters in each motion, or in all; or those of some by name, (n, k) or as `ParameterLayout.values` takes
+        them. Others are nominal. One compiled code serves all values.
+    scheme : Scheme
+        Scheme of fixed, explicit steps: `RungeKutta4`, `Rattle`, `DormandPrince54()` or `DormandPrince853()` without `rtol`.
+    correction : Projection or BarLengthCorrection, optional
+        Correction applied after every `correction.every`-th step. Default: none.
+    save_every : int, optional
+        Steps from one kept row to the next; the first and the last state are always kept. Default: only these two.
+    threads : int, optional
+        Threads that share the motions. Default: one for each processor that this process may use.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    Rollouts
+        The motions at the kept times, each with its errors and how it ended. One that diverges fails alone. Ctrl-C ends all that
+        have not arrived, and keeps those that have.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument is wrong, or there is not enough memory for what is to be kept.
+
+    See Also
+    --------
+    simulate : One motion, with all that it tells of its forces.
+
+    Notes
+    -----
+    The steps are compiled once for a model, with several motions side by side in the lanes of each instruction: 8 with AVX-512, 4 with
+    AVX, else 2. Each comes out as `simulate` computes it, to the last bit, whatever runs beside it. Code that has to branch on numbers
+    runs one motion at a time. Without a compiler of C++ CasADi computes the same numbers, more slowly, and `lanes` is 0.
+
+    Examples
+    --------
+    A hundred pendulums are let go from rest at random pushes:
+
+    >>> import numpy as np
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
+    >>> starts = np.tile(model.initial_state, (100, 1))
+    >>> pushed = tc.projection(model).map(100)(starts.T + np.random.default_rng(0).normal(0, 0.1, starts.T.shape)).full().T
+    >>> many = tc.rollouts(model, t_end=1.0, step=5e-3, states=pushed, correction=tc.Projection())
+    >>> bool(many.success.all()), many.final.shape, bool(many.energy_error.max() < 1e-5)
+    (True, (100, 6), True)
+    """
+    instance("model", model, Model, "a tenscasadi.Model")
+    if correction is not None:
+        instance("correction", correction, (Projection, BarLengthCorrection), "Projection(every), BarLengthCorrection(weight) or None")
+    flag("progress", progress)
+    p = read_parameters(model, parameters)
+    starts = read_starts(model, states, p)
+    plan = read_controls(model, controls, p)
+    n = count_motions(states=len(starts), controls=len(plan.controls), parameters=len(p))
+    inputs = lay_steps(model, starts, t_end, step, plan)
+    every = inputs.steps if save_every is None else whole_number("save_every", save_every, 1)
+    workers = min(_processors() if threads is None else whole_number("threads", threads, 1, 1024), max(n, 1))
+    _check_memory(n, 1 - (-inputs.steps // every), model.nx)
+    kept = np.append(np.arange(0, inputs.steps, every), inputs.steps)
+    kernel = _kernel(model, scheme, correction)
+    intervals, feedback = gather_intervals(model, inputs, plan)
+    began = clock.perf_counter()
+    with tqdm(total=n * inputs.steps, unit=" steps", unit_scale=True, disable=not progress) as bar, np.errstate(all="ignore"):
+        result = kernel.run(
+            starts,
+            plan.controls,
+            intervals,
+            every,
+            look_every=max(1, inputs.steps // _LOOKS),
+            parameters=p,
+            feedback=feedback,
+            threads=workers,
+            watch=lambda done: bar.update(done - bar.n),
+        )
+    seconds = clock.perf_counter() - began
+    time = inputs.times(kept)
+    run = Run(
+        model,
+        scheme,
+        starts,
+        plan.controls,
+        p,
+        inputs.steps,
+        inputs.step,
+        time,
+        lambda step: float(inputs.times(np.array([step]))[0]),
+        lambda k: controls_at(plan, model, time, result.saved, k),
+        result,
+    )
+    return _record(run, kernel, workers, seconds)
+
+
+def _kernel(model: Model, scheme: Scheme, correction: Correction | None) -> Kernel:
+    """Build the kernel once for each model."""
+    kernels = _KERNELS.setdefault(model, {})
+    try:
+        return kernels[scheme, correction]
+    except (KeyError, TypeError):  # TypeError: a scheme of somebody's own that has no hash
+        kernel = build_kernel(model, scheme, correction, measured=True)
+        with contextlib.suppress(TypeError):
+            kernels[scheme, correction] = kernel
+        return kernel
+
+
+def _check_memory(n: int, rows: int, nx: int) -> None:
+    """Raise ValueError where what is to be kept does not fit into memory."""
+    needed = 8.0 * n * rows * (2 * nx + len(MEASURED) + 2)  # with what is computed from it
+    free = _free_memory()
+    if needed > free:
+        raise ValueError(
+            f"save_every: {n} motions of {rows} rows take {needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free: "
+            "give a larger save_every, or fewer motions at a time"
+        )
+
+
+def _free_memory() -> float:
+    """Return the bytes of memory that are free, inf where nobody says."""
+    try:
+        told = Path("/proc/meminfo").read_text(encoding="ascii")
+        return 1024.0 * float(told.split("MemAvailable:")[1].split()[0])
+    except (OSError, IndexError, ValueError):
+        try:
+            return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+        except (AttributeError, ValueError, OSError):
+            return np.inf
+
+
+def _processors() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on every system
+        return os.cpu_count() or 1
+
+
+def _record(run: Run, kernel: Kernel, threads: int, seconds: float) -> Rollouts:
+    model, result = run.model, run.result
+    if result.saved is None or result.measured is None or result.worst is None:
+        raise RuntimeError("the kernel has measured nothing")
+    success, message = judge(run)
+    indices = np.full(model.mechanism.N.T.size, -1, dtype=np.intp)
+    indices[model.mechanism.free_index] = np.arange(model.nq)
+    place = indices.reshape(-1, 3)[model.mechanism.first]
+    probes = np.zeros((len(run.time), model.nx))
+    if model.scene.has_clock and len(run.starts):
+        model.split(probes)[2][:] = run.time[:, None] + model.split(run.starts)[2][0]
+    given = np.where(place >= 0, np.nan, model.nodes(probes))
+    worst = result.worst
+    return Rollouts(
+        time=run.time,
+        states=result.saved,
+        success=success,
+        message=message,
+        bar_length_error=worst[:, 0],
+        joint_error=worst[:, 1],
+        energy=result.measured[:, :, 2:5].sum(axis=2),
+        energy_error=worst[:, 2],
+        place=place,
+        given=given,
+        step=run.step,
+        steps=run.steps,
+        seconds=seconds,
+        lanes=kernel.lanes,
+        note=kernel.note,
+        threads=threads,
+        interrupted=bool(np.any(result.status == STOPPED)),
+    )
