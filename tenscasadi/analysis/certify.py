@@ -75,6 +75,7 @@ def certify(
     enough: float | None = None,
     compiled: bool | None = None,
     work: float = 1e10,
+    parameters: Any = None,
 ) -> Reference:
     """Compute where a motion ends, with an estimate of the error, from two schemes whose steps are refined until both agree.
 
@@ -100,6 +101,8 @@ def certify(
         Whether to run as machine code, as for `simulate`.
     work : float
         Instructions that a solution may take; without machine code a tenth of them.
+    parameters : array_like, shape (np,), or mapping, optional
+        Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
     Returns
     -------
@@ -128,8 +131,9 @@ def certify(
     accuracy = _ACCURATE * size if accuracy is None else positive_number("accuracy", accuracy)
     enough = min(_ENOUGH * size, accuracy) if enough is None else positive_number("enough", enough)
     work = positive_number("work", work) / (1 if compiled is not False else _FASTER)
-    pairs = _Pairs(model, t_end, state, control, compiled)
-    for count in _step_counts(model, t_end, state, work):
+    parameters = model.parameters.values(parameters)
+    pairs = _Pairs(model, t_end, {"state": state, "control": control, "compiled": compiled, "parameters": parameters})
+    for count in _step_counts(model, t_end, state, work, parameters):
         before = pairs.apart
         pairs.try_steps(count)
         if pairs.error <= enough or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size)):
@@ -153,9 +157,9 @@ def certify(
 class _Pairs:
     """Pairs of solutions, the best so far, and how far the last pair ends apart (infinite when one fails)."""
 
-    def __init__(self, model: Model, t_end: float, state: Any, control: ControlInput, compiled: bool | None) -> None:
+    def __init__(self, model: Model, t_end: float, options: dict[str, Any]) -> None:
         self._model, self._t_end = model, t_end
-        self._options: dict[str, Any] = {"state": state, "control": control, "compiled": compiled, "energy_balance": False}
+        self._options = {**options, "energy_balance": False}
         self.best: Reference | None = None
         self.apart, self.fault = np.inf, "not tried"
 
@@ -190,9 +194,10 @@ class _Pairs:
             self.best = Reference(ends[0], self.apart, self._t_end, f"{what} end {self.apart:.2g} m apart")
 
 
-def _step_counts(model: Model, t_end: float, state: Any, work: float) -> Iterator[int]:
+def _step_counts(model: Model, t_end: float, state: Any, work: float, parameters: Array) -> Iterator[int]:
     """Yield numbers of steps of order 8, from what is stable at the start to what `work` allows; at least one pair."""
-    longest = min(stable_step(model, state, None, DormandPrince853()), _FINER * stable_step(model, state, None, DormandPrince54()))
+    limits = [stable_step(model, state, None, scheme, parameters=parameters) for scheme in (DormandPrince853(), DormandPrince54())]
+    longest = min(limits[0], _FINER * limits[1])
     steps = max(_COARSEST, int(np.ceil(t_end / longest))) if np.isfinite(longest) and longest > 0 else _COARSEST
     most = work / count_instructions(DormandPrince853().advance(model))
     yield steps

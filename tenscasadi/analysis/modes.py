@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -40,6 +40,8 @@ class Linearization:
         The rate ode(x₀, u₀); zero in equilibrium.
     tangent : ndarray (nq, d)
         Orthonormal basis of the displacements that bars and joints allow. Only motions within it are physical.
+    by_parameters : ndarray (nx, np)
+        Derivative of the state's rate by the model's parameters.
 
     Examples
     --------
@@ -53,6 +55,7 @@ class Linearization:
     B: Array
     residual: Array
     tangent: Array
+    by_parameters: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +87,7 @@ class Modes:
     residual: float
 
 
-def linearize(model: Model, x: Any = None, u: Any = None) -> Linearization:
+def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None) -> Linearization:
     """Compute the exact derivatives of a model's equations at a state and control.
 
     A and B act on all coordinates of the state. Only perturbations along `tangent` keep the bars' lengths and the joints closed.
@@ -97,6 +100,8 @@ def linearize(model: Model, x: Any = None, u: Any = None) -> Linearization:
         State to linearise about; None: the initial state.
     u : array_like (nu,), optional
         Control to linearise about; None: the initial control.
+    parameters : array_like, shape (np,), or mapping, optional
+        Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
     Returns
     -------
@@ -124,16 +129,17 @@ def linearize(model: Model, x: Any = None, u: Any = None) -> Linearization:
     (3, 2)
     """
     instance("model", model, Model, "a tenscasadi.Model")
-    state, control = _numbers(model, x, u)
-    sx, su = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
-    rate = model.ode(sx, su)
-    evaluate = ca.Function("linearize", [sx, su], [ca.jacobian(rate, sx), ca.jacobian(rate, su), rate])
-    A, B, residual = (value.full() for value in evaluate(state, control))
-    _refuse_degenerate(model, state, A, B, residual)
-    return Linearization(A, B, residual.ravel(), _tangent(model, state))
+    state, held = _numbers(model, x, u, parameters)
+    if ("linearize",) not in model.functions:
+        sx, sw = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
+        rate = model.stacked(model.ode)(sx, sw)
+        model.functions["linearize",] = ca.Function("linearize", [sx, sw], [ca.jacobian(rate, sx), ca.jacobian(rate, sw), rate])
+    A, by_input, residual = (value.full() for value in model.functions["linearize",](state, held))
+    _refuse_degenerate(model, state, A, by_input, residual)
+    return Linearization(A, by_input[:, : model.nu], residual.ravel(), _tangent(model, state), by_input[:, model.nu :])
 
 
-def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None) -> Modes:
+def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None, parameters: Any = None) -> Modes:
     """Compute the natural modes of small undamped vibrations about an equilibrium at rest.
 
     Strings act with their stiffness and prestress, bars with the force that they carry. A `ForceDensity` control is held constant.
@@ -149,6 +155,8 @@ def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None) 
     count : int, optional
         How many modes, from the lowest frequency on; unstable ones are the lowest. None: all of a structure of up to 600 coordinates
         (`model.nq`), the 20 lowest of a larger one.
+    parameters : array_like, shape (np,), or mapping, optional
+        Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
     Returns
     -------
@@ -194,7 +202,7 @@ def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None) 
     [0.4317, 0.4317]
     """
     instance("model", model, Model, "a tenscasadi.Model")
-    state, control = _numbers(model, x, u)
+    state, held = _numbers(model, x, u, parameters)
     number = LOWEST if count is None else whole_number("count", count, 1)
     mech = model.mechanism
     constraints = mech.bars + int(mech.active.sum())
@@ -204,9 +212,9 @@ def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None) 
             message = f"modes computes the {number} lowest modes of a structure of more than {DENSE} coordinates: give count= for another number"
             warnings.warn(message, UserWarning, stacklevel=2)
         with suppress(np.linalg.LinAlgError):  # then by dense matrices, in more time
-            found = _lowest_modes(model, state, control, number)
+            found = _lowest_modes(model, state, held, number)
         count = number
-    values, vectors, rigid, residual = found or _all_modes(model, linearize(model, state, control), state)
+    values, vectors, rigid, residual = found or _all_modes(model, linearize(model, state, held[: model.nu], held[model.nu :]), state, held)
     values, vectors = values[:count], vectors[:, :count]
     displacement = np.zeros((len(values), model.nx))
     model.split(displacement)[0][:] = vectors.T
@@ -267,16 +275,21 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
     nodes = model.structure.nodes + np.sin(omega * time)[:, None, None] * moved
     velocities = omega * np.cos(omega * time)[:, None, None] * moved
     states = np.array([model.state(*row) for row in zip(nodes, velocities, strict=True)])
-    controls = np.tile(model.initial_control, (count, 1))
+    controls = np.tile(model.held(), (count, 1))
     message = f"mode {index}, {modes.frequency[index]:.4g} Hz"
     return record_trajectory(model, time, states, controls, step=float(time[1]), message=message)
 
 
-def _numbers(model: Model, x: Any, u: Any) -> tuple[ca.DM, ca.DM]:
-    """Return a state and a control, the initial ones where None, as matrices of CasADi; TypeError or ValueError where they are none."""
+def _numbers(model: Model, x: Any, u: Any, parameters: Any) -> tuple[ca.DM, ca.DM]:
+    """Return a state and a held input, the initial ones where None, as matrices of CasADi; TypeError or ValueError where they are none."""
     state = model.initial_state if x is None else finite_array("x", x, (model.nx,))
-    control = model.initial_control if u is None else finite_array("u", u, (model.nu,))
-    return ca.DM(state), ca.DM(control)
+    return ca.DM(state), ca.DM(model.held(u, parameters))
+
+
+def _mass(model: Model, held: ca.DM) -> Any:
+    """Return the sparse mass matrix (nq×nq) of the free coordinates, kg."""
+    M = model.weighted(held, inverse=False).free_mass
+    return sp.csc_array(M.sparse() if isinstance(M, ca.DM) else M)
 
 
 def _refuse_degenerate(model: Model, state: ca.DM, *values: Any) -> None:
@@ -293,10 +306,10 @@ def _refuse_degenerate(model: Model, state: ca.DM, *values: Any) -> None:
     raise ValueError(f"x is a state at which the equations of motion have no derivative: {reason}; give a state without it")
 
 
-def _all_modes(model: Model, linear: Linearization, state: ca.DM) -> tuple[Array, Array, int, float]:
+def _all_modes(model: Model, linear: Linearization, state: ca.DM, held: ca.DM) -> tuple[Array, Array, int, float]:
     """Return ω² (k,), shapes (nq, k), the number of rigid-body motions and the largest acceleration, by dense matrices."""
     nq = model.nq
-    M = model.mechanism.free_mass.toarray()
+    M = _mass(model, held).toarray()
     T = linear.tangent
     L = scipy.linalg.cholesky(T.T @ M @ T, lower=True)
     T = scipy.linalg.solve_triangular(L, T.T, lower=True).T  # M-orthonormal
@@ -311,9 +324,9 @@ def _all_modes(model: Model, linear: Linearization, state: ca.DM) -> tuple[Array
     return values, T @ vectors, rigid.shape[1], float(np.abs(model.split(linear.residual)[1]).max(initial=0.0))
 
 
-def _lowest_modes(model: Model, state: ca.DM, control: ca.DM, count: int) -> tuple[Array, Array, int, float]:
+def _lowest_modes(model: Model, state: ca.DM, held: ca.DM, count: int) -> tuple[Array, Array, int, float]:
     """Return the lowest ω² (count,) and the rest as `_all_modes` does, by sparse matrices; LinAlgError where these are too badly conditioned."""
-    K, M, J, acceleration = _stiffness(model, state, control)
+    K, M, J, acceleration = _stiffness(model, state, held)
     motions = _supported_motions(model, state.full().ravel())
     motions = _allowed(motions, J @ motions)
     if motions.shape[1]:
@@ -325,7 +338,7 @@ def _lowest_modes(model: Model, state: ca.DM, control: ca.DM, count: int) -> tup
     return values, shapes, motions.shape[1], float(np.abs(acceleration).max(initial=0.0))
 
 
-def _stiffness(model: Model, state: ca.DM, control: ca.DM) -> tuple[Any, Any, Any, Array]:
+def _stiffness(model: Model, state: ca.DM, held: ca.DM) -> tuple[Any, Any, Any, Array]:
     """Return the sparse K and M (nq×nq) and J (m×nq) of K v = ω² M v, J v = 0, and the accelerations at the state."""
     mech, free = model.mechanism, model.mechanism.free_index.tolist()
     x, u = model.symbols(scalar=False)
@@ -340,11 +353,11 @@ def _stiffness(model: Model, state: ca.DM, control: ca.DM) -> tuple[Any, Any, An
     rest = ca.Function("rest", [x, u], [ca.jacobian(residual, x)[:, : model.nq], F, ca.jtimes(rate, x, onward)])
     total = F + ca.vec(ca.densify(nodal_forces(mech, B, lam)))[free]
     slope = ca.Function("slope", [x, u, lam], [ca.jacobian(total, x)[:, : model.nq]])
-    jacobian, force, bend = rest(state, control)
+    jacobian, force, bend = rest(state, held)
     _refuse_degenerate(model, state, *(np.asarray(value.nonzeros()) for value in (jacobian, force, bend)))
-    M, J = sp.csc_array(mech.free_mass), sp.csc_array(jacobian.sparse())
+    M, J = _mass(model, held), sp.csc_array(jacobian.sparse())
     acceleration, multiplier = SaddlePoint(M, J).solve(force.full().ravel(), -bend.full().ravel())  # M a + Jᵀ μ = F, J a = −J̇ v
-    gradient = slope(state, control, -multiplier[: mech.bars] / mech.lengths)
+    gradient = slope(state, held, -multiplier[: mech.bars] / mech.lengths)
     _refuse_degenerate(model, state, np.asarray(gradient.nonzeros()), acceleration)
     K = -sp.csc_array(gradient.sparse())
     return sp.csc_array((K + K.T) / 2), M, J, acceleration

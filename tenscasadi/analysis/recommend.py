@@ -108,6 +108,7 @@ def recommend(
     corrections: Sequence[Correction | None] = (None, Projection()),
     compiled: Compiled = None,
     seconds: float = 60.0,
+    parameters: Any = None,
 ) -> Recommendation:
     """Find the scheme, step and correction that reach a position error at the end for the least work.
 
@@ -136,6 +137,8 @@ def recommend(
     seconds : float
         Wall time for the search, s. A run that would not end in time is not begun; the best found so far is then returned, and `message`
         names the schemes that there was no time for. Up to as many seconds go before that into the reference.
+    parameters : array_like, shape (np,), or mapping, optional
+        Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
     Returns
     -------
@@ -172,16 +175,17 @@ def recommend(
     seconds = positive_number("seconds", seconds)
     enough, double = _REFERENCE * tolerance, None if isinstance(compiled, Single) else compiled
     start = None if state is None else finite_array("state", state, (model.nx,))
-    reference = certify(model, t_end, start, control, accuracy=enough, enough=enough, compiled=double, work=_PROOF * seconds)
+    p = model.parameters.values(parameters)
+    reference = certify(model, t_end, start, control, accuracy=enough, enough=enough, compiled=double, work=_PROOF * seconds, parameters=p)
 
-    ways = [Case(model, scheme, correction, t_end, start, control, compiled) for scheme, correction in product(schemes, corrections)]
+    ways = [Case(model, scheme, correction, t_end, start, control, compiled, p) for scheme, correction in product(schemes, corrections)]
     best, told = _find_cheapest(ways, _Goal(reference.nodes, _MARGIN * tolerance - reference.error, time.perf_counter() + seconds, seconds))
     names = ", ".join(map(abbreviate, schemes))
     if best is None:
         failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
         raise NoScheme("; ".join(dict.fromkeys([failed, *told])))
     scheme, duration, expected = best.case.scheme, best.time_loop(), best.error + reference.error
-    limit = stable_step(model, start, None, scheme, safety=1.0)
+    limit = stable_step(model, start, None, scheme, safety=1.0, parameters=p)
     if best.step > limit and not scheme.adaptive:
         told.append(f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved")
     outcome = f"{best.steps} steps of {abbreviate(scheme)}: {expected:.2g} m, {duration:.2g} s"
@@ -382,5 +386,5 @@ def _count_coarsest(case: Case, state: Array | None = None) -> int:
     if case.scheme.implicit:
         return _FEW
     states = [case.state] if state is None else [case.state, state]
-    limit = min(stable_step(case.model, x, None, case.scheme, safety=1.0) for x in states)
+    limit = min(stable_step(case.model, x, None, case.scheme, safety=1.0, parameters=case.parameters) for x in states)
     return max(1, int(np.ceil(case.t_end / limit))) if np.isfinite(limit) and limit > 0 else 1

@@ -45,6 +45,7 @@ def tradeoff(
     compiled: Sequence[Compiled] = (None,),
     repeats: int = 3,
     progress: bool = False,
+    parameters: Any = None,
 ) -> Tradeoff:
     """Measure what accuracy costs: run every scheme with every step, correction, model and way to run.
 
@@ -75,6 +76,8 @@ def tradeoff(
         Timed runs, whose median counts.
     progress : bool
         Whether to show a progress bar.
+    parameters : array_like, shape (np,), or mapping, optional
+        Values of the models' parameters, see `ParameterLayout.values`; nominal if None.
 
     Returns
     -------
@@ -113,9 +116,9 @@ def tradeoff(
     total = sum(1 if scheme.adaptive else len(lengths) for _, scheme, _, _ in plans)
     try:
         with tqdm(total=total, unit=" runs", disable=not progress) as bar:
-            known = _find_reference(named, t_end, reference, state, control, False if all(way is False for way in ways) else None)
+            known = _find_reference(named, t_end, reference, state, control, False if all(way is False for way in ways) else None, parameters)
             for (name, model), scheme, correction, way in plans:
-                case = Case(model, scheme, correction, t_end, start_of(model, state), control, way)
+                case = Case(model, scheme, correction, t_end, start_of(model, state), control, way, parameters)
                 for row in _measure_rows(case, name, lengths, known, repeats):
                     rows.append(row)
                     bar.update()
@@ -137,10 +140,11 @@ class Case:
     state: Array | None
     control: ControlInput
     compiled: Compiled
+    parameters: Any = None
 
     def run(self, step: float, **options: Any) -> Trajectory:
         """Simulate the motion; raise KeyboardInterrupt where `simulate` returns what it has."""
-        options = {"t_end": self.t_end, "control": self.control, **options}
+        options = {"t_end": self.t_end, "control": self.control, "parameters": self.parameters, **options}
         run = simulate(self.model, step=step, scheme=self.scheme, state=self.state, correction=self.correction, compiled=self.compiled, **options)
         if run.interrupted:
             raise KeyboardInterrupt
@@ -218,7 +222,13 @@ def _measure_rows(case: Case, name: str, lengths: Sequence[float], reference: Re
 
 
 def _find_reference(
-    named: dict[str, Model], t_end: float, reference: Reference | str | None, state: State, control: ControlInput, compiled: bool | None
+    named: dict[str, Model],
+    t_end: float,
+    reference: Reference | str | None,
+    state: State,
+    control: ControlInput,
+    compiled: bool | None,
+    parameters: Any,
 ) -> Reference:
     if isinstance(reference, Reference):
         nodes = len(next(iter(named.values())).scene.structure.nodes)
@@ -230,7 +240,7 @@ def _find_reference(
     if reference is not None and not (isinstance(reference, str) and reference in named):
         raise ValueError(f"reference is {shown(reference)}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}")
     model = named[next(iter(named)) if reference is None else reference]
-    return certify(model, t_end, start_of(model, state), control, compiled=compiled)
+    return certify(model, t_end, start_of(model, state), control, compiled=compiled, parameters=parameters)
 
 
 def _check_models(named: dict[str, Model], schemes: Any, corrections: Any) -> None:
