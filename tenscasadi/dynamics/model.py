@@ -14,6 +14,7 @@ from tenscasadi.dynamics.equation_of_motion import forward_dynamics, joint_force
 from tenscasadi.dynamics.instruction_count import TermCounts, count_terms
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism, Multipliers
 from tenscasadi.dynamics.state_space import StateSpace
+from tenscasadi.scene.binding import fix
 from tenscasadi.scene.scene import Scene
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.compile import compile_function
@@ -107,6 +108,24 @@ class Model(StateSpace):
     >>> model.nodes(model.initial_state).shape
     (6, 3)
     """
+
+    def fixed(self, parameters: Any = None) -> Model:
+        """Return the model without parameters whose scene has their values as its constants.
+
+        Parameters
+        ----------
+        parameters : array_like, shape (np,), or mapping, optional
+            Values, see `ParameterLayout.values`; nominal if None.
+
+        Returns
+        -------
+        Model
+            The same equations, built anew and compiled on their own.
+        """
+        p = self.parameters.values(parameters)
+        if not self.np:
+            return self
+        return _rebuild(type(self), fix(self.scene, p), self.coordinates, "constant" if self.mechanism.constant_length else "current")
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Copies and other processes build the Functions anew: these are larger than the scene that they come from.

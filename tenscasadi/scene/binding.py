@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
+
+from tenscasadi.scene.parameters import QUANTITIES
+from tenscasadi.util.casadi_tools import is_expression
+from tenscasadi.util.validate import Array
 
 Value = TypeVar("Value")
 
@@ -110,3 +116,43 @@ class _Pushes:
 
     def forces(self, time: Any) -> Any:
         return ca.reshape(self._values, 3, self._values.shape[0] // 3)
+
+
+def fix(scene: Any, p: Array) -> Any:
+    """Return the scene without parameters whose constants are those of p (np,), which is checked."""
+    if scene.parameters is None:
+        return scene
+    items = {name: affine.numbers(p) for name, affine in scene.layout.quantities.items()}
+    structure = {name: values for name, values in items.items() if QUANTITIES[name].part == "structure"}
+    changes: dict[str, Any] = {"parameters": None, "structure": scene.structure.replace(**structure)}
+    on_grounds = {name.removeprefix("ground_"): values for name, values in items.items() if name.startswith("ground_")}
+    if on_grounds:
+        each = [{name: float(values[k]) for name, values in on_grounds.items()} for k in range(len(scene.grounds))]
+        changes["ground"] = tuple(
+            replace(ground, **values | ({} if values.get("friction", 1.0) else {"friction": None}))  # no friction at all is None
+            for ground, values in zip(scene.grounds, each, strict=True)
+        )
+    for name in items.keys() & {"gravity", "pressure", "forces"}:
+        load = getattr(scene, name)
+        if name in scene.parameters.scale:
+            factor = float(items[name][0])
+            changed = _ScaledFunction(load.quantity, factor) if load.is_function else factor * np.asarray(load.quantity)
+            changes[name] = replace(load, **{load.quantity_name: changed})
+        else:
+            changes[name] = replace(load, **{load.quantity_name: items[name].reshape(np.shape(load.quantity))})
+    return replace(scene, **changes)
+
+
+class _ScaledFunction:
+    """A function of time times a factor."""
+
+    def __init__(self, function: Any, factor: float) -> None:
+        self._function, self._factor = function, factor
+
+    def __call__(self, time: Any) -> Any:
+        return self._times(self._function(time))
+
+    def _times(self, value: Any) -> Any:
+        if isinstance(value, Iterable) and not is_expression(value):
+            return [self._times(part) for part in value]
+        return self._factor * value

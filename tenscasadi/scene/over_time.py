@@ -38,6 +38,11 @@ class OverTime:
         return getattr(self, self._quantity)
 
     @property
+    def quantity_name(self) -> str:
+        """Name of the field that may change over time."""
+        return self._quantity
+
+    @property
     def field(self) -> str:
         """Name of that quantity, as messages tell it."""
         return f"{type(self).__name__}.{self._quantity}"

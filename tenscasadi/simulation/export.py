@@ -11,7 +11,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stabilization import Projection
+from tenscasadi.integrators.stabilization import Projection, correct
 from tenscasadi.simulation.steppers import check_single
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, file_path, instance
@@ -53,6 +53,8 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
     - `step` (x, u, h) -> x after one step of `scheme` of h s, followed by the projection onto bars and joints;
     - `observe` (x, u) -> the outputs of `Model.observe`.
 
+    Where the model has parameters p, each takes them after u, and `ode_jacobian` ends with the derivatives by p.
+
     `main.c` integrates from the model's initial state: ``cc -O2 tensegrity.c main.c -lm -o run && ./run t_end step rows``.
 
     Examples
@@ -83,25 +85,33 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
 
 def _jacobian(model: Model) -> ca.Function:
     """Write dense derivatives: one directional derivative in C, looped over the directions, so that code and compile time stay small."""
-    x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu)
-    dx, du = ca.MX.sym("dx", model.nx), ca.MX.sym("du", model.nu)
-    slope = model.ode.forward(1)(x, u, ca.MX(model.nx, 1), dx, du)  # the third input, xdot, is not needed
-    used = [0, 1, 2, 3] if model.nu else [0, 2]  # an empty input of a loop makes C that compilers warn of
-    directional = ca.Function("directional", [(x, u, dx, du)[k] for k in used], [ca.densify(slope)])
+    given = _inputs(model)
+    symbols, seeds = list(given.values()), [ca.MX.sym(f"d{name}", symbol.shape[0]) for name, symbol in given.items()]
+    slope = model.ode.forward(1)(*symbols, ca.MX(model.nx, 1), *seeds)  # the input behind the others, xdot, is not needed
+    used = [k for k, symbol in enumerate(symbols) if symbol.numel()]  # an empty input of a loop makes C that compilers warn of
+    directional = ca.Function("directional", [side[k] for side in (symbols, seeds) for k in used], [ca.densify(slope)])
     blocks: list[Any] = []
-    along_x = ca.DM.eye(model.nx), ca.DM.zeros(model.nu, model.nx)
-    along_u = ca.DM.zeros(model.nx, model.nu), ca.DM.eye(model.nu)
-    for size, seeds in ((model.nx, along_x), (model.nu, along_u)):
-        inputs = (ca.repmat(x, 1, size), ca.repmat(u, 1, size), *map(ca.densify, seeds))
-        blocks.append(directional.map(size)(*(inputs[k] for k in used)) if size else ca.MX(model.nx, 0))
-    return ca.Function("ode_jacobian", [x, u], blocks, ["x", "u"], ["xdot_x", "xdot_u"])
+    for j, own in enumerate(symbols):
+        size = own.shape[0]
+        along = [ca.DM.eye(size) if k == j else ca.DM.zeros(symbol.shape[0], size) for k, symbol in enumerate(symbols)]
+        inputs = [ca.repmat(symbols[k], 1, size) for k in used] + [ca.densify(along[k]) for k in used]
+        blocks.append(directional.map(size)(*inputs) if size else ca.MX(model.nx, 0))
+    return ca.Function("ode_jacobian", symbols, blocks, list(given), [f"xdot_{name}" for name in given])
+
+
+def _inputs(model: Model) -> dict[str, ca.MX]:
+    """Symbols of x, u and, where there are any, p by name."""
+    sizes = {"x": model.nx, "u": model.nu} | ({"p": model.np} if model.np else {})
+    return {name: ca.MX.sym(name, size) for name, size in sizes.items()}
 
 
 def _step(model: Model, scheme: Scheme) -> ca.Function:
-    x, u, h = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("h")
-    after: Any = scheme.advance(model)(x, u, h)
+    given, h = _inputs(model), ca.MX.sym("h")
+    x, *held = given.values()
+    w: Any = ca.vertcat(*held)
+    after: Any = scheme.advance(model)(x, w, h)
     project = Projection().step(model)
-    return ca.Function("step", [x, u, h], [after if project is None else project(after)], ["x", "u", "h"], ["x_next"])
+    return ca.Function("step", [x, *held, h], [after if project is None else correct(model, project, after, w)], [*given, "h"], ["x_next"])
 
 
 def _start(model: Model) -> str:
@@ -113,6 +123,11 @@ def _start(model: Model) -> str:
         f"static const casadi_real x_start[{max(model.nx, 1)}] = {_literal(model.initial_state)};",
         f"static const casadi_real u_start[{max(model.nu, 1)}] = {_literal(model.initial_control)};",
     ]
+    if model.np:
+        names = "; ".join(f"{name}, {unit}" for name, unit in zip(model.parameters.names, model.parameters.units, strict=True))
+        lines.append(f"/* Parameters: {names.replace('²', '^2').replace('·', ' ')} */")
+        lines.append(f"#define NP {model.np}")
+        lines.append(f"static const casadi_real p_start[NP] = {_literal(model.parameters.nominal)};")
     return "\n".join(lines) + "\n"
 
 
@@ -160,6 +175,9 @@ int main(int argc, char **argv) {
     if (k * rows >= printed * steps) {
       memset(out, 0, (size_t)res * sizeof *out);
       in[0] = x; in[1] = u_start;
+#ifdef NP
+      in[2] = p_start;
+#endif
       out[0] = nodes; out[4] = energy; out[5] = bar_error;
       if (observe(in, out, iwork, work, 0)) return 1;
       printf("%.9g", (double)k * h);
@@ -168,7 +186,12 @@ int main(int argc, char **argv) {
       ++printed;
     }
     if (k == steps) break;
-    in[0] = x; in[1] = u_start; in[2] = &length;
+    in[0] = x; in[1] = u_start;
+#ifdef NP
+    in[2] = p_start; in[3] = &length;
+#else
+    in[2] = &length;
+#endif
     out[0] = next;
     if (step(in, out, iwork, work, 0)) { fprintf(stderr, "the step at t = %g failed\\n", (double)k * h); return 1; }
     memcpy(x, next, NX * sizeof *x);

@@ -21,6 +21,7 @@ from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
+from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.export import export_c
@@ -49,6 +50,9 @@ MODELS = {
     "class k, full coordinates": lambda: Model(Scene(shapes.d_bar(prestress=20.0, pinned=(0,)), gravity=Gravity((1, 2, 3))), "full"),
     "class k, reduced": lambda: Model(Scene(shapes.double_pendulum(), gravity=Gravity())),
     "force densities": lambda: Model(Scene(shapes.prism(prestress=20.0, height=0.8), control=ForceDensity())),
+    "parameters": lambda: Model(
+        Scene(shapes.prism(prestress=20.0, damping=0.5), gravity=Gravity(), parameters=Parameters("bar_mass", "gravity", scale=["damping"]))
+    ),
     "class 0": lambda: Model(Scene(Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, rest_length=0.5))),
 }
 
@@ -97,8 +101,10 @@ def test_exported_derivatives_are_those_of_the_linearisation(name: str, tmp_path
     assert COMPILER is not None
     subprocess.run([COMPILER, "-std=c99", "-O0", "-fPIC", "-shared", "tensegrity.c", "-lm", "-o", "lib.so"], cwd=tmp_path, check=True)
     x = model.initial_state + 1e-3 * np.random.default_rng(0).normal(size=model.nx)
-    A, B = (value.full() for value in ca.external("ode_jacobian", str(tmp_path / "lib.so"))(x, model.initial_control))
+    given = [x, model.initial_control, *([model.parameters.nominal] if model.np else [])]
+    A, B, *rest = (value.full() for value in ca.external("ode_jacobian", str(tmp_path / "lib.so"))(*given))
     linear = linearize(model, x)
+    assert all(np.allclose(P, linear.by_parameters, rtol=1e-9, atol=1e-9) for P in rest)
     assert np.allclose(A, linear.A, rtol=1e-9, atol=1e-9)
     assert np.allclose(B, linear.B, rtol=1e-9, atol=1e-9)
 
