@@ -21,6 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.dynamics.mechanism import Mechanism
+from tenscasadi.scene.parameter_layout import HEAVIEST
 from tenscasadi.util.casadi_tools import (
     call_as_sx,
     diagonal_row,
@@ -35,7 +36,6 @@ from tenscasadi.util.casadi_tools import (
 )
 
 SINGULAR = 1e-9  # eigenvalue below which a constraint counts as redundant, relative to the largest of a system of unit diagonal
-HEAVIEST = 1e12  # times the lightest bar: what rounding leaves of a bar that is heavier does not hold it
 LARGEST = 600  # unknowns of a system that is looked at for redundancy: a dense eigenvalue problem
 
 

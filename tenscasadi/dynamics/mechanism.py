@@ -112,7 +112,7 @@ class Mechanism:
             return sp.csr_array(sp.kron(self.M, sp.eye_array(3)))[self.free_index][:, self.free_index]
         wide = sp.csc_array(sp.csr_array(sp.kron(numbered(self.M), sp.eye_array(3)))[self.free_index][:, self.free_index])
         wide.sort_indices()
-        pattern = ca.Sparsity(*wide.shape, wide.indptr.tolist(), wide.indices.tolist())
+        pattern = ca.Sparsity(wide.shape[0], wide.shape[1], wide.indptr.tolist(), wide.indices.tolist())
         return matrix_with_pattern(pattern, self.M.nz[:][(wide.data - 1).astype(int).tolist()])
 
     @property

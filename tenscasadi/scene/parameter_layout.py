@@ -11,8 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.scene.parameters import GROUPED, QUANTITIES, Parameters
+from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import SMALLEST, Array, finite_array, nesting
+from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, nesting
+
+HEAVIEST = 1e12  # times the lightest bar: what rounding leaves of a bar that is heavier does not hold it
 
 
 class Affine(NamedTuple):
@@ -57,6 +60,8 @@ class ParameterLayout:
         The entries of each quantity.
     strict : dict of str to ndarray of bool
         The items of each quantity that must be greater than 0.
+    structure : Structure or None
+        The structure whose items these are; None where there are no parameters.
 
     See Also
     --------
@@ -77,7 +82,8 @@ class ParameterLayout:
     nominal: Array
     quantities: dict[str, Affine]
     places: dict[str, slice]
-    strict: dict[str, Any]  # (k,) bool of each quantity: items that must be greater than 0
+    strict: dict[str, Any]
+    structure: Structure | None = None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -151,8 +157,27 @@ class ParameterLayout:
             for row, item in np.argwhere(values < np.where(strict, SMALLEST, 0.0))[:1]:
                 which = f" of {quantity.item} {item}" if quantity.item in GROUPED else ""
                 where = "parameters" if p.ndim == 1 else f"parameters[{row}]"
+                unit = "" if quantity.unit == "1" else f" {quantity.unit}"
                 relation = "greater than" if strict[item] else "at least"
-                raise ValueError(f"{where}: {name}{which} is {values[row, item]:g} {quantity.unit}: it must be {relation} 0")
+                raise ValueError(f"{where}: {name}{which} is {values[row, item]:g}{unit}: it must be {relation} 0")
+
+        if self.structure is not None and {"bar_mass", "node_mass"} & self.quantities.keys():
+            self._check_ratio(self.structure, p)
+
+    def _check_ratio(self, s: Structure, p: Array) -> None:
+        """Raise ValueError where a bar that can move is more than `HEAVIEST` times as heavy as another, both with the nodes at its ends."""
+        masses = [self.quantities[name].numbers(p) if name in self.quantities else getattr(s, name) for name in ("bar_mass", "node_mass")]
+        moving = np.flatnonzero(~s.fixed[s.bars].all(axis=(1, 2)))
+        if len(moving) < 2:
+            return
+        weights = (masses[0] + masses[1][..., s.bars].sum(axis=-1))[..., moving].reshape(-1, len(moving))
+        ratio = weights.max(axis=1, initial=0.0) / weights.min(axis=1, initial=np.inf)
+        for row in np.flatnonzero(ratio > HEAVIEST)[:1]:
+            heavy, light = moving[weights[row].argmax()], moving[weights[row].argmin()]
+            raise ValueError(
+                f"parameters: bar {heavy} is {ratio[row]:.1g} times as heavy as bar {light}, with the nodes at their ends: rounding leaves no room "
+                f"above {HEAVIEST:g}, pin what is so heavy or give masses nearer to each other"
+            )
 
     def __str__(self) -> str:
         width = max(map(len, self.names), default=0)
@@ -179,7 +204,7 @@ def lay_out(scene: Any, parameters: Parameters) -> ParameterLayout:
         first = last
     vector = np.concatenate(nominal)
     vector.flags.writeable = False
-    return ParameterLayout(tuple(names), tuple(units), vector, quantities, places, strict)
+    return ParameterLayout(tuple(names), tuple(units), vector, quantities, places, strict, scene.structure)
 
 
 EMPTY = ParameterLayout((), (), np.zeros(0), {}, {}, {})
@@ -191,42 +216,43 @@ class _Entries(NamedTuple):
     names: list[str]
     nominal: Array
     constant: Array  # (k,)
-    item: Array
-    place: Array
+    item: Indices
+    place: Indices
     weight: Array
 
 
 def _entries(scene: Any, parameters: Parameters, name: str) -> _Entries:
     values, labels = _nominal_items(scene, parameters, name)
-    scaled, groups = name in parameters.scale, dict(parameters.groups).get(name)
-    if groups == ((),) or (groups is None and scaled) or labels == [""]:
-        members, keys = [np.arange(len(values))], [""]
-    elif groups is None:
-        members, keys = [np.array([k]) for k in range(len(values))], [f"[{label}]" for label in labels]
-    else:
-        members, keys = [np.array(group) for group in groups], [f"[{g}]" for g in range(len(groups))]
-        for g, group in enumerate(groups):
-            if max(group) >= len(values):
-                item = QUANTITIES[name].item
-                raise ValueError(f"Parameters.groups[{name!r}][{g}] has index {max(group)}: {item}s run from 0 to {len(values) - 1}")
-    item = np.concatenate([np.zeros(0, dtype=int), *members])
-    place = np.repeat(np.arange(len(members)), [len(group) for group in members])
+    members, keys = _members(parameters, name, labels)
+    scaled = name in parameters.scale
+    own = [values[group] for group in members]
+    for key, group in zip(keys, own, strict=True):
+        if scaled and not group.any():
+            raise ValueError(f"Parameters.scale has {name!r}, whose value{key} is 0: name it without scale=")
+        if not scaled and np.ptp(group):
+            low, high = group.min(), group.max()
+            raise ValueError(f"Parameters: the scene's {name}{key} differs, from {low:g} to {high:g}: give it under scale=, or equal values")
+    item = np.concatenate(members)
     constant = np.array(values, dtype=float)
-    if scaled:
-        for g, group in enumerate(members):
-            if len(group) and not values[group].any():
-                raise ValueError(f"Parameters.scale has {name!r}, which is 0{' in group ' + str(g) if groups else ''}: name it without scale=")
-        nominal, weight, keys = np.ones(len(members)), values[item], [f" scale{key}" for key in keys]
-    else:
-        for g, group in enumerate(members):
-            if len(group) and np.ptp(values[group]):
-                raise ValueError(
-                    f"Parameters: the scene's {name} differs within group {g}, from {values[group].min():g} to {values[group].max():g}: "
-                    "give it under scale=, or equal values"
-                )
-        nominal, weight = np.array([values[group[0]] for group in members if len(group)]), np.ones(len(item))
     constant[item] = 0.0
-    return _Entries([name + key for key in keys][: len(nominal)], nominal, constant, item, place, weight)
+    place = np.repeat(np.arange(len(members)), [len(group) for group in members])
+    if scaled:
+        return _Entries([f"{name} scale{key}" for key in keys], np.ones(len(keys)), constant, item, place, values[item])
+    return _Entries([name + key for key in keys], np.array([group[0] for group in own]), constant, item, place, np.ones(len(item)))
+
+
+def _members(parameters: Parameters, name: str, labels: list[Any]) -> tuple[list[Indices], list[str]]:
+    """Return the items that follow each entry of a quantity, and how the entries' names end."""
+    groups, count = dict(parameters.groups).get(name), len(labels)
+    if groups == ((),) or labels == [""] or (groups is None and name in parameters.scale):
+        return [np.arange(count)], [""]
+    if groups is None:
+        return [np.array([k]) for k in range(count)], [f"[{label}]" for label in labels]
+    for g, group in enumerate(groups):
+        if max(group) >= count:
+            item = QUANTITIES[name].item
+            raise ValueError(f"Parameters.groups[{name!r}][{g}] has index {max(group)}: {item}s run from 0 to {count - 1}")
+    return [np.array(group) for group in groups], [f"[{g}]" for g in range(len(groups))]
 
 
 def _nominal_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, list[Any]]:

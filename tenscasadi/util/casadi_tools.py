@@ -142,7 +142,7 @@ def multiplied_rows(matrix: Any, one: Any, other: Any) -> Any:
     both.sort_indices()
     row, column = both.indices, np.repeat(np.arange(both.shape[1]), np.diff(both.indptr))
     factors = [matrix.nz[:][(np.asarray(index[np.asarray(rows)[row], column]).ravel() - 1).tolist()] for rows in (one, other)]
-    pattern = ca.Sparsity(*both.shape, both.indptr.tolist(), both.indices.tolist())
+    pattern = ca.Sparsity(both.shape[0], both.shape[1], both.indptr.tolist(), both.indices.tolist())
     return matrix_with_pattern(pattern, factors[0] * factors[1])
 
 

@@ -115,3 +115,102 @@ def test_many_motions_side_by_side_are_those_of_simulate():
     for row, p in zip(found.states, values, strict=True):
         run = tc.simulate(model, 0.05, 1e-3, correction=tc.Projection(), parameters=p, compiled=False)
         np.testing.assert_allclose(row, run.states[-1], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_derivatives_by_parameters_are_those_of_differences(coordinates):
+    given, p, _ = pair(tc.shapes.d_bar(stiffness=100.0, damping=1.0), (*STRINGS, "bar_mass", "node_mass", "gravity"), coordinates, ground=None)
+    x = given.initial_state + 0.05 * np.random.default_rng(1).normal(size=given.nx)
+    exact = tc.linearize(given, x, parameters=p).by_parameters
+    step = 1e-5
+    ends = [[given.ode(x, [], p + sign * step * e).full().ravel() for e in np.eye(given.np)] for sign in (1, -1)]
+    np.testing.assert_allclose(exact, (np.array(ends[0]) - ends[1]).T / (2 * step), rtol=1e-6, atol=1e-6 * abs(exact).max())
+    assert (abs(exact).max(axis=0) > 0).any()
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_modes_and_largest_step_follow_the_parameters(coordinates):
+    given, p, built = pair(prism(), (*STRINGS, "bar_mass", "node_mass"), coordinates, ground=None)
+    one, other = tc.modes(given, parameters=p), tc.modes(built)
+    np.testing.assert_allclose(one.frequency, other.frequency, rtol=1e-8)
+    assert tc.stable_step(given, parameters=p) == pytest.approx(tc.stable_step(built), rel=1e-9)
+    assert tc.stable_step(given) != pytest.approx(tc.stable_step(built), rel=1e-3)
+
+
+def test_modes_of_large_structures_follow_the_parameters():
+    structure = tc.shapes.membrane(p=16, q=14, stiffness=100.0)
+    p = {"node_mass": 2.0 * structure.node_mass + 0.01}
+    given = tc.Model(tc.Scene(structure, parameters=tc.Parameters("node_mass")))
+    assert given.nq > 600
+    built = given.fixed(p)
+    np.testing.assert_allclose(tc.modes(given, count=4, parameters=p).frequency, tc.modes(built, count=4).frequency, rtol=1e-7)
+
+
+def test_studies_follow_the_parameters():
+    given, p, built = pair(tc.shapes.double_pendulum(), ("bar_mass", "gravity"), ground=None)
+    options = {"t_end": 0.2, "enough": 1e-8, "compiled": False}
+    reference = tc.certify(given, parameters=p, **options)
+    assert np.allclose(reference.nodes, tc.certify(built, **options).nodes, atol=1e-7)
+    row, *_ = tc.tradeoff(given, 0.2, [tc.RungeKutta4()], [0.01], reference, compiled=[False], repeats=1, parameters=p).rows
+    assert row.position < 1e-4
+    advice = tc.recommend(given, 0.2, 1e-4, schemes=[tc.RungeKutta4()], compiled=False, parameters=p)
+    run = tc.simulate(given, 0.2, parameters=p, compiled=False, **advice.options)
+    assert np.linalg.norm(run.nodes[-1] - reference.nodes, axis=1).max() < 1e-4
+
+
+def test_a_trajectory_keeps_its_parameters(tmp_path):
+    model = tc.Model(tc.Scene(prism(), parameters=tc.Parameters("bar_mass")))
+    run = tc.simulate(model, 0.01, parameters=[1.0, 2.0, 3.0], compiled=False)
+    again = tc.Trajectory.load(run.save(tmp_path / "run.npz"))
+    assert again.parameters.tolist() == [1.0, 2.0, 3.0]
+    assert not again.parameters.flags.writeable
+
+
+def test_parameters_cost_their_own_instructions_alone():
+    def count(**options):
+        return tc.Model(tc.Scene(prism(), gravity=tc.Gravity(), **options)).ode.n_instructions()
+
+    own = count()
+    assert count(parameters=tc.Parameters("stiffness", "damping")) <= own + 18 + 2  # a number to read for each
+    assert count(parameters=tc.Parameters(scale=["stiffness"])) <= own + 2 + 9
+    assert count(parameters=tc.Parameters("bar_mass")) <= own + 3 * 15
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+@pytest.mark.parametrize("bars", [8, 24])
+def test_long_chains(bars, coordinates):
+    nodes = [(k, 0.0, 0.1 * (k % 2)) for k in range(bars + 1)]
+    chain = tc.Structure(nodes, [(k, k + 1) for k in range(bars)], [(0, bars)], pinned=[0], node_mass=0.1, stiffness=10.0)
+    given, p, built = pair(chain, ("stiffness", "bar_mass", "node_mass"), coordinates, ground=None)
+    x = built.initial_state + 0.01 * np.random.default_rng(0).normal(size=built.nx)
+    expected = built.ode(x, []).full()
+    np.testing.assert_allclose(given.ode(x, [], p).full(), expected, rtol=0, atol=1e-11 * abs(expected).max())
+    np.testing.assert_allclose(tc.projection(given)(x, p).full(), tc.projection(built)(x).full(), atol=1e-12)
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_moved_supports_pull_at_the_masses_of_the_parameters(coordinates):
+    shaken = tc.SupportMotion({0: lambda t: (0.1 * t, 0, 0)})
+    given, p, built = pair(tc.shapes.double_pendulum(), ("bar_mass",), coordinates, ground=None, supports=shaken)
+    assert_same(*(tc.simulate(m, 0.1, parameters=q, compiled=False) for m, q in ((given, p), (built, None))), 1e-10)
+
+
+@pytest.mark.parametrize("ends", ["interior", "lumped"])
+def test_strings_in_segments_share_their_parameters(ends):
+    structure = tc.shapes.prism(stiffness=500.0, prestress=20.0, damping=0.5, string_mass=0.1)
+    given, p, built = pair(structure, (*STRINGS, "string_mass"), segments=3, ends=ends, ground=None)
+    assert_same(*(tc.simulate(m, 0.02, 5e-4, parameters=q, compiled=False) for m, q in ((given, p), (built, None))), 1e-11)
+
+
+def test_pressure_and_forces():
+    faces = tc.shapes.membrane_faces(p=8, q=5)
+    membrane = tc.shapes.membrane(p=8, q=5, stiffness=50.0)
+    loads = {"pressure": tc.Pressure(faces, 5.0), "forces": tc.NodalForce(np.full((len(membrane.nodes), 3), 0.1)), "gravity": None, "ground": None}
+    given, p, built = pair(membrane, ("pressure", "forces", "stiffness"), **loads)
+    assert_same(*(tc.simulate(m, 0.05, parameters=q, compiled=False) for m, q in ((given, p), (built, None))), 1e-11)
+
+
+def test_masses_that_rounding_cannot_hold_together_are_refused():
+    model = tc.Model(tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("bar_mass")))
+    with pytest.raises(ValueError, match="bar 1 is 1e\\+20 times as heavy as bar 0"):
+        tc.simulate(model, 0.1, parameters=[1.0, 1e20, 1.0], compiled=False)
