@@ -18,6 +18,7 @@ from numpydoc.validate import validate
 
 import ocp
 import tenscasadi
+import tenscasadi.envs
 from ocp.plan.planned_forces import PlannedForces
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,7 +30,8 @@ METHODS = REQUIRED - {"EX01"}  # the class shows one
 
 
 def public() -> dict[str, Any]:
-    return {f"{name}.{item}": getattr(package, item) for name, package in PACKAGES.items() for item in package.__all__}
+    packages = {**PACKAGES, "tenscasadi.envs": tenscasadi.envs}
+    return {f"{name}.{item}": getattr(package, item) for name, package in packages.items() for item in package.__all__}
 
 
 def fields(cls: type) -> set[str]:

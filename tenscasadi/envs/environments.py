@@ -1,0 +1,211 @@
+"""Environments of gymnasium: one episode at a time, or many side by side."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.envs.episodes import FARTHEST, Episodes
+from tenscasadi.envs.task import Task
+from tenscasadi.util.validate import instance, whole_number
+
+try:
+    import gymnasium
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ImportError as error:
+    raise ImportError("tenscasadi.envs needs gymnasium: pip install 'tenscasadi[gym]'") from error
+
+
+class TensegrityEnv(gymnasium.Env[Any, Any]):
+    """A task as an environment of gymnasium.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+
+    See Also
+    --------
+    TensegrityVectorEnv : Many episodes at once, in the lanes of each instruction.
+
+    Notes
+    -----
+    Actions are (α,) from −1 to 1, observations (k,) in single precision. `info` tells whether the episode ``diverged``.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> from tenscasadi.envs import Task, TensegrityEnv
+    >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> env = TensegrityEnv(Task(model, lambda now: -((now.nodes[:, 2, 0] - 0.3) ** 2), lower=0.0, upper=20.0))
+    >>> seen, info = env.reset(seed=0)
+    >>> seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    >>> seen.shape, terminated, truncated
+    ((24,), False, False)
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012  as gymnasium declares it
+
+    def __init__(self, task: Task) -> None:
+        instance("task", task, Task, "a tenscasadi.envs.Task")
+        self.task = task
+        self._episodes = Episodes(task, 1)
+        self.observation_space, self.action_space = _spaces(self._episodes)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seed of all draws from now on.
+        options : dict, optional
+            Not used.
+
+        Returns
+        -------
+        observation : ndarray, shape (k,)
+            What is seen.
+        info : dict
+            Whether the episode ``diverged``.
+        """
+        super().reset(seed=seed)
+        self._episodes.reset(np.array([0]), self.np_random)
+        return self._episodes.observe()[0], {"diverged": False}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Move by one period.
+
+        Parameters
+        ----------
+        action : array_like, shape (α,)
+            The decision, from −1 to 1; what is beyond is clipped.
+
+        Returns
+        -------
+        observation : ndarray, shape (k,)
+            What is seen.
+        reward : float
+            The reward.
+        terminated, truncated : bool
+            Whether the episode is over, by its own end or by its duration.
+        info : dict
+            Whether it ``diverged``.
+        """
+        now, lost = self._episodes.step(_clipped(action, (1, self.task.model.nu)))
+        reward, over = float(self._episodes.rewards(now, lost)[0]), bool(self._episodes.ended(now, lost)[0])
+        late = bool(self._episodes.decided[0] >= self.task.decisions)
+        return self._episodes.observe()[0], reward, over, late, {"diverged": bool(lost[0])}
+
+
+class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
+    """Many episodes of a task at once as a vector environment of gymnasium, simulated in the lanes of each instruction.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    num_envs : int
+        Number of episodes, n.
+    threads : int
+        Threads that share them.
+
+    See Also
+    --------
+    TensegrityEnv : One episode at a time.
+
+    Notes
+    -----
+    An episode that is over begins anew in the next step, whose action it does not use (`AutoresetMode.NEXT_STEP`).
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> from tenscasadi.envs import Task, TensegrityVectorEnv
+    >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    >>> task = Task(model, lambda now: -((now.nodes[:, 2, 0] - 0.3) ** 2), lower=0.0, upper=20.0, start=0.01)
+    >>> envs = TensegrityVectorEnv(task, 16)
+    >>> seen, info = envs.reset(seed=0)
+    >>> seen, rewards, terminated, truncated, info = envs.step(envs.action_space.sample())
+    >>> seen.shape, rewards.shape
+    ((16, 24), (16,))
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  as gymnasium declares it
+
+    def __init__(self, task: Task, num_envs: int, threads: int = 1) -> None:
+        instance("task", task, Task, "a tenscasadi.envs.Task")
+        self.task, self.num_envs = task, whole_number("num_envs", num_envs, 1)
+        self._episodes = Episodes(task, num_envs, whole_number("threads", threads, 1, 1024))
+        self.single_observation_space, self.single_action_space = _spaces(self._episodes)
+        self.observation_space, self.action_space = (
+            batch_space(space, num_envs) for space in (self.single_observation_space, self.single_action_space)
+        )
+        self._over = np.ones(num_envs, dtype=bool)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin all episodes.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seed of all draws from now on.
+        options : dict, optional
+            Not used.
+
+        Returns
+        -------
+        observations : ndarray, shape (n, k)
+            What is seen.
+        info : dict
+            Which episodes ``diverged``.
+        """
+        super().reset(seed=seed)
+        self._episodes.reset(np.arange(self.num_envs), self.np_random)
+        self._over = np.zeros(self.num_envs, dtype=bool)
+        return self._episodes.observe(), {"diverged": np.zeros(self.num_envs, dtype=bool)}
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Move all episodes by one period, or begin those that were over.
+
+        Parameters
+        ----------
+        actions : array_like, shape (n, α)
+            The decisions, from −1 to 1; what is beyond is clipped.
+
+        Returns
+        -------
+        observations : ndarray, shape (n, k)
+            What is seen.
+        rewards : ndarray, shape (n,)
+            The rewards.
+        terminated, truncated : ndarray of bool, shape (n,)
+            Which episodes are over, by their own end or by their duration.
+        info : dict
+            Which of them ``diverged``.
+        """
+        now, lost = self._episodes.step(_clipped(actions, (self.num_envs, self.task.model.nu)))
+        begun = self._over
+        rewards = np.where(begun, 0.0, self._episodes.rewards(now, lost))
+        over = self._episodes.ended(now, lost) & ~begun
+        late = (self._episodes.decided >= self.task.decisions) & ~begun
+        if begun.any():
+            self._episodes.reset(np.flatnonzero(begun), self.np_random)
+        self._over = over | late
+        return self._episodes.observe(), rewards, over, late, {"diverged": lost & ~begun}
+
+
+def _spaces(episodes: Episodes) -> tuple[Any, Any]:
+    """Return the spaces of observations and actions of one episode."""
+    size, count = episodes.observe().shape[1], episodes.task.model.nu
+    return gymnasium.spaces.Box(-FARTHEST, FARTHEST, (size,), np.float32), gymnasium.spaces.Box(-1.0, 1.0, (count,), np.float32)
+
+
+def _clipped(action: Any, shape: tuple[int, int]) -> Any:
+    """Return actions (n, α) as numbers from −1 to 1. Raises ValueError."""
+    values = np.asarray(action, dtype=float)
+    if values.size != shape[0] * shape[1] or values.shape not in (shape, shape[1:]) or not np.all(np.isfinite(values)):
+        raise ValueError(f"action has shape {values.shape}: give {shape if shape[0] > 1 else shape[1:]} finite numbers from -1 to 1")
+    return np.clip(values.reshape(shape), -1.0, 1.0)

@@ -1,0 +1,119 @@
+"""Episodes of a task side by side: their starts and parameters, and their motion from decision to decision."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.ensemble.kernel import build_kernel
+from tenscasadi.envs.task import Task, Transition, pair
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.stabilization import projection
+from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.validate import Array
+
+FARTHEST = 1e6  # m, m/s: what is seen is kept within, as spaces need limits
+
+
+class Episodes:
+    """`count` episodes of a task.
+
+    Attributes: states (n, nx), control (n, nu), parameters (n, np), decided (n,): how many decisions each has had.
+    """
+
+    def __init__(self, task: Task, count: int, threads: int = 1) -> None:
+        self.task, self.threads = task, threads
+        model = task.model
+        self._first, self._start = np.array(task.state, dtype=float), pair("Task.start", task.start)
+        self.states, self.control = np.tile(self._first, (count, 1)), np.tile(model.initial_control, (count, 1))
+        self.parameters, self.decided = np.tile(model.parameters.nominal, (count, 1)), np.zeros(count, dtype=int)
+        self._kernel = build_kernel(model, RungeKutta4(), task.correction)
+        self._project = ArrayFunction(projection(model, 10))
+        self._spread = task.spread
+        self.nodes, self.velocities = self._places(self.states)
+
+    def reset(self, which: Any, rng: np.random.Generator) -> None:
+        """Begin episodes `which` (indices) anew."""
+        task, model = self.task, self.task.model
+        self.control = self.control.copy()
+        for k in which:
+            self.parameters[k] = p = model.parameters.nominal + self._spread * rng.uniform(-1, 1, model.np)
+            x = self._first.copy()
+            if any(self._start):
+                q, v, _ = model.split(x)
+                q += self._start[0] * rng.uniform(-1, 1, model.nq)
+                v += self._start[1] * rng.uniform(-1, 1, model.nq)
+                x = self._project(x, p)[0].ravel() if model.np else self._project(x)[0].ravel()
+            self.states[k] = x
+            self.control[k] = np.clip(model.control_at(p), *task.limits)
+        self.decided[which] = 0
+        nodes, velocities = self._places(self.states[which])
+        self.nodes, self.velocities = self.nodes.copy(), self.velocities.copy()  # those of a Transition stay as they are
+        self.nodes[which], self.velocities[which] = nodes, velocities
+
+    def step(self, action: Array) -> tuple[Transition, Array]:
+        """Move all episodes by one period under actions (n, α) from −1 to 1; also returns which of them diverged (n,)."""
+        task = self.task
+        inputs = self._inputs(action)
+        rolled = self._kernel(self.states, inputs, task.period / task.steps, task.steps // inputs.shape[1], threads=self.threads)
+        lost = rolled.status != 0
+        self.states = np.where(lost[:, None], self.states, rolled.states)
+        self.decided = self.decided + 1
+        before = self.nodes, self.velocities
+        self.nodes, self.velocities = self._places(self.states)
+        return Transition(self.nodes, self.velocities, *before, self.control, action, self.decided * task.period), lost
+
+    def observe(self) -> Any:
+        """Return what is seen of all episodes (n, k), in single precision."""
+        task, n = self.task, len(self.states)
+        if task.observation is not None:
+            seen = np.asarray(task.observation(self.nodes, self.velocities, self.control), dtype=float)
+            if seen.ndim != 2 or len(seen) != n or not np.all(np.isfinite(seen)):
+                raise ValueError(f"Task.observation gives shape {seen.shape}: give a function that returns ({n}, k) finite numbers")
+        else:
+            rows = [self.nodes.reshape(n, -1), self.velocities.reshape(n, -1), *([self.control] if task.winds else [])]
+            seen = np.concatenate(rows, axis=1)
+        return np.clip(seen, -FARTHEST, FARTHEST).astype(np.float32)
+
+    def rewards(self, now: Transition, lost: Array) -> Array:
+        """Return the rewards (n,), 0 of those that diverged."""
+        return np.where(lost, 0.0, _per_episode("reward", self.task.reward(now), len(lost)))
+
+    def ended(self, now: Transition, lost: Array) -> Any:
+        """Return which episodes are terminated (n,)."""
+        if self.task.terminated is None:
+            return lost.copy()
+        return lost | (_per_episode("terminated", self.task.terminated(now), len(lost)) != 0)
+
+    def _places(self, states: Array) -> tuple[Array, Array]:
+        """Return nodes and velocities (n, N, 3) of the scene's structure."""
+        count = len(self.task.model.scene.structure.nodes)
+        return self.task.model.nodes(states)[:, :count], self.task.model.velocities(states)[:, :count]
+
+    def _inputs(self, action: Array) -> Array:
+        """Return the inputs (n, intervals, nw) of one period: rest lengths run on from step to step."""
+        task, model = self.task, self.task.model
+        n, pieces = len(action), task.steps if task.winds else 1
+        inputs = np.empty((n, pieces, model.nw))
+        inputs[:, :, model.nu :] = self.parameters[:, None]
+        lower, upper = task.limits
+        if task.winds:
+            share = (np.arange(pieces) + 0.5) / pieces
+            change = action * np.asarray(task.speed, dtype=float) * task.period
+            rest = inputs[:, :, : model.nu]
+            np.multiply(share[:, None], change[:, None], out=rest)
+            rest += self.control[:, None]
+            np.clip(rest, lower, upper, out=rest)
+            self.control = np.clip(self.control + change, lower, upper)
+        else:
+            self.control = lower + (action + 1) / 2 * (upper - lower)
+            inputs[:, 0, : model.nu] = self.control
+        return inputs
+
+
+def _per_episode(name: str, given: Any, count: int) -> Array:
+    values = np.asarray(given, dtype=float)
+    if values.shape != (count,) or not np.all(np.isfinite(values)):
+        raise ValueError(f"Task.{name} gives shape {values.shape}: give a function that returns ({count},) finite numbers, one for each episode")
+    return values
