@@ -17,6 +17,9 @@ _PROBES = 4000  # parts of a run at whose ends functions are looked at
 _COMPARED_TIMES = 4  # times of a run at which functions are called with numbers, too
 _ENTRIES = 2_000_000  # values looked at, at most
 CURE = "write it with NumPy's or CasADi's mathematics, without math, float() and if"
+_STEEP = 10.0  # times the median of a run: values above are looked at more closely
+_FINEST = 100  # roundings of the time: no closer
+_LAST, _GROWS = 4, 10.0  # what grows as much in so many looks, each on a tenth of the last, has no end
 _ROUNDINGS = 4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
 _BISECTIONS = 60  # from a part of a run to the last digit
 _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  # they switch where both operands are equal
@@ -95,11 +98,16 @@ def check_over_run(field: str, function: Callable[[Any], Any], traced: ca.Functi
     `math` and `float` make a constant of a CasADi time: the latter shows it.
     """
     times = probe_times(first, last)
+    breaks = find_breaks(traced, first, last)
     some = times[:: max(1, traced.numel_out() * len(times) // _ENTRIES)]
-    for kind, values in zip(("", ": its velocity", ": its acceleration"), traced.call([some[None]]), strict=False):
-        bad = ~np.isfinite(values.full()).reshape(-1, len(some), values.shape[1] // len(some)).all(axis=(0, 2))
+    some = np.unique(np.concatenate([some, breaks, np.nextafter(breaks, first), np.nextafter(breaks, last)]))
+    for k, kind in zip(range(traced.n_out()), ("", ": its velocity", ": its acceleration"), strict=False):
+        values = _values(traced, k, some)
+        bad = ~np.isfinite(values).all(axis=1)
         if bad.any():
             raise ValueError(f"{field}{kind} is not finite at t = {some[bad.argmax()]:g} s: give finite values over the whole run; {CURE}")
+        for pole in _find_poles(traced, k, some, values):
+            raise ValueError(f"{field}{kind} grows beyond all bounds at t = {pole:.10g} s: give finite values over the whole run")
     for time in times[:: len(times) // _COMPARED_TIMES].tolist():
         try:
             number = np.asarray(function(time), dtype=float).ravel()
@@ -108,6 +116,33 @@ def check_over_run(field: str, function: Callable[[Any], Any], traced: ca.Functi
         value = traced.call([time])[0].full().T.ravel()
         if number.shape == value.shape and not np.allclose(number, value, rtol=1e-6, atol=1e-9 * max(1.0, abs(number).max(initial=0.0))):
             raise ValueError(f"{field} is {number} for the number t = {time:g} and {value} for a CasADi time: give the same at each call; {CURE}")
+
+
+def _values(traced: ca.Function, output: int, times: Array) -> Array:
+    """Return an output at times (K,) as (K, entries)."""
+    values = traced.call([times[None]])[output].full()
+    return np.asarray(values.reshape(len(values), len(times), -1).transpose(1, 0, 2).reshape(len(times), -1))
+
+
+def _find_poles(traced: ca.Function, output: int, times: Array, values: Array) -> Iterator[float]:
+    """Yield times at which an output grows without end the closer one looks, between the `times` (K,) of its `values` (K, entries).
+
+    Looked at is where each entry is largest: what is finite there ceases to grow, narrow as a pulse may be.
+    """
+    sizes = np.abs(values)
+    rows = sizes.argmax(axis=0)
+    steep = np.flatnonzero(sizes.max(axis=0) > _STEEP * np.median(sizes, axis=0))
+    for row, entry in {int(rows[entry]): int(entry) for entry in steep}.items():
+        low, high = times[max(row - 1, 0)], times[min(row + 1, len(times) - 1)]
+        middle: list[float] = []
+        while high - low > _FINEST * np.spacing(max(abs(low), abs(high))):
+            near = np.linspace(low, high, 21)
+            size = np.abs(_values(traced, output, near)[:, entry])
+            place = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
+            middle.append(float(np.median(size)))
+            low, high = near[max(place - 1, 0)], near[min(place + 1, 20)]
+        if len(middle) > _LAST and not middle[-1] < _GROWS * middle[-1 - _LAST]:
+            yield float(near[place])
 
 
 def trace(function: Any) -> ca.Function:

@@ -65,6 +65,11 @@ def test_a_jump_after_the_run_does_no_harm_and_the_clock_counts() -> None:
         (math.sin, r" raised .* on a CasADi time"),
         (lambda t: np.sqrt(0.5 - t), r" is not finite at t = 0\.50025 s"),
         (lambda t: 1 / (t - 0.5), r" is not finite at t = 0\.5 s"),
+        (lambda t: 1 / (t - 0.4321234), r" grows beyond all bounds at t = 0\.4321234 s"),
+        (lambda t: -1e-3 / (t - 0.4321234) ** 2, r" grows beyond all bounds at t = 0\.4321234 s"),
+        (lambda t: np.tan(3 * t), r" grows beyond all bounds at t = 0\.52359877"),
+        (lambda t: 1 / np.sqrt(ca.fabs(t - 0.4321234)), r" (grows beyond all bounds|is not finite) at t = 0\.432123"),
+        (lambda t: np.log(ca.fabs(t - 0.4321234)), r" is not finite at t = 0\.432123 s"),
         (lambda t: np.inf, r"\(0\.0\)\[1, 0\] is inf"),
         (lambda t: 1.0 if isinstance(t, float) else 2.0, r" is \[.* for the number t = 0 "),
     ],
@@ -72,6 +77,21 @@ def test_a_jump_after_the_run_does_no_harm_and_the_clock_counts() -> None:
 def test_forces_that_are_not_finite_or_not_symbolic_are_told_as_the_functions(push: Any, told: str) -> None:
     with pytest.raises(ValueError, match=r"NodalForce\.values" + told):
         run(forces=NodalForce(lambda t: [REST, [push(t), 0, 0]]))
+
+
+@pytest.mark.parametrize(
+    "push",
+    [
+        lambda t: np.exp(-(((t - 0.4321234) / 1e-9) ** 2)),
+        lambda t: 1 / (1e-16 + (t - 0.4321234) ** 2) / 1e16,
+        lambda t: ca.if_else(t < 0.4321234, 0, 1e3),
+        lambda t: np.sqrt(ca.fabs(t - 0.4321234)),
+        lambda t: np.exp(20 * t),
+    ],
+    ids=["narrow pulse", "narrow resonance", "jump", "root", "growth"],
+)
+def test_what_is_narrow_or_steep_but_finite_is_none_of_these(push: Any) -> None:
+    NodalForce(lambda t: [REST, [push(t), 0, 0]]).check_run(0.0, 1.0)
 
 
 def test_a_shape_that_symbols_alone_have_is_refused() -> None:
