@@ -38,6 +38,16 @@ def ball_rolls(result: Any) -> None:
     assert behind > 0.2
 
 
+def ball_on_terrain(result: Any) -> None:
+    field, run = result
+    assert run.success, run.message
+    assert abs(run.energy_error).max() < 1e-3 * run.energy[0]
+    depth = field.depth(run.nodes[-1].T).full()
+    assert (depth > 0).sum() >= 3  # it stands
+    assert depth.max() < 0.02
+    assert 0.6 < run.nodes[..., 0].max() < 0.7  # the wall has held it
+
+
 def ball_travels(rows: Any) -> None:
     for row in rows:
         assert row.ahead > 0.3 * row.motion.time[-1]
@@ -104,6 +114,7 @@ CLAIMS = (
     double_pendulum,
     plan_prism,
     ball_rolls,
+    ball_on_terrain,
     ball_travels,
     prism_gait,
     benchmark_rhs,

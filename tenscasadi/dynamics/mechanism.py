@@ -133,7 +133,7 @@ class Mechanism:
         return ca.DM(self.active.astype(float))
 
     @cached_property
-    def held_directions(self) -> ca.DM:
+    def held_directions(self) -> Any:
         """Block-diagonal matrix (3c×3c) of the directions that each column of P constrains; without entries along others."""
         return sparse(sp.block_diag([frame * active for frame, active in zip(self.frames, self.active.T, strict=True)]))
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, members_of, tension_colours, tension_label, tension_scale
+from tenscasadi.scene.ground import Grounds
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import file_path, flag, positive_number, text, whole_number
 
@@ -23,6 +24,7 @@ def animate(
     *,
     speed: float = 1.0,
     frames_per_second: int = 20,
+    ground: Grounds = None,
     title: str = "",
     progress: bool = False,
 ) -> Path:
@@ -40,6 +42,8 @@ def animate(
         Simulated seconds in each second shown.
     frames_per_second : int
         Frames in each second shown. A GIF tells times in hundredths of a second, so 10, 20, 25 and 50 play at exactly `speed`.
+    ground : Ground or Terrain or a sequence of them, optional
+        The grounds to draw, such as ``scene.ground``.
     title : str
         Text before the time in each frame.
     progress : bool
@@ -79,7 +83,7 @@ def animate(
         raise ValueError(f"speed is {speed:g}: {duration:g} s would take {count} frames, give a speed of at least {speed * count / _MOST_FRAMES:.2g}")
     times = np.linspace(trajectory.time[0], trajectory.time[-1], count)
     figure = Figure(figsize=(5.4, 4.6))
-    canvas = Canvas(figure, members_of(trajectory), trajectory.nodes)
+    canvas = Canvas(figure, members_of(trajectory), trajectory.nodes, ground)
     scale = tension_scale(float(trajectory.tension.max(initial=0.0)))
     if np.any(trajectory.tension != 0):
         canvas.colour_bar(scale, tension_label(trajectory.tension[trajectory.tension != 0]))

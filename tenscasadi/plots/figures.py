@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.plots.panels import MOST_NAMED, FilePath, curve_colour, curve_width, make_panels, name_curves, save_figure
 from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, cut_colours, members_of, tension_colours, tension_label, tension_scale
+from tenscasadi.scene.ground import Grounds
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, flag, listed, node_index, per_item, positive_number, text, whole_number
@@ -50,6 +51,7 @@ def structure(
     *,
     time: float | None = None,
     labels: bool = False,
+    ground: Grounds = None,
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
@@ -67,6 +69,8 @@ def structure(
         Time of the trajectory, s: the kept row next to it is drawn; None: the end.
     labels : bool
         Whether to number the nodes.
+    ground : Ground or Terrain or a sequence of them, optional
+        The grounds to draw below it, such as ``scene.ground``.
     title : str
         Title of the figure; of a trajectory its time unless given.
     path : path-like, optional
@@ -102,7 +106,7 @@ def structure(
     if tension is not None:
         pull = per_item("tension", tension, len(what.strings))
     figure = Figure(figsize=(6.4, 5.2))
-    canvas = Canvas(figure, members_of(what), nodes)
+    canvas = Canvas(figure, members_of(what), nodes, ground)
     scale = tension_scale(float(pull.max(initial=0.0)))
     canvas.draw(Layer(nodes, string_colour=tension_colours(scale, pull)))
     if np.any(pull != 0):
@@ -116,7 +120,7 @@ def structure(
     return save_figure(figure, path)
 
 
-def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", path: FilePath | None = None) -> Figure:
+def time_lapse(trajectory: Trajectory, instants: int = 6, *, ground: Grounds = None, title: str = "", path: FilePath | None = None) -> Figure:
     """Draw a motion in one 3-D picture: the structure at several times, pale at the start and dark at the end.
 
     Parameters
@@ -125,6 +129,8 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
         The motion.
     instants : int
         Number of times, spread evenly over the motion.
+    ground : Ground or Terrain or a sequence of them, optional
+        The grounds to draw, such as ``scene.ground``.
     title : str
         Title of the figure.
     path : path-like, optional
@@ -154,7 +160,7 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, title: str = "", pa
     text("title", title)
     rows = np.unique([_nearest_row(trajectory, t) for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)])
     figure = Figure(figsize=(7.0, 5.4))
-    canvas = Canvas(figure, members_of(trajectory), trajectory.nodes[rows])
+    canvas = Canvas(figure, members_of(trajectory), trajectory.nodes[rows], ground)
     ramp = cut_colours("viridis_r", 0.05, 1.0)
     scale = ScalarMappable(BoundaryNorm(np.arange(len(rows) + 1) - 0.5, ramp.N), ramp)
     colours = np.asarray(scale.to_rgba(np.arange(len(rows))))

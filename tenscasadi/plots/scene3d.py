@@ -15,6 +15,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
+from tenscasadi.plots.ground3d import draw_grounds, include_heights
+from tenscasadi.scene.ground import Grounds, checked_grounds
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices, instance
@@ -45,9 +47,10 @@ class Layer(NamedTuple):
 
 
 class Canvas:
-    """3-D axes in `figure` that hold all `points` (…, 3), m, in one scale; `draw` replaces what they show."""
+    """3-D axes in `figure` that hold all `points` (…, 3), m, in one scale, and grounds; `draw` replaces what they show of the structure."""
 
-    def __init__(self, figure: Figure, members: Members, points: Array) -> None:
+    def __init__(self, figure: Figure, members: Members, points: Array, ground: Grounds = None) -> None:
+        grounds = checked_grounds(ground, "ground")
         self.members = members
         self.figure = figure
         self.axes: Any = cast(Any, figure).add_axes((0.05, 0.05, 0.9, 0.82), projection="3d", computed_zorder=False)
@@ -60,7 +63,8 @@ class Canvas:
         thin = np.flatnonzero(high - low < _FLAT * (high - low).max())
         elevation, azimuth = {0: (12, -20), 1: (12, -72), 2: (62, -80)}[int(thin[0])] if len(thin) else (18, -62)
         self.axes.view_init(elev=elevation, azim=azimuth)
-        self._half = self._limit(low, high)
+        centre, self._half = self._limit(*include_heights(grounds, low, high))
+        draw_grounds(self.axes, grounds, centre - self._half, centre + self._half)
 
     def draw(self, *layers: Layer) -> None:
         """Show these configurations, all sorted by depth; pinned nodes are marked in the last."""
@@ -111,8 +115,8 @@ class Canvas:
         if len(places):
             self._shown.append(self.axes.scatter(*places.T, depthshade=False, clip_on=False, **style))
 
-    def _limit(self, low: Array, high: Array) -> Array:
-        """Set the limits and ticks of all axes; return half the extent of each."""
+    def _limit(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Set the limits and ticks of all axes; return their centre and half the extent of each."""
         size = float((high - low).max()) or 1.0
         half = np.maximum((high - low) / 2, 0.12 * size) + 0.04 * size
         self.axes.set_proj_type("ortho")
@@ -128,7 +132,7 @@ class Canvas:
                 axis.set_ticks([tick := round(centre, 1 - floor(log10(size))) + 0.0], labels=[f"{tick:g}"])
             axis.set_tick_params(labelsize=8, pad=0)
             axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
-        return half
+        return (low + high) / 2, half
 
     def _toward_camera(self) -> Array:
         elevation, azimuth = np.radians([self.axes.elev, self.axes.azim])

@@ -343,10 +343,14 @@ class Terrain(ReadOnlyArrays, Surface):
         """Function cell → heights and cosines of the slope at its corners (8): 00, 10, 01, 11 of each. The grid has a cell more on each side."""
         slopes = np.gradient(self.heights, *self.spacing)
         cosines = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        tables = [ca.MX(ca.DM(np.pad(values, 1, mode="edge").ravel(order="F"))) for values in (self.heights, cosines)]
+        table = np.stack([np.pad(values, 1, mode="edge").ravel(order="F") for values in (self.heights, cosines)])
+        # A table that is looked up at its own points: generated code reads it where it is, a constant matrix it would copy at every call.
+        points = ca.interpolant(
+            "points", "linear", [np.arange(table.shape[1], dtype=float).tolist()], table.ravel(order="F"), {"lookup_mode": ["exact"]}
+        )
         cell, rows = ca.MX.sym("cell"), self.heights.shape[0] + 2
-        corners = [table[cell + offset] for table in tables for offset in (0, 1, rows, rows + 1)]
-        return ca.Function("corners", [cell], [ca.vertcat(*corners)], {"never_inline": True})  # also scalar code calls it: it cannot look up
+        found = points(ca.horzcat(*(cell + offset for offset in (0, 1, rows, rows + 1)))).T
+        return ca.Function("corners", [cell], [ca.vec(found)], {"never_inline": True})  # scalar code calls it: it cannot look up itself
 
 
 def _bilinear(corners: Any, s: Any, t: Any) -> tuple[Any, Any, Any]:
@@ -356,11 +360,14 @@ def _bilinear(corners: Any, s: Any, t: Any) -> tuple[Any, Any, Any]:
     return value + s * by_s + t * (by_t + s * mixed), by_s + t * mixed, by_t + s * mixed
 
 
-def checked_grounds(value: Any) -> tuple[Surface, ...]:
+Grounds = Surface | Sequence[Surface] | None
+
+
+def checked_grounds(value: Any, field: str = "Scene.ground") -> tuple[Surface, ...]:
     """Return one ground or a sequence of them, or None, as a tuple. Raises TypeError."""
     if value is None or isinstance(value, Surface):
         return () if value is None else (value,)
     example = "a tenscasadi.Ground or Terrain, a sequence of them, or None"
     if isinstance(value, (list, tuple)) and all(isinstance(item, Surface) for item in value):
         return tuple(value)
-    raise TypeError(f"Scene.ground is {value!r}: give {example}")
+    raise TypeError(f"{field} is {value!r}: give {example}")

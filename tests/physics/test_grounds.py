@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -174,3 +177,24 @@ def test_mujoco_slides_and_sticks_alike(degrees: float, friction: float) -> None
         mujoco.mj_step(world, data)
     theirs = -data.qpos @ [np.cos(angle), 0, np.sin(angle)]
     assert down(run, degrees)[-1] == pytest.approx(theirs, rel=0.01, abs=5e-3)
+
+
+def test_height_fields_have_open_parameters_and_copies() -> None:
+    field = bowl(9, damping=20.0, friction=0.4)
+    scene = tc.Scene(mass(0.5, 0.1, 0.1), gravity=tc.Gravity(), ground=[field, tc.Ground(height=-1.0, friction=0.4)])
+    model = tc.Model(scene)
+    x = model.state([(0.5, 0.1, 0.05)], [(0.3, -0.2, 0.1)])
+    told = model.ode(x, []).full()
+    for again in (pickle.loads(pickle.dumps(scene)), copy.deepcopy(scene)):  # noqa: S301
+        assert np.array_equal(tc.Model(again).ode(x, []).full(), told)
+        assert not again.ground[0].heights.flags.writeable
+    rougher = replace(scene, ground=[replace(field, friction=0.7), scene.grounds[1]], parameters=tc.Parameters("ground_friction"))
+    opened = tc.Model(rougher)
+    assert opened.ode(x, [], [0.4]).full() == pytest.approx(told, abs=1e-12)
+    assert np.abs(opened.ode(x, [], [0.7]).full() - told).max() > 0.1
+    assert model.compile()(x, []).full() == pytest.approx(told, abs=1e-12)
+
+
+def test_a_fine_height_field_costs_no_more_than_a_coarse_one() -> None:
+    counts = [tc.Model(tc.Scene(mass(0.5, 0.1, 0.3), ground=bowl(points))).describe()["ground"] for points in (5, 200)]
+    assert abs(counts[0] - counts[1]) <= 1  # a spacing of a half is a shift of the exponent

@@ -19,7 +19,7 @@ from tenscasadi.integrators.runge_kutta import DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
-from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
@@ -44,9 +44,23 @@ def run(folder: Path, *arguments: str) -> np.ndarray:
     return np.array([[float(value) for value in line.split(",")] for line in done.stdout.splitlines()])
 
 
+def rolling() -> Scene:
+    """A double pendulum whose pivot rolls down an incline, over a height field with friction and a wall for one node."""
+    pendulum = shapes.double_pendulum()
+    low = float(pendulum.nodes[:, 1].min())
+    x = np.linspace(-3, 3, 7)
+    field = Terrain(0.3 * np.sin(x[:, None]) * np.cos(x), (-3, -3), (3, 3), 2e3, 5.0, friction=0.4)
+    return Scene(
+        pendulum.replace(pinned={}, rollers={0: (0.3, 1, 0.1)}, node_mass=0.2),
+        gravity=Gravity((0.0, -3.0, -5.0)),
+        ground=[field, Ground(1e3, normal=(0, 1, 0), height=low + 0.1, nodes=[2])],
+    )
+
+
 MODELS = {
     "every term": lambda: Model(every_term(), "full"),
     "class 1 with ground": lambda: Model(Scene(shapes.prism(prestress=20.0, damping=0.5), gravity=Gravity(), ground=Ground(1e3, 1.0, friction=0.3))),
+    "terrain, wall and a roller": lambda: Model(rolling(), "full"),
     "class k, full coordinates": lambda: Model(Scene(shapes.d_bar(prestress=20.0, pinned=(0,)), gravity=Gravity((1, 2, 3))), "full"),
     "class k, reduced": lambda: Model(Scene(shapes.double_pendulum(), gravity=Gravity())),
     "force densities": lambda: Model(Scene(shapes.prism(prestress=20.0, height=0.8), control=ForceDensity())),
