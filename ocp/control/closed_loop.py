@@ -80,6 +80,7 @@ def run(
     state: Any = None,
     steps: int = 10,
     disturbance: Callable[[float, Array], Array] | None = None,
+    parameters: Any = None,
 ) -> ClosedLoop:
     """Simulate a model under a controller, which decides its force densities anew and anew.
 
@@ -99,6 +100,8 @@ def run(
         Steps of `RungeKutta4` for each decision.
     disturbance : callable, optional
         Function (time, state) → state, called before each decision, such as a push. What bars and joints do not allow of it is taken off.
+    parameters : array_like, shape (np,), or mapping of str to array_like, optional
+        Values of the plant's parameters, see `tenscasadi.ParameterLayout.values`. Default: the nominal ones.
 
     Returns
     -------
@@ -131,6 +134,7 @@ def run(
     period = positive_number("controller.period", controller.period)
     plant = controller.model if model is None else model
     _check_plant(plant, controller.model)
+    plant = plant.fixed(parameters)
     n = whole_number("steps", steps, 1, MOST_STEPS)
     if disturbance is not None and not callable(disturbance):
         raise TypeError(f"disturbance is {shown(disturbance)}: give a function (time, x) -> x, or None")

@@ -79,6 +79,9 @@ class Problem:
     costs : iterable of costs, optional
         `Effort`, `Tracking`, `Integral`, ...: their sum is least. Without any, every motion will do; where force densities have no upper
         limits, `Effort` takes their place.
+    parameters : array_like, shape (np,), or mapping of str to array_like, optional
+        Values of the model's parameters, see `tenscasadi.ParameterLayout.values`; nominal if None. `Problem.model` is then the model with
+        these as constants (`Model.fixed`), and `Problem.parameters` is None.
 
     Raises
     ------
@@ -108,9 +111,11 @@ class Problem:
     goals: Iterable[Goal] = ()
     bounds: Iterable[Bound] = ()
     costs: Iterable[Cost] = ()
+    parameters: Any = None
 
     def __post_init__(self) -> None:
         instance("Problem.model", self.model, Model, "a tenscasadi.Model")
+        self.__dict__.update(model=self.model.fixed(self.parameters), parameters=None)
         if not isinstance(self.model.scene.control, ForceDensity):
             raise ValueError(f"Problem.model has the control {self.model.scene.control}: give a model of Scene(..., control=ForceDensity())")
         if self.model.nu == 0:

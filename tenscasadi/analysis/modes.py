@@ -223,7 +223,7 @@ def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None, 
     return Modes(frequency, shape, rigid, residual)
 
 
-def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None = None, rows: int = 41) -> Trajectory:
+def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None = None, rows: int = 41, parameters: Any = None) -> Trajectory:
     """Return one period of a natural mode about the model's initial shape as a trajectory, for plots and animations.
 
     Nodes move in straight lines, so bar lengths are off in the second order of the amplitude; `bar_length_error` says by how much.
@@ -241,6 +241,8 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
         Way of the node that moves furthest, m; None: a twentieth of the structure's size.
     rows : int
         Number of times in the trajectory.
+    parameters : array_like, shape (np,), or mapping, optional
+        Values of the model's parameters, as those of the modes.
 
     Returns
     -------
@@ -275,7 +277,7 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
     nodes = model.structure.nodes + np.sin(omega * time)[:, None, None] * moved
     velocities = omega * np.cos(omega * time)[:, None, None] * moved
     states = np.array([model.state(*row) for row in zip(nodes, velocities, strict=True)])
-    controls = np.tile(model.held(), (count, 1))
+    controls = np.tile(model.held(None, parameters), (count, 1))
     message = f"mode {index}, {modes.frequency[index]:.4g} Hz"
     return record_trajectory(model, time, states, controls, step=float(time[1]), message=message)
 

@@ -10,7 +10,7 @@ from tenscasadi.util.validate import listed, whole_number
 
 
 class Quantity(NamedTuple):
-    """What a parameter may stand for: its unit, what it belongs to, whether 0 or less is refused, and the part of the scene that has it."""
+    """A kind of parameter: its unit, what it belongs to, whether 0 or less is refused, and the part of the scene that has it."""
 
     unit: str
     item: str
