@@ -16,6 +16,7 @@ from ocp.plan.plan import Plan
 from ocp.problem.string_bounds import ForceDensityLimits
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
+from tenscasadi.ensemble.feedback import Feedback
 from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number
 
 MOST = 10_000  # decisions: each has a gain
@@ -71,6 +72,11 @@ class Tracker:
     def period(self) -> float:
         """Seconds from one decision to the next."""
         return float(self.time[1] - self.time[0])
+
+    @property
+    def feedback(self) -> Feedback:
+        """The same regulator as `tenscasadi.rollouts` takes it: for thousands of motions at once."""
+        return Feedback(self.time, self.force_density, self.states, self.gains, self.lower, self.upper)
 
     def control(self, time: float, state: Array) -> Array:
         """Decide the force densities until the next decision.

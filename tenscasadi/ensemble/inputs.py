@@ -64,11 +64,9 @@ def read_controls(model: Model, controls: Any, p: Array) -> Plan:
     """Return the controls, checked. Raises TypeError, ValueError."""
     nu = model.nu
     if isinstance(controls, Feedback):
-        if controls.controls.shape[1] != nu or controls.states.shape[1] != model.nx:
-            raise ValueError(
-                f"controls is a Feedback of {controls.controls.shape[1]} controls and {controls.states.shape[1]} states: "
-                f"the model has {nu} and {model.nx}"
-            )
+        given, known = controls.controls.shape[1], controls.states.shape[1]
+        if given != nu or known - 2 * model.nq not in (0, 1):  # with a clock or without: it is not fed back
+            raise ValueError(f"controls is a Feedback of {given} controls and {known} states: the model has {nu} and {model.nx}")
         return Plan(np.zeros((1, 1, nu)), controls)
     if controls is None:
         return Plan(_initial(model, p)[:, None], None)

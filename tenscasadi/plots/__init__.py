@@ -4,5 +4,17 @@ from __future__ import annotations
 
 from tenscasadi.plots.diagrams import Convergence, work_precision
 from tenscasadi.plots.figures import ForceHistory, errors, force_densities, node_histories, structure, time_lapse
+from tenscasadi.plots.rollouts import fan, histogram
 
-__all__ = ["Convergence", "ForceHistory", "errors", "force_densities", "node_histories", "structure", "time_lapse", "work_precision"]
+__all__ = [
+    "Convergence",
+    "ForceHistory",
+    "errors",
+    "fan",
+    "force_densities",
+    "histogram",
+    "node_histories",
+    "structure",
+    "time_lapse",
+    "work_precision",
+]

@@ -38,6 +38,19 @@ def test_without_disturbance_the_regulator_is_the_plan(plan):
     assert kept.trajectory.nodes[-1] == pytest.approx(plan.trajectory.nodes[-1], abs=1e-3)
 
 
+def test_many_motions_roll_out_as_one_does(plan):
+    """Plants of three masses under the regulator, beyond the end of the plan: all at once, and one by one."""
+    tracker, start = ocp.track(plan, decisions=10), plan.trajectory.states[0]
+    plants = tc.Model(tc.Scene(MODEL.structure, control=tc.ForceDensity(), parameters=tc.Parameters(scale=["bar_mass"])))
+    scales = np.array([[0.9], [1.0], [1.2]])
+    many = tc.rollouts(plants, 1.2, 0.01, start, tracker.feedback, scales, correction=tc.Projection(every=10))
+    assert many.success.all(), many.summary()
+    for scale, final in zip(scales[:, 0], many.final, strict=True):
+        plant = tc.Model(tc.Scene(MODEL.structure.replace(bar_mass=scale * MODEL.structure.bar_mass), control=tc.ForceDensity()))
+        alone = ocp.run(tracker, 1.2, plant, start, steps=10).trajectory
+        np.testing.assert_allclose(final, alone.states[-1], rtol=0, atol=1e-9)
+
+
 def test_tangents_are_what_bars_allow():
     Z = Tangents(MODEL, MODEL.initial_state)(MODEL.initial_state)
     assert Z.shape == (36, 30)

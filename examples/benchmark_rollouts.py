@@ -1,0 +1,198 @@
+"""Thousands of motions at once: steps per second of rollouts, against one motion at a time, MuJoCo's rollouts, and one model for each stiffness.
+
+The six-bar ball with elastic strings, classical Runge-Kutta steps of 0.5 ms, each motion from a start of its own. Each line is a median of
+ratios measured by turns in one process; whole calls are clocked, with the checks of every motion that they make. One thread is clocked in
+seconds of the processor, which other work on the machine does not lengthen; several threads in seconds of the wall.
+
+MuJoCo has each bar as a free body and each string as a tendon that pulls beyond its rest length; `mujoco.rollout` returns the state after
+each step, which it cannot leave out. On the ground two things differ: here nodes are points that a penalty with Coulomb friction holds (no
+equations to solve, but steps that a stiff ground limits), there spheres of 5 mm that a solver of soft constraints holds.
+
+MuJoCo is optional: pip install 'tenscasadi[peers]'
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: small matrices gain nothing from threads
+
+import time
+from collections.abc import Callable
+from importlib import import_module
+from statistics import median
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import tenscasadi as tc
+from tenscasadi.ensemble.kernel import build_kernel
+
+STEP, STEPS = 5e-4, 1000
+SIZE = 0.005  # m, of MuJoCo's spheres
+HEIGHT = 0.01  # m, of the lowest node above the ground
+
+
+class Row(NamedTuple):
+    """What was compared, trajectory steps per second of both, and the median of their ratio."""
+
+    name: str
+    ours: float
+    other: float
+    ratio: float
+
+
+def main(quick: bool = False) -> list[Row]:
+    """Measures, prints the table and returns its rows. `quick`: few motions, once."""
+    n, repeats = (64, 1) if quick else (4096, 5)
+    structure = tc.shapes.six_bar_ball(stiffness=1000.0, prestress=50.0)
+    structure = structure.replace(nodes=structure.nodes + [0.0, 0.0, HEIGHT - structure.nodes[:, 2].min()])
+    flying = tc.Model(tc.Scene(structure))
+    starts = throw(flying, n)
+    rows = []
+    for correction in (None, tc.Projection()):
+        rows += against_simulate(flying, starts, correction, repeats, quick)
+    if (os.cpu_count() or 1) > 1:
+        name = "two threads, against one"
+        rows.append(compare(name, roll(flying, starts, threads=2), n * STEPS, roll(flying, starts, threads=1), n * STEPS, repeats, time.perf_counter))
+    rows += against_mujoco(structure, n, repeats, quick)
+    print(f"{'':<62} {'steps/s':>11}  {'the other':>10}  ratio")
+    for row in rows:
+        print(f"{row.name:<62} {row.ours:>11,.0f}  {row.other:>10,.0f}  {row.ratio:.1f}")
+    rows.append(stiffnesses(structure, 20 if quick else 1000, 1 if quick else 3))
+    return rows
+
+
+def throw(model: tc.Model, n: int) -> np.ndarray:
+    """States (n, nx) with random velocities that bars allow."""
+    rng = np.random.default_rng(0)
+    nodes = model.structure.nodes
+    rough = np.array([model.state(nodes, rng.normal(0.0, 0.1, nodes.shape)) for _ in range(n)])
+    return np.ascontiguousarray(tc.projection(model).map(n)(rough.T).full().T)
+
+
+def roll(model: tc.Model, starts: np.ndarray, **options: Any) -> Callable[[], Any]:
+    """A call of `rollouts` whose every motion arrives."""
+
+    def run() -> None:
+        assert tc.rollouts(model, STEPS * STEP, STEP, starts, **options).success.all()
+
+    return run
+
+
+def compare(name: str, ours: Any, steps: int, other: Any, other_steps: int, repeats: int, clock: Callable[[], float] = time.process_time) -> Row:
+    """Run both by turns, after once to compile."""
+    ours(), other()
+    rates = []
+    for _ in range(repeats):
+        times = [clock()]
+        for run in (ours, other):
+            run()
+            times.append(clock())
+        rates.append((steps / (times[1] - times[0]), other_steps / (times[2] - times[1])))
+    return Row(name, median(a for a, _ in rates), median(b for _, b in rates), median(a / b for a, b in rates))
+
+
+def against_simulate(model: tc.Model, starts: np.ndarray, correction: tc.Projection | None, repeats: int, quick: bool) -> list[Row]:
+    """One thread against `simulate`, with all lanes and with fewer."""
+    n, count = len(starts), 2_000 if quick else 100_000
+    with_it = ", with Projection" if correction else ""
+
+    def one() -> None:
+        tc.simulate(model, count * STEP, STEP, state=starts[0], correction=correction)
+
+    once = tc.rollouts(model, STEPS * STEP, STEP, starts, correction=correction)
+    name = f"rollouts, {once.lanes} lanes{with_it}, against simulate"
+    rows = [compare(name, roll(model, starts, correction=correction, threads=1), n * STEPS, one, count, repeats)]
+    for lanes in (4, 2):
+        if lanes < once.lanes:
+            kernel, held = build_kernel(model, tc.RungeKutta4(), correction, measured=True, lanes=lanes), np.zeros((1, 1, model.nw))
+            rows.append(
+                compare(f"its kernel, {lanes} lanes{with_it}", lambda k=kernel, w=held: k(starts, w, STEP, STEPS), n * STEPS, one, count, repeats)
+            )
+    return rows
+
+
+def against_mujoco(s: tc.Structure, n: int, repeats: int, quick: bool) -> list[Row]:
+    """One thread against `mujoco.rollout`, flying and on the ground."""
+    try:
+        mujoco, rollout = import_module("mujoco"), import_module("mujoco.rollout")
+    except ImportError:
+        print("MuJoCo is not installed and left out: pip install 'tenscasadi[peers]'\n")
+        return []
+    count, steps = (8, 10) if quick else (64, 200)
+    ground = tc.Scene(s, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1e4, damping=30.0, friction=0.6, slip_speed=0.01))
+    rows = []
+    for scene, place in ((tc.Scene(s), "in flight"), (ground, "on the ground")):
+        model = tc.Model(scene)
+        ours = roll(model, throw(model, n), threads=1)
+        for integrator in ("RK4", "Euler"):
+            theirs = mujoco.MjModel.from_xml_string(mujoco_scene(mujoco, s, integrator, scene.ground is not None))
+            data = mujoco.MjData(theirs)
+            kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+            state = np.zeros(mujoco.mj_stateSize(theirs, kind))
+            mujoco.mj_getState(theirs, data, state, kind)
+            states = np.tile(state, (count, 1))
+            other = lambda m=theirs, d=data, x=states: rollout.rollout(m, [d], x, nstep=steps)  # noqa: E731
+            rows.append(compare(f"rollouts {place}, against mujoco.rollout {integrator}", ours, n * STEPS, other, count * steps, repeats))
+    return rows
+
+
+def mujoco_scene(mujoco: Any, s: tc.Structure, integrator: str, ground: bool) -> str:
+    """The structure in MuJoCo's XML; on the ground its nodes are spheres, which touch nothing but the plane."""
+    flags = "" if ground else '<flag contact="disable" constraint="disable"/>'
+    down = "0 0 -9.81" if ground else "0 0 0"
+    lines = [f'<mujoco><option timestep="{STEP}" integrator="{integrator}" gravity="{down}">{flags}</option><worldbody>']
+    lines += ['<geom type="plane" size="0 0 1" contype="1" conaffinity="0" friction="0.6"/>'] if ground else []
+    for (first, second), mass, inertia, length in zip(s.bars, s.bar_mass, s.bar_inertia, s.bar_lengths, strict=True):
+        turn = np.zeros(4)
+        mujoco.mju_quatZ2Vec(turn, (s.nodes[second] - s.nodes[first]) / length)  # bars lie along their body's z axis
+        across, middle = inertia * length**2, s.nodes[[first, second]].mean(axis=0)
+        lines += [
+            f'<body pos="{text(middle)}" quat="{text(turn)}"><freejoint/>',
+            f'<inertial pos="0 0 0" mass="{mass:.17g}" diaginertia="{text([across, across, 1e-4])}"/>',
+        ]
+        for node, end in ((first, text([-length / 2])), (second, text([length / 2]))):
+            lines.append(f'<site name="n{node}" pos="0 0 {end}"/>')
+            if ground:
+                lines.append(f'<geom type="sphere" size="{SIZE}" pos="0 0 {end}" mass="0" contype="0" conaffinity="1" friction="0.6"/>')
+        lines.append("</body>")
+    lines.append("</worldbody><tendon>")
+    for (first, second), stiffness, rest in zip(s.strings, s.stiffness, s.rest_length, strict=True):
+        lines.append(
+            f'<spatial stiffness="{text([stiffness])}" springlength="0 {text([rest])}"><site site="n{first}"/><site site="n{second}"/></spatial>'
+        )
+    return "".join([*lines, "</tendon></mujoco>"])
+
+
+def text(numbers: Any) -> str:
+    """Numbers as XML holds them."""
+    return " ".join(f"{number:.17g}" for number in numbers)
+
+
+def stiffnesses(structure: tc.Structure, values: int, models: int) -> Row:
+    """Motions of so many values of stiffness by one parameter, and by one model for each, of which a few are built."""
+    scales = np.linspace(0.5, 2.0, values)[:, None]
+
+    def clocked(run: Callable[[], Any]) -> float:
+        began = time.perf_counter()
+        run()
+        return time.perf_counter() - began
+
+    model = tc.Model(tc.Scene(structure, parameters=tc.Parameters(scale=["stiffness"])))
+    first, again = (clocked(lambda f=f: tc.rollouts(model, 0.1, STEP, parameters=f * scales)) for f in (1.0, 1.01))
+
+    def build() -> None:
+        for scale in np.random.default_rng().uniform(0.5, 2.0, models):  # values that no cache has seen
+            tc.simulate(tc.Model(tc.Scene(structure.replace(stiffness=structure.stiffness * scale))), 0.1, STEP)
+
+    each = clocked(build) / models
+    print(
+        f"\n{values} values of stiffness, 0.1 s each: {first:.2f} s as a parameter ({again:.3f} s for other values: nothing is compiled again), "
+        f"{each * values:,.0f} s as {values} models ({each:.2f} s each, from {models} of them)"
+    )
+    return Row("values of stiffness per second, a parameter against models", values / again, 1 / each, values / again * each)
+
+
+if __name__ == "__main__":
+    main()
