@@ -46,7 +46,7 @@ def drop(case: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def main(folder: Path = Path(), results: Path | None = None, quick: bool = False) -> tc.Sweep:
+def main(folder: Path = Path(), results: Path | None = None, *, quick: bool = False) -> tc.Sweep:
     """Prints the table, saves the picture and returns the table. `quick`: four cases, a short fall, nothing compiled, one thread."""
     folder.mkdir(parents=True, exist_ok=True)
     stiffnesses = np.geomspace(300.0, 30_000.0, 2 if quick else 9)

@@ -34,6 +34,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.simulation.export import export_c
+from tenscasadi.simulation.sensitivities import Sensitivities, sensitivities
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure import shapes
@@ -91,6 +92,8 @@ __all__ = [
     "Single",
     "stable_step",
     "Trajectory",
+    "sensitivities",
+    "Sensitivities",
     "CompileError",
     # many at once
     "sweep",

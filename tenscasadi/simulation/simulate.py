@@ -124,7 +124,7 @@ def simulate(
     _check_options(model, scheme, correction, compiled, progress, energy_balance)
     p = model.parameters.values(parameters)
     start = np.array(model.start_at(p) if state is None else finite_array("state", state, (model.nx,)))
-    inputs = _lay_grid(model, start, t_end, step, scheme, control, p)
+    inputs = lay_run(model, start, t_end, step, scheme, control, p)
     every = max(1, -(-inputs.steps // _ROWS)) if save_every is None else whole_number("save_every", save_every, 1)
     power, jumps = energy_balance and model.power is not None, energy_balance and inputs.varies
     built = make_stepper(Task(model, scheme, correction, power, jumps), inputs, compiled)
@@ -157,7 +157,7 @@ def _check_options(model: Any, scheme: Any, correction: Any, compiled: Any, prog
         instance(name, flag, bool, "True or False")
 
 
-def _lay_grid(
+def lay_run(
     model: Model, start: Array, t_end: float, step: float | None, scheme: Scheme, control: ControlInput | ControlProfile, p: Array
 ) -> SampledControl:
     """Choose the steps of a run and sample the control at each, with the parameters p below it."""

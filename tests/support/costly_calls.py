@@ -53,7 +53,10 @@ def measuring_calls() -> dict[str, Call]:
     start = {"state": timed().initial_state, "control": None}
     study = {"models": timed(), "t_end": 0.01, "schemes": (tc.RungeKutta4(),), "steps": (0.01,), "reference": None, "state": None, "control": None,
              "corrections": (None,), "compiled": (False,), "repeats": 1, "progress": False}  # fmt: skip
+    derivatives = {"model": timed(), "start": timed().initial_state, "t_end": 0.01, "step": 0.01, "scheme": tc.RungeKutta4(), "control": None,
+                   "correction": tc.Projection(), "of": lambda x, u: x[0], "by": "state", "mode": "forward", "compiled": False}  # fmt: skip
     return {
+        "sensitivities": (tc.sensitivities, derivatives),
         "certify": (tc.certify, {"model": timed(), "t_end": 0.01, **start, "accuracy": 1e-3, "enough": 1e-3, "compiled": False, "work": 1e6}),
         "recommend": (
             tc.recommend,
