@@ -16,6 +16,7 @@ from ocp.export import export_mpc, export_program
 from ocp.plan.actuation import reachable, replay_wound
 from ocp.plan.plan import Plan
 from ocp.plan.report import Report
+from ocp.plan.robustness import Robustness
 from ocp.problem.bar_bounds import BarForceLimits, Buckling
 from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
@@ -87,6 +88,7 @@ __all__ = [
     "UnreachableGoal",
     "Duals",
     "Report",
+    "Robustness",
     "replay_wound",
     "reachable",
     # in closed loop

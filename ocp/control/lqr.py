@@ -178,6 +178,9 @@ def track(
     return Tracker(model, time, states, gamma, _gains(A, B, Z, C, force**-2), *limits.limits(model.scene.structure))
 
 
+Plan._track = staticmethod(track)
+
+
 class Tangents:
     """Orthonormal bases of the small changes of a state that bars and joints allow, of places and velocities together."""
 

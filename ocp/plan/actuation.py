@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.plan.plan import Plan
+from ocp.plan.winding import wind
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.control_input import ControlProfile
@@ -104,13 +105,9 @@ def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayL
     plan.rest_lengths(stiffness)  # names the string that is too soft
     planned = plan.known_model("replay_wound")
     k = per_item("stiffness", plan.structure.stiffness if stiffness is None else stiffness, len(plan.structure.strings))
-    steps = updates * round(float(plan.time[-1] / np.diff(plan.time).min()))
-    fine = plan.replay(step=float(plan.time[-1]) / steps)
-    ends = fine.nodes[:, plan.structure.strings]
-    lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
-    rest = rest_length(fine.control, lengths, k)
+    time, rest = wind(plan, k, updates)
     elastic = replace(planned.scene, structure=plan.structure.replace(stiffness=k, damping=damping), control=RestLength())
     model = Model(elastic, planned.coordinates, "constant" if planned.mechanism.constant_length else "current")
-    wound = ControlProfile(fine.time, (rest[1:] + rest[:-1])[: len(rest) - 1] / 2, WOUND_STEPS)  # the middle of each step
+    wound = ControlProfile(time, rest, WOUND_STEPS)
     end = float(plan.time[-1])
     return simulate(model, end, end, state=plan.trajectory.states[0], control=wound, compiled=False)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ocp.boundary.target import Target
+from ocp.plan.many_replays import measure_robustness
 from ocp.plan.mesh_refinement import refine_mesh
 from ocp.plan.planned_forces import PlannedForces
 from ocp.plan.report import Report, report_of
+from ocp.plan.robustness import Robustness
 from ocp.plan.serialize import FORMAT, plan_arrays, plan_fields, rebuilt
 from ocp.problem.problem import Problem
 from ocp.solvers.base import Solver
@@ -31,7 +33,7 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import archive
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, instance, positive_number, whole_number
+from tenscasadi.util.validate import Array, flag, instance, positive_number, whole_number
 
 REPLAY_STEPS = 10  # steps of a replay for one interval of the plan
 
@@ -100,6 +102,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
     solver: Solver | None = None
     unknown: str = "it was made by hand"
 
+    _track: ClassVar[Callable[..., Any]]  # ocp.control.lqr.track, likewise
     _solve: ClassVar[Callable[..., Plan]]  # ocp.solve.solve, which names itself here: it makes plans, and refining makes another
 
     def __post_init__(self) -> None:
@@ -258,6 +261,50 @@ class Plan(PlannedForces, ReadOnlyArrays):
 
         found, missed = refine_mesh(self, model, again, limit, attempts)
         return replace(found, success=False, message=f"{found.message}; the tolerance of {limit:g} m was not met {missed}") if missed else found
+
+    def robustness(
+        self,
+        parameters: Mapping[str, float] | None = None,
+        start: float | tuple[float, float] = 0.0,
+        samples: int = 1000,
+        seed: int = 0,
+        tracked: bool = False,
+        tolerance: float | None = None,
+    ) -> Robustness:
+        """Replay the plan many times, where the structure or the start is not quite as planned.
+
+        Each parameter of a replay is the planned one times a factor of its own, and each coordinate of its start the planned one plus a
+        change, which bars and joints then put right; both are drawn uniformly and independently within ± their spread.
+
+        Parameters
+        ----------
+        parameters : mapping of str to float, optional
+            Relative spreads by name, at least 0 and less than 1, of quantities of `tenscasadi.Parameters`. With ``"stiffness"`` or ``"damping"``
+            motors wind elastic strings to the rest lengths of the plan, as `replay_wound` does: force densities do not depend on these.
+        start : float or (float, float)
+            Spread of the nodes' coordinates, m, and of their velocities, m/s.
+        samples : int
+            Number of replays.
+        seed : int
+            Seed of the draws.
+        tracked : bool
+            Whether `track` keeps to the plan, by the state of each replay. Wound strings then get the rest lengths that pull as it decides at
+            the planned lengths.
+        tolerance : float, optional
+            How far a replay may end from the goals, m, and as many m per duration in speed. Default: 1 % of the structure's size.
+
+        Returns
+        -------
+        Robustness
+            The errors of all replays, the share that meets the tolerance, and what matters most.
+
+        Raises
+        ------
+        TypeError, ValueError
+            An argument is wrong, nothing varies, the scene does not have what a parameter names, or the model is not known.
+        """
+        flag("tracked", tracked)
+        return measure_robustness(self, parameters, start, samples, seed, tolerance, self._track if tracked else None)
 
     @property
     def worst_error(self) -> float:

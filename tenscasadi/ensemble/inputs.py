@@ -132,7 +132,7 @@ def gather_intervals(model: Model, inputs: SampledControl, plan: Plan) -> tuple[
     feedback = {
         "decides": np.concatenate([[1], np.diff(row) != 0]).astype(np.int64),
         "decision": np.minimum(row, plan_size).astype(np.int64),
-        "given": np.concatenate([plan.feedback.controls, plan.feedback.controls[last]]),
+        "given": np.ascontiguousarray(np.concatenate([plan.feedback.controls, plan.feedback.controls[last]])),
         "reference": np.ascontiguousarray(plan.feedback.states[:, :referred]),
         "gains": np.ascontiguousarray(np.concatenate([plan.feedback.gains, plan.feedback.gains[last]])[:, :, :referred]),
         "lower": plan.feedback.lower,

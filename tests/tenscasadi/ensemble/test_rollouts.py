@@ -94,6 +94,15 @@ def test_feedback_is_decided_at_its_times_and_goes_on_after_the_plan(spring):
         np.testing.assert_allclose(many.final[k], state, rtol=1e-13)
 
 
+def test_feedback_may_be_laid_out_in_memory_as_it_likes():
+    model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+    table = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    still = {"time": [0.0, 0.1, 0.2, 0.3], "states": np.zeros((4, model.nx), order="F"), "gains": np.zeros((3, 2, model.nx), order="F")}
+    ends = [tc.rollouts(model, 0.3, 0.01, controls=tc.Feedback(controls=given, **still)).final for given in (table, np.asfortranarray(table))]
+    np.testing.assert_array_equal(ends[0], ends[1])
+    np.testing.assert_allclose(ends[0][0], tc.simulate(model, 0.3, 0.01, control=table, compiled=False).states[-1], atol=1e-14)
+
+
 def test_a_shared_table_and_one_start_serve_all(spring):
     many = tc.rollouts(spring, 1.0, 0.01, controls=np.full((4, 1), 1.0) * [[1.0], [2.0], [3.0], [4.0]])
     expected = np.cos(np.sqrt([1.0, 2.0, 3.0, 4.0]))  # x'' = -u x
