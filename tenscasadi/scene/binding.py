@@ -54,7 +54,9 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
         if name in scene.parameters.scale:
             changes[name] = _Scaled(load, values)
         else:
-            changes[name] = {"gravity": _Weight, "forces": _Pushes}[name](values) if name != "pressure" else with_fields(load, difference=values)
+            changes[name] = (
+                {"gravity": _Weight, "forces": _Pushes}[name](load, values) if name != "pressure" else with_fields(load, difference=values)
+            )
     return with_fields(scene, **changes), w[:nu]
 
 
@@ -74,45 +76,44 @@ def _with_attributes(structure: Any, attributes: dict[str, Any]) -> Any:
     return new
 
 
-class _Scaled:
+class _Bound:
+    """A load with expressions; what it does not say itself, its load says."""
+
+    def __init__(self, load: Any, values: Any) -> None:
+        self._load, self._values = load, values
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._load, name)
+
+
+class _Scaled(_Bound):
     """A load times a factor."""
 
-    def __init__(self, load: Any, factor: Any) -> None:
-        self._load, self._factor, self.varies = load, factor, load.varies
-
     def at(self, time: Any) -> Any:
-        return self._factor * self._load.at(time)
+        return self._values * self._load.at(time)
 
     def forces(self, *arguments: Any) -> Any:
-        return self._factor * self._load.forces(*arguments)
+        return self._values * self._load.forces(*arguments)
 
     def energy(self, *arguments: Any) -> Any:
-        return self._factor * self._load.energy(*arguments)
+        return self._values * self._load.energy(*arguments)
 
 
-class _Weight:
+class _Weight(_Bound):
     """Constant gravity whose acceleration (3×1) is an expression."""
 
-    varies = False
-
-    def __init__(self, acceleration: Any) -> None:
-        self._acceleration = acceleration
-
     def at(self, time: Any) -> Any:
-        return self._acceleration
+        return self._values
 
     def forces(self, node_weight: Any, time: Any = 0) -> Any:
-        return ca.mtimes(self._acceleration, ca.DM(node_weight).T)
+        return ca.mtimes(self._values, ca.DM(node_weight).T)
 
     def energy(self, N: Any, node_weight: Any) -> Any:
         return -ca.sum1(ca.sum2(N * self.forces(node_weight)))
 
 
-class _Pushes:
+class _Pushes(_Bound):
     """Constant forces on nodes (3n×1) that are expressions."""
-
-    def __init__(self, values: Any) -> None:
-        self._values = values
 
     def forces(self, time: Any) -> Any:
         return ca.reshape(self._values, 3, self._values.shape[0] // 3)

@@ -214,3 +214,21 @@ def test_masses_that_rounding_cannot_hold_together_are_refused():
     model = tc.Model(tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("bar_mass")))
     with pytest.raises(ValueError, match="bar 1 is 1e\\+20 times as heavy as bar 0"):
         tc.simulate(model, 0.1, parameters=[1.0, 1e20, 1.0], compiled=False)
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_forces_on_a_chosen_bar_of_a_joint(scaled):
+    elbow = tc.shapes.double_pendulum()
+    forces = tc.NodalForce(np.full((3, 3), 0.5), bars={1: 1})
+    named = tc.Parameters(scale=["forces"]) if scaled else tc.Parameters("forces")
+    given = tc.Model(tc.Scene(elbow, forces=forces, parameters=named), "full")
+    built = tc.Model(tc.Scene(elbow, forces=tc.NodalForce(np.full((3, 3), 1.0), bars={1: 1})), "full")
+    x = built.initial_state
+    one, other = given.multipliers(x, parameters={"forces": 2.0 if scaled else 1.0}), built.multipliers(x)
+    np.testing.assert_allclose(one.joint_force, other.joint_force, atol=1e-12)
+
+
+def test_masses_on_rollers_in_full_coordinates():
+    mast = tc.Structure([(0, 0, 0), (0.3, 0, 2)], [(0, 1)], pinned={0: "z"}, rollers={1: (1, 0, 1)}, node_mass=0.2)
+    given, p, built = pair(mast, ("bar_mass", "node_mass", "gravity"), "full", ground=None)
+    assert_same(*(tc.simulate(m, 0.1, parameters=q, compiled=False) for m, q in ((given, p), (built, None))), 1e-11)
