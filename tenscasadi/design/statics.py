@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lstsq, null_space
 from scipy.optimize import nnls
-from scipy.sparse import block_diag, csr_array
 
+from tenscasadi.design.least_force_density import least_force_density
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.sparse_null_space import RankError, sparse_null_space
 from tenscasadi.util.validate import Array, finite_array, instance, item_mask, nonnegative, per_item
 
 TOLERANCE = 1e-9  # relative: singular values and unbalanced forces below it are rounding
+_DENSE = 1e6  # entries of N K up to which it is decomposed as a whole
 
 
 class EquilibriumError(ValueError):
@@ -44,10 +48,18 @@ def self_stress(structure: Structure) -> Array:
     ndarray, shape (k, α + β)
         One self-stress a row, γ of strings, then λ of bars, N/m, orthonormal; λ > 0 is compression.
 
+    Raises
+    ------
+    TypeError
+        If `structure` is no Structure.
+    ValueError
+        Where the singular values of a large structure do not tell how many self-stresses it has.
+
     Notes
     -----
     N K = 0 at all free coordinates, with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58 and 60 at rest). Singular values below 1e-9 of the
-    largest one count as zero.
+    largest one count as zero. Up to a million entries N K is decomposed as a whole; beyond, by a sparse orthogonal factorisation, whose
+    self-stresses are local where the structure's are: 2000 bars take seconds.
 
     Examples
     --------
@@ -56,7 +68,13 @@ def self_stress(structure: Structure) -> Array:
     (1, 12)
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
-    return np.asarray(null_space(_balance(structure), rcond=TOLERANCE).T)
+    balance = _balance(structure)
+    if _is_small(balance):
+        return np.asarray(null_space(balance.toarray(), rcond=TOLERANCE).T)
+    try:
+        return sparse_null_space(balance, TOLERANCE)
+    except RankError as error:
+        raise ValueError(f"structure: its self-stresses cannot be counted: {error}; move nodes that are nearly in line") from None
 
 
 def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = None, minimum: ArrayLike = 1.0, pushing: Iterable[int] = ()) -> Array:
@@ -88,9 +106,14 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
     TypeError, ValueError
         Where loads or minimum do not fit the structure.
 
+    Notes
+    -----
+    Beyond a million entries of N K the quadratic program is solved by a sparse interior point method [2]_: 2000 bars take seconds.
+
     References
     ----------
     .. [1] C. L. Lawson and R. J. Hanson, Solving Least Squares Problems, chapter 23: least distance programming.
+    .. [2] S. Mehrotra, On the implementation of a primal-dual interior point method, SIAM Journal on Optimization 2, 1992, 575-601.
 
     Examples
     --------
@@ -106,39 +129,56 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
     directions = _free_directions(structure)
     w = directions.T @ load.ravel()
     balance = _balance(structure)
-    A = balance[:, :alpha]
+    program = balance[:, :alpha], balance[:, alpha:] * (1 / structure.bar_lengths), w, least, ~pushes
+    force = max(float(abs(program[0] * least).max()) if alpha and len(w) else 0.0, float(np.abs(w).max(initial=0.0)))
+    if not _is_small(balance):
+        gamma, unbalanced = least_force_density(*program)
+        residual = float(np.linalg.norm(unbalanced))
+        if residual > TOLERANCE * force:
+            raise _no_equilibrium((directions @ unbalanced).reshape(-1, 3), least[~pushes], residual)
+        if gamma is None:
+            raise EquilibriumError("least force densities were not found, though some hold the structure: give another minimum", residual)
+        return gamma
     # the bars take whatever acts along them: what is left is balanced by strings alone
-    Q = null_space((balance[:, alpha:] / structure.bar_lengths).T, rcond=TOLERANCE).T
-    E, f = Q @ A, Q @ w
-    force = max(float(np.abs(A * least).max(initial=0.0)), float(np.abs(w).max(initial=0.0)))
+    Q = null_space((balance[:, alpha:].toarray() / structure.bar_lengths).T, rcond=TOLERANCE).T
+    E, f = Q @ balance[:, :alpha].toarray(), Q @ w
 
     extra, residual = _balancing(E, f - E @ least, pushes)
     if residual > TOLERANCE * force:
         left = directions @ (Q.T @ (f - E @ (least + extra)))
         raise _no_equilibrium(left.reshape(-1, 3), least[~pushes], residual)
+    allowed = max(10.0 * residual, TOLERANCE * force)
     gamma = _least_norm(E, f, least, ~pushes)
-    if gamma is None or np.linalg.norm(E @ gamma - f) > max(10.0 * residual, TOLERANCE * force):
-        gamma = least + extra
+    if gamma is None or np.linalg.norm(E @ gamma - f) > allowed:
+        gamma, unbalanced = least_force_density(*program)
+        if gamma is None or np.linalg.norm(unbalanced) > allowed:
+            gamma = least + extra
     return gamma
 
 
-def _balance(structure: Structure) -> Array:
-    """Return N K of one unit of each force density: free coordinates × (α + β)."""
+def _balance(structure: Structure) -> Any:
+    """Return N K of one unit of each force density: free coordinates × (α + β), sparse."""
     n = len(structure.nodes)
-    columns = []
+    blocks = []
     for pairs, sign in ((structure.strings, 1.0), (structure.bars, -1.0)):
-        C = connectivity(pairs, n).toarray()
+        C = sp.coo_array(connectivity(pairs, n))
         vectors = C @ structure.nodes
-        columns.append(sign * np.einsum("mn,mx->nxm", C, vectors).reshape(3 * n, len(pairs)))
-    return np.asarray(_free_directions(structure).T @ np.concatenate(columns, axis=1))
+        rows, columns = 3 * C.col[:, None] + np.arange(3), np.repeat(C.row, 3)
+        values = sign * (C.data[:, None] * vectors[C.row])
+        blocks.append(sp.coo_array((values.ravel(), (rows.ravel(), columns)), shape=(3 * n, len(pairs))))
+    return sp.csc_array(_free_directions(structure).T @ sp.csc_array(sp.hstack(blocks)))
 
 
-def _free_directions(structure: Structure) -> csr_array:
+def _is_small(balance: Any) -> bool:
+    return bool(balance.shape[0] * balance.shape[1] <= _DENSE)
+
+
+def _free_directions(structure: Structure) -> sp.csr_array:
     """Return an orthonormal basis (3n × free coordinates) of the displacements that pins and rollers allow."""
     blocks = [np.eye(3)[:, ~fixed] for fixed in structure.fixed]
     for node, normals in structure.rollers.items():
         blocks[node] = null_space(np.array(normals))
-    return csr_array(block_diag(blocks))
+    return sp.csr_array(sp.block_diag(blocks))
 
 
 def _balancing(A: Array, b: Array, free: NDArray[np.bool_]) -> tuple[Array, float]:
@@ -161,7 +201,7 @@ def _least_norm(E: Array, f: Array, least: Array, bounded: NDArray[np.bool_]) ->
     """Return γ of least ‖γ‖ with E γ = f, γ ≥ `least` where it is `bounded`: least distance programming.
 
     Lawson and Hanson, Solving Least Squares Problems, ch. 23.
-    With γ = γ₀ + Z y, Z a basis of null(E): min ‖y‖ with Z y ≥ least − γ₀. None where rounding hides that it is feasible.
+    With γ = γ₀ + Z y, Z a basis of null(E): min ‖y‖ with Z y ≥ least − γ₀. None where rounding hides that it is feasible, or which is the least.
     """
     if E.shape[0] == 0:
         return least.copy()  # 0 where there is no bound
@@ -174,7 +214,7 @@ def _least_norm(E: Array, f: Array, least: Array, bounded: NDArray[np.bool_]) ->
         target[-1] = 1.0
         system = np.vstack([Z[bounded].T, short / scale])
         u, distance = _nonnegative(system, target)
-        if distance < TOLERANCE:
+        if distance < TOLERANCE or u.max() > 1 / TOLERANCE:  # what pushes is the rounding of Z
             return None
         r = system @ u - target
         start = start - Z @ (r[:-1] / r[-1]) * scale

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
+from tenscasadi.design import statics
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density, self_stress
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
@@ -172,3 +173,61 @@ def test_random_nets_are_held_or_refused(seed: int, minimum: float, feasible: bo
     assert least_norm_error(s, gamma, minimum) < 1e-7 * np.linalg.norm(gamma)
     if feasible:
         assert np.linalg.norm(gamma) <= np.linalg.norm(chosen) * (1 + 1e-9)
+
+
+# --- large structures: sparse, and the same as dense where both run ---
+
+
+def random_structure(seed: int) -> tuple[Structure, np.ndarray, Any, list[int]]:
+    """A net of bars and strings with loads that some force densities balance, the least that is asked of each, and strings that push."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(6, 30))
+    pairs = [(i, j) for i in range(n) for j in range(i)]
+    rng.shuffle(pairs)
+    bars = [(2 * k, 2 * k + 1) for k in range(int(rng.integers(0, n // 3 + 1)))]
+    strings = [pair for pair in map(tuple, pairs[: int(rng.integers(6, min(len(pairs), 6 * n)))]) if tuple(sorted(pair)) not in bars]
+    s = Structure(rng.normal(size=(n, 3)), bars, strings, pinned=range(n - 3, n) if seed % 3 else (), node_mass=1.0)
+    gamma = rng.exponential(size=len(strings)) * (rng.random(len(strings)) < 0.7) * 10 ** rng.uniform(-2, 3)
+    N, t = s.nodes.T, rng.normal(size=len(bars)) * gamma.max()
+    loads = N @ s.C_s.T @ np.diag(gamma) @ s.C_s + N @ s.C_b.T @ np.diag(t) @ s.C_b
+    return s, loads.T, 0.1 * gamma if seed % 2 else 0.0, [0, 1] if seed % 4 == 0 else []
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_sparse_statics_are_those_of_dense_matrices(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    s, loads, minimum, pushing = random_structure(seed)
+    dense = equilibrium_force_density(s, loads, minimum, pushing), self_stress(s)
+    weak = Structure(s.nodes, s.bars, s.strings[:4], pinned=[0], node_mass=1.0)
+    pushed = loads + np.random.default_rng(seed).normal(size=loads.shape)
+    with pytest.raises(EquilibriumError) as refused:
+        equilibrium_force_density(weak, pushed)
+    monkeypatch.setattr(statics, "_DENSE", 0)
+    gamma, stresses = equilibrium_force_density(s, loads, minimum, pushing), self_stress(s)
+    np.testing.assert_allclose(gamma, dense[0], atol=1e-7 * abs(dense[0]).max())
+    assert np.all(np.delete(gamma - minimum, pushing) >= 0)
+    np.testing.assert_allclose(stresses.T @ stresses, dense[1].T @ dense[1], atol=1e-9)
+    with pytest.raises(EquilibriumError) as again:
+        equilibrium_force_density(weak, pushed)
+    assert again.value.residual == pytest.approx(refused.value.residual, rel=1e-6)
+    assert str(again.value) == str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["prism", "six_bar_ball", "membrane", "d_bar"])
+def test_shapes_by_sparse_statics(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    s = getattr(shapes, name)()
+    dense = len(self_stress(s))
+    monkeypatch.setattr(statics, "_DENSE", 0)
+    assert len(self_stress(s)) == dense
+    assert abs(self_stress(s) @ statics._balance(s).T).max(initial=0.0) < 1e-12
+
+
+def test_two_thousand_bars() -> None:
+    """667 prisms side by side: one self-stress each, and each least force density that of its prism."""
+    one, count = shapes.prism(), 667
+    nodes = np.vstack([one.nodes + (0, 0, 3.0 * k) for k in range(count)])
+    bars, strings = (np.vstack([members + 6 * k for k in range(count)]) for members in (one.bars, one.strings))
+    s = Structure(nodes, bars, strings)
+    stresses = self_stress(s)
+    assert stresses.shape == (count, 12 * count)
+    assert abs(stresses @ statics._balance(s).T).max() < 1e-12
+    np.testing.assert_allclose(equilibrium_force_density(s), np.tile(equilibrium_force_density(one), count), rtol=1e-9)
