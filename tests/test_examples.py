@@ -108,7 +108,13 @@ def sweep_stiffness(table: Any) -> None:
     assert table["crushed"][soft].min() > 3 * table["crushed"][stiff].max() > 0
 
 
+def identify_prism(found: Any) -> None:
+    assert (abs(found.values - found.true) < 4 * found.deviation).all(), found
+    assert (found.deviation < 0.01 * found.true).all()
+
+
 CLAIMS = (
+    identify_prism,
     extremes,
     simulate_ball,
     double_pendulum,
