@@ -73,8 +73,7 @@ def _check_time(problem: Problem, target: Target, seconds: float) -> None:
     reach = (np.abs(model.split(start)[1]).max() + fastest * seconds) * seconds
     away = np.abs(model.split(target.state - start)[0])
     if away.max() > AMPLE * reach:
-        node, axis = divmod(int(model.mechanism.free_index[np.argmax(away)]), 3)
-        way = f"node {model.mechanism.physical[node]} {'xyz'[axis]} has to move by {away.max():.2g} m in {seconds:.2g} s"
+        way = f"{model.mechanism.coordinate_names[np.argmax(away)]} has to move by {away.max():.2g} m in {seconds:.2g} s"
         raise UnreachableGoal(f"{way}, in which force densities within their limits move it by about {reach:.2g} m: give more time")
 
 

@@ -104,7 +104,7 @@ class InverseDynamics:
         degree = min(3, len(path) - 1)
         columns = path.reshape(len(path), -1, 3)[:, model.mechanism.physical].reshape(len(path), -1)
         free = model.mechanism.free_index
-        spline = scipy.interpolate.make_interp_spline(before, columns[:, free], k=degree)
+        spline = scipy.interpolate.make_interp_spline(before, model.mechanism.local(columns)[:, free], k=degree)
         return follow(problem, target, np.asarray(spline(np.linspace(0.0, 1.0, intervals + 1))), duration)
 
 

@@ -138,8 +138,7 @@ class Variables:
 
 def state_names(model: Model) -> tuple[str, ...]:
     """Return what each entry of the state is, such as "node 2 z velocity"."""
-    mech = model.mechanism
-    places = [f"node {mech.physical[k // 3]} {'xyz'[k % 3]}" for k in mech.free_index]
+    places = model.mechanism.coordinate_names
     return (*places, *(f"{place} velocity" for place in places), *["clock"] * (model.nx - 2 * len(places)))
 
 

@@ -350,10 +350,10 @@ def _stiffness(model: Model, state: ca.DM, held: ca.DM) -> tuple[Any, Any, Any, 
     residual, rate = ca.vertcat(kept.bars, kept.joints), ca.vertcat(kept.bar_rates, kept.joint_rates)
     push, B = applied_forces(model, N, V, u, time)[0], mech.bar_vectors(N)
     velocity, clock = model.split(x)[1], [1.0] if model.scene.has_clock else []
-    F = ca.vec(ca.densify(push))[free]
+    F = mech.local(ca.vec(ca.densify(push)))[free]
     onward = ca.vertcat(velocity, ca.DM.zeros(model.nq), *clock)  # without accelerations
     rest = ca.Function("rest", [x, u], [ca.jacobian(residual, x)[:, : model.nq], F, ca.jtimes(rate, x, onward)])
-    total = F + ca.vec(ca.densify(nodal_forces(mech, B, lam)))[free]
+    total = F + mech.local(ca.vec(ca.densify(nodal_forces(mech, B, lam))))[free]
     slope = ca.Function("slope", [x, u, lam], [ca.jacobian(total, x)[:, : model.nq]])
     jacobian, force, bend = rest(state, held)
     _refuse_degenerate(model, state, *(np.asarray(value.nonzeros()) for value in (jacobian, force, bend)))
@@ -389,7 +389,7 @@ def _supported_motions(model: Model, state: Array) -> Array:
     columns = model.nodes(state)[mech.physical]
     centre = columns.mean(axis=0)
     fields = [np.broadcast_to(axis, columns.shape) for axis in np.eye(3)] + [np.cross(axis, columns - centre) for axis in np.eye(3)]
-    motions = scipy.linalg.orth(np.stack([field.ravel() for field in fields], axis=1))
+    motions = scipy.linalg.orth(np.stack([mech.local(field.ravel()) for field in fields], axis=1))
     held = np.flatnonzero(~mech.free.ravel())
     allowed = motions @ scipy.linalg.null_space(motions[held]) if len(held) else motions
     return np.asarray(allowed[mech.free_index])

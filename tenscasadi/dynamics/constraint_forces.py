@@ -139,8 +139,10 @@ def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
     products = B[:, rows] * B[:, columns]  # 3×nnz
     if len(G) == 1:
         values = ca.sum1(products).T * weights[0]
-    else:
+    elif len(G) == 3:
         values = sum(products[axis, :].T * weights[axis] for axis in range(3))
+    else:
+        values = sum((B[a, rows] * B[b, columns]).T * weights[3 * a + b] for a in range(3) for b in range(3))
     return matrix_with_pattern(ca.Sparsity.triplet(mech.bars, mech.bars, rows, columns), values)
 
 
@@ -177,7 +179,7 @@ def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
 
 def check_mass_ratio(mech: Mechanism) -> None:
     """Raise ValueError where a bar is more than `HEAVIEST` times as heavy as another, both with all that hangs on their ends' nodes."""
-    for inverse in mech.inverse:
+    for inverse in mech.inverse[::4] if len(mech.inverse) == 9 else mech.inverse:
         ends = sp.csr_array(abs(mech.C_b)) @ inverse.diagonal()  # 1/kg; zero where both are fixed
         moving = np.flatnonzero(ends > 0)
         heavy, light = (moving[pick(ends[moving])] for pick in (np.argmin, np.argmax)) if len(moving) else (0, 0)

@@ -49,7 +49,7 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
     for name, expression in built.items():
         if name == "string damping":  # the whole string law; what it adds to elasticity is the damping
             outputs.pop("string elasticity")
-        outputs[name] = ca.vec(expression)[mech.free_index.tolist()]  # what pulls at a pinned node is not needed
+        outputs[name] = mech.local(ca.vec(expression))[mech.free_index.tolist()]  # what pulls at a pinned node is not needed
         count = ca.Function("terms", [x, u], ca.cse(list(outputs.values()))).n_instructions()
         counts[name] = count - before
         before = count

@@ -11,11 +11,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.dynamics.masses import Masses, read_masses
+from tenscasadi.scene.parameters import MASSES
 from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.pins import Normals
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.casadi_tools import block_inverse, is_diagonal, is_expression, matrix_with_pattern, numbered, product, sparse
+from tenscasadi.util.casadi_tools import block_inverse, drop_rounding, is_diagonal, is_expression, matrix_with_pattern, numbered, product, sparse
 from tenscasadi.util.validate import Array, Indices
 
 UNROLL_MEMBERS = 300  # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
@@ -65,13 +66,14 @@ class Mechanism:
     C_b: sp.csr_array  # β×n
     C_s: sp.csr_array  # α×n
     M: Any  # n×n
-    inverse: tuple[Any, ...]  # M⁻ (n×n) for each axis, or once for all three
+    inverse: tuple[Any, ...]  # M⁻ (n×n) for each axis, once for all three, or for each pair of axes where rollers couple them
     P: sp.csr_array  # n×c, no columns in reduced coordinates
     D: Array  # 3×c
     active: Any  # 3×c bool: axes that a column of P constrains (all, but for per-axis supports), or directions of its frame
     lengths: Array  # (β,)
     constant_length: bool  # λ̂ divides by l² as Eqs. 46-87 print it, instead of by the current bᵀb
     frames: Any = None  # (c, 3, 3): the directions of each column's frame, as columns, of which `active` are held; None: the axes
+    turn: sp.csr_array | None = None  # 3n×3n: from local coordinates, along and across rollers, to those of N; None: they are the same
     masses: Masses | None = None  # how M and M⁻ follow from parameters; None: they are constant
     weights: Any = None  # entries of M and M⁻, a CasADi column, where they are expressions
 
@@ -102,14 +104,28 @@ class Mechanism:
 
     @cached_property
     def free_index(self) -> Indices:
-        """Places (nq,) of the free coordinates in N, column by column: 3 · column + axis."""
+        """Places (nq,) of the free coordinates in N (or its `local` ones), column by column: 3 · column + axis."""
         return np.flatnonzero(self.free.ravel())
+
+    @property
+    def coordinate_names(self) -> list[str]:
+        """The names of the free coordinates, such as "node 2 z"."""
+        turned = set() if self.turn is None else set(np.flatnonzero(np.diff(self.turn.indptr) > 1) // 3)
+        return [f"node {self.physical[k // 3]} {'along its roller' if k // 3 in turned else 'xyz'[k % 3]}" for k in self.free_index]
+
+    def local(self, vector: Any) -> Any:
+        """Return coordinates along and across rollers of vectors in the axes of N: columns (3n) of CasADi's, arrays (…, 3n)."""
+        return vector if self.turn is None else _turned(self.turn.T, vector)
+
+    def world(self, vector: Any) -> Any:
+        """Return vectors in the axes of N of their `local` coordinates."""
+        return vector if self.turn is None else _turned(self.turn, vector)
 
     @cached_property
     def free_mass(self) -> Any:
         """The mass matrix (nq×nq) of the free coordinates, kg."""
         if not is_expression(self.M):
-            return sp.csr_array(sp.kron(self.M, sp.eye_array(3)))[self.free_index][:, self.free_index]
+            return _free_mass(self.M, self.turn, self.free_index)
         wide = sp.csc_array(sp.csr_array(sp.kron(numbered(self.M), sp.eye_array(3)))[self.free_index][:, self.free_index])
         wide.sort_indices()
         pattern = ca.Sparsity(wide.shape[0], wide.shape[1], wide.indptr.tolist(), wide.indices.tolist())
@@ -152,11 +168,13 @@ class Mechanism:
         factors = [sparse(inverse if then is None else product(inverse, then)) for inverse in self.inverse]
         if len(factors) == 1:
             return ca.mtimes(X, factors[0])
-        return ca.vertcat(*(ca.mtimes(X[axis, :], factors[axis]) for axis in range(3)))
+        if len(factors) == 3:
+            return ca.vertcat(*(ca.mtimes(X[axis, :], factors[axis]) for axis in range(3)))
+        return ca.vertcat(*(sum(ca.mtimes(X[other, :], factors[3 * other + axis]) for other in range(3)) for axis in range(3)))
 
     @cached_property
     def G(self) -> tuple[Any, ...]:
-        """C_b M⁻ C_bᵀ (β×β) for each axis, or once."""
+        """C_b M⁻ C_bᵀ (β×β) for each axis, once, or for each pair of axes."""
         return tuple(product(self.C_b, inverse, self.C_b.T) for inverse in self.inverse)
 
     @cached_property
@@ -181,6 +199,8 @@ def scene_mechanism(scene: Scene, coordinates: Coordinates, bar_length: BarLengt
     """Return the matrices of a scene's modelled structure, with `masses` where these are parameters."""
     mechanism = build_mechanism(scene.modelled, coordinates, bar_length)
     layout = scene.modelled._layout if coordinates == "full" else None
+    if mechanism.turn is not None and scene.layout.quantities.keys() & set(MASSES):
+        raise ValueError('Scene.parameters makes masses open, and a roller is along no axis: give Model(coordinates="full") for both')
     masses = read_masses(scene, mechanism.physical, mechanism.inverse, layout)
     return mechanism if masses is None else replace(mechanism, masses=masses)
 
@@ -194,9 +214,12 @@ def build_mechanism(structure: Structure, coordinates: Coordinates, bar_length: 
         free = ~structure.fixed
         axes = [free[:, 0]] if (free == free[:, :1]).all() else [free[:, axis] for axis in range(3)]
         every = np.arange(n)
-        inverse = tuple(block_inverse(M, axis) for axis in axes)
+        inverse, turn = tuple(block_inverse(M, axis) for axis in axes), None
+        if structure.rollers:
+            free, turn = _across_rollers(structure)
+            inverse = _coupled_inverse(M, turn, np.flatnonzero(free.ravel()))
         none = sp.csr_array((n, 0)), np.zeros((3, 0)), np.ones((3, 0), bool)
-        return Mechanism(structure.nodes.T, free, every, every, C_b, C_s, M, inverse, *none, structure.bar_lengths, constant)
+        return Mechanism(structure.nodes.T, free, every, every, C_b, C_s, M, inverse, *none, structure.bar_lengths, constant, turn=turn)
     split = structure.class_one(sparse=True)
     n = split.N.shape[1]
     first = np.unique(split.physical, return_index=True)[1]
@@ -217,6 +240,33 @@ def build_mechanism(structure: Structure, coordinates: Coordinates, bar_length: 
     inverse = (block_inverse(split.M_s + sp.diags_array(np.where(diagonal == 0, diagonal.max(initial=0.0) or 1.0, 0.0)), free[:, 0]),)
     C_s = sp.csr_array(split.C_s)
     return Mechanism(split.N, free, split.physical, first, C_b, C_s, split.M_s, inverse, P, D, active, structure.bar_lengths, constant, frames=frames)
+
+
+def _across_rollers(structure: Structure) -> tuple[Any, sp.csr_array]:
+    """Return which local coordinates are free (n, 3), those across rollers are not, and the matrix `Mechanism.turn`."""
+    free, frames = ~structure.fixed, [np.eye(3)] * len(structure.nodes)
+    for node, normals in structure.rollers.items():
+        free[node], frames[node] = np.arange(3) >= len(normals), _frame(normals)
+    return free, sp.csr_array(sp.block_diag(frames))
+
+
+def _free_mass(M: Any, turn: Any, index: Indices) -> sp.csr_array:
+    wide = sp.csr_array(sp.kron(M, sp.eye_array(3)))
+    return sp.csr_array(wide if turn is None else turn.T @ wide @ turn)[index][:, index]
+
+
+def _coupled_inverse(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr_array, ...]:
+    """Return M⁻ for each pair of axes, on the free local coordinates."""
+    inner = _free_mass(M, turn, index)
+    free = sp.csr_array(turn[:, index])
+    wide = drop_rounding(free @ block_inverse(inner, np.ones(len(index), bool)) @ free.T)
+    return tuple(sp.csr_array(wide[one::3][:, other::3]) for one in range(3) for other in range(3))
+
+
+def _turned(matrix: Any, vector: Any) -> Any:
+    if isinstance(vector, np.ndarray):
+        return (vector.reshape(-1, vector.shape[-1]) @ matrix.T).reshape(vector.shape)
+    return ca.mtimes(sparse(matrix), vector)
 
 
 def _frame(normals: Normals) -> Array:

@@ -62,9 +62,6 @@ class StateSpace:
         choice("Model.bar_length", bar_length, "current", "constant")
         self.scene = scene
         self.structure = scene.modelled
-        if coordinates == "reduced" and self.structure.rollers:
-            node = next(iter(self.structure.rollers))
-            raise ValueError(f'Model.coordinates is "reduced": the roller of node {node} is along no axis, give coordinates="full" for it')
         self.coordinates: Coordinates = coordinates
         self.mechanism = scene_mechanism(scene, coordinates, bar_length)
         check_mass_ratio(self.mechanism)
@@ -166,7 +163,7 @@ class StateSpace:
         columns = self.mechanism.physical
         x = np.zeros(self.nx)
         q, v, _ = self.split(x)
-        q[:], v[:] = positions[columns].ravel()[self._free], speeds[columns].ravel()[self._free]
+        q[:], v[:] = (self.mechanism.local(vectors[columns].ravel())[self._free] for vectors in (positions, speeds))
         return x
 
     def nodes(self, x: Any) -> Any:
@@ -345,14 +342,14 @@ class StateSpace:
     def _place(self, free: Any, elsewhere: Array) -> Any:
         if self.nq == elsewhere.size:
             return ca.reshape(free, 3, len(elsewhere))
-        vector = type(free)(ca.DM(elsewhere.ravel()))
+        vector = type(free)(ca.DM(self.mechanism.local(elsewhere.ravel())))
         vector[self._free.tolist()] = free
-        return ca.reshape(vector, 3, len(elsewhere))
+        return ca.reshape(self.mechanism.world(vector), 3, len(elsewhere))
 
     def pack(self, upper: Any, lower: Any, clock: Any) -> Any:
         """Return the state (nx) of two 3×n matrices and, where there is a clock, its entry: the inverse of `unpack`, also for rates of change."""
         free = self._free.tolist()
-        parts = [ca.vec(matrix)[free] if self.nq < 3 * matrix.shape[1] else ca.vec(matrix) for matrix in (upper, lower)]
+        parts = [self.mechanism.local(ca.vec(matrix))[free] if self.nq < 3 * matrix.shape[1] else ca.vec(matrix) for matrix in (upper, lower)]
         return ca.densify(ca.vertcat(*parts, *([clock] if self.scene.has_clock else [])))
 
     def support_accelerations(self, time: Any) -> Any:
@@ -367,9 +364,9 @@ class StateSpace:
         if isinstance(x, (ca.SX, ca.MX)):
             return self.unpack(self.arguments(x, None)[0])[part][:, self.mechanism.first.tolist()]
         states = rows_of_size("x", x, self.nx, "states")
-        result = np.broadcast_to(elsewhere.ravel(), (*states.shape[:-1], elsewhere.size)).copy()
+        result = np.broadcast_to(self.mechanism.local(elsewhere.ravel()), (*states.shape[:-1], elsewhere.size)).copy()
         result[..., self._free] = self.split(states)[part]
-        nodes = result.reshape(*states.shape[:-1], len(elsewhere), 3)
+        nodes = self.mechanism.world(result).reshape(*states.shape[:-1], len(elsewhere), 3)
         if self._supports is not None and self.coordinates == "reduced" and states.size:
             times = states[..., -1].ravel()
             moved = self._supports.map(times.size)(times.reshape(1, -1))[part].full().T

@@ -105,6 +105,8 @@ def rollouts(
     (True, (100, 6), True)
     """
     instance("model", model, Model, "a tenscasadi.Model")
+    if model.mechanism.turn is not None:  # results tell where in the state each coordinate of a node is
+        raise ValueError('model has rollers along no axis in reduced coordinates: give a Model(scene, coordinates="full")')
     if correction is not None:
         instance("correction", correction, (Projection, BarLengthCorrection), "Projection(every), BarLengthCorrection(weight) or None")
     flag("progress", progress)

@@ -262,10 +262,11 @@ class NodalForce(OverTime, ReadOnlyArrays):
         pairs : ndarray of int, shape (β, 2), optional
             Nodes at the ends of each bar.
         """
-        for node, bar in (self.bars or {}).items() if pairs is not None else ():
+        for node, bar in (self.bars or {}).items():
             node_index("NodalForce.bars", node, nodes)
-            if whole_number(f"NodalForce.bars[{node}]", bar, 0) >= len(pairs) or node not in pairs[bar]:
-                ends = np.flatnonzero((pairs == node).any(axis=1)).tolist()
+            whole_number(f"NodalForce.bars[{node}]", bar, 0)
+            ends = [] if pairs is None else np.flatnonzero((pairs == node).any(axis=1)).tolist()
+            if pairs is not None and bar not in ends:
                 raise ValueError(f"NodalForce.bars[{node}] is {bar}, which is no bar of node {node}: give one of {ends}, or leave it out")
         if callable(self.values):
             self._check_function((nodes, 3))

@@ -140,6 +140,8 @@ def multiplied_rows(matrix: Any, one: Any, other: Any) -> Any:
         return sparse(index[one, :].multiply(index[other, :]))
     both = sp.csc_array(index[one, :].multiply(index[other, :]))
     both.sort_indices()
+    if not both.nnz:
+        return type(matrix)(*both.shape)
     row, column = both.indices, np.repeat(np.arange(both.shape[1]), np.diff(both.indptr))
     factors = [matrix.nz[:][(np.asarray(index[np.asarray(rows)[row], column]).ravel() - 1).tolist()] for rows in (one, other)]
     pattern = ca.Sparsity(both.shape[0], both.shape[1], both.indptr.tolist(), both.indices.tolist())

@@ -10,6 +10,7 @@ from flights import G
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+import ocp
 import tenscasadi as tc
 
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix()
@@ -17,7 +18,7 @@ NODES = np.array([(0, 0, 0), (1, 0.2, -1), (2, 0.5, 0.3), (0.4, 1, 0.2)])
 WEIGHT = np.array([0.5, -1.0, -9.0])
 
 
-def turned(pinned: Any, turn: Any = None) -> tc.Model:
+def turned(pinned: Any, turn: Any = None, coordinates: Any = "full", control: Any = None) -> tc.Model:
     """Two joined bars and strings whose supports are along axes, or all of it turned."""
     given: dict[str, Any] = {"bars": [(0, 1), (1, 2)], "strings": [(0, 3), (2, 3)], "node_mass": [0, 0, 0.1, 0.5], "rest_length": 0.9, "damping": 1.0}
     if turn is None:
@@ -25,7 +26,7 @@ def turned(pinned: Any, turn: Any = None) -> tc.Model:
     else:
         normals = {node: [turn[:, "xyz".index(axis)] for axis in axes] for node, axes in pinned.items()}
         structure, gravity = tc.Structure(NODES @ turn.T, rollers=normals, **given), turn @ WEIGHT
-    return tc.Model(tc.Scene(structure, gravity=tc.Gravity(gravity)), "full")
+    return tc.Model(tc.Scene(structure, gravity=tc.Gravity(gravity), control=control), coordinates)
 
 
 @pytest.mark.parametrize(
@@ -42,8 +43,13 @@ def turned(pinned: Any, turn: Any = None) -> tc.Model:
     ],
 )
 @pytest.mark.parametrize("pinned", [{0: "z", 2: "xy"}, {3: "xz"}])
-def test_what_is_turned_moves_turned(scheme: Any, correction: Any, bound: float, pinned: dict[int, str]) -> None:
-    plain, other = (tc.simulate(turned(pinned, turn), 0.5, 2e-3, scheme, correction=correction, compiled=False) for turn in (None, TURN))
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_what_is_turned_moves_turned(scheme: Any, correction: Any, bound: float, pinned: dict[int, str], coordinates: Any) -> None:
+    if coordinates == "reduced" and isinstance(correction, tc.BarLengthCorrection):
+        with pytest.raises(ValueError, match="BarLengthCorrection moves bars one by one"):
+            tc.simulate(turned(pinned, TURN, coordinates), 0.1, 2e-3, scheme, correction=correction)
+        return
+    plain, other = (tc.simulate(turned(pinned, turn, coordinates), 0.5, 2e-3, scheme, correction=correction, compiled=False) for turn in (None, TURN))
     assert other.success, other.message
     assert np.abs(plain.nodes @ TURN.T - other.nodes).max() < bound
     assert np.abs(plain.nodes - plain.nodes[0]).max() > 0.1
@@ -53,14 +59,17 @@ def test_what_is_turned_moves_turned(scheme: Any, correction: Any, bound: float,
         assert np.abs((other.nodes[:, node] - start[node]) @ normals).max() < max(1e-9, 2 * plain.joint_error.max())
 
 
-def test_reactions_vibrations_and_force_densities_are_turned_too() -> None:
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_reactions_vibrations_and_linearised_steps_are_turned_too(coordinates: Any) -> None:
     pinned = {0: "z", 2: "xy"}
-    plain, other = turned(pinned), turned(pinned, TURN)
+    plain, other = turned(pinned, None, coordinates), turned(pinned, TURN, coordinates)
     one, two = (model.multipliers(model.initial_state) for model in (plain, other))
     assert np.abs(one.bar_force_density - two.bar_force_density).max() < 1e-12
     assert np.abs(TURN @ one.joint_force - two.joint_force).max() < 1e-12
     assert np.abs(one.joint_force[:, -2:]).max() > 1
     assert np.abs(tc.modes(plain).frequency - tc.modes(other).frequency).max() < 1e-9
+    assert tc.stable_step(other) == pytest.approx(tc.stable_step(plain), rel=1e-9)
+    assert plain.nx == other.nx
 
 
 def test_rollers_carry_their_share_of_an_equilibrium() -> None:
@@ -75,27 +84,32 @@ def test_rollers_carry_their_share_of_an_equilibrium() -> None:
             tc.equilibrium_force_density(free, loads=loads @ turn.T, minimum=0.1)
 
 
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
 @pytest.mark.parametrize("degrees", [20.0, 65.0])
-def test_a_bead_on_an_inclined_line_falls_as_on_a_slope(degrees: float) -> None:
+def test_a_bead_on_an_inclined_line_falls_as_on_a_slope(degrees: float, coordinates: Any) -> None:
     angle = np.radians(degrees)
     across = [(np.sin(angle), 0, -np.cos(angle)), (0, 1, 0)]
     bead = tc.Structure([(1, 2, 3)], node_mass=2.5, rollers={0: across})
-    model = tc.Model(tc.Scene(bead, gravity=tc.Gravity((0, 3.0, -G))), "full")
+    model = tc.Model(tc.Scene(bead, gravity=tc.Gravity((0, 3.0, -G))), coordinates)
     run = tc.simulate(model, 1.5, 1e-2, compiled=False)
     along = np.array([np.cos(angle), 0, np.sin(angle)])
     fallen = -G * np.sin(angle) * run.time**2 / 2
     assert np.abs(run.nodes[:, 0] - [1, 2, 3] - np.outer(fallen, along)).max() < 1e-12
+    assert model.nx == {"reduced": 2, "full": 6}[coordinates]
+    if coordinates == "reduced":  # where a structure has no bars it has no class-one nodes
+        return
     reaction = model.multipliers(run.states[-1]).joint_force[:, 0]
     assert reaction == pytest.approx(2.5 * (np.array([0, -3.0, G]) - G * np.sin(angle) * along), abs=1e-12)
 
 
-def test_a_pendulum_whose_pivot_slides_down_an_incline_follows_lagrange() -> None:
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_a_pendulum_whose_pivot_slides_down_an_incline_follows_lagrange(coordinates: Any) -> None:
     angle, cart, mass, length, end = np.radians(25.0), 0.7, 1.3, 0.8, 1.5
     slope = np.array([np.cos(angle), 0, np.sin(angle)])
     swing = 0.9
     foot = length * np.array([np.sin(swing), 0, -np.cos(swing)])
     structure = tc.Structure([(0, 0, 0), foot], bars=[(0, 1)], bar_mass=mass, node_mass=[cart, 0], rollers={0: (-np.sin(angle), 0, np.cos(angle))})
-    model = tc.Model(tc.Scene(structure, gravity=tc.Gravity((0, 0, -G))), "full")
+    model = tc.Model(tc.Scene(structure, gravity=tc.Gravity((0, 0, -G))), coordinates)
     run = tc.simulate(model, end, 1e-3, tc.DormandPrince853(rtol=1e-12), compiled=False)
 
     def lagrange(t: float, y: Any) -> Any:  # way s up the slope and angle φ of a thin rod: T = ½(M+m)ṡ² + ½ m l ṡ φ̇ e·d' + m l² φ̇²/6
@@ -110,3 +124,21 @@ def test_a_pendulum_whose_pivot_slides_down_an_incline_follows_lagrange() -> Non
     assert run.nodes[-1, 0] == pytest.approx(s * slope, abs=1e-9)
     assert run.nodes[-1, 1] - run.nodes[-1, 0] == pytest.approx(length * np.array([np.sin(phi), 0, -np.cos(phi)]), abs=1e-9)
     assert np.abs(run.energy_error).max() < 1e-10
+
+
+def test_a_plan_with_rollers_is_that_of_the_scene_before_it_was_turned() -> None:
+    plans = []
+    for turn in (None, TURN):
+        model = turned({0: "xyz", 1: "y", 2: "yz"}, turn, "reduced", tc.ForceDensity()) if turn is None else _pinned_and_rolling(turn)
+        problem = ocp.Problem(model, 0.3, goals=[ocp.StringLengths({0: 1.0})], bounds=[ocp.ForceDensityLimits(0.0, 200.0)], costs=[ocp.Effort()])
+        plans.append(ocp.solve(problem, ocp.Variational(15), ocp.Ipopt(tolerance=1e-9)))
+    assert all(plan.success for plan in plans), [plan.message for plan in plans]
+    assert plans[1].objective == pytest.approx(plans[0].objective, rel=1e-4)
+    assert np.abs(plans[0].trajectory.nodes @ TURN.T - plans[1].trajectory.nodes).max() < 1e-5
+
+
+def _pinned_and_rolling(turn: Any) -> tc.Model:
+    """The scene of the test above, turned: what is pinned along all axes stays pinned."""
+    plain = turned({0: "xyz", 1: "y", 2: "yz"}).scene.structure
+    structure = plain.replace(nodes=NODES @ turn.T, pinned=[0], rollers={1: turn[:, 1], 2: turn[:, 1:].T})
+    return tc.Model(tc.Scene(structure, gravity=tc.Gravity(turn @ WEIGHT), control=tc.ForceDensity()))

@@ -61,6 +61,7 @@ MODELS = {
     "every term": lambda: Model(every_term(), "full"),
     "class 1 with ground": lambda: Model(Scene(shapes.prism(prestress=20.0, damping=0.5), gravity=Gravity(), ground=Ground(1e3, 1.0, friction=0.3))),
     "terrain, wall and a roller": lambda: Model(rolling(), "full"),
+    "terrain, wall and a roller, reduced": lambda: Model(rolling()),
     "class k, full coordinates": lambda: Model(Scene(shapes.d_bar(prestress=20.0, pinned=(0,)), gravity=Gravity((1, 2, 3))), "full"),
     "class k, reduced": lambda: Model(Scene(shapes.double_pendulum(), gravity=Gravity())),
     "force densities": lambda: Model(Scene(shapes.prism(prestress=20.0, height=0.8), control=ForceDensity())),

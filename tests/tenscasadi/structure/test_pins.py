@@ -81,11 +81,10 @@ def test_what_is_no_roller_is_refused_by_name(rollers: Any, message: str) -> Non
         built(rollers, pinned={1: "z"})
 
 
-def test_reduced_coordinates_and_states_off_a_roller_say_the_cure() -> None:
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_states_off_a_roller_are_refused(coordinates: Any) -> None:
     structure = built({2: (1, 0, 1)})
-    with pytest.raises(ValueError, match=r'Model\.coordinates is "reduced": the roller of node 2 .* give coordinates="full"'):
-        tc.Model(tc.Scene(structure))
-    model = tc.Model(tc.Scene(structure), "full")
+    model = tc.Model(tc.Scene(structure), coordinates)
     along, off = np.zeros((3, 3)), np.zeros((3, 3))
     along[2], off[2] = (1, 2, -1), (1, 0, 0)
     assert model.nodes(model.state(structure.nodes + along, along))[2] == pytest.approx(structure.nodes[2] + along[2])
@@ -93,6 +92,19 @@ def test_reduced_coordinates_and_states_off_a_roller_say_the_cure() -> None:
         model.state(structure.nodes + off)
     with pytest.raises(ValueError, match=r"velocities\[2\] moves node 2 off its roller"):
         model.state(structure.nodes, off)
+
+
+def test_what_reduced_coordinates_with_rollers_cannot_do_says_the_cure() -> None:
+    structure = built({2: (1, 0, 1)})
+    with pytest.raises(ValueError, match=r'Scene\.parameters makes masses open, .* give Model\(coordinates="full"\)'):
+        tc.Model(tc.Scene(structure, parameters=tc.Parameters("node_mass")))
+    with pytest.raises(ValueError, match=r'model has rollers .* give a Model\(scene, coordinates="full"\)'):
+        tc.rollouts(tc.Model(tc.Scene(structure)), 0.1, 0.01)
+    opened = tc.Model(tc.Scene(structure, gravity=tc.Gravity(), parameters=tc.Parameters("node_mass")), "full")
+    fixed = tc.Model(tc.Scene(structure.replace(node_mass=1.5), gravity=tc.Gravity()), "full")
+    assert opened.ode(opened.initial_state, [], [1.5]).full() == pytest.approx(fixed.ode(fixed.initial_state, []).full(), abs=1e-12)
+    run = tc.rollouts(fixed, 0.1, 0.01)
+    assert run.success.all()
 
 
 @settings(max_examples=100, deadline=None)
