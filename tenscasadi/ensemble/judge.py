@@ -20,7 +20,7 @@ from tenscasadi.util.validate import Array
 _ROUNDING = 1e-9  # of the energies, what a run may lose by rounding
 _LOOKED_AT = 2  # motions that are looked at closely beside the first and the last, and for each of a few parameters the two with its extremes
 _FEW = 8  # entries of controls and of parameters; of more their sum
-_MOST = 200  # motions that are looked at where a step is above the stability limit
+_MOST = 50  # motions that are looked at where a step is above the stability limit
 _LIMIT = "stability limit"
 
 _FAULTS = {

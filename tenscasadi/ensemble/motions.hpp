@@ -53,9 +53,6 @@ struct Group {
   }
 };
 
-static inline double larger(double a, double b) { return a > b ? a : b; }
-static inline double smaller(double a, double b) { return a < b ? a : b; }
-
 static void load(const Request &q, const Group &g, Room &room, int64_t row) {
   for (int k = 0; k < LANES; ++k) {
     const double *w = q.inputs + g.motion(k) * q.input_stride + row * q.width;
@@ -79,42 +76,60 @@ static void decide(const Request &q, Room &room, int64_t decision) {
   }
 }
 
+// The fault of one motion.
+static int64_t fault_of(const Request &q, const Room &room, int k, int64_t step) {
+  int64_t fault = FINISHED;
+  for (int i = 0; i < NX; ++i) {
+    double x = fabs(get(room.z[i], k));
+    if (!(x <= 1.7976931348623157e308)) return NOT_FINITE;
+    if (x > q.beyond && step) fault = BEYOND;
+  }
+#if M
+  double bars = get(room.measure[0], k);
+  if (bars != bars) return NOT_FINITE;
+  if (!fault && step && bars > q.broken + get(room.bars[0], k)) fault = BROKEN;
+#endif
+  return fault;
+}
+
+// Whether all motions of a group are on their way and in order, seen at once.
+static bool all_fine(const Request &q, const Group &g, const Room &room) {
+  lanes fine = 1.0, beyond = q.beyond;
+  for (int i = 0; i < NX; ++i) fine = fine && fabs(room.z[i]) <= beyond;
+#if M
+  fine = fine && room.measure[0] <= lanes(q.broken) + room.bars[0];
+#endif
+  for (int k = 0; k < g.live; ++k)
+    if (g.status[k] || get(fine, k) == 0.0) return false;
+  return true;
+}
+
 // Measure where motions are, and mark those that are lost.
 static void look(const Request &q, Group &g, Room &room, int64_t step) {
 #if M
   EVALUATE(motion_measure, room.z, room.w, 0, room.measure);
+  if (!step) room.bars[0] = room.measure[0];
 #endif
-  for (int k = 0; k < g.live; ++k) {
-    if (g.status[k]) continue;
-    int64_t fault = FINISHED;
-    for (int i = 0; i < NX && fault != NOT_FINITE; ++i) {
-      double x = fabs(get(room.z[i], k));
-      if (!(x <= 1.7976931348623157e308)) fault = NOT_FINITE;
-      else if (x > q.beyond && step) fault = BEYOND;
-    }
+  if (!step || !all_fine(q, g, room))
+    for (int k = 0; k < g.live; ++k)
+      if (!g.status[k] && (g.status[k] = fault_of(q, room, k, step))) g.fault[k] = step;
+  for (int k = 0; k < g.live; ++k)
+    if (!g.status[k]) g.good[k] = step;
 #if M
-    double bars = get(room.measure[0], k);
-    if (!step) set(room.bars[0], k, bars);
-    if (!fault && !(bars <= q.broken + get(room.bars[0], k))) fault = bars == bars ? BROKEN : NOT_FINITE;
-#endif
-    if (fault) {
-      g.status[k] = fault, g.fault[k] = step;
-      continue;
-    }
-    g.good[k] = step;
-#if M
-    double part[3], total = 0.0;
-    for (int i = 0; i < 3; ++i) part[i] = get(room.measure[2 + i], k), total += part[i];
-    if (!step) set(room.first[0], k, total);
-    double error = total - get(room.first[0], k);
-    if (WORK) error -= get(room.z[NX], k);
-    double now[WORST] = {bars, get(room.measure[1], k), fabs(error), part[0], part[1], part[1], part[2], part[2]};
-    for (int i = 0; i < WORST; ++i) {
-      double before = step ? get(room.worst[i], k) : now[i];
-      set(room.worst[i], k, i == ELASTIC_LOW || i == GRAVITY_LOW ? smaller(before, now[i]) : larger(before, now[i]));
-    }
-#endif
+  const lanes *m = room.measure;
+  lanes total = m[2] + m[3] + m[4];
+  if (!step) room.first[0] = total;
+  lanes error = total - room.first[0];
+  if (WORK) error -= room.z[NX];
+  lanes now[WORST] = {m[0], m[1], fabs(error), m[2], m[3], m[3], m[4], m[4]};
+  for (int i = 0; i < WORST; ++i) {
+    bool low = i == ELASTIC_LOW || i == GRAVITY_LOW;
+    lanes worst = !step ? now[i] : low ? fmin(room.worst[i], now[i]) : fmax(room.worst[i], now[i]);
+    for (int k = 0; k < g.live; ++k)
+      if (g.status[k]) set(worst, k, get(room.worst[i], k));  // as it was when the motion was lost
+    room.worst[i] = worst;
   }
+#endif
 }
 
 static void keep(const Request &q, const Group &g, Room &room, int64_t row) {

@@ -32,7 +32,7 @@ def write_program(
     power = model.stacked(model.power) if measured and model.power is not None else None
     jumps = measured and model.nu > 0
     tableau = _tableau(scheme)
-    move = scheme.advance(model, power) if tableau is None else equations(model, power)
+    move = scheme.advance(model, power) if tableau is None else _at_once(equations(model, power), model, power)
     step = _with_account("motion_step" if tableau is None else "motion_ode", move, model.nx, jumps and power is None)
     functions = {step.name(): step}
     nw = max([step.size1_in(1), *(cost.size1_in(1) for cost in (stage, final) if cost is not None)])
@@ -47,6 +47,15 @@ def write_program(
     given = {name: _renamed(name, _widened(function, nw)) for name, function in functions.items()}
     sizes = {"NX": model.nx, "NW": nw, "NU": model.nu, "WORK": int(power is not None or jumps), "JUMPS": int(jumps), "M": 5 * measured}
     return Program(given, sizes, tableau, 0 if project is None or correction is None else correction.every)
+
+
+def _at_once(ode: ca.Function, model: Model, power: ca.Function | None) -> ca.Function:
+    """Return the ode with the work of `power` as one scalar Function, where it can be: both take the same forces, which are then computed once."""
+    if power is None or not power.is_a("SXFunction") or not model.ode.is_a("SXFunction"):
+        return ode
+    z, w = ca.SX.sym("z", model.nx + 1), ca.SX.sym("w", model.nw)
+    rates = ca.vertcat(model.stacked(model.ode)(z[:-1], w), power(z[:-1], w))
+    return ca.Function("ode_and_work", [z, w], ca.cse([rates]))
 
 
 def _tableau(scheme: Scheme) -> Tableau | None:

@@ -23,7 +23,7 @@ from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
 from tenscasadi.util.validate import flag, instance, whole_number
 
-_LOOKS = 200  # measurements of a motion on its way
+_LOOKS = 100  # measurements of a motion on its way
 _KERNELS: WeakKeyDictionary[Model, dict[Any, Kernel]] = WeakKeyDictionary()
 
 
