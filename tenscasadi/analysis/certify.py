@@ -14,8 +14,10 @@ from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import stable_step
+from tenscasadi.scene.pulses import is_bounded
 from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.time_grid import resolving, unseen_changes
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
@@ -26,6 +28,7 @@ _COARSEST = 64  # steps of the first pair, at least
 _TOLERANCES = (1e-10, 1e-12, 1e-14)
 _GRID = 50  # parts of a run with control of the error, at least as many steps
 _ROUNDING = 1e-10  # of the structure's size: solutions that differ by less and cease to converge, do so by rounding
+_RESOLUTION = 1e-6  # share of the largest value of a function of time that steps may leave unseen
 _FASTER = 10.0  # compiled code against the virtual machine
 
 
@@ -81,7 +84,9 @@ def certify(
 
     The schemes are `DormandPrince853` and `DormandPrince54`. Refinement ends when they agree within `enough`, when finer steps do not
     bring them closer, or when the next solution would cost more than `work`. Where slack or contact spoils the order of fixed steps,
-    both control their error and locate these events.
+    both control their error and locate these events. Steps are cut where a function of time of the scene would do something that they do
+    not see, down to a millionth of its largest value, however short it is; the message says where a function, such as an interpolant, can
+    be looked at in samples alone.
 
     Parameters
     ----------
@@ -140,7 +145,7 @@ def certify(
             break  # finer steps only round more
         if pairs.apart > before / _FINER**3 and build_switching(model) is not None:
             break
-    if pairs.error > enough and pairs.apart > _ROUNDING * size and build_switching(model) is not None:
+    if pairs.error > enough and pairs.apart > _ROUNDING * size and (build_switching(model) is not None or model.scene.over_time):
         for rtol in _TOLERANCES:
             pairs.try_tolerance(rtol)
             if pairs.error <= enough:
@@ -160,6 +165,8 @@ class _Pairs:
     def __init__(self, model: Model, t_end: float, options: dict[str, Any]) -> None:
         self._model, self._t_end = model, t_end
         self._options = {**options, "energy_balance": False}
+        sampled = [load.field for load in model.scene.over_time if not is_bounded(load)]
+        self._unknown = f"; {' and '.join(sampled)} known by samples alone, pulses between them are not seen" if sampled else ""
         self.best: Reference | None = None
         self.apart, self.fault = np.inf, "not tried"
 
@@ -178,11 +185,21 @@ class _Pairs:
         first, second = DormandPrince853(rtol), DormandPrince54(rtol)
         self._try(f"DormandPrince853 and DormandPrince54 with rtol={rtol:g}", (first, _GRID), (second, _GRID + 1))
 
+    def _unseen(self, count: int) -> str:
+        """Say what of the scene changes faster than so many steps and their cuts see; "" where they see all."""
+        scene, state = self._model.scene, self._options["state"]
+        first = float((self._model.initial_state if state is None else state)[-1]) if scene.has_clock else 0.0
+        return unseen_changes(scene.over_time, first, first + self._t_end, count, _RESOLUTION)
+
     def _try(self, what: str, *pair: tuple[Scheme, int]) -> None:
         self.apart = np.inf
         ends = []
         for scheme, count in pair:
-            run = simulate(self._model, self._t_end, self._t_end / count, scheme, save_every=count, **self._options)
+            if unseen := self._unseen(count):
+                self.fault = unseen.removeprefix("; ")
+                return
+            with resolving(_RESOLUTION):
+                run = simulate(self._model, self._t_end, self._t_end / count, scheme, save_every=count, **self._options)
             if run.interrupted:
                 raise KeyboardInterrupt
             if not run.success:
@@ -191,7 +208,7 @@ class _Pairs:
             ends.append(end_nodes(self._model, run))
         self.apart = distance(*ends)
         if self.apart < self.error:
-            self.best = Reference(ends[0], self.apart, self._t_end, f"{what} end {self.apart:.2g} m apart")
+            self.best = Reference(ends[0], self.apart, self._t_end, f"{what} end {self.apart:.2g} m apart{self._unknown}")
 
 
 def _step_counts(model: Model, t_end: float, state: Any, work: float, parameters: Array) -> Iterator[int]:

@@ -224,8 +224,8 @@ class NodalForce(OverTime, ReadOnlyArrays):
     times : array_like, shape (K,), optional
         Increasing times of a table, s. Steps of a simulation end there.
     breaks : array_like, shape (B,), optional
-        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s. Steps of a simulation end there, and where
-        comparisons, signs and roundings switch, which are found without being given.
+        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s. Steps of a simulation end there, and at all of
+        these that its expression shows, which are found without being given.
     bars : mapping of int to int, optional
         Nodes of several bars, and the bar whose end takes the node's force; by default the one that is first in the columns of
         `Structure.class_one`. The motion is the same, the forces in the joint (Ω of `Model.multipliers`) are not.

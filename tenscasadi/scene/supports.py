@@ -56,6 +56,11 @@ class SupportMotion:
         object.__setattr__(self, "breaks", finite_array("SupportMotion.breaks", self.breaks, (None,)))
 
     @property
+    def field(self) -> str:
+        """Name of what changes over time, as messages tell it."""
+        return "SupportMotion.positions"
+
+    @property
     def nodes(self) -> list[int]:
         """The nodes that are moved."""
         return list(self.positions)
@@ -119,6 +124,17 @@ class SupportMotion:
             Times, s, in order.
         """
         return at_edges(np.concatenate([self.breaks, find_breaks(self.rates(), first, last)]), first, last, steps)
+
+    def accelerations(self) -> ca.Function:
+        """Return the accelerations of the moved nodes.
+
+        Returns
+        -------
+        casadi.Function
+            t (s) → acceleration (m/s²), (3, k) in the order of `nodes`.
+        """
+        t = ca.SX.sym("t")
+        return ca.Function("accelerations", [t], [self.rates()(t)[2]])
 
     def rates(self) -> ca.Function:
         """Return positions, velocities and accelerations of the moved nodes.

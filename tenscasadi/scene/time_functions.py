@@ -55,10 +55,8 @@ def probe_times(first: float, last: float) -> Array:
 def find_breaks(function: ca.Function, first: float, last: float) -> Array:
     """Return the times in [first, last], s, where conditions, signs and roundings in a function of time switch, but for those in calls."""
     t = ca.SX.sym("t")
-    try:
-        found = list(_switches(ca.vertcat(*(ca.vec(value) for value in function.call([t])))))
-    except RuntimeError:  # what cannot be expanded cannot be looked into
-        return np.empty(0)
+    values = expand(function, t)
+    found = [] if values is None else list(_switches(values))  # what cannot be expanded cannot be looked into
     if not found:
         return np.empty(0)
     switches, times = ca.Function("switches", [t], [ca.vertcat(*found)]), probe_times(first, last)
@@ -72,6 +70,14 @@ def find_breaks(function: ca.Function, first: float, last: float) -> Array:
         same = np.sign(switches(middle[None]).full())[which, np.arange(len(which))] == before
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     return np.unique(high)
+
+
+def expand(function: ca.Function, t: ca.SX) -> ca.SX | None:
+    """Return the outputs of a function of time at the symbol t, one below the other, as scalar operations; None where that is not possible."""
+    try:
+        return ca.densify(ca.vertcat(*(ca.vec(value) for value in function.call([t]))))
+    except RuntimeError:
+        return None
 
 
 def _switches(values: ca.SX) -> Iterator[ca.SX]:
@@ -162,5 +168,10 @@ def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
 
 def at_edges(breaks: Array, first: float, last: float, steps: int) -> Array:
     """Return the times just before and just after each of `breaks`, s: as far as the clock of a run of so many steps may be off."""
-    around = _ROUNDINGS * (steps + 1) * float(np.spacing(max(abs(first), abs(last))))
+    around = clock_error(first, last, steps)
     return np.unique(np.concatenate([breaks - around, breaks + around]))
+
+
+def clock_error(first: float, last: float, steps: int) -> float:
+    """Return by how much, s, the clock of a run of so many steps may be off: it is the sum of them."""
+    return _ROUNDINGS * (steps + 1) * float(np.spacing(max(abs(first), abs(last))))

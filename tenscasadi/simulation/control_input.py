@@ -39,7 +39,8 @@ class ControlProfile:
 class SampledControl:
     """The `steps` steps of a run to `t_end`, s, with the control held in each; `varies`: it may change from step to step.
 
-    ends (steps + 1,): where steps begin and end, s, None: all are equally long.
+    ends (steps + 1,): where steps begin and end, s, None: all are equally long. unseen: which functions of time change too fast for them, as
+    messages tell it.
     """
 
     steps: int
@@ -47,6 +48,7 @@ class SampledControl:
     varies: bool
     sample: Callable[[int, int], Array]
     ends: Array | None = None
+    unseen: str = ""
 
     @property
     def step(self) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,12 +14,11 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection, measure_correction
-from tenscasadi.scene.over_time import OverTime
 from tenscasadi.scene.strings import RestLength
-from tenscasadi.scene.supports import SupportMotion
-from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, append_constants, cut_steps, sample_control
+from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, append_constants, sample_control
 from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
 from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
+from tenscasadi.simulation.time_grid import cut_at_changes
 from tenscasadi.simulation.trajectory import Trajectory, first_rows, observe_states, record_trajectory
 from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.interrupts import on_interrupt
@@ -56,7 +54,7 @@ def simulate(
         End of the run, s.
     step : float, optional
         Largest step, s. The run takes equal steps, the fewest that end exactly at `t_end`; they are cut where a table over time has its
-        times and where a function of time jumps, see `NodalForce`. Schemes that control their error take any number
+        times and where a function of time jumps or has a pulse that a step would not see. Schemes that control their error take any number
         of steps of their own within each of these. Default: 1 ms, or a hundredth of `t_end` for schemes that control their error.
     scheme : Scheme, optional
         Integration scheme, such as `RungeKutta4` (default), `Rattle`, `DormandPrince853` or `Cvodes`.
@@ -88,7 +86,8 @@ def simulate(
         The motion at the kept times, with its errors. A run that diverges (the state is not finite, a bar is off by 10 % of its length),
         that its scheme gives up or that is interrupted from the keyboard ends early: `success` is False, and `message` says why.
         So it is for a run that reached its end but cannot be trusted: its start is off the bars and joints by more than a fifth of their
-        lengths and speeds, or its steps are above the stability limit for long enough to make a vibration grow tenfold.
+        lengths and speeds, its steps are above the stability limit for long enough to make a vibration grow tenfold, or a function of time
+        changes faster than 20 000 further steps would see.
 
     Raises
     ------
@@ -134,7 +133,7 @@ def simulate(
         recorded = record_trajectory(
             model, run.time, run.rows[:, : model.nx], run.controls, step=run.report.step, message="", supplied=supplied, seconds=run.seconds
         )
-    good, success, message = _judge(model, scheme, run, recorded, compiled)
+    good, success, message = _judge(model, scheme, run, recorded, compiled, inputs.unseen)
     kept = first_rows(recorded, good)
     if correction is not None:
         unknown = scheme.adaptive or inputs.ends is not None
@@ -170,33 +169,24 @@ def lay_run(
         inputs = sample_control(control, model.control_at(p), end, steps, positive)
         return append_constants(inputs, p) if model.np else inputs
 
-    return lay_grid(model, float(start[-1]) if model.scene.has_clock else 0.0, end, positive_number("step", step), sample)
+    return lay_grid(model, float(start[-1]) if model.scene.has_clock else 0.0, end, positive_number("step", step), sample, scheme.adaptive)
 
 
-def lay_grid(model: Model, first: float, end: float, step: float, sample: Callable[[float, int], SampledControl]) -> SampledControl:
+def lay_grid(
+    model: Model, first: float, end: float, step: float, sample: Callable[[float, int], SampledControl], adaptive: bool = False
+) -> SampledControl:
     """Lay steps over `end` s from the time `first` on, s, with what `sample` (end, steps) says of the control, and check what depends on time.
 
-    Raises ValueError.
+    adaptive: see `cut_at_changes`. Raises ValueError.
     """
     n_steps = _count(end, step)
     if model.scene.has_clock:
         _check_clock(abs(first) + end, end / n_steps)
-    changing = model.scene.over_time
-    for load in changing:
-        _check_functions(load, first, first + end)
-    inputs = sample(end, n_steps)
-    if not changing:
-        return inputs
-    return cut_steps(inputs, np.concatenate([load.find_breaks(first, first + end, n_steps) for load in changing]) - first)
+    return cut_at_changes(model.scene.over_time, sample(end, n_steps), first, adaptive)
 
 
-@lru_cache(maxsize=32)  # many runs of one scene look once
-def _check_functions(load: OverTime | SupportMotion, first: float, last: float) -> None:
-    load.check_run(first, last)
-
-
-def _judge(model: Model, scheme: Scheme, run: _Run, recorded: Trajectory, compiled: Compiled) -> tuple[int, bool, str]:
-    """Count the good rows; tell whether the run reached its end, and how it ended."""
+def _judge(model: Model, scheme: Scheme, run: _Run, recorded: Trajectory, compiled: Compiled, unseen: str) -> tuple[int, bool, str]:
+    """Count the good rows; tell whether the run reached its end, and how it ended; unseen: see `SampledControl`."""
     time = run.time
     good, fault = first_fault(recorded.states, recorded.bar_length_error)
     if fault:
@@ -207,7 +197,7 @@ def _judge(model: Model, scheme: Scheme, run: _Run, recorded: Trajectory, compil
     if run.interrupted:
         return good, False, f"interrupted from the keyboard, the last state kept is at t = {time[-1]:g} s"
     doubts, trusted = describe_doubts(model, scheme, recorded, compiled)
-    return good, trusted, f"finished {run.report.text}{doubts}"
+    return good, trusted and not unseen, f"finished {run.report.text}{unseen}{doubts}"
 
 
 class _Run(NamedTuple):

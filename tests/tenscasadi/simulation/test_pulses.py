@@ -8,8 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
-from tenscasadi.analysis.certify import certify
+from tenscasadi.analysis.certify import NoReference, certify
 from tenscasadi.analysis.recommend import recommend
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
@@ -18,6 +19,7 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure.structure import Structure
 
@@ -30,6 +32,13 @@ BUMP = NodalForce(
     lambda t: [[0, 0, 0], [0.5 / (1e-5 * np.sqrt(np.pi)) * ca.exp(-(((t - 0.5) / 1e-5) ** 2)), 0, 0]],
     breaks=0.5 + 5e-6 * np.arange(-14, 15),
 )
+
+
+def smooth(width: float) -> NodalForce:
+    """A bell of 0.5 N·s about 0.5 s, nothing said about it."""
+    return NodalForce(lambda t: [[0, 0, 0], [0.5 / (width * np.sqrt(np.pi)) * ca.exp(-(((t - 0.5) / width) ** 2)), 0, 0]])
+
+
 SCHEMES = [RungeKutta4(), Rattle(order=4), DormandPrince54(), DormandPrince853(1e-9), Collocation(3, "radau"), Cvodes(1e-9), Idas(1e-9)]
 
 
@@ -53,6 +62,72 @@ def test_certified_ends_know_of_pulses(pulse: NodalForce) -> None:
     found = certify(Model(Scene(SPRING, forces=pulse)), 1.0, compiled=False)
     assert found.error < 1e-7
     assert found.nodes[1, 0] == pytest.approx(after(1.0), abs=1e-8)
+
+
+@pytest.mark.parametrize("width", [1e-4, 1e-6, 1e-9])
+def test_smooth_pulses_are_found_by_themselves_however_short(width: float) -> None:
+    model = Model(Scene(SPRING, forces=smooth(width)))
+    for scheme in (RungeKutta4(), DormandPrince853(1e-9), Cvodes(1e-9)):
+        run = simulate(model, 1.0, 0.01, scheme, compiled=False)
+        assert run.success, run.message
+        assert run.nodes[-1, 1, 0] == pytest.approx(after(1.0), abs=1e-6 if scheme.adaptive else 2e-3)
+
+
+def test_certificates_of_smooth_pulses_hold() -> None:
+    found = certify(Model(Scene(SPRING, forces=smooth(1e-6))), 1.0, accuracy=1e-6, enough=1e-9, compiled=False)
+    assert abs(found.nodes[1, 0] - after(1.0)) <= max(2 * found.error, 1e-11) < 1e-6
+
+
+def test_small_pulses_on_a_large_force_are_certified() -> None:
+    """A thousandth of the rest, for a fifth of a millisecond: a difference of 3e-8 m that two coarse solutions would agree to miss."""
+    ends = []
+    for size in (0.0, 1.0):
+        force = NodalForce(lambda t, size=size: [[0, 0, 0], [1000 * ca.sin(t) + size * ca.exp(-(((t - 0.5) / 1e-4) ** 2)), 0, 0]])
+        ends.append(certify(Model(Scene(SPRING.replace(node_mass=1000.0), forces=force)), 1.0, compiled=False))
+    wanted = 1e-4 * np.sqrt(np.pi) / 1000 * np.sin(0.1 * 0.5) / 0.1
+    assert ends[1].nodes[1, 0] - ends[0].nodes[1, 0] == pytest.approx(wanted, abs=2 * (ends[0].error + ends[1].error) + 1e-13)
+    assert ends[1].error < wanted / 10
+
+
+def test_what_changes_faster_than_any_steps_is_told_and_not_trusted() -> None:
+    buzz = NodalForce(lambda t: [[0, 0, 0], [ca.sin(2e6 * np.pi * t), 0, 0]])
+    run = simulate(Model(Scene(SPRING, forces=buzz)), 1.0, 0.01, compiled=False)
+    assert not run.success
+    assert "NodalForce.values changes within steps at t = " in run.message
+    with pytest.raises(NoReference, match=r"NodalForce\.values changes within steps"):
+        certify(Model(Scene(SPRING, forces=buzz)), 1.0, work=1e6, compiled=False)
+
+
+def test_of_what_is_known_by_samples_alone_a_certificate_says_so() -> None:
+    grid = np.linspace(0.0, 1.0, 200)
+    wind = ca.interpolant("wind", "bspline", [grid], np.sin(5 * grid))
+    model = Model(Scene(SPRING, forces=NodalForce(lambda t: ca.vertcat(ca.DM.zeros(1, 3), ca.horzcat(wind(t), 0, 0)))))
+    found = certify(model, 1.0, accuracy=1e-6, enough=1e-6, compiled=False)
+    assert "NodalForce.values known by samples alone" in found.message
+    assert "samples" not in certify(Model(Scene(SPRING, forces=TABLE)), 1.0, accuracy=1e-6, enough=1e-6, compiled=False).message
+
+
+@pytest.mark.parametrize("steps", [20, 1000])
+def test_steps_that_see_a_function_stay_as_they_are(steps: int) -> None:
+    wave = NodalForce(lambda t: [[0, 0, 0], [ca.sin(2 * np.pi * 4 * t) + ca.fabs(t - 0.25), 0, 0]])
+    run = simulate(Model(Scene(SPRING, forces=wave)), 1.0, 1 / steps, compiled=False)
+    assert np.array_equal(run.time, np.append(np.arange(steps) * (1 / steps), 1.0))
+
+
+def test_pulses_of_supports_are_seen() -> None:
+    """A pin that is moved to and fro within half a millisecond leaves a bar turning as a long look at it says."""
+    bar = Structure([(0, 0, 0), (1, 0, 0)], bars=[(0, 1)], pinned=[0])
+    model = Model(Scene(bar, supports=SupportMotion({0: lambda t: (0, 0, 5e-4 * (1 + ca.tanh((t - 0.5) / 1e-4)))})))
+    run = simulate(model, 1.0, 0.05, DormandPrince853(1e-11), compiled=False)
+
+    def turning(t: float, y: Any) -> list[float]:
+        """θ̈ = −3 a cos θ/(2 l) of a thin bar on a pin that accelerates by a."""
+        th = np.tanh((t - 0.5) / 1e-4)
+        return [y[1], 1.5 * 5e-4 / 1e-8 * 2 * th * (1 - th**2) * np.cos(y[0])]
+
+    fine = solve_ivp(turning, (0.49, 0.51), [0.0, 0.0], rtol=1e-12, atol=1e-13, max_step=1e-5, method="DOP853").y[:, -1]
+    angle = fine[0] + 0.49 * fine[1]
+    assert run.nodes[-1, 1] == pytest.approx([np.cos(angle), 0, np.sin(angle) + 1e-3], abs=1e-9)
 
 
 def test_recommended_ways_know_of_pulses() -> None:
