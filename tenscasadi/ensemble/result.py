@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tenscasadi.util import archive
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices, node_index
 
 _FORMAT = "tenscasadi rollouts 1"
@@ -19,7 +20,7 @@ _TOLD = 3  # kinds of ends that a summary names
 
 
 @dataclass(frozen=True, eq=False)
-class Rollouts:
+class Rollouts(ReadOnlyArrays):
     """Motions of one model side by side: n of them, at T saved times; `rollouts` returns them. All arrays are read-only.
 
     Attributes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -284,6 +284,8 @@ def _owners(control: Any, grid: SampledControl) -> Indices:
     ends = grid.times(np.arange(grid.steps + 1))
     middle = (ends[:-1] + ends[1:]) / 2
     if isinstance(control, ControlProfile):
+        if len(control.values) == len(control.time):
+            raise ValueError("control.values is linear between its times: give one row for each interval, or a table")
         return np.searchsorted(control.time, middle) - 1
     if callable(control):
         return np.arange(grid.steps)
@@ -315,8 +317,7 @@ def _differentiate(task: Task, output: ca.Function, run: Trajectory, mode: Mode,
         by_z, by_w = np.eye(1, steps.size, model.nx), np.zeros_like(by_w)
     forward = mode == "forward"
     width = choose_width(model, int(np.prod(task.shape)) if forward else len(by_z))
-    written = tangent_function(steps, width, task.entries is None) if forward else gradient_function(steps, width)
-    function, is_code, note = _as_code(written, compiled)
+    function, is_code, note = _loop(task, forward, width, compiled)
     began = time.perf_counter()
     with np.errstate(all="ignore"):  # what overflows is told
         found = (push if forward else pull)(task, ArrayFunction(function), width, by_z)
@@ -334,12 +335,21 @@ def _differentiate(task: Task, output: ca.Function, run: Trajectory, mode: Mode,
     return Sensitivities(value, jacobian, run.states[-1].copy(), mode, run.success and finite and same, message, seconds, is_code)
 
 
-def _as_code(function: ca.Function, compiled: bool | None) -> tuple[ca.Function, bool, str]:
-    if compiled is False:
-        return function, False, ""
-    try:
-        return compile_function(function), True, ""
-    except CompileError as error:
-        if compiled:
-            raise
-        return function, False, f"; derivatives not compiled: {str(error).splitlines()[0]}"
+def _loop(task: Task, forward: bool, width: int, compiled: bool | None) -> tuple[ca.Function, bool, str]:
+    """Return the Function of a pass, once for each model; tell whether it is machine code, and why not."""
+    steps, held = task.steps, task.entries is None
+    known, key = steps.model.functions, ("derivatives", *steps[1:], forward, width, held, compiled)
+    if steps.running is None and isinstance(steps.scheme, Hashable) and key in known:
+        return known[key], "External" in known[key].class_name(), ""
+    function = tangent_function(steps, width, held) if forward else gradient_function(steps, width)
+    note = ""
+    if compiled is not False:
+        try:
+            function = compile_function(function)
+        except CompileError as error:
+            if compiled:
+                raise
+            note = f"; derivatives not compiled: {str(error).splitlines()[0]}"
+    if steps.running is None and isinstance(steps.scheme, Hashable):
+        known[key] = function
+    return function, "External" in function.class_name(), note

@@ -44,7 +44,7 @@ def moving(model):
 
 
 LINE = tc.Structure([(-1, 0, 0), (0, 0, 0), (1, 0, 0)], strings=[(0, 1), (1, 2)], node_mass=2.0, pinned=(0, 2), stiffness=36.0, rest_length=0.5)
-SCHEMES = [tc.RungeKutta4(), tc.DormandPrince54(), tc.Rattle(), pytest.param(tc.Collocation(2), marks=pytest.mark.slow)]
+SCHEMES = [tc.RungeKutta4(), tc.Rattle(), *(pytest.param(scheme, marks=pytest.mark.slow) for scheme in (tc.DormandPrince54(), tc.Collocation(2)))]
 
 
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda scheme: type(scheme).__name__)
@@ -204,6 +204,16 @@ def test_machine_code_gives_the_same(mode):
     code, virtual = (tc.sensitivities(model, compiled=way, **options) for way in (True, False))
     assert (code.compiled, virtual.compiled) == (True, False)
     np.testing.assert_allclose(code.jacobian, virtual.jacobian, atol=1e-12 * np.abs(virtual.jacobian).max())
+
+
+def test_a_second_call_builds_nothing(monkeypatch):
+    model = tc.Model(tc.Scene(LINE))
+    first = [tc.sensitivities(model, t_end=0.1, mode=mode, compiled=False) for mode in MODES]
+    for name in ("tangent_function", "gradient_function"):
+        monkeypatch.setattr(f"tenscasadi.simulation.sensitivities.{name}", pytest.fail)
+    for one in first:
+        again = tc.sensitivities(model, t_end=0.1, mode=one.mode, compiled=False)
+        np.testing.assert_array_equal(again.jacobian, one.jacobian)
 
 
 # --- runs that are given ---

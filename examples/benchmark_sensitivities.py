@@ -1,0 +1,87 @@
+"""What exact derivatives of a run cost, in runs: forward, a tangent for each input, adjoint, all inputs at once, and central differences.
+
+All are of the same steps, so that differences show what finite differences lose.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+import tenscasadi as tc
+
+
+class Row(NamedTuple):
+    """Seconds of a run, and of the derivatives of its end by its start: of the whole state, and of one number. differ: relative."""
+
+    name: str
+    inputs: int
+    run: float
+    forward: float
+    adjoint: float
+    differences: float
+    differ: float
+
+
+def main(quick: bool = False) -> list[Row]:
+    """Prints the table and returns its rows. `quick`: one model, a short run, nothing compiled."""
+    prism = tc.shapes.prism(stiffness=1000.0, prestress=50.0)
+    ball = tc.shapes.six_bar_ball(stiffness=1000.0, prestress=100.0, damping=1.0)
+    scenes = {
+        "prism, force densities": tc.Scene(prism, control=tc.ForceDensity(), gravity=tc.Gravity()),
+        "ball, elastic strings": tc.Scene(ball, gravity=tc.Gravity()),
+        "ball on the ground": tc.Scene(ball, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1e4, damping=10.0, height=-0.55)),
+    }
+    rows = []
+    for name, scene in list(scenes.items())[: 1 if quick else 3]:
+        for scheme in (tc.RungeKutta4(),) if quick else (tc.RungeKutta4(), tc.Rattle()):
+            rows.append(measure(f"{name}, {type(scheme).__name__}", tc.Model(scene), scheme, 0.1 if quick else 2.0, False if quick else None))
+    print(f"{'':40s}{'inputs':>7s}{'run':>9s}   in runs: forward  a tangent  adjoint of 1  differences   they differ by")
+    for row in rows:
+        costs = [seconds / row.run for seconds in (row.forward, row.forward / row.inputs, row.adjoint, row.differences)]
+        print(
+            f"{row.name:40s}{row.inputs:7d}{1e3 * row.run:7.2f} ms{costs[0]:19.1f}{costs[1]:11.2f}{costs[2]:14.1f}{costs[3]:13.1f}{row.differ:17.1e}"
+        )
+    return rows
+
+
+def measure(name: str, model: tc.Model, scheme: tc.RungeKutta4 | tc.Rattle, t_end: float, compiled: bool | None) -> Row:
+    """One row of the table, medians of three."""
+    start = model.initial_state
+
+    def run(state: np.ndarray) -> tc.Trajectory:
+        return tc.simulate(model, t_end, 1e-3, scheme, state, save_every=10**6, energy_balance=False, compiled=compiled)
+
+    def derivatives(**options: object) -> tc.Sensitivities:
+        return tc.sensitivities(model, start, t_end, 1e-3, scheme, compiled=compiled, **options)  # type: ignore[arg-type]
+
+    exact = derivatives(mode="forward").jacobian
+    moves = 1e-6 * np.eye(model.nx)
+    central = np.stack([(run(start + move).states[-1] - run(start - move).states[-1]) / 2e-6 for move in moves], axis=1)
+    one = median(lambda: run(start).seconds)
+    return Row(
+        name,
+        model.nx,
+        one,
+        median(lambda: derivatives(mode="forward").seconds),
+        median(lambda: derivatives(of=lambda x, u: ca.sumsqr(x), mode="adjoint").seconds),
+        2 * model.nx * one,
+        float(np.abs(central - exact).max() / np.abs(exact).max()),
+    )
+
+
+def median(seconds: Callable[[], float], repeats: int = 3) -> float:
+    """The middle of a few measurements, after one that warms up."""
+    seconds()
+    return statistics.median(seconds() for _ in range(repeats))
+
+
+if __name__ == "__main__":
+    began = time.perf_counter()
+    main()
+    print(f"{time.perf_counter() - began:.0f} s in all")
