@@ -52,7 +52,7 @@ def main(quick: bool = False) -> list[Row]:
     starts = throw(flying, n)
     print(f"{'':<62} {'steps/s':>11}  {'the other':>10}  ratio")
     rows = []
-    for correction in (None, tc.Projection()):
+    for correction in (None,) if quick else (None, tc.Projection()):
         rows += against_simulate(flying, starts, correction, repeats, quick)
     if (os.cpu_count() or 1) > 1:
         name = "two threads, against one"
@@ -105,7 +105,7 @@ def against_simulate(model: tc.Model, starts: np.ndarray, correction: tc.Project
     once = tc.rollouts(model, STEPS * STEP, STEP, starts, correction=correction)
     name = f"rollouts, {once.lanes} lanes{with_it}, against simulate"
     rows = [compare(name, roll(model, starts, correction=correction, threads=1), n * STEPS, one, count, repeats)]
-    for lanes in (4,) if quick or correction else (4, 2):
+    for lanes in () if quick else (4,) if correction else (4, 2):
         if lanes < once.lanes:
             kernel, held = build_kernel(model, tc.RungeKutta4(), correction, measured=True, lanes=lanes), np.zeros((1, 1, model.nw))
             run = partial(kernel, starts, held, STEP, STEPS)
@@ -126,7 +126,7 @@ def against_mujoco(s: tc.Structure, n: int, repeats: int, quick: bool) -> list[R
     for scene, place in ((tc.Scene(s), "in flight"), (ground, "on the ground")):
         model = tc.Model(scene)
         ours = roll(model, throw(model, n), threads=1)
-        for integrator in ("RK4", "Euler"):
+        for integrator in ("RK4",) if quick else ("RK4", "Euler"):
             theirs = mujoco.MjModel.from_xml_string(mujoco_scene(mujoco, s, integrator, scene.ground is not None))
             data = mujoco.MjData(theirs)
             kind = mujoco.mjtState.mjSTATE_FULLPHYSICS

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import time as clock
+from collections.abc import Hashable
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -154,14 +154,13 @@ def rollouts(
 
 def _kernel(model: Model, scheme: Scheme, correction: Correction | None) -> Kernel:
     """Build the kernel once for each model."""
+    key = scheme, correction
+    if not isinstance(scheme, Hashable):  # a scheme of somebody's own
+        return build_kernel(model, scheme, correction, measured=True)
     kernels = _KERNELS.setdefault(model, {})
-    try:
-        return kernels[scheme, correction]
-    except (KeyError, TypeError):  # TypeError: a scheme of somebody's own that has no hash
-        kernel = build_kernel(model, scheme, correction, measured=True)
-        with contextlib.suppress(TypeError):
-            kernels[scheme, correction] = kernel
-        return kernel
+    if key not in kernels:
+        kernels[key] = build_kernel(model, scheme, correction, measured=True)
+    return kernels[key]
 
 
 def _check_memory(n: int, rows: int, nx: int) -> None:
@@ -169,10 +168,8 @@ def _check_memory(n: int, rows: int, nx: int) -> None:
     needed = 8.0 * n * rows * (2 * nx + len(MEASURED) + 2)  # with what is computed from it
     free = _free_memory()
     if needed > free:
-        raise ValueError(
-            f"save_every: {n} motions of {rows} rows take {needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free: "
-            "give a larger save_every, or fewer motions at a time"
-        )
+        told = f"save_every: {n} motions of {rows} rows take {needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free"
+        raise ValueError(f"{told}: give a larger save_every, or fewer motions at a time")
 
 
 def _free_memory() -> float:

@@ -106,6 +106,15 @@ def test_any_number_of_motions_and_threads(n, threads):
     np.testing.assert_array_equal(kernel(x[:n], w, STEP, 4, threads=threads).states, whole[:n])
 
 
+@pytest.mark.parametrize("lanes", [2, pytest.param(4, marks=pytest.mark.slow), pytest.param(8, marks=pytest.mark.slow)])
+def test_any_number_of_lanes(lanes):
+    model = CASES["prism"][0]()
+    x, w = starts(model, 5), np.zeros((1, 1, 0))
+    kernel = build_kernel(model, tc.RungeKutta4(), tc.Projection(), lanes=lanes)
+    assert kernel.lanes == lanes
+    np.testing.assert_array_equal(kernel(x, w, STEP, 4).states, build_kernel(model, tc.RungeKutta4(), tc.Projection())(x, w, STEP, 4).states)
+
+
 def test_a_motion_that_is_lost_leaves_its_neighbours_alone():
     model = CASES["prism"][0]()
     kernel = build_kernel(model, tc.RungeKutta4(), measured=True)
