@@ -216,7 +216,7 @@ def _step_counts(model: Model, t_end: float, state: Any, work: float, parameters
     limits = [stable_step(model, state, None, scheme, parameters=parameters) for scheme in (DormandPrince853(), DormandPrince54())]
     longest = min(limits[0], _FINER * limits[1])
     steps = max(_COARSEST, int(np.ceil(t_end / longest))) if np.isfinite(longest) and longest > 0 else _COARSEST
-    most = work / count_instructions(DormandPrince853().advance(model))
+    most = work / max(1, count_instructions(DormandPrince853().advance(model)))
     yield steps
     while steps * _FINER <= most:
         steps *= _FINER

@@ -214,7 +214,7 @@ def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None, 
         with suppress(np.linalg.LinAlgError):  # then by dense matrices, in more time
             found = _lowest_modes(model, state, held, number)
         count = number
-    values, vectors, rigid, residual = found or _all_modes(model, linearize(model, state, held[: model.nu], held[model.nu :]), state, held)
+    values, vectors, rigid, residual = found or _all_modes(model, linearize(model, state, held[: model.nu, :], held[model.nu :, :]), state, held)
     values, vectors = values[:count], vectors[:, :count]
     displacement = np.zeros((len(values), model.nx))
     model.split(displacement)[0][:] = vectors.T

@@ -161,7 +161,7 @@ def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
         for b in range(3):
             kept = np.flatnonzero(active[a, n] & active[b, j])
             block = -ca.mtimes(pairs[kept.tolist(), :], (unit[a, :] * unit[b, :]).T)
-            values.append(ca.densify(block + direct[kept.tolist()] if a == b else block))
+            values.append(ca.densify(block + direct[kept.tolist(), :] if a == b else block))
             rows.append(3 * n[kept] + a)
             columns.append(3 * j[kept] + b)
     idle = np.flatnonzero(~active.T.ravel())  # a multiplier that constrains nothing is zero

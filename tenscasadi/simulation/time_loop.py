@@ -54,8 +54,8 @@ def _advance(model: Model, scheme: Scheme, project: ca.Function | None, power: b
     if power and model.power is not None:
         end = build(model, model.stacked(model.power))(z, u, h, *own.values())
     else:
-        end = ca.vertcat(build(model)(z[: model.nx], u, h, *own.values()), z[model.nx :])
-    x, supplied = end[: model.nx], end[model.nx :]
+        end = ca.vertcat(build(model)(z[: model.nx, :], u, h, *own.values()), z[model.nx :, :])
+    x, supplied = end[: model.nx, :], end[model.nx :, :]  # the second index for a state of one entry, a clock
     if project is not None:
         x = correct(model, project, x, u)
     if jumps:

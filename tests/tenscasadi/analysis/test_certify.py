@@ -1,0 +1,46 @@
+"""Scenes in which nothing can move, or next to nothing: simulated, certified, recommended, compared and linearised like any other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tenscasadi as tc
+
+POINT = tc.Structure([[0, 0, 0]], node_mass=1.0, pinned=[0])
+BAR = tc.Structure([[0, 0, 0], [1, 0, 0]], bars=[(0, 1)], pinned=[0, 1])
+STRING = tc.Structure([[0, 0, 0], [1, 0, 0]], strings=[(0, 1)], node_mass=1.0, pinned=[0, 1])
+SHAKEN = tc.SupportMotion({0: lambda t: (0.1 * np.sin(t), 0, 0)})
+CARRIED = tc.SupportMotion({0: lambda t: (t, 0, 0), 1: lambda t: (1 + t, 0, 0)})
+
+SCENES = {
+    "one pinned node": tc.Scene(POINT),
+    "one moved node": tc.Scene(POINT, supports=SHAKEN, ground=tc.Ground()),
+    "one pushed node": tc.Scene(POINT, forces=tc.NodalForce(lambda t: [[t, 0, 0]])),
+    "one guided node": tc.Scene(tc.Structure([[0, 0, 0]], node_mass=1.0, pinned={0: "xy"}), gravity=tc.Gravity((0, 0, -9.81))),
+    "a carried bar": tc.Scene(BAR, supports=CARRIED),
+    "one string": tc.Scene(STRING, supports=SHAKEN, control=tc.ForceDensity()),
+}
+
+
+@pytest.mark.filterwarnings("ignore::tenscasadi.RedundantConstraints")
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+@pytest.mark.parametrize("name", SCENES)
+def test_where_nothing_or_little_moves(name: str, coordinates: Any) -> None:
+    model, t_end = tc.Model(SCENES[name], coordinates), 0.05
+    for scheme in (tc.RungeKutta4(), tc.Collocation(2), tc.DormandPrince853(1e-6)):
+        run = tc.simulate(model, t_end, 0.01, scheme, compiled=False)
+        assert run.success
+        expected = SCENES[name].structure.nodes.copy()
+        expected[0, 0] += 0.1 * np.sin(t_end) if SCENES[name].supports is SHAKEN else 0.0
+        expected[:, 0] += t_end if SCENES[name].supports is CARRIED else 0.0
+        expected[0, 2] -= 9.81 * t_end**2 / 2 if "guided" in name else 0.0
+        assert run.nodes[-1] == pytest.approx(expected, abs=1e-9)
+    assert tc.certify(model, t_end, compiled=False).nodes == pytest.approx(expected, abs=1e-9)
+    advice = tc.recommend(model, t_end, 1e-6, schemes=[tc.RungeKutta4()], compiled=False)
+    assert advice.error < 1e-6
+    assert len(tc.tradeoff(model, t_end, [tc.RungeKutta4()], [0.01], compiled=(False,), repeats=1).rows) == 1
+    tc.linearize(model)
+    tc.modes(model)
