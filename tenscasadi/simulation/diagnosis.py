@@ -18,6 +18,7 @@ BROKEN_BARS = 0.1  # relative length error at which a run has diverged
 BEYOND = 1e12  # entries of a state above this are not physical in any unit
 DRIFTED_BARS = 0.01  # relative length error at which the message speaks of it
 LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
+_LOST_TRUST = 0.5  # and at which the run is another motion
 _ROUNDING = {False: 1e-9, True: 1e-5}  # of the energies, what a run may lose by rounding, in double and in single precision
 OFF = 1e-6  # of lengths and speeds: what a start may be off its bars and joints by without a word
 WRONG_START = 0.2  # of lengths and speeds: a start that is off by more is another structure's
@@ -82,31 +83,35 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
     scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
     rounding = _ROUNDING[isinstance(compiled, Single)] * float(np.abs(parts).max() + run.tension.sum(axis=1).max() * np.ptp(run.nodes))
     largest = float(np.abs(run.energy_error).max())
-    if largest > max(LOST_ENERGY * scale, rounding):  # not for NaN: not known
+    trusted = not largest > max(_LOST_TRUST * scale, rounding)  # NaN: not known
+    if largest > max(LOST_ENERGY * scale, rounding):
         found.append(f"energy is off by {largest:.2g} J where {scale:.2g} J move")
-    if growth > SPOKEN_GROWTH:
+    if run.step > limit:
         cure = f"try step={0.9 * limit:.2g}"
         text = f"the step {run.step:g} s is above the stability limit {limit:.3g} s of {type(scheme).__name__} at t = {when:g} s: {cure}"
         told = "".join(f"; {part}" for part in found) + f": the step is above the stability limit, {cure}" if found else f"; {text}"
         # Friction is bounded, so is what its slope at rest amplifies: it only chatters.
         rubs = any(ground.friction is not None for ground in model.scene.grounds)
-        return told, rubs or growth <= LOST_GROWTH
-    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run)}" if found else ""), True
+        return told, rubs or (trusted and growth <= LOST_GROWTH)
+    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run)}" if found else ""), trusted
 
 
 def _find_growth(model: Model, scheme: Scheme, run: Trajectory) -> tuple[float, float, float]:
     """Find by how much the steps of a run amplified a mode that they should not: its log, the stability limit, s, and a time, s, of it."""
     if scheme.adaptive or scheme.implicit or not model.nx:
         return 0.0, np.inf, 0.0
-    steps = max(1.0, float(run.time[-1]) / run.step)
+    steps, ends = max(1.0, float(run.time[-1]) / run.step), (0, len(run.time) - 1)  # there, the limit is told however little it does
     total, worst = 0.0, (0.0, run.states[0], 0)
     for states, share, rows in _looks(model, run):
-        least = SPOKEN_GROWTH / steps
-        logs = [log_growth(model, scheme, run.step, x, run.control[row], least, run.parameters) for x, row in zip(states, rows, strict=True)]
+        least = [0.0 if row in ends else SPOKEN_GROWTH / steps for row in rows]
+        logs = [
+            log_growth(model, scheme, run.step, x, run.control[row], ignored, run.parameters)
+            for x, row, ignored in zip(states, rows, least, strict=True)
+        ]
         k = int(np.argmax(logs))
         total += logs[k] * max(1.0, share * steps)
         worst = max(worst, (logs[k], states[k], rows[k]), key=lambda item: item[0])
-    if total <= SPOKEN_GROWTH:
+    if not worst[0]:
         return total, np.inf, 0.0
     return total, stable_step(model, worst[1], run.control[worst[2]], scheme, safety=1.0, parameters=run.parameters), float(run.time[worst[2]])
 
