@@ -38,7 +38,8 @@ class Masses:
     def weigh(self, p: Any) -> Any:
         """Return the entries of M and of M⁻, one below the other, for a CasADi column of parameters."""
         entries = self._column(p)
-        return ca.vertcat(entries, *self.inverse.call([entries]))
+        inverse = self._scalar_inverse if isinstance(p, ca.SX) else self._inverse
+        return ca.vertcat(entries, *inverse.call([entries]))
 
     def matrices(self, weights: Any) -> tuple[Any, tuple[Any, ...]]:
         """Return M and M⁻ (n×n; for each axis, or once for all three) with these entries."""
@@ -81,10 +82,17 @@ class Masses:
         return found
 
     @cached_property
-    def inverse(self) -> ca.Function:
+    def _inverse(self) -> ca.Function:
         """Function of the entries of M → those of each M⁻."""
         small = all(len(block) <= _UNROLLED for _, blocks in self._inverses for block in blocks)
-        kind: Any = ca.SX if small else ca.MX
+        return self._scalar_inverse if small else self._write_inverse(ca.MX)
+
+    @cached_property
+    def _scalar_inverse(self) -> ca.Function:
+        """`_inverse` as scalar code, whatever the blocks."""
+        return self._write_inverse(ca.SX)
+
+    def _write_inverse(self, kind: Any) -> ca.Function:
         entries = kind.sym("entries", self.pattern.nnz())
         M = matrix_with_pattern(self.pattern, entries)
         outputs = []
@@ -109,7 +117,7 @@ def _invert(block: Any, held: Array) -> Any:
         a, b, c = block[0, 0], block[0, 1], block[1, 1]
         determinant = a * c - b * b
         return ca.vertcat(ca.horzcat(c, -b), ca.horzcat(-b, a)) / determinant
-    if n <= _UNROLLED and isinstance(block, ca.SX):
+    if isinstance(block, ca.SX):
         D, LT, permutation = ca.ldl(block)
         return ca.ldl_solve(ca.SX.eye(n), D, LT, permutation)
     return ca.solve(block, ca.DM.eye(n), "ldl")

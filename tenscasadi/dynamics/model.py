@@ -94,8 +94,11 @@ class Model(StateSpace):
     The equations are Eqs. 58-95 of the paper. Reduced coordinates couple all bars that hang together: long chains of joined bars,
     from a hundred on, are cheaper in full coordinates.
 
-    Sizes are `nx` (state), `nq` (positions in it) and `nu` (control); `structure` is the structure with its strings subdivided as
-    the scene says, `mechanism` holds its constant matrices.
+    Where the scene has `Parameters`, all Functions take their values p as one more input after u: they are (x, u, p). `parameters` names
+    the entries of p, and `stacked` gives Functions in the form (x, w), w = (u, p), that integrators use.
+
+    Sizes are `nx` (state), `nq` (positions in it), `nu` (control), `np` (parameters) and `nw` = `nu` + `np`; `structure` is the structure
+    with its strings subdivided as the scene says, `mechanism` holds its constant matrices.
 
     Examples
     --------
@@ -107,6 +110,8 @@ class Model(StateSpace):
     Function(ode:(x[36],u[9])->(xdot[36]) SXFunction)
     >>> model.nodes(model.initial_state).shape
     (6, 3)
+    >>> tc.Model(tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("stiffness"))).ode
+    Function(ode:(x[36],u[0],p[9])->(xdot[36]) SXFunction)
     """
 
     def fixed(self, parameters: Any = None) -> Model:
@@ -135,7 +140,7 @@ class Model(StateSpace):
 
     @cached_property
     def ode(self) -> ca.Function:
-        """Right-hand side of the equation of motion: Function "ode" (x, u) → xdot.
+        """Right-hand side of the equation of motion: Function "ode" (x, u) → xdot, or (x, u, p) → xdot where there are parameters.
 
         It is self-contained and differentiable: any CasADi tool can use it.
         """

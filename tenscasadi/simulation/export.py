@@ -17,7 +17,7 @@ from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, file_path, instance
 
 
-def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), precision: Single | None = None) -> list[Path]:
+def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), precision: Single | None = None, parameters: Any = None) -> list[Path]:
     """Write a model as C code that needs nothing but the C library.
 
     Parameters
@@ -30,6 +30,8 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
         Integration scheme of fixed steps. Default: `RungeKutta4`.
     precision : Single, optional
         `Single()` writes code that computes in float. Default: double.
+    parameters : array_like, shape (np,), or mapping, optional
+        Values of the model's parameters in `start.h`, see `ParameterLayout.values`; nominal if None. The functions take any.
 
     Returns
     -------
@@ -71,6 +73,7 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
         raise ValueError(f"scheme is {scheme}, which chooses its steps: give one of fixed steps for C, such as RungeKutta4()")
     if precision is not None:
         check_single(scheme)
+    p = model.parameters.values(parameters)
     target = file_path("folder", folder)
     target.mkdir(parents=True, exist_ok=True)
     real = "double" if precision is None else "float"
@@ -78,7 +81,7 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
     for function in (model.ode, _jacobian(model), _step(model, scheme), model.observe):
         generator.add(function)
     generator.generate(str(target) + "/")
-    (target / "start.h").write_text(_start(model), encoding="ascii")
+    (target / "start.h").write_text(_start(model, p), encoding="ascii")
     (target / "main.c").write_text(_MAIN, encoding="ascii")
     return [target / name for name in ("tensegrity.c", "tensegrity.h", "start.h", "main.c")]
 
@@ -114,20 +117,20 @@ def _step(model: Model, scheme: Scheme) -> ca.Function:
     return ca.Function("step", [x, *held, h], [after if project is None else correct(model, project, after, w)], [*given, "h"], ["x_next"])
 
 
-def _start(model: Model) -> str:
+def _start(model: Model, p: Array) -> str:
     lines = [
         "/* Sizes, initial state and initial control. Positions first, then velocities, node by node. */",
         f"#define NX {model.nx}",
         f"#define NU {model.nu}",
         f"#define NODES {len(model.structure.nodes)}",
-        f"static const casadi_real x_start[{max(model.nx, 1)}] = {_literal(model.initial_state)};",
-        f"static const casadi_real u_start[{max(model.nu, 1)}] = {_literal(model.initial_control)};",
+        f"static const casadi_real x_start[{max(model.nx, 1)}] = {_literal(model.start_at(p))};",
+        f"static const casadi_real u_start[{max(model.nu, 1)}] = {_literal(model.control_at(p))};",
     ]
     if model.np:
         names = "; ".join(f"{name}, {unit}" for name, unit in zip(model.parameters.names, model.parameters.units, strict=True))
         lines.append(f"/* Parameters: {names.replace('²', '^2').replace('·', ' ')} */")
         lines.append(f"#define NP {model.np}")
-        lines.append(f"static const casadi_real p_start[NP] = {_literal(model.parameters.nominal)};")
+        lines.append(f"static const casadi_real p_start[NP] = {_literal(p)};")
     return "\n".join(lines) + "\n"
 
 

@@ -16,6 +16,7 @@ from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity, NodalForce
+from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, RestLength, Slack, Smooth
 from tenscasadi.structure.structure import Structure
@@ -177,3 +178,41 @@ def test_forces_that_vary_with_time_put_a_clock_in_the_state() -> None:
     load[0, 2] = np.sin(1.2)
     assert np.allclose(accelerations(model, x), accelerations(Model(Scene(structure, forces=NodalForce(load))), x[:-1]))
     assert not np.allclose(accelerations(model, x), still)
+
+
+def test_functions_of_a_model_with_parameters_take_them_after_the_control() -> None:
+    scene = Scene(Structure(**PRISM), control=RestLength(), gravity=Gravity(), parameters=Parameters("bar_mass", scale=["gravity"]))
+    model = Model(scene)
+    assert (model.np, model.nw) == (4, model.nu + 4)
+    x, u, p = model.initial_state, model.initial_control, np.array([1.0, 2.0, 3.0, 0.5])
+    for function in (model.ode, model.observe, model.energy_function, model.multiplier_function):
+        assert function.name_in() == ["x", "u", "p"]
+        held = model.stacked(function)
+        assert held.n_in() == 2
+        for value, other in zip(function.call([x, u, p]), held.call([x, np.concatenate([u, p])]), strict=True):
+            assert np.array_equal(value.full(), other.full())
+    own = ca.Function("own", model.ode.sx_in(), [2 * model.ode(*model.ode.sx_in())])  # one that the model did not make
+    assert np.allclose(model.stacked(own)(x, np.concatenate([u, p])).full(), 2 * model.ode(x, u, p).full())
+    assert np.array_equal(model.held(u, p), np.concatenate([u, p]))
+    compiled = model.compile()
+    assert np.allclose(compiled(x, u, p).full(), model.ode(x, u, p).full(), rtol=1e-12, atol=1e-9)
+
+
+def test_without_parameters_functions_stay_as_they_are() -> None:
+    model = Model(Scene(Structure(**PRISM)))
+    assert model.stacked(model.ode) is model.ode
+    assert model.fixed() is model
+    assert model.np == 0
+    assert model.ode.n_in() == 2
+
+
+def test_parameters_may_be_symbols() -> None:
+    model = Model(Scene(Structure(**PRISM), parameters=Parameters("stiffness")))
+    p = ca.SX.sym("p", model.np)
+    tension = ca.Function("tension", [p], [model.tension(model.initial_state, parameters=p)])
+    assert np.allclose(tension(model.parameters.nominal).full().ravel(), model.tension(model.initial_state))
+    with pytest.raises(ValueError, match="parameters has shape"):
+        model.tension(model.initial_state, parameters=ca.SX.sym("p", 2))
+    driven = Model(Scene(Structure(**PRISM), control=RestLength(), parameters=Parameters("stiffness")))
+    with pytest.raises(ValueError, match="give the control, too"):
+        driven.tension(driven.initial_state, parameters=p)

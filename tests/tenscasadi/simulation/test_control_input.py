@@ -15,7 +15,7 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
-from tenscasadi.simulation.control_input import ControlProfile, cut_steps, sample_control
+from tenscasadi.simulation.control_input import ControlProfile, append_constants, cut_steps, sample_control
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
 
@@ -147,3 +147,8 @@ def test_cut_steps_hold_the_control_of_their_step():
     assert cut.window(0, 9).ravel().tolist() == [0, 1, 1, 1, 2, 3, 3, 3, 3]
     assert cut.window(3, 2).ravel().tolist() == [1, 2]
     assert cut.window(7, 2).ravel().tolist() == [3, 3]
+
+
+def test_constants_stand_behind_the_control_of_each_step():
+    inputs = append_constants(sample_control(np.array([[1.0], [2.0]]), np.zeros(1), 1.0, 4), np.array([7.0, 8.0]))
+    assert inputs.window(1, 4).tolist() == [[1.0, 7.0, 8.0], [2.0, 7.0, 8.0], [2.0, 7.0, 8.0], [2.0, 7.0, 8.0]]

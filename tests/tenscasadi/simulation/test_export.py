@@ -86,6 +86,14 @@ def test_the_exported_program_gives_the_simulators_numbers(name: str, tmp_path: 
 
 
 @needs_compiler
+def test_the_program_starts_with_the_parameters_that_are_given(tmp_path: Path) -> None:
+    model, given = MODELS["parameters"](), {"bar_mass": [1.0, 2.0, 3.0], "gravity": [0.0, 1.0, -2.0]}
+    export_c(model, tmp_path, parameters=given)
+    ours = simulate(model, 0.05, 1e-3, correction=Projection(), save_every=50, parameters=given)
+    assert np.allclose(run(tmp_path, "0.05", "0.001", "1")[-1, 1:-2], ours.nodes[-1].ravel(), rtol=1e-12, atol=1e-12)
+
+
+@needs_compiler
 def test_single_precision_is_single_precision(tmp_path: Path) -> None:
     model = MODELS["class 1 with ground"]()
     export_c(model, tmp_path, precision=Single())
