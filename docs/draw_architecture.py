@@ -23,8 +23,10 @@ ROOMS = {
     "integrators": (3, 0, "steps in time"),
     "simulation": (4, 0, "loop in C,\nerrors, export"),
     "plots": (5, 0, "pictures"),
+    "ensemble": (4, 1, "many motions,\nsweeps"),
     "analysis": (5, 1, "modes, trade-off"),
     "cli": (6, 0, "command line"),
+    "envs": (6, 1, "environments\nfor learning"),
     "design": (3, 1, "equilibrium,\nself-stress"),
     "util": (0, 1, "input, files,\ncompilation:\nused by all"),
 }
@@ -34,7 +36,7 @@ PLANNING = {
     "transcription": (3, 2.35, "sparse nonlinear\nprogram"),
     "solvers": (4, 2.35, "IPOPT, Fatrop"),
     "plan": (5, 2.35, "replay, report,\nrefinement"),
-    "control": (6, 2.35, "LQR, MPC"),
+    "control": (6, 2.35, "LQR, MPC,\nMPPI"),
 }
 # from, to, the value that is handed on
 FLOW = [
@@ -91,9 +93,12 @@ def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     draw_arrow(ax, (x - 0.5, y + below), (x1 + 0.5, y1 + above))
     ax.text(x - 1.0, (y + y1) / 2 - 0.75, "Model", fontsize=8, style="italic", ha="right")
     x, y = place(*every["simulation"][:2])
+    x1, y1 = place(*every["ensemble"][:2])
+    draw_arrow(ax, (x, y + below), (x1, y1 + above))
+    x, y = x1, y1
     x1, y1 = place(*every["plan"][:2])
     draw_arrow(ax, (x + 0.2, y + below), (x1 - 0.6, y1 + above), dashed=True)
-    ax.text(x + 0.45, (y + y1) / 2 - 0.95, "replay", fontsize=8, style="italic", ha="right")
+    ax.text(x + 0.9, (y + y1) / 2, "replays", fontsize=8, style="italic", ha="right")
     x, y = place(*every["simulation"][:2])
     x1, y1 = place(*every["analysis"][:2])
     draw_arrow(ax, (x + WIDTH / 2, y - 0.3), (x1 - WIDTH / 2, y1 + 0.1))
