@@ -97,6 +97,18 @@ def log_growth(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignore
     return _largest_log(scheme, step * np.where(rates.real > 0, 1j * np.abs(rates), rates))
 
 
+def damped_share(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignored: float, parameters: Any = None) -> float:
+    """Compute the share that one step, s, of a scheme is of the largest that damping leaves stable in the motion linearised at a state.
+
+    Modes count that damping slows down rather than lets swing. What a bound on the rates leaves below `ignored` is returned as 0.
+    """
+    reach = float(stability_limit(scheme, np.array([-1.0 + 0.0j]))[0])
+    if step * _rate_bound(model, x, model.held(u, parameters)) <= ignored * reach:
+        return 0.0
+    rates = _rates(model, x, u, parameters)
+    return float(-step / reach * rates.real[-rates.real > np.abs(rates.imag)].min(initial=0.0))
+
+
 def _largest_log(scheme: Scheme, z: NDArray[Any]) -> float:
     with np.errstate(all="ignore"):
         largest = float(np.abs(scheme.amplification(z)).max(initial=1.0))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
 from tenscasadi.integrators.scheme import Scheme, extent
-from tenscasadi.integrators.stability import DENSE, fastest_rate, log_growth, stable_step
+from tenscasadi.integrators.stability import DENSE, damped_share, fastest_rate, log_growth, stable_step
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, Single
@@ -24,6 +24,7 @@ OFF = 1e-6  # of lengths and speeds: what a start may be off its bars and joints
 WRONG_START = 0.2  # of lengths and speeds: a start that is off by more is another structure's
 SPOKEN_GROWTH = float(np.log(1.5))  # of a mode that the steps should not amplify: what the message speaks of
 LOST_GROWTH = float(np.log(10.0))  # and what takes the trust out of the run
+_COARSE = 0.5  # of the step that damping leaves stable: longer ones follow damped strings badly that go slack
 _MOST_LOOKS = 8  # sets of taut strings at which a run is linearised
 _EPSILON = 64 * float(np.finfo(float).eps)  # of the largest entry of a state: what rounding may change differences of entries by
 
@@ -93,7 +94,27 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
         # Friction is bounded, so is what its slope at rest amplifies: it only chatters.
         rubs = any(ground.friction is not None for ground in model.scene.grounds)
         return told, rubs or (trusted and growth <= LOST_GROWTH)
-    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run)}" if found else ""), trusted
+    coarse = _find_coarse_damping(model, scheme, run)
+    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run)}" if found else "") + coarse, trusted
+
+
+def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory) -> str:
+    """Say that steps are too long to follow damped strings that go slack, though they are stable, and the cure; "" where they are not."""
+    clamped = model.scene.clamped_strings
+    damped = clamped[model.scene.modelled.damping[clamped] > 0]
+    if scheme.adaptive or scheme.implicit or not np.any(run.tension[:, damped] == 0) or not np.any(run.tension[:, damped] > 0):
+        return ""
+    worst = (0.0, 0)
+    for states, _, rows in _looks(model, run):
+        for x, row in zip(states, rows, strict=True):
+            worst = max(worst, (damped_share(model, scheme, run.step, x, run.control[row], _COARSE, run.parameters), row))
+    share, row = worst
+    if share <= _COARSE:
+        return ""
+    return (
+        f"; the step {run.step:g} s is {share:.0%} of what damping leaves stable at t = {run.time[row]:g} s, "
+        f"too long to follow damped strings that go slack: try step={_COARSE / 2 * run.step / share:.2g}"
+    )
 
 
 def _find_growth(model: Model, scheme: Scheme, run: Trajectory) -> tuple[float, float, float]:

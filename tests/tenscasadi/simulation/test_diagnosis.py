@@ -5,17 +5,18 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import pytest
 from runs import moving, prism
 
 import tenscasadi as tc
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
-from tenscasadi.integrators.runge_kutta import DormandPrince54, RungeKutta4
+from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import Projection, projection
 from tenscasadi.integrators.sundials import Cvodes
-from tenscasadi.scene.loads import Gravity
+from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.simulate import simulate
@@ -170,3 +171,28 @@ def test_friction_that_chatters_is_told_and_trusted():
     assert run.success
     assert "above the stability limit" in run.message
     assert np.abs(run.nodes[-1, 0, 0]) < 1e-3  # it sticks
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.4, False), (0.75, True), (0.9, True)])
+def test_stable_steps_too_long_for_damped_strings_that_go_slack_are_told(share: float, told: bool) -> None:
+    """An overdamped string lets go and catches within a step: centimetres off long before vibrations grow."""
+    pair = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[1, 1], stiffness=1e3, damping=100.0, rest_length=0.9)
+    model = Model(Scene(pair))
+    limit = stable_step(model, safety=1.0)
+    truth = simulate(model, 1.0, scheme=DormandPrince853(1e-10), compiled=False)
+    run = simulate(model, 1.0, share * limit, compiled=False)
+    wrong = abs(run.nodes[-1] - truth.nodes[-1]).max()
+    assert (wrong > 0.02) == told
+    assert ("too long to follow damped strings that go slack: try step=" in run.message) == told
+    if told:
+        cured = simulate(model, 1.0, float(run.message.rsplit("step=")[-1]), compiled=False)
+        assert "damped" not in cured.message
+        assert abs(cured.nodes[-1] - truth.nodes[-1]).max() < 1e-3
+
+
+def test_strings_that_stay_taut_or_are_not_damped_need_no_such_word() -> None:
+    taut = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 1], pinned=[0], stiffness=1e3, damping=100.0, rest_length=0.5)
+    pulled = Scene(taut, forces=NodalForce([(0, 0, 0), (600.0, 0, 0)]))
+    assert "damped" not in simulate(Model(pulled), 1.0, 0.02, compiled=False).message
+    loose = taut.replace(damping=0.0, rest_length=0.9)
+    assert "damped" not in simulate(Model(Scene(loose)), 1.0, 0.05, compiled=False).message
