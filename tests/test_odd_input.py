@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import inspect
 import os
 import re
 import signal
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from costly_calls import costly_calls
+from ensemble_calls import ensemble_calls
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from odd_values import altered
@@ -86,10 +88,32 @@ HINTS: dict[str, tuple[str, ...]] = {  # fields that are asked about in place of
     "Structure.replace": ("bars", "strings"),
     "SupportMotion": ("SupportMotion.positions",),
     **dict.fromkeys(("six_bar_ball", "prism", "d_bar", "t_bar", "membrane"), ("force_density",)),
+    "ParameterLayout.values": ("parameters",),
+    "Plan.robustness": ("Parameters",),
+    "Mppi": ("SplineNoise.deviation",),
     "Trajectory.load": ("trajectory",),
     "Plan.load": ("plan",),
     "Tradeoff.load": ("trade-off",),
+    "Rollouts.load": ("rollouts",),
 }
+
+
+NO_INPUT = {"shapes", "AtRest", "Clip", "Linear", "ForceDensity", "RestLength", "RungeKutta4", "Single", "Equilibrium"}
+FILLED_IN = {
+    *("ClassOne", "Energy", "Multipliers", "Constraints", "Linearization", "Modes"),
+    *("Recommendation", "Sensitivities", "Duals", "Report", "ClosedLoop"),
+}
+RESULTS_AND_MODELS = [
+    *("Structure", "Model", "ParameterLayout", "Trajectory", "Tradeoff", "Rollouts", "Sweep"),
+    *("Plan", "Robustness", "Mpc", "Mppi", "Tracker"),
+]
+EQUATIONS = {"ParameterLayout.item_values", "ParameterLayout.check", "Plan.guess"}  # for the equations' own use
+
+
+def takes_input(value: Any) -> bool:
+    if isinstance(value, staticmethod):
+        return bool(inspect.signature(value.__func__).parameters)
+    return inspect.isfunction(value) and len(inspect.signature(value).parameters) > 1
 
 
 @pytest.fixture(autouse=True)
@@ -115,11 +139,23 @@ def test_odd_input_is_refused_by_name() -> None:
 
 
 def test_odd_input_to_what_simulates_solves_or_draws_is_refused_by_name() -> None:
-    fuzz(costly_calls(), 40)
+    fuzz(costly_calls() | ensemble_calls(), 60)
+
+
+def test_every_public_name_meets_odd_input() -> None:
+    """But for names without input, exceptions, and what the packages themselves fill in; methods of goals, loads and schemes take equations."""
+    calls = {**quick_calls(), **costly_calls(), **ensemble_calls()}
+    met = {part for name in calls for part in (name.partition(",")[0], name.removeprefix("ocp."), name.partition(".")[0])}
+    public = {name: getattr(package, name) for package in (tc, ocp) for name in package.__all__}
+    raised = {name for name, value in public.items() if isinstance(value, type) and issubclass(value, Exception)}
+    missing = set(public) - met - raised - NO_INPUT - FILLED_IN
+    for name in RESULTS_AND_MODELS:
+        missing |= {f"{name}.{key}" for key, value in vars(public[name]).items() if key[0] != "_" and takes_input(value)} - met - EQUATIONS
+    assert not missing, f"give them a case in tests/support: {sorted(missing)}"
 
 
 @pytest.mark.slow
 def test_thousands_of_odd_inputs_are_refused_by_name() -> None:
     same = "TENSCASADI_FUZZ" not in os.environ  # unless somebody explores
-    fuzz(quick_calls(), NUMBER_OF_CALLS * 4 // 5, same)
-    fuzz(costly_calls(), NUMBER_OF_CALLS // 5, same)
+    for share, calls in ((0.7, quick_calls()), (0.15, costly_calls()), (0.15, ensemble_calls())):
+        fuzz(calls, int(share * NUMBER_OF_CALLS), same)

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.util.validate import nonnegative, per_item
 
 
 class Instant:
@@ -91,10 +92,16 @@ class Instant:
         -------
         casadi.SX or casadi.MX, shape (α,)
             Rest lengths, m (Eq. 99).
+
+        Raises
+        ------
+        TypeError, ValueError
+            The stiffness is not one number greater than 0 for each string.
         """
         s = self.model.structure
         along = norms(self._across(self.model.nodes(self.state), s.strings))
-        whole = ca.DM(np.asarray(stiffness)[s.string_parent] / s.string_fraction)
+        given = per_item("stiffness", stiffness, len(self.model.scene.structure.strings))
+        whole = ca.DM(nonnegative("stiffness", given, "string", strict=True)[s.string_parent] / s.string_fraction)
         parts = along - self.tension / whole  # s (1 − γ/k)
         gather = ca.DM((np.arange(len(self.model.scene.structure.strings))[:, None] == s.string_parent[None]).astype(float))
         return ca.mtimes(ca.sparsify(gather), parts)

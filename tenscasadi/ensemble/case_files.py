@@ -18,6 +18,7 @@ from tenscasadi.dynamics.serialize import structure_to_arrays
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import archive
 from tenscasadi.util.archive import Fields
+from tenscasadi.util.validate import shown
 
 _FORMAT = "tenscasadi case 1"
 _VALUE = "value."  # before the names of results in files
@@ -76,7 +77,7 @@ def _describe(field: str, value: Any) -> Any:
         content = [[item.name, _describe(f"{field}.{item.name}", getattr(value, item.name))] for item in fields(value)]
         return [f"{type(value).__module__}.{type(value).__qualname__}", content]
     cure = "give numbers, text, arrays, lists, dicts by text, structures, scenes or options; what is else, build in the function"
-    raise TypeError(f"{field} is {value!r}, whose content a folder of results cannot tell: {cure}")
+    raise TypeError(f"{field} is {shown(value)}, whose content a folder of results cannot tell: {cure}")
 
 
 # --- results ---

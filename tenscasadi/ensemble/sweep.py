@@ -13,7 +13,7 @@ from tenscasadi.ensemble.case_files import CaseFiles, Outcome
 from tenscasadi.ensemble.sweep_table import Sweep
 from tenscasadi.ensemble.workers import run_in_processes, run_on_executor
 from tenscasadi.util.interrupts import on_interrupt
-from tenscasadi.util.validate import file_path, flag, instance
+from tenscasadi.util.validate import file_path, flag, instance, shown
 
 _MISSING = Outcome({}, "", float("nan"))
 
@@ -117,9 +117,9 @@ def sweep(
 
 def _check(function: Any, cases: Any, executor: Any, progress: Any) -> tuple[Any, ...]:
     if not callable(function):
-        raise TypeError(f"function is {function!r}: give a function of one case")
+        raise TypeError(f"function is {shown(function)}: give a function of one case")
     if isinstance(cases, (str, bytes, dict)) or not isinstance(cases, Iterable):
-        raise TypeError(f"cases is {cases!r}: give a list of cases, such as [{{'stiffness': 100.0}}, {{'stiffness': 200.0}}]")
+        raise TypeError(f"cases is {shown(cases)}: give a list of cases, such as [{{'stiffness': 100.0}}, {{'stiffness': 200.0}}]")
     if executor is not None:
         instance("executor", executor, Executor, "a concurrent.futures.Executor, such as client.get_executor() of a Dask client, or None")
     flag("progress", progress)

@@ -11,11 +11,12 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from tenscasadi.ensemble.case_files import Outcome, check_results
+from tenscasadi.util.validate import shown
 
 Function = Callable[[Any], Any]
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
@@ -38,10 +39,7 @@ def run_on_executor(function: Function, cases: Mapping[Any, Any], executor: Exec
     futures: dict[Future[Outcome], Any] = {}
     try:
         for key, case in cases.items():
-            try:
-                futures[executor.submit(compute, function, case)] = key
-            except BrokenExecutor as fault:  # its workers have died meanwhile
-                yield key, _lost(fault)
+            futures[executor.submit(compute, function, case)] = key
         for future in as_completed(futures):
             yield futures[future], _outcome(future)
     finally:
@@ -94,11 +92,7 @@ def _outcome(future: Future[Outcome]) -> Outcome:
     try:
         return future.result()
     except Exception as fault:  # noqa: BLE001  what executors make of a lost worker, or of a case that does not pickle
-        return _lost(fault)
-
-
-def _lost(fault: Exception) -> Outcome:
-    return Outcome({}, f"no result came back: {type(fault).__name__}: {fault}", float("nan"))
+        return Outcome({}, f"no result came back: {type(fault).__name__}: {fault}", float("nan"))
 
 
 def _check_function(function: Function) -> None:
@@ -106,7 +100,7 @@ def _check_function(function: Function) -> None:
         pickle.dumps(function)
     except Exception as fault:  # pickle raises many things
         cure = "define it with def at the top level of a module, or give an executor of threads"
-        raise ValueError(f"function is {function!r}, which other processes cannot import ({fault}): {cure}") from fault
+        raise ValueError(f"function is {shown(function)}, which other processes cannot import ({fault}): {cure}") from fault
 
 
 def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
@@ -115,7 +109,7 @@ def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
         return pool.submit(callable, function).result()
     except BrokenProcessPool:
         cure = "a script needs `if __name__ == '__main__':` around what it runs; a function of a notebook has to move into a module"
-        raise RuntimeError(f"worker processes cannot begin, or cannot import {function!r}: {cure}") from None
+        raise RuntimeError(f"worker processes cannot begin, or cannot import {shown(function)}: {cure}") from None
 
 
 def _cores() -> int:

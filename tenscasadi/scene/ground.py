@@ -13,7 +13,7 @@ import numpy as np
 
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, finite_array, listed, node_index, number, positive_number, whole_number
+from tenscasadi.util.validate import Array, finite_array, listed, node_index, number, positive_number, shown, whole_number
 
 
 class Contact(NamedTuple):
@@ -370,4 +370,4 @@ def checked_grounds(value: Any, field: str = "Scene.ground") -> tuple[Surface, .
     example = "a tenscasadi.Ground or Terrain, a sequence of them, or None"
     if isinstance(value, (list, tuple)) and all(isinstance(item, Surface) for item in value):
         return tuple(value)
-    raise TypeError(f"{field} is {value!r}: give {example}")
+    raise TypeError(f"{field} is {shown(value)}: give {example}")

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from tenscasadi.scene.parameters import GROUPED, QUANTITIES, Parameters
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, nesting
+from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, nesting, shown
 
 HEAVIEST = 1e12  # times the lightest bar: what rounding leaves of a bar that is heavier does not hold it
 
@@ -114,7 +114,7 @@ class ParameterLayout:
         for name, value in {**(given if mapping else {}), **changes}.items():
             if name not in self.places:
                 known = ", ".join(self.places) or "none, as its scene has no Parameters"
-                raise ValueError(f"parameters has {name!r}: the parameters of this model are {known}")
+                raise ValueError(f"parameters has {shown(name)}: the parameters of this model are {known}")
             place = self.places[name]
             p[place] = finite_array(f"parameters[{name!r}]", value, (place.stop - place.start,) if nesting(value) else ())
         self.check(p)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from tenscasadi.util.validate import listed, whole_number
+from tenscasadi.util.validate import listed, shown, whole_number
 
 
 class Quantity(NamedTuple):
@@ -95,20 +95,20 @@ class Parameters:
         given = [*names, *scaled]
         for k, name in enumerate(given):
             if not isinstance(name, str):
-                raise TypeError(f"Parameters got {name!r}: give names of quantities, such as {example}")
+                raise TypeError(f"Parameters got {shown(name)}: give names of quantities, such as {example}")
             if name not in QUANTITIES:
-                raise ValueError(f"Parameters got {name!r}: give some of {', '.join(QUANTITIES)}")
+                raise ValueError(f"Parameters got {shown(name)}: give some of {', '.join(QUANTITIES)}")
             if name in given[:k]:
-                raise ValueError(f"Parameters got {name!r} twice: name a quantity once, in SI units or under scale=")
+                raise ValueError(f"Parameters got {shown(name)} twice: name a quantity once, in SI units or under scale=")
         if not given:
             raise ValueError(f"Parameters is empty: name quantities, such as {example}, or give no Parameters")
         if groups is not None and not isinstance(groups, Mapping):
-            raise TypeError(f"Parameters.groups is {groups!r}: give a mapping such as {{'stiffness': [[0, 1, 2], [3, 4, 5]]}}")
+            raise TypeError(f"Parameters.groups is {shown(groups)}: give a mapping such as {{'stiffness': [[0, 1, 2], [3, 4, 5]]}}")
         for name in groups or {}:
             if name not in given:
-                raise ValueError(f"Parameters.groups has {name!r}, which is no parameter: name it, too, or leave its groups out")
+                raise ValueError(f"Parameters.groups has {shown(name)}, which is no parameter: name it, too, or leave its groups out")
             if QUANTITIES[name].item not in GROUPED:
-                raise ValueError(f"Parameters.groups has {name!r}: groups are of strings, bars, nodes and grounds, leave them out")
+                raise ValueError(f"Parameters.groups has {shown(name)}: groups are of strings, bars, nodes and grounds, leave them out")
         read = tuple((name, _read_groups(name, value)) for name, value in (groups or {}).items())
         for attribute, value in {"names": tuple(names), "scale": scaled, "groups": read}.items():
             object.__setattr__(self, attribute, value)
@@ -118,14 +118,14 @@ class Parameters:
 
 
 def _read_groups(name: str, value: Any) -> tuple[tuple[int, ...], ...]:
-    where = f"Parameters.groups[{name!r}]"
+    where = f"Parameters.groups[{shown(name)}]"
     if isinstance(value, str):
         if value != "all":
-            raise ValueError(f'{where} is {value!r}: give "all", or groups of indices such as [[0, 1], [2, 3]]')
+            raise ValueError(f'{where} is {shown(value)}: give "all", or groups of indices such as [[0, 1], [2, 3]]')
         return ((),)
     groups = tuple(tuple(listed(f"{where}[{g}]", group, "[0, 1, 2]")) for g, group in enumerate(listed(where, value, "[[0, 1], [2, 3]]")))
     if not groups or not all(groups):
-        raise ValueError(f"{where} is {value!r}: give at least one group, each with at least one index")
+        raise ValueError(f"{where} is {shown(value)}: give at least one group, each with at least one index")
     seen: set[int] = set()
     for g, group in enumerate(groups):
         for index in group:

@@ -23,7 +23,7 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.compile import CompileError, compile_function
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, Indices, call_user_function, choice, finite_array, instance
+from tenscasadi.util.validate import Array, Indices, call_user_function, choice, finite_array, instance, shown
 
 By = Literal["state", "control", "parameters"]
 Mode = Literal["forward", "adjoint"]
@@ -229,7 +229,7 @@ def _read(model: Any, start: Any, t_end: Any, step: Any, control: Any, parameter
         return _Request(np.array(state), t_end, step, control, p, None)
     for name, value in {"t_end": t_end, "step": step, "control": control, "parameters": parameters}.items():
         if value is not None:
-            raise ValueError(f"{name} is {value!r}, and start is a trajectory, which tells it: leave one out")
+            raise ValueError(f"{name} is {shown(value)}, and start is a trajectory, which tells it: leave one out")
     if not len(start.time) > 1 or start.states.shape[1] != model.nx or start.control.shape[1] != model.nu or len(start.parameters) != model.np:
         raise ValueError(f"start is {start!r}, with states of {start.states.shape[1]}: give a run of this model, with states of {model.nx}")
     if not start.success:
@@ -248,7 +248,7 @@ def _check(model: Model, scheme: Any, over: Any, by: Any, mode: Any, compiled: A
     if compiled is not None:
         instance("compiled", compiled, bool, "True, False or None: derivatives are of double precision")
     if getattr(scheme, "adaptive", False) or isinstance(scheme, Sundials):
-        raise ValueError(f"scheme is {scheme!r}, which chooses its steps: give one with fixed steps, such as RungeKutta4() or Rattle()")
+        raise ValueError(f"scheme is {shown(scheme)}, which chooses its steps: give one with fixed steps, such as RungeKutta4() or Rattle()")
     if by == "control" and not model.nu:
         raise ValueError('by is "control", and the scene has none: give Scene(control=ForceDensity()) or RestLength(), or by="state"')
     if by == "parameters" and not model.np:
@@ -272,11 +272,11 @@ def _output(model: Model, of: Any) -> ca.Function:
     elif callable(of):
         value = call_user_function("of", lambda given: of(*given), arguments, wanted)
     else:
-        raise TypeError(f"of is {of!r}: {wanted}")
+        raise TypeError(f"of is {shown(of)}: {wanted}")
     try:
         return ca.Function("output", [x, w], [ca.vec(ca.densify(ca.MX(value)))])
     except (RuntimeError, NotImplementedError, TypeError):
-        raise TypeError(f"of returns {value!r}: {wanted}") from None
+        raise TypeError(f"of returns {shown(value)}: {wanted}") from None
 
 
 def _owners(control: Any, grid: SampledControl) -> Indices:

@@ -12,7 +12,6 @@ import ocp
 import tenscasadi as tc
 from tenscasadi import plots
 from tenscasadi.animation import animate
-from tenscasadi.envs import Task, TensegrityEnv, TensegrityVectorEnv
 
 
 @cache
@@ -39,11 +38,6 @@ def mpc() -> ocp.Mpc:
 
 
 @cache
-def mppi() -> ocp.Mppi:
-    return ocp.Mppi(turned(), 0.1, 0.2, 4)
-
-
-@cache
 def tracker() -> ocp.Tracker:
     return ocp.track(short_plan())
 
@@ -61,9 +55,6 @@ def measuring_calls() -> dict[str, Call]:
              "corrections": (None,), "compiled": (False,), "repeats": 1, "progress": False}  # fmt: skip
     derivatives = {"model": timed(), "start": timed().initial_state, "t_end": 0.01, "step": 0.01, "scheme": tc.RungeKutta4(), "control": None,
                    "correction": tc.Projection(), "of": lambda x, u: x[0], "by": "state", "mode": "forward", "compiled": False}  # fmt: skip
-    task = {"model": cross(), "reward": stand_still, "lower": 0.0, "upper": np.full(2, 9.0), "speed": None, "period": 0.1, "steps": 2,
-            "duration": 0.5, "state": cross().initial_state, "start": (0.01, 0.1), "parameters": {}, "observation": None,
-            "terminated": None, "correction": tc.Projection(2)}  # fmt: skip
     return {
         "sensitivities": (tc.sensitivities, derivatives),
         "certify": (tc.certify, {"model": timed(), "t_end": 0.01, **start, "accuracy": 1e-3, "enough": 1e-3, "compiled": False, "work": 1e6}),
@@ -81,28 +72,13 @@ def measuring_calls() -> dict[str, Call]:
             },
         ),
         "tradeoff": (tc.tradeoff, study),
-        "envs.Task": (acted, task),
-        "envs.TensegrityVectorEnv": (TensegrityVectorEnv, {"task": Task(cross(), stand_still, 0.0, 9.0), "num_envs": 2, "threads": 1}),
         "export_c": (tc.export_c, {"model": cross(), "folder": "c", "scheme": tc.RungeKutta4(), "precision": None}),
     }
-
-
-def stand_still(now: Any) -> Any:
-    return -abs(now.velocities).max(axis=(1, 2))
-
-
-def acted(**options: Any) -> Any:
-    """The task, done for one period."""
-    env = TensegrityEnv(Task(**options))
-    env.reset(seed=0)
-    return env.step(np.zeros(2))
 
 
 def planning_calls() -> dict[str, Call]:
     """What makes plans, follows them, or writes them as C."""
     m = cross()
-    sampling = {"problem": turned(), "period": 0.1, "horizon": 0.2, "samples": 4, "noise": np.full(2, 1.0), "initial": 2.0, "temperature": 0.1,
-                "iterations": 1, "steps": 2, "place": 0.1, "seed": 0}  # fmt: skip
     return {
         "solve": (
             ocp.solve,
@@ -122,12 +98,6 @@ def planning_calls() -> dict[str, Call]:
             {"problem": turned(), "period": 0.1, "intervals": 2, "plan": short_plan(), "iterations": 1, "substeps": 1, "place": 1.0, "effort": 1.0},
         ),
         "Mpc.control": (mpc().control, {"time": 0.0, "state": m.initial_state}),
-        "Mppi": (ocp.Mppi, sampling),
-        "Mppi.control": (mppi().control, {"time": 0.0, "state": m.initial_state}),
-        "Plan.robustness": (
-            short_plan().robustness,
-            {"parameters": {"bar_mass": 0.05}, "start": (0.01, 0.1), "samples": 5, "seed": 0, "tracked": False, "tolerance": 0.1},
-        ),
         "Tracker.control": (tracker().control, {"time": 0.0, "state": m.initial_state}),
         "track": (ocp.track, {"plan": short_plan(), "decisions": 4, "place": 1.0, "effort": 1.0, "lower": 0.0, "upper": np.full(2, 200.0)}),
         "run": (ocp.run, {"controller": tracker(), "t_end": 0.05, "model": m, "state": m.initial_state, "steps": 1, "disturbance": lambda t, x: x}),
@@ -151,7 +121,6 @@ def drawing_calls() -> dict[str, Call]:
         "plots.time_lapse": (plots.time_lapse, {"trajectory": motion, "instants": 2, **named}),
         "plots.node_histories": (plots.node_histories, {"trajectory": motion, "nodes": [0, 1], **named}),
         "plots.force_densities": (plots.force_densities, {"history": motion, "strings": [0, 1], "lower": 0.0, "upper": np.full(9, 100.0), **named}),
-        "plots.robustness": (plots.robustness, {"what": short_plan().robustness(start=0.01, samples=5), **named}),
         "plots.errors": (plots.errors, {"trajectory": motion, **named}),
         "plots.work_precision": (
             plots.work_precision,

@@ -201,16 +201,9 @@ def planning_calls() -> dict[str, Call]:
         "Plan.save": (plan().save, {"path": "plan.npz"}),
         "Plan.load": (ocp.Plan.load, {"path": "missing.npz", "problem": problem()}),
         "Plan.known_model": (plan().known_model, {"user": "a test"}),
-        "SplineNoise": (noise, {"deviation": np.full(9, 1.0), "knots": 3, "groups": [[0, 1], [2, 3]], "finest": 0.1}),
         "Progress": (ocp.Progress, {"iteration": 1, "objective": 1.0, "infeasibility": 0.0}),
     }  # fmt: skip
     return found
-
-
-def noise(**options: Any) -> Any:
-    """The value, laid out over strings and time as a controller does."""
-    value = ocp.SplineNoise(**options)
-    return value.directions(9), value.basis(5), value.sizes(8)
 
 
 def shape_calls() -> dict[str, Call]:

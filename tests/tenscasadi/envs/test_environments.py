@@ -189,17 +189,12 @@ BAD = {
     "a reward of other shape": (
         lambda: TensegrityEnv(Task(DRIVEN, lambda now: 1.0, 0.0, 1.0)).step(np.zeros(9)),
         ValueError,
-        r"what Task.reward gives has shape \(\): give .*\(1,\)",
-    ),
-    "a reward that fails": (
-        lambda: TensegrityEnv(Task(DRIVEN, lambda now: now.speed, 0.0, 1.0)).step(np.zeros(9)),
-        ValueError,
-        "Task.reward.*has no attribute 'speed'.*give a function of a Transition",
+        "Task.reward gives shape",
     ),
     "an observation of other shape": (
         lambda: TensegrityEnv(driven(observation=lambda nodes, velocities, control: nodes)),
         ValueError,
-        "what Task.observation gives has shape",
+        "Task.observation gives shape",
     ),
 }
 
