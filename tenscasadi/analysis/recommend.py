@@ -13,6 +13,7 @@ import numpy as np
 from tenscasadi.analysis.certify import certify, distance, end_nodes
 from tenscasadi.analysis.tradeoff import LONGEST, Case, check_ways
 from tenscasadi.analysis.tradeoff_table import abbreviate
+from tenscasadi.dynamics.instruction_count import compare_coordinates
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.events import build_switching
@@ -188,6 +189,7 @@ def recommend(
     limit = stable_step(model, start, None, scheme, safety=1.0, parameters=p)
     if best.step > limit and not scheme.adaptive:
         told.append(f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved")
+    told += [advice] if (advice := compare_coordinates(model)) else []
     outcome = f"{best.steps} steps of {abbreviate(scheme)}: {expected:.2g} m, {duration:.2g} s"
     message = "; ".join(dict.fromkeys([outcome, f"compared with {names}", f"reference: {reference.message}", *told]))
     work = float(best.steps * best.case.instructions()) or np.nan

@@ -5,18 +5,33 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from tenscasadi.dynamics import forces
+from tenscasadi.dynamics.constraint_forces import assemble_system
+from tenscasadi.dynamics.mechanism import Mechanism, build_mechanism
 from tenscasadi.dynamics.state_space import StateSpace
 from tenscasadi.scene.strings import ForceDensity
 
+_CHEAPER = 4.0  # times the operations at which full coordinates, whose operations take longer, are faster for sure
+_COUPLED, _COMPARED = 50, 3000  # multipliers of a system that is looked at: fewer cost little, more take long to look at
+
 
 class TermCounts(dict[str, int]):
-    """Instruction counts by the name of a term; prints as a table."""
+    """Instruction counts by the name of a term; prints as a table.
+
+    Attributes
+    ----------
+    advice : str
+        Which coordinates are cheaper, see `compare_coordinates`; "" where these are.
+    """
+
+    advice: str = ""
 
     def __str__(self) -> str:
         width = max(map(len, self), default=0)
-        return "\n".join(f"{name:<{width}}  {count:>8}" for name, count in self.items())
+        rows = [f"{name:<{width}}  {count:>8}" for name, count in self.items()]
+        return "\n".join([*rows, self.advice] if self.advice else rows)
 
 
 def count_instructions(function: ca.Function) -> int:
@@ -59,4 +74,31 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
         rest = "bars (λ)" + (" and joints (Ω)" if mech.joints else "") + " and inverse mass"
     counts[rest] = max(total - before, 0)
     counts["total"] = total
+    counts.advice = compare_coordinates(space)
     return counts
+
+
+def compare_coordinates(space: StateSpace) -> str:
+    """Say where full coordinates are cheaper than the reduced ones of `space`, else "".
+
+    In reduced coordinates bars that hang together couple all their multipliers, as the inverse mass matrix of a long chain is full; in full
+    coordinates each joint couples with its neighbours alone.
+    """
+    if space.coordinates == "full" or not _COUPLED <= space.mechanism.system_size <= _COMPARED:
+        return ""
+    reduced, full = (_count_operations(build_mechanism(space.structure, coordinates)) for coordinates in ("reduced", "full"))
+    if reduced < _CHEAPER * full:
+        return ""
+    return (
+        f"multipliers: {reduced} operations in reduced coordinates, {full} in full ones, as many bars hang together: "
+        'Model(scene, coordinates="full") is faster'
+    )
+
+
+def _count_operations(mech: Mechanism) -> int:
+    """Count the multiplications of a solution for the multipliers, and of a product with M⁻."""
+    if not mech.system_size:
+        return 0
+    matrix, _ = assemble_system(mech, mech.bar_vectors(ca.DM(mech.N)), ca.DM.zeros(1, mech.bars), ca.DM.zeros(3, mech.joints))
+    columns = np.diff(matrix.sparsity().ldl()[0].colind())
+    return int((columns**2).sum() + 6 * columns.sum() + sum(inverse.nnz for inverse in mech.inverse))  # three solutions, see solve_semidefinite

@@ -21,8 +21,12 @@ class Sundials:
     """Implicit multistep methods of variable order (1 to 5) and step, backward differentiation formulas, for stiff scenes.
 
     Not compiled: most of the time goes by in SUNDIALS itself, and machine code of the equations and their Jacobian saves a quarter of it at
-    best. Events are not located: the control of the error finds them, and a restart at each, at order 1, ends up no more accurate.
-    (CasADi 3.8.2's own events stop these integrators at the first and let them run past the next without a word.)
+    best. Events are not located: the control of the error finds them. Measured with the events known beforehand and a restart at each
+    in the mode that holds then, at rtol of 1e-5 to 1e-11: a ball on the ground, errors 4 to 70 times smaller for half the evaluations;
+    a bouncing string, 0.8 to 3 times for two thirds; a prism that falls with strings about to go slack (231 events in 0.5 s), 0.3 to 1.6
+    times for 0.7 to 1.3 times the evaluations. `DormandPrince853(rtol)`, which does locate them, is 7 to 4000 times more accurate than
+    these restarts at the same rtol, in some 1400 evaluations. (CasADi 3.8.2's own events stop these integrators at the first and let them
+    run past the next without a word.)
     """
 
     rtol: float = 1e-8
@@ -154,6 +158,11 @@ class Cvodes(Sundials):
     --------
     Idas : The same formulas with the multipliers as unknowns.
 
+    Notes
+    -----
+    The ends of slack and contact are not located: where there are many, `DormandPrince853` or `DormandPrince54` with `rtol`, which end their
+    steps there, are more accurate for the same work.
+
     References
     ----------
     .. [1] A. C. Hindmarsh et al., SUNDIALS: Suite of nonlinear and differential/algebraic equation solvers, ACM Transactions on Mathematical
@@ -195,6 +204,11 @@ class Idas(Sundials):
     See Also
     --------
     Cvodes : The same formulas on the ordinary differential equation.
+
+    Notes
+    -----
+    The ends of slack and contact are not located: where there are many, `DormandPrince853` or `DormandPrince54` with `rtol`, which end their
+    steps there, are more accurate for the same work.
 
     References
     ----------
