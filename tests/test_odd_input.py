@@ -37,6 +37,8 @@ def finite(result: Any) -> bool:
     if isinstance(result, tc.Trajectory):
         values = (result.time, result.nodes, result.velocities, result.tension, result.energy, result.states)
         return not result.success or all(np.isfinite(value).all() for value in values)
+    if isinstance(result, tc.Rollouts):
+        return bool(np.isfinite(result.final[result.success]).all() and np.isfinite(result.energy_error[result.success]).all())
     return True
 
 

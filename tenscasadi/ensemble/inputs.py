@@ -13,7 +13,7 @@ from tenscasadi.ensemble.kernel import Intervals
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.control_input import ControlProfile, SampledControl, sample_control
 from tenscasadi.simulation.simulate import lay_grid
-from tenscasadi.util.validate import SMALLEST, Array, finite_array, nesting, positive_number, real_array
+from tenscasadi.util.validate import SMALLEST, Array, finite_array, nesting, positive_number, real_array, shown
 
 
 class Plan(NamedTuple):
@@ -40,19 +40,22 @@ def read_parameters(model: Model, given: Any) -> Array:
     """Return the parameters (n or 1, np), checked. Raises TypeError, ValueError."""
     layout = model.parameters
     if isinstance(given, Mapping):
-        rows = np.tile(layout.nominal, (count_motions(**{f"parameters[{name!r}]": len(v) if nesting(v) == 2 else 1 for name, v in given.items()}), 1))
-        shared = layout.values({name: value for name, value in given.items() if nesting(value) < 2})
-        rows[:] = shared
-        for name, value in given.items():
-            if nesting(value) >= 2:
-                place = layout.places.get(name, slice(0, 0))
-                rows[:, place] = finite_array(f"parameters[{name!r}]", value, (None, place.stop - place.start))
+        tables = {name: value for name, value in given.items() if nesting(value) >= 2}
+        shared = layout.values({name: value for name, value in given.items() if name not in tables} | dict.fromkeys(tables.keys() - layout.places, 0))
+        checked = {name: _table(f"parameters[{shown(name)}]", value, layout.places[name]) for name, value in tables.items()}
+        rows = np.tile(shared, (count_motions(**{f"parameters[{name!r}]": len(value) for name, value in checked.items()}), 1))
+        for name, value in checked.items():
+            rows[:, layout.places[name]] = value
     elif nesting(given) < 2:
         return layout.values(given)[None]
     else:
         rows = finite_array("parameters", given, (None, len(layout)))
     layout.check(rows)
     return rows
+
+
+def _table(field: str, value: Any, place: slice) -> Array:
+    return finite_array(field, value, (None, place.stop - place.start))
 
 
 def _shared(rows: list[Array]) -> Array:

@@ -20,7 +20,7 @@ from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.simulation.diagnosis import BEYOND, BROKEN_BARS
 from tenscasadi.util.compile import CompileError, compile_library
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import LARGEST, Array
 
 Integers = NDArray[np.int64]
 _POLL = 0.05  # s between two looks at what other threads have done
@@ -147,7 +147,7 @@ class Kernel:
             "parameters": held,
             **(feedback or {}),
             **{"correct_every": self._every, "save_every": save_every, "look_every": look_every, "rows": rows},
-            **{"broken": BROKEN_BARS, "beyond": BEYOND},
+            **{"broken": BROKEN_BARS, "beyond": BEYOND, "largest": LARGEST},
             **{"last": result.states, "saved": result.saved, "measured": result.measured, "worst": result.worst, "cost": result.cost},
             **{"status": result.status, "fault": result.fault, "good": result.good},
             **dict(zip(("next", "done", "stop"), np.zeros((3, 1), dtype=np.int64), strict=True)),

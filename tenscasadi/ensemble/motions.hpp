@@ -22,7 +22,7 @@ struct Request {
   int64_t referred;  // entries of the state that are fed back
   // steps from one correction, kept row and look to the next; 0: none
   int64_t correct_every, save_every, look_every, rows;
-  double broken, beyond;
+  double broken, beyond, largest;  // largest: of a start
   // results
   double *last, *saved, *measured, *worst, *cost;
   int64_t *status, *fault, *good;
@@ -82,7 +82,7 @@ static int64_t fault_of(const Request &q, const Room &room, int k, int64_t step)
   for (int i = 0; i < NX; ++i) {
     double x = fabs(get(room.z[i], k));
     if (!(x <= 1.7976931348623157e308)) return NOT_FINITE;
-    if (x > q.beyond && step) fault = BEYOND;
+    if (x > (step ? q.beyond : q.largest)) fault = BEYOND;
   }
 #if M
   double bars = get(room.measure[0], k);

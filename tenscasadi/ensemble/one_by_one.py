@@ -139,8 +139,7 @@ class _Block:
                 self.bars = bars.copy()
             bad[~(bars <= q["broken"] + self.bars)] = BROKEN
             bad[np.isnan(bars)] = NOT_FINITE
-        if step:
-            bad[np.any(np.abs(self._x) > q["beyond"], axis=1)] = BEYOND
+        bad[np.any(np.abs(self._x) > q["beyond" if step else "largest"], axis=1)] = BEYOND
         bad[~np.all(np.isfinite(self._x), axis=1)] = NOT_FINITE
         self._mark(bad, step)
         fine = self.status == FINISHED

@@ -20,7 +20,7 @@ _FIELDS: dict[str, Any] = {
     **dict.fromkeys(("row", "count", "length", "decides", "states", "inputs", "parameters"), _ARRAY),
     **dict.fromkeys(("decision", "given", "reference", "gains", "lower", "upper"), _ARRAY),
     **dict.fromkeys(("referred", "correct_every", "save_every", "look_every", "rows"), _NUMBERS),
-    **dict.fromkeys(("broken", "beyond"), _REAL),
+    **dict.fromkeys(("broken", "beyond", "largest"), _REAL),
     **dict.fromkeys(("last", "saved", "measured", "worst", "cost", "status", "fault", "good", "next", "done", "stop"), _ARRAY),
 }
 

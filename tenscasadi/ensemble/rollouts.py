@@ -19,7 +19,7 @@ from tenscasadi.ensemble.kernel import Kernel, build_kernel
 from tenscasadi.ensemble.request import MEASURED, STOPPED
 from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
 from tenscasadi.util.validate import flag, instance, whole_number
 
@@ -107,6 +107,7 @@ def rollouts(
     instance("model", model, Model, "a tenscasadi.Model")
     if model.mechanism.turn is not None:  # results tell where in the state each coordinate of a node is
         raise ValueError('model has rollers along no axis in reduced coordinates: give a Model(scene, coordinates="full")')
+    check_scheme(scheme)
     if correction is not None:
         instance("correction", correction, (Projection, BarLengthCorrection), "Projection(every), BarLengthCorrection(weight) or None")
     flag("progress", progress)

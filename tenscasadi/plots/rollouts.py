@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.plots.panels import FilePath, make_panels, save_figure
-from tenscasadi.util.validate import Array, choice, finite_array, instance, real_array, text, whole_number
+from tenscasadi.util.validate import Array, finite_array, instance, real_array, shown, text, whole_number
 
 _SHARES = (0.05, 0.25)  # of the motions below a band, and above it
 _DRAWN = 200  # motions drawn one by one beneath the bands
@@ -64,13 +64,13 @@ def fan(
     ['x of node 2 (m)', 'y of node 2 (m)']
     """
     good = _succeeded(rollouts)
-    for axis in text("axes", axes) or " ":
-        choice("axes", axis, *"xyz")
+    if not text("axes", axes) or sorted(set(axes) & set("xyz")) != sorted(axes):
+        raise ValueError(f"axes is {shown(axes)}: give some of x, y and z, each once, such as 'xz'")
     shares = np.sort(finite_array("bands", bands, (None,)))
     if np.any((shares < 0) | (shares >= 0.5)):
         raise ValueError(f"bands is {shares}: give shares of 0 or more, less than 0.5")
     places = rollouts.path(node)[good]
-    figure, panels = make_panels(len(axes), "time (s)", title or f"{len(places)} of {len(good)} motions")
+    figure, panels = make_panels(len(axes), "time (s)", text("title", title) or f"{len(places)} of {len(good)} motions")
     for ax, axis in zip(panels, axes, strict=True):
         values = places[:, :, "xyz".index(axis)]
         shown = values[np.linspace(0, len(values) - 1, min(len(values), _DRAWN)).astype(int)]
@@ -142,7 +142,7 @@ def histogram(
     values = finite_array("outcome", values[good], (None,))
     text("label", label)
     count: Any = "auto" if bins is None else whole_number("bins", bins, 1, 10_000)
-    figure, (ax,) = make_panels(1, label, title or f"{len(values)} of {len(good)} motions")
+    figure, (ax,) = make_panels(1, label, text("title", title) or f"{len(values)} of {len(good)} motions")
     ax.hist(values, bins=count if np.ptp(values) > _smallest(values) else 1, color="C0", alpha=0.75)
     for share, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
         place = float(np.quantile(values, share))

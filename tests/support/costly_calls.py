@@ -53,9 +53,17 @@ def measuring_calls() -> dict[str, Call]:
     start = {"state": timed().initial_state, "control": None}
     study = {"models": timed(), "t_end": 0.01, "schemes": (tc.RungeKutta4(),), "steps": (0.01,), "reference": None, "state": None, "control": None,
              "corrections": (None,), "compiled": (False,), "repeats": 1, "progress": False}  # fmt: skip
+    many = {"model": timed(), "t_end": 0.01, "step": 0.01, "states": np.tile(timed().initial_state, (2, 1)), "controls": np.zeros((2, 0)),
+            "parameters": {}, "scheme": tc.RungeKutta4(), "correction": tc.Projection(), "save_every": 1, "threads": 1,
+            "progress": False}  # fmt: skip
+    driven = {"model": cross(), "t_end": 0.1, "step": 0.02, "states": cross().initial_state, "controls": tracker().feedback}
     derivatives = {"model": timed(), "start": timed().initial_state, "t_end": 0.01, "step": 0.01, "scheme": tc.RungeKutta4(), "control": None,
                    "correction": tc.Projection(), "of": lambda x, u: x[0], "by": "state", "mode": "forward", "compiled": False}  # fmt: skip
     return {
+        "rollouts": (tc.rollouts, many),
+        "rollouts, controls": (tc.rollouts, {**driven, "controls": np.full((2, 3, 2), 10.0)}),
+        "rollouts, feedback": (tc.rollouts, driven),
+        "Feedback": (tc.Feedback, {name: getattr(tracker().feedback, name) for name in ("time", "controls", "states", "gains", "lower", "upper")}),
         "sensitivities": (tc.sensitivities, derivatives),
         "certify": (tc.certify, {"model": timed(), "t_end": 0.01, **start, "accuracy": 1e-3, "enough": 1e-3, "compiled": False, "work": 1e6}),
         "recommend": (
@@ -116,7 +124,11 @@ def drawing_calls() -> dict[str, Call]:
         watch(now)
         return watch.figure()
 
+    many = tc.rollouts(cross(), 0.1, 0.02, [cross().initial_state] * 3, save_every=1)
     return {
+        "plots.fan": (plots.fan, {"rollouts": many, "node": 1, "axes": "xz", "bands": [0.1, 0.2], **named}),
+        "plots.histogram": (plots.histogram, {"rollouts": many, "outcome": many.final[:, 0], "label": "x", "bins": 3, **named}),
+        "Rollouts.path": (many.path, {"node": 1}),
         "plots.structure": (plots.structure, {"what": motion, "tension": np.ones(9), "time": 0.01, "labels": True, **named}),
         "plots.time_lapse": (plots.time_lapse, {"trajectory": motion, "instants": 2, **named}),
         "plots.node_histories": (plots.node_histories, {"trajectory": motion, "nodes": [0, 1], **named}),

@@ -133,6 +133,8 @@ def test_a_motion_that_fails_says_why_and_fails_alone(prism):
     assert "the start is off the lengths of its bars" in many.message[3]
     np.testing.assert_array_equal(many.states[2], alone.states[2])
     assert np.isnan(many.final[:2]).all()
+    x[0, 3] = 1e101
+    assert tc.rollouts(prism, T_END, STEP, x).message[0] == "the start is not one: the state is beyond any physical size"
     x[3, 0] += 2.0
     assert tc.rollouts(prism, T_END, STEP, x).success.tolist() == [False, False, True, False]
 

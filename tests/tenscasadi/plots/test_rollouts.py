@@ -48,8 +48,9 @@ def test_a_histogram_counts_those_that_succeeded(many):
     ("draw", "told"),
     [
         (lambda many: plots.fan(many, 2), "node is 2"),
-        (lambda many: plots.fan(many, 1, "xq"), "axes is 'q'"),
-        (lambda many: plots.fan(many, 1, ""), "axes is ' '"),
+        (lambda many: plots.fan(many, 1, "xq"), "axes is 'xq'"),
+        (lambda many: plots.fan(many, 1, "xx"), "axes is 'xx'"),
+        (lambda many: plots.fan(many, 1, ""), "axes is ''"),
         (lambda many: plots.fan(many, 1, bands=[0.5]), "bands is"),
         (lambda many: plots.fan(3, 1), "rollouts is 3"),
         (lambda many: plots.histogram(many, np.zeros(3)), r"outcome has shape \(3,\)"),
