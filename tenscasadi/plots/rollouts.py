@@ -73,8 +73,8 @@ def fan(
     figure, panels = make_panels(len(axes), "time (s)", text("title", title) or f"{len(places)} of {len(good)} motions")
     for ax, axis in zip(panels, axes, strict=True):
         values = places[:, :, "xyz".index(axis)]
-        shown = values[np.linspace(0, len(values) - 1, min(len(values), _DRAWN)).astype(int)]
-        ax.plot(rollouts.time, shown.T, color="0.6", linewidth=0.4, alpha=0.35, zorder=1)
+        drawn = values[np.linspace(0, len(values) - 1, min(len(values), _DRAWN)).astype(int)]
+        ax.plot(rollouts.time, drawn.T, color="0.6", linewidth=0.4, alpha=0.35, zorder=1)
         for k, share in enumerate(shares):
             low, high = np.quantile(values, [share, 1 - share], axis=0)
             label = f"{share:.0%} … {1 - share:.0%}"
