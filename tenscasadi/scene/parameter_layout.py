@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from tenscasadi.scene.parameters import GROUPED, QUANTITIES, Parameters
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, nesting, shown
 
 HEAVIEST = 1e12  # times the lightest bar: what rounding leaves of a bar that is heavier does not hold it
@@ -41,7 +42,7 @@ class Affine(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ParameterLayout:
+class ParameterLayout(ReadOnlyArrays):
     """The parameter vector p of a model: names, units and nominal values of its entries.
 
     `Model.parameters` is one; it is empty for a scene without `Parameters`.

@@ -1,5 +1,8 @@
 """Runs of a model with parameters equal those of models that are built with the values."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -232,3 +235,38 @@ def test_masses_on_rollers_in_full_coordinates():
     mast = tc.Structure([(0, 0, 0), (0.3, 0, 2)], [(0, 1)], pinned={0: "z"}, rollers={1: (1, 0, 1)}, node_mass=0.2)
     given, p, built = pair(mast, ("bar_mass", "node_mass", "gravity"), "full", ground=None)
     assert_same(*(tc.simulate(m, 0.1, parameters=q, compiled=False) for m, q in ((given, p), (built, None))), 1e-11)
+
+
+SCALED = tc.Parameters(scale=["stiffness", "damping", "rest_length", "bar_mass", "gravity", "forces", "ground_stiffness", "ground_friction"])
+GROUPED = tc.Parameters("bar_mass", "damping", scale=["stiffness"], groups={"bar_mass": [[0, 2]], "damping": "all", "stiffness": [[0, 1], [5]]})
+
+
+@pytest.mark.parametrize("parameters", [SCALED, GROUPED], ids=["scaled", "grouped"])
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_scales_and_groups(parameters, coordinates):
+    loads = {"gravity": tc.Gravity(lambda t: (0, 0, -9.81 * (1 + t))), "forces": tc.NodalForce(lambda t: [[t, 0, 0]] * 6), "ground": ground()}
+    given = tc.Model(tc.Scene(prism(), parameters=parameters, **loads), coordinates)
+    p = given.parameters.nominal * np.random.default_rng(0).uniform(0.8, 1.2, given.np)
+    built = given.fixed(p)
+    assert built.np == 0
+    assert_same(*(tc.simulate(m, 0.05, parameters=q, compiled=False) for m, q in ((given, p), (built, None))), 1e-11)
+
+
+@pytest.mark.parametrize("slack", [tc.Smooth(1e-3), tc.Linear(), [tc.Clip()] * 3 + [tc.Smooth(1e-3)] * 3 + [tc.Clip(damping="unclamped")] * 3])
+def test_every_law_of_a_string_takes_parameters(slack):
+    given, p, built = pair(prism(), (*STRINGS, "bar_mass"), slack=slack)
+    for scheme in (tc.RungeKutta4(), tc.Collocation(2), tc.DormandPrince54(rtol=1e-6)):
+        runs = (tc.simulate(m, 0.05, 1e-3, scheme, parameters=q, compiled=False) for m, q in ((given, p), (built, None)))
+        assert_same(*runs, 1e-9)
+
+
+def test_models_with_parameters_survive_copies():
+    model = tc.Model(tc.Scene(prism(), parameters=GROUPED))
+    for again in (pickle.loads(pickle.dumps(model)), copy.deepcopy(model)):  # noqa: S301
+        assert again.parameters.names == model.parameters.names
+        assert not again.parameters.nominal.flags.writeable
+        x, p = model.initial_state, 1.1 * model.parameters.nominal
+        assert np.array_equal(again.ode(x, [], p).full(), model.ode(x, [], p).full())
+    layout = pickle.loads(pickle.dumps(model.parameters))  # noqa: S301
+    assert not layout.nominal.flags.writeable
+    assert np.array_equal(layout.values(p), p)
