@@ -32,8 +32,7 @@ class Mppi:
     ----------
     problem : Problem
         What is asked. Its costs are integrated over the horizon, at whose end its goals are to be met as nearly as they can. Limits of force
-        densities are kept; overstepping its other bounds at the decisions' times costs much. Its duration is a scale only. Parameters of its model
-        have their nominal values.
+        densities are kept; overstepping its other bounds at the decisions' times costs much. Its duration is a scale only.
     period : float
         Time from one decision to the next, s.
     horizon : float
@@ -194,10 +193,9 @@ class Mppi:
     def _costs(self, time: float, state: Array, tried: Array) -> Array:
         """Return the cost (samples,) of the motion from a state under each of the force densities; inf or NaN where it diverges."""
         count, K, nu = tried.shape
-        inputs = np.empty((count, K, self.model.nw + 1))
+        inputs = np.empty((count, K, nu + 1))
         inputs[:, :, :nu] = tried
-        inputs[:, :, nu:-1] = self.model.parameters.nominal
-        inputs[:, :, -1] = time + self.period * np.arange(1, K + 1)
+        inputs[:, :, nu] = time + self.period * np.arange(1, K + 1)
         save = None if self._rate_cost is None else self._steps
         rolled = self._kernel(state[None], inputs, self.period / self._steps, self._steps, save)
         cost = rolled.cost

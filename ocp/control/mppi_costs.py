@@ -21,7 +21,7 @@ OVERSTEP = 1e5  # what overstepping a limit costs along a whole horizon, in scal
 class HorizonCosts(NamedTuple):
     """The costs of a motion over a horizon, in parts that are summed.
 
-    stage: Function (x, w) → cost per second, w = [γ; p; time]; final: Function (x, w) → cost of the end. control: Function γ (α, K) → cost
+    stage: Function (x, w) → cost per second, w = [γ; time]; final: Function (x, w) → cost of the end. control: Function γ (α, K) → cost
     of the force densities alone. rates: Function (x, γ, x⁺, γ⁺) → cost of what changes from one period to the next; None where nothing is
     limited.
     """
@@ -53,9 +53,9 @@ def horizon_costs(problem: Problem, scales: Scales, period: float, intervals: in
 
 
 def _instant(problem: Problem) -> tuple[Instant, Any]:
-    """Return an instant, and w = [γ; p; time] of which it is."""
+    """Return an instant, and w = [γ; time] of which it is."""
     now = symbolic(problem.model)
-    return now, ca.vertcat(now.control, type(now.time).sym("p", problem.model.np), now.time)
+    return now, ca.vertcat(now.control, now.time)
 
 
 def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:

@@ -113,6 +113,7 @@ def test_a_moving_place_is_followed():
     assert abs(motion.nodes[late, 1, 0] - 0.4 * np.sin(3 * motion.time[late])).max() < 0.15
 
 
+@pytest.mark.slow
 def test_limits_of_the_path_are_kept():
     free, held = (ocp.run(ocp.Mppi(problem(*bounds), 0.05, 0.4), 1.0).trajectory for bounds in ((), (ocp.TensionLimits(upper=3.0),)))
     assert free.tension.max() > 3.3

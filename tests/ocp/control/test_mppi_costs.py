@@ -76,6 +76,7 @@ def test_limits_of_rates_hold_from_the_last_decision_on():
     assert controller._costs(0.0, CROSS.initial_state, steady).min() > 100.0
 
 
+@pytest.mark.slow  # to compile
 def test_models_of_matrices_have_the_same_costs():
     chain = tc.Structure(
         [(k, 0, 0.1 * (-1) ** k) for k in range(9)], bars=[(k, k + 1) for k in range(8)], strings=[(k, k + 2) for k in range(7)], pinned=[0]
@@ -92,13 +93,12 @@ def test_models_of_matrices_have_the_same_costs():
     assert found[0] == pytest.approx(found[1], rel=1e-6)
 
 
-def test_parameters_have_their_nominal_values():
-    parametric = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity(), parameters=tc.Parameters("bar_mass")))
-    assert parametric.np == len(CROSS.structure.bars)
-    cost = ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities))
+def test_parameters_have_the_values_of_the_problem():
+    parametric = tc.Model(tc.Scene(CROSS.structure, control=tc.ForceDensity(), parameters=tc.Parameters("bar_mass")))
+    heavy = driven(CROSS.structure.replace(bar_mass=3.0))
     found = []
-    for model in (CROSS, parametric):
-        problem = ocp.Problem(model, bounds=[ocp.ForceDensityLimits(0.0, 9.0)], costs=[cost, ocp.Tracking({1: lambda t: (t, None, None)})])
-        controller = ocp.Mppi(problem, samples=4, initial=3.0)
+    for model, given in ((heavy, None), (parametric, {"bar_mass": 3.0})):
+        asked = {"bounds": [ocp.ForceDensityLimits(0.0, 9.0)], "costs": [ocp.Tracking({1: lambda t: (t, None, None)})], "parameters": given}
+        controller = ocp.Mppi(ocp.Problem(model, **asked), samples=4)
         found.append(controller._costs(0.3, model.initial_state, controller._perturbed()))
     assert found[1] == pytest.approx(found[0], rel=1e-9)
