@@ -273,6 +273,7 @@ class StateSpace:
             x, w = kind.sym("x", self.nx), kind.sym("w", self.nw)
             outputs = function.call([x, w[: self.nu], w[self.nu :]], True, False)
             self.functions[key] = ca.Function(function.name(), [x, w], outputs, ["x", "w"], function.name_out())
+            self.functions[("kept", *key)] = function  # its hash is its place in memory, which no other one may have
         return self.functions[key]
 
     def _function(self, name: str, x: Any, w: Any, outputs: list[Any], names: list[str]) -> ca.Function:

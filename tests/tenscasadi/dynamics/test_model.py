@@ -216,3 +216,12 @@ def test_parameters_may_be_symbols() -> None:
     driven = Model(Scene(Structure(**PRISM), control=RestLength(), parameters=Parameters("stiffness")))
     with pytest.raises(ValueError, match="give the control, too"):
         driven.tension(driven.initial_state, parameters=p)
+
+
+def test_each_function_is_stacked_for_itself() -> None:
+    model = Model(Scene(Structure(**PRISM), parameters=Parameters("stiffness")))
+    x, p = model.initial_state, model.parameters.nominal
+    for factor in range(1, 20):  # CasADi gives the memory of one that is gone to the next
+        own = ca.Function("own", model.ode.sx_in(), [factor * ca.sum1(model.ode.sx_in()[2])])
+        assert float(model.stacked(own)(x, p)) == pytest.approx(factor * p.sum())
+        del own
