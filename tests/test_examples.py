@@ -9,6 +9,7 @@ import sys
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 from loading import EXAMPLES, load_example
 
@@ -52,6 +53,13 @@ def ball_travels(rows: Any) -> None:
     for row in rows:
         assert row.ahead > 0.3 * row.motion.time[-1]
         assert row.motion.nodes[:, :, 2].mean(axis=1).min() > 0.2  # it has not collapsed
+
+
+def learn_to_travel(learned: Any) -> None:
+    medians = np.median(learned.distance, axis=1)
+    assert medians[-1] > medians[0] + 0.05
+    assert [count for count, _ in learned.speeds] == [1, 1024]
+    assert learned.speeds[1][1] > learned.speeds[0][1]
 
 
 def prism_gait(result: Any) -> None:
@@ -127,6 +135,7 @@ CLAIMS = (
     ball_rolls,
     ball_on_terrain,
     ball_travels,
+    learn_to_travel,
     prism_gait,
     benchmark_rhs,
     benchmark_rollouts,
