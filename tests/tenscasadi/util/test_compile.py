@@ -18,7 +18,7 @@ import pytest
 
 import tenscasadi as tc
 from tenscasadi.util import compile as compiled
-from tenscasadi.util.compile import CompileError, cache_folder, compile_function, find_compiler
+from tenscasadi.util.compile import CompileError, cache_folder, compile_function, compile_library, find_compiler
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
@@ -524,3 +524,24 @@ def test_a_function_is_computed_in_float_and_called_in_double() -> None:
     buffer.set_res(0, out.data)
     run()
     assert np.array_equal(out, part.full().ravel())
+
+
+@needs_compiler
+def test_cpp_is_compiled_once_and_sealed(cache: Path, count: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    source = (
+        'template <int n> int number() { return n; }\nextern "C" __attribute__((visibility("default"))) int answer(void) { return number<42>(); }'
+    )
+    assert [compile_library("answer", source).answer() for _ in range(2)] == [42, 42]
+    assert len(count) == 1
+    (library,) = cache.glob("answer-*")
+    whole = library.read_bytes()
+    library.unlink()
+    library.write_bytes(whole[: len(whole) // 2])  # as a full disk leaves it
+    library.chmod(0o700)
+    assert compile_library("answer", source).answer() == 42
+    assert len(count) == 2
+    with pytest.raises(CompileError, match="failed with code 1"):
+        compile_library("answer", "class {")
+    monkeypatch.setattr(compiled, "find_compiler", lambda: None)
+    with pytest.raises(CompileError, match="no C compiler found"):
+        compile_library("answer", source)
