@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscasadi.util.interval_arithmetic import UnknownOperation, bound
 from tenscasadi.util.validate import Array
 
 _CASADI = (ca.SX, ca.MX, ca.DM)
@@ -21,6 +22,7 @@ _STEEP = 10.0  # times the median of a run: values above are looked at more clos
 _FINEST = 100  # roundings of the time: no closer
 _LAST, _GROWS = 4, 10.0  # what grows as much in so many looks, each on a tenth of the last, has no end
 _ROUNDINGS = 4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
+_REFINEMENTS = 40  # halvings of a part of a run in which a condition may hold for a short time
 _BISECTIONS = 60  # from a part of a run to the last digit
 _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  # they switch where both operands are equal
 _SIGNED = (ca.OP_SIGN, ca.OP_FABS)  # they switch where their operand is 0
@@ -59,7 +61,8 @@ def find_breaks(function: ca.Function, first: float, last: float) -> Array:
     found = [] if values is None else list(_switches(values))  # what cannot be expanded cannot be looked into
     if not found:
         return np.empty(0)
-    switches, times = ca.Function("switches", [t], [ca.vertcat(*found)]), probe_times(first, last)
+    switches = ca.Function("switches", [t], [ca.densify(ca.vertcat(*found))])
+    times = _refine(switches, probe_times(first, last))
     signs = np.sign(switches(times[None]).full())
     which, part = np.nonzero(signs[:, 1:] != signs[:, :-1])
     low, high, before = times[part], times[part + 1], signs[which, part]
@@ -70,6 +73,24 @@ def find_breaks(function: ca.Function, first: float, last: float) -> Array:
         same = np.sign(switches(middle[None]).full())[which, np.arange(len(which))] == before
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     return np.unique(high)
+
+
+def _refine(switches: ca.Function, times: Array) -> Array:
+    """Return `times` and more between them, where a switching function may change its sign twice from one to the next."""
+    low, high, found = times[:-1], times[1:], [times]
+    try:
+        for _ in range(_REFINEMENTS):
+            bounds = bound(switches, low, high)
+            ends = (np.sign(switches(edge[None]).full()) for edge in (low, high))
+            hidden = ((bounds.low < 0) & (bounds.high > 0) & (next(ends) == next(ends))).any(axis=0)
+            if not hidden.any() or np.count_nonzero(hidden) > _PROBES:
+                break
+            middle = (low[hidden] + high[hidden]) / 2
+            found.append(middle)
+            low, high = np.concatenate([low[hidden], middle]), np.concatenate([middle, high[hidden]])
+    except UnknownOperation:  # the times have to do
+        pass
+    return np.unique(np.concatenate(found))
 
 
 def expand(function: ca.Function, t: ca.SX) -> ca.SX | None:

@@ -31,6 +31,8 @@ def run(t_end: float = 1.0, **loads: Any) -> Any:
         (lambda t: 0.1 * (t > 0.5), r"the position \(m\) jumps by 0\.1 at t = 0\.5 s"),
         (lambda t: 0.1 * ((t > 0.5) * (t < 0.50001)), r"the position \(m\) jumps by 0\.1 at t = 0\.5"),
         (lambda t: 0.1 * (t > 0), r"the position \(m\) jumps"),
+        (lambda t: 0.1 * (ca.sin(300 * t) > 0.9999999), r"the position \(m\) jumps by 0\.1 at t = 0\.0052"),
+        (lambda t: 0.1 * ((t - 0.51234) ** 2 < 1e-14), r"the position \(m\) jumps by 0\.1 at t = 0\.51234"),
         (lambda t: np.floor(3 * t), r"the position \(m\) jumps by 1 at t = 0\.333333 s"),
         (lambda t: ca.fmax(t - 0.5, 0), r"the velocity \(m/s\) jumps by 1 at t = 0\.5 s"),
         (lambda t: ca.if_else(t > 0.25, 0.1 * ca.sin(40 * t - 10), 0), r"the velocity .* at t = 0\.25 s"),
