@@ -138,8 +138,8 @@ def test_the_share_of_the_variance_in_closed_form():
     rng = np.random.default_rng(0)
     a, b, c = rng.uniform(-1, 1, (3, 20000, 1))
     both = rng.uniform(-1, 1, (20000, 3))
-    misses = np.hstack([3 * a + 2 * b, 4 * both[:, [1]], c**2])
-    variances = {"a": 9 / 3, "b": 4 / 3, "start": 16 / 3, "c": 4 / 45}  # of uniform draws, and of their squares
+    misses = np.hstack([3 * a + 2 * b, 4 * both[:, [1]], 5 * c**2])
+    variances = {"a": 9 / 3, "b": 4 / 3, "start": 16 / 3, "c": 25 * 4 / 45}  # of uniform draws, and of their squares
     total = sum(variances.values())
     shares = share_variance({"a": a, "b": b, "start": both, "c": c}, misses)
     assert shares == pytest.approx({name: value / total for name, value in variances.items()}, abs=0.01)
