@@ -273,7 +273,8 @@ class Terrain(ReadOnlyArrays, Surface):
 
     The depth is (h − z) cos θ, with the cosine of the slope bilinear between the grid's points, too (there from central differences):
     exactly the distance to a plane, and elsewhere without jumps. The push is the gradient of the energy k d²/2, so that energy is kept.
-    From cell to cell the slope jumps, and the push its direction.
+    From cell to cell the slope jumps, and the push its direction: a node that comes to lie in a groove between two cells chatters from one
+    to the other. Fixed steps pass over that; schemes that control their error need a tolerance above about 1e-8, or a finer grid.
 
     Examples
     --------
@@ -350,7 +351,10 @@ class Terrain(ReadOnlyArrays, Surface):
         )
         cell, rows = ca.MX.sym("cell"), self.heights.shape[0] + 2
         found = points(ca.horzcat(*(cell + offset for offset in (0, 1, rows, rows + 1)))).T
-        return ca.Function("corners", [cell], [ca.vec(found)], {"never_inline": True})  # scalar code calls it: it cannot look up itself
+        # Which cell it is does not change with a small step. The zeros are stored: of a derivative without entries CasADi's scalars make NaN.
+        still = ca.Function("jac_corners", [cell, ca.MX.sym("out", 8)], [ca.DM.zeros(8, 1)], ["cell", "out_corners"], ["jac_corners_cell"])
+        options = {"never_inline": True, "custom_jacobian": still, "enable_forward": False, "enable_reverse": False}
+        return ca.Function("corners", [cell], [ca.vec(found)], ["cell"], ["corners"], options)  # scalar code calls it: it cannot look up itself
 
 
 def _bilinear(corners: Any, s: Any, t: Any) -> tuple[Any, Any, Any]:
