@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,7 @@ _TOLERANCES = (1e-10, 1e-12, 1e-14)
 _GRID = 50  # parts of a run with control of the error, at least as many steps
 _ROUNDING = 1e-10  # of the structure's size: solutions that differ by less and cease to converge, do so by rounding
 _RESOLUTION = 1e-6  # share of the largest value of a function of time that steps may leave unseen
+_LEAST_SECONDS = 0.1  # for a solution that is begun
 _FASTER = 10.0  # compiled code against the virtual machine
 
 
@@ -79,6 +81,7 @@ def certify(
     compiled: bool | None = None,
     work: float = 1e10,
     parameters: Any = None,
+    seconds: float | None = None,
 ) -> Reference:
     """Compute where a motion ends, with an estimate of the error, from two schemes whose steps are refined until both agree.
 
@@ -108,6 +111,8 @@ def certify(
         Instructions that a solution may take; without machine code a tenth of them.
     parameters : array_like, shape (np,), or mapping, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
+    seconds : float, optional
+        Wall time that the solutions may take together, s; the best pair by then counts. None: no limit.
 
     Returns
     -------
@@ -137,22 +142,24 @@ def certify(
     enough = min(_ENOUGH * size, accuracy) if enough is None else positive_number("enough", enough)
     work = positive_number("work", work) / (1 if compiled is not False else _FASTER)
     parameters = model.parameters.values(parameters)
-    pairs = _Pairs(model, t_end, {"state": state, "control": control, "compiled": compiled, "parameters": parameters})
+    deadline = np.inf if seconds is None else time.perf_counter() + positive_number("seconds", seconds)
+    pairs = _Pairs(model, t_end, deadline, {"state": state, "control": control, "compiled": compiled, "parameters": parameters})
     for count in _step_counts(model, t_end, state, work, parameters):
         before = pairs.apart
         pairs.try_steps(count)
-        if pairs.error <= enough or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size)):
+        if pairs.late or pairs.error <= enough or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size)):
             break  # finer steps only round more
         if pairs.apart > before / _FINER**3 and build_switching(model) is not None:
             break
-    if pairs.error > enough and pairs.apart > _ROUNDING * size and (build_switching(model) is not None or model.scene.over_time):
+    if not pairs.late and pairs.error > enough and pairs.apart > _ROUNDING * size and (build_switching(model) is not None or model.scene.over_time):
         for rtol in _TOLERANCES:
             pairs.try_tolerance(rtol)
-            if pairs.error <= enough:
+            if pairs.late or pairs.error <= enough:
                 break
     if pairs.best is not None and pairs.error <= accuracy:
         return pairs.best
     why = f"{pairs.best.message}, wanted {accuracy:.2g} m" if pairs.best is not None else f"the solutions diverge, the last: {pairs.fault}"
+    why += f"; seconds = {seconds:g} were too few" if pairs.late else ""
     raise NoReference(
         f"no reference up to t_end = {t_end:g} s: {why}; give a smaller t_end (chaotic and unstable motions lose all digits), "
         "a larger accuracy or more work, or remove slack and impact events by Smooth(width)"
@@ -162,8 +169,8 @@ def certify(
 class _Pairs:
     """Pairs of solutions, the best so far, and how far the last pair ends apart (infinite when one fails)."""
 
-    def __init__(self, model: Model, t_end: float, options: dict[str, Any]) -> None:
-        self._model, self._t_end = model, t_end
+    def __init__(self, model: Model, t_end: float, deadline: float, options: dict[str, Any]) -> None:
+        self._model, self._t_end, self._deadline = model, t_end, deadline
         self._options = {**options, "energy_balance": False}
         sampled = [load.field for load in model.scene.over_time if not is_bounded(load)]
         self._unknown = f"; {' and '.join(sampled)} known by samples alone, pulses between them are not seen" if sampled else ""
@@ -174,6 +181,11 @@ class _Pairs:
     def error(self) -> float:
         """Error of the best pair, m; infinite when there is none."""
         return np.inf if self.best is None else self.best.error
+
+    @property
+    def late(self) -> bool:
+        """Whether the wall time is over."""
+        return time.perf_counter() > self._deadline
 
     def try_steps(self, count: int) -> None:
         """Solve with `count` steps of order 8 and four times as many of order 5; no multiple: they meet events at different places of a step."""
@@ -199,7 +211,8 @@ class _Pairs:
                 self.fault = unseen.removeprefix("; ")
                 return
             with resolving(_RESOLUTION):
-                run = simulate(self._model, self._t_end, self._t_end / count, scheme, save_every=count, **self._options)
+                left = None if np.isinf(self._deadline) else max(_LEAST_SECONDS, self._deadline - time.perf_counter())
+            run = simulate(self._model, self._t_end, self._t_end / count, scheme, save_every=count, seconds=left, **self._options)
             if run.interrupted:
                 raise KeyboardInterrupt
             if not run.success:

@@ -35,6 +35,7 @@ _MARGIN = 0.7  # of the tolerance that the measured error may take, with that of
 _CLOSE = 1.15  # the step found is this close to the largest that serves
 _TRIES = 40  # runs to find one step
 _REPEATS = 3  # timed runs
+_LEAST_SECONDS = 0.1  # for a run that is begun
 _MANY = 2048  # equal steps beyond which one is timed, and not the whole run
 
 _SHORT = 2e7  # instructions that the virtual machine is through with before they are compiled
@@ -177,7 +178,8 @@ def recommend(
     enough, double = _REFERENCE * tolerance, None if isinstance(compiled, Single) else compiled
     start = None if state is None else finite_array("state", state, (model.nx,))
     p = model.parameters.values(parameters)
-    reference = certify(model, t_end, start, control, accuracy=enough, enough=enough, compiled=double, work=_PROOF * seconds, parameters=p)
+    limits = {"accuracy": enough, "enough": enough, "work": _PROOF * seconds, "seconds": seconds}
+    reference = certify(model, t_end, start, control, compiled=double, parameters=p, **limits)
 
     ways = [Case(model, scheme, correction, t_end, start, control, compiled, p) for scheme, correction in product(schemes, corrections)]
     best, told = _find_cheapest(ways, _Goal(reference.nodes, _MARGIN * tolerance - reference.error, time.perf_counter() + seconds, seconds))
@@ -309,7 +311,7 @@ def _measure(case: Case, step: float, price: _Price, goal: _Goal, uncompiled: bo
     swift = replace(case, compiled=False) if uncompiled and case.compiled is None else case
 
     def run() -> Trajectory:
-        return swift.run(step, energy_balance=False, save_every=10**9)
+        return swift.run(step, energy_balance=False, save_every=10**9, seconds=max(_LEAST_SECONDS, goal.deadline - time.perf_counter()))
 
     first = run()
     error = distance(end_nodes(case.model, first), goal.nodes) if first.success else np.inf

@@ -83,6 +83,9 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
     parts = run.energy_parts
     scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
     rounding = _ROUNDING[isinstance(compiled, Single)] * float(np.abs(parts).max() + run.tension.sum(axis=1).max() * np.ptp(run.nodes))
+    s = model.structure
+    crossing = float(s.bar_mass.sum() + s.node_mass.sum()) * (extent(model) / float(run.time[-1])) ** 2  # of a run by which all cross their own size
+    rounding += _EPSILON * crossing
     largest = float(np.abs(run.energy_error).max())
     trusted = not largest > max(_LOST_TRUST * scale, rounding)  # NaN: not known
     if largest > max(LOST_ENERGY * scale, rounding):

@@ -17,7 +17,7 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, append_constants, sample_control
 from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
-from tenscasadi.simulation.steppers import Report, StepFailure, Stepper, Task, make_stepper
+from tenscasadi.simulation.steppers import OutOfTime, Report, StepFailure, Stepper, Task, make_stepper
 from tenscasadi.simulation.time_grid import cut_at_changes
 from tenscasadi.simulation.trajectory import Trajectory, first_rows, observe_states, record_trajectory
 from tenscasadi.util.compile import Compiled, Single
@@ -29,7 +29,7 @@ _LOOK_SECONDS = 0.5  # wall time between checks of the bar lengths
 _CLOCK_LOSS = 1e-6  # share of a step that rounding may take off the clock
 
 
-def simulate(
+def simulate(  # noqa: PLR0913  the options of a run
     model: Model,
     t_end: float,
     step: float | None = None,
@@ -42,6 +42,7 @@ def simulate(
     progress: bool = False,
     *,
     energy_balance: bool = True,
+    seconds: float | None = None,
     parameters: Any = None,
 ) -> Trajectory:
     """Simulate the motion of a model from time 0 on.
@@ -76,6 +77,9 @@ def simulate(
     energy_balance : bool, optional
         False leaves out the account of the work of damping, contact and control, which takes time; `energy_error` is then NaN where it
         needs that account.
+    seconds : float, optional
+        Wall time after which the run stops, s, as by Ctrl-C: `success` is False, and what it has is kept. It is looked at after each piece of
+        steps that is computed at once. Default: no limit.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters (`Scene.parameters`), or of some by name, see `ParameterLayout.values`. One compiled loop serves all
         values. Default: nominal.
@@ -125,9 +129,10 @@ def simulate(
     start = np.array(model.start_at(p) if state is None else finite_array("state", state, (model.nx,)))
     inputs = lay_run(model, start, t_end, step, scheme, control, p)
     every = max(1, -(-inputs.steps // _ROWS)) if save_every is None else whole_number("save_every", save_every, 1)
+    limit = np.inf if seconds is None else positive_number("seconds", seconds)
     power, jumps = energy_balance and model.power is not None, energy_balance and inputs.varies
     built = make_stepper(Task(model, scheme, correction, power, jumps), inputs, compiled)
-    run = _run(model, built.stepper, inputs, np.append(start, np.zeros(int(power or jumps))), every, progress)
+    run = _run(model, built.stepper, inputs, np.append(start, np.zeros(int(power or jumps))), every, progress, limit)
     with np.errstate(all="ignore"):  # rows after a fault overflow: they are cut below
         supplied = run.rows[:, model.nx] if power or jumps else np.nan if inputs.varies or model.power is not None else 0.0
         recorded = record_trajectory(
@@ -227,14 +232,15 @@ def _check_clock(latest: float, step: float) -> None:
         raise ValueError(f"state: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0")
 
 
-def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, every: int, progress: bool) -> _Run:
-    """Call `stepper` until the end of the run or its failure; keep each `every`-th state and the last."""
+def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, every: int, progress: bool, seconds: float) -> _Run:
+    """Call `stepper` until the end of the run, its failure or so many seconds are over; keep each `every`-th state and the last."""
     kept, rows, controls = _rows_to_keep(inputs.steps, every, len(start), model.nw)
     z, u = start, inputs.window(0, 1)
     rows[0], controls[0], count, reached = z, u[0], 1, (0, z, u[0])
     interrupted, failure = False, ""
     pressed: list[bool] = []  # CasADi's integrators make a failure of the KeyboardInterrupt that Ctrl-C raises
     began = looked = time.perf_counter()
+    stepper.deadline = began + seconds
     try:
         with (
             on_interrupt(lambda: pressed.append(True), then_raise=True),
@@ -257,11 +263,15 @@ def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, e
                     if count < len(kept):  # what is not finite stays so up to the next row
                         rows[count], controls[count], count = z, u[-1], count + 1
                     break
+                if time.perf_counter() > stepper.deadline and first + taken < inputs.steps:
+                    raise OutOfTime
                 if time.perf_counter() - looked > _LOOK_SECONDS:
                     looked = time.perf_counter()
                     newest = rows[[0, count - 1], : model.nx]
                     if first_fault(newest, observe_states(model, newest, controls[[0, count - 1]])["bar_length_error"][:, 0])[1]:
                         break
+    except OutOfTime:
+        failure = f"seconds = {seconds:g} of wall time are over: give more, or a scheme and step that take less"
     except StepFailure as error:
         interrupted, failure = bool(pressed), "" if pressed else str(error)
     except KeyboardInterrupt:

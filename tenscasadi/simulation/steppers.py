@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Hashable
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
@@ -41,10 +42,15 @@ class StepFailure(RuntimeError):
     """Raised where a scheme cannot go on; the message says why and what to do."""
 
 
+class OutOfTime(Exception):
+    """Raised where the wall time of a run is over."""
+
+
 class Stepper(Protocol):
     """Object that advances z (nz,), the state and one entry for the energy supplied where that is asked for, `steps` grid steps a call."""
 
     steps: int
+    deadline: float  # by the clock `time.perf_counter`, s: a call that is made in pieces raises OutOfTime then
 
     def hold(self, controls: Array, lengths: Array) -> None:
         """Set the lengths (steps,), s, of the grid steps of the next calls, and the controls (steps + 1, nu) of these and of the one after."""
@@ -138,6 +144,8 @@ def _new_function(task: Task, steps: int) -> ca.Function:
 class LoopStepper:
     """Calls of `chunk_function`'s Function on NumPy memory, without conversions."""
 
+    deadline = np.inf
+
     def __init__(self, function: ca.Function, scheme: Scheme) -> None:
         self.steps = function.size2_in(1)
         self._z, self._h = np.zeros(function.size1_in(0)), np.zeros(self.steps)
@@ -173,6 +181,7 @@ class AdaptiveStepper:
     """One grid step a call, by as many attempts of `build_attempts` as the scheme's error control asks for."""
 
     steps = 1
+    deadline = np.inf
 
     def __init__(self, task: Task, scheme: EmbeddedRungeKutta, function: ca.Function, step: float) -> None:
         self._scheme, self._step, self._calls = scheme, step, 0
@@ -209,6 +218,8 @@ class AdaptiveStepper:
                 raise StepFailure("the state is not finite, whatever the step: give a start that can move")
             if self._memory[_REST] <= 0:
                 break
+            if time.perf_counter() > self.deadline:
+                raise OutOfTime
             if self._memory[_STEP] < _STUCK * self._step:
                 raise StepFailure(
                     f"{type(self._scheme).__name__} needs steps shorter than {_STUCK * self._step:.2g} s: the motion breaks down here, "
@@ -241,6 +252,8 @@ class SundialsStepper:
 
     What is corrected is what it returns: a start from a corrected state would cost its order, so that only each call makes one.
     """
+
+    deadline = np.inf
 
     def __init__(self, task: Task, scheme: Sundials, step: float) -> None:
         model, correction = task.model, task.correction

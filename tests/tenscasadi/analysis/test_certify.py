@@ -44,3 +44,12 @@ def test_where_nothing_or_little_moves(name: str, coordinates: Any) -> None:
     assert len(tc.tradeoff(model, t_end, [tc.RungeKutta4()], [0.01], compiled=(False,), repeats=1).rows) == 1
     tc.linearize(model)
     tc.modes(model)
+
+
+def test_a_reference_is_given_up_when_its_seconds_are_over() -> None:
+    """The falling bar meets the ground again and again: each pair of solutions takes longer than there is time for."""
+    bar = tc.Structure([[0, 0, 1], [0.5, 0, 1.3]], bars=[(0, 1)])
+    model = tc.Model(tc.Scene(bar, gravity=tc.Gravity(), ground=tc.Ground(1e6)))
+    with pytest.raises(tc.NoReference, match=r"seconds = 0\.5 were too few"):
+        tc.certify(model, 1e3, compiled=False, seconds=0.5)
+    assert tc.certify(model, 0.1, compiled=False, seconds=100.0).error < 1e-9

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from runs import moving, prism
 from scipy.special import ellipj, ellipk
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.scene import Scene
@@ -222,3 +223,20 @@ def test_mistakes_are_named(argument: str, value: Any, error: type[Exception]) -
     arguments: dict[str, Any] = {"model": prism(ForceDensity()), "t_end": 0.01, "compiled": False} | {argument: value}
     with pytest.raises(error, match=r"step|t_end" if argument in ("t_end", "step") else argument):
         simulate(**arguments)
+
+
+@pytest.mark.parametrize(("scheme", "step"), [(RungeKutta4(), 1e-3), (DormandPrince853(1e-12), 0.1), (DormandPrince54(1e-12), 1000.0)])
+def test_a_run_stops_when_its_seconds_are_over(scheme: Any, step: float) -> None:
+    """What it has is kept, as by Ctrl-C; one grid step alone may take longer than there is time for."""
+    model = Model(Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))))
+    began = time.perf_counter()
+    run = simulate(model, 1e5, step, scheme, compiled=False, save_every=1 if scheme.adaptive else 1000, seconds=0.3)
+    assert time.perf_counter() - began < 20.0
+    assert not run.success
+    assert not run.interrupted
+    assert "seconds = 0.3 of wall time are over" in run.message
+    assert np.isfinite(run.states).all()
+    assert (run.time[-1] == 0.0) == (step == 1000.0)
+    assert simulate(model, 0.1, scheme=scheme, compiled=False, seconds=100.0).success
+    with pytest.raises(ValueError, match="seconds is 0"):
+        simulate(model, 0.1, seconds=0)
