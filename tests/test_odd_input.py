@@ -92,6 +92,7 @@ HINTS: dict[str, tuple[str, ...]] = {  # fields that are asked about in place of
     **dict.fromkeys(("six_bar_ball", "prism", "d_bar", "t_bar", "membrane"), ("force_density",)),
     "ParameterLayout.values": ("parameters",),
     "Plan.robustness": ("Parameters",),
+    "Parameters": ("Parameters",),
     "Mppi": ("SplineNoise.deviation",),
     "Trajectory.load": ("trajectory",),
     "Plan.load": ("plan",),

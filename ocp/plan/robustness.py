@@ -142,7 +142,7 @@ def check_spreads(parameters: Any) -> dict[str, float]:
         return {}
     if not isinstance(parameters, Mapping):
         raise TypeError(f"parameters is {shown(parameters)}: give spreads by name, such as {{'bar_mass': 0.05}}")
-    spreads = {name: positive_number(f"parameters[{name!r}]", value, zero=True) for name, value in parameters.items()}
+    spreads = {name: positive_number(f"parameters[{shown(name)}]", value, zero=True) for name, value in parameters.items()}
     for name, value in spreads.items():
         if value >= 1:
             raise ValueError(f"parameters[{name!r}] is {value:g}: give a spread relative to its value, less than 1")

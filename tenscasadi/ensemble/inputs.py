@@ -15,6 +15,8 @@ from tenscasadi.simulation.control_input import ControlProfile, SampledControl, 
 from tenscasadi.simulation.simulate import lay_grid
 from tenscasadi.util.validate import SMALLEST, Array, finite_array, nesting, positive_number, real_array, shown
 
+_MOST_DECISIONS = 1e7  # of a feedback
+
 
 class Plan(NamedTuple):
     """Controls (n or 1, K, nu) on K equal parts, or feedback, with controls (1, 1, nu) that it replaces."""
@@ -111,6 +113,8 @@ def lay_steps(model: Model, starts: Array, t_end: float, step: float, plan: Plan
             return sample_control(np.arange(plan.controls.shape[1], dtype=float)[:, None], np.zeros(1), end, steps)
         nodes = plan.feedback.time
         period = nodes[-1] - nodes[-2]
+        if end > _MOST_DECISIONS * period:
+            raise ValueError(f"t_end is {end:g}: that takes more than {_MOST_DECISIONS:g} decisions of {period:g} s, give a smaller one")
         later = nodes[-1] + period * np.arange(1, max(0, np.ceil((end - nodes[-1]) / period)) + 1)
         nodes = np.append(nodes, later)
         nodes = np.append(nodes[nodes < end - 1e-9 * period], end)

@@ -13,7 +13,7 @@ from tenscasadi.ensemble.case_files import CaseFiles, Outcome
 from tenscasadi.ensemble.sweep_table import Sweep
 from tenscasadi.ensemble.workers import run_in_processes, run_on_executor
 from tenscasadi.util.interrupts import on_interrupt
-from tenscasadi.util.validate import file_path, flag, instance, shown
+from tenscasadi.util.validate import file_path, flag, instance, listed, shown
 
 _MISSING = Outcome({}, "", float("nan"))
 
@@ -118,12 +118,14 @@ def sweep(
 def _check(function: Any, cases: Any, executor: Any, progress: Any) -> tuple[Any, ...]:
     if not callable(function):
         raise TypeError(f"function is {shown(function)}: give a function of one case")
-    if isinstance(cases, (str, bytes, dict)) or not isinstance(cases, Iterable):
-        raise TypeError(f"cases is {shown(cases)}: give a list of cases, such as [{{'stiffness': 100.0}}, {{'stiffness': 200.0}}]")
+    example = "[{'stiffness': 100.0}, {'stiffness': 200.0}]"
+    if isinstance(cases, dict):
+        raise TypeError(f"cases is {shown(cases)}: give a list of cases, such as {example}")
+    given = listed("cases", cases, example)
     if executor is not None:
         instance("executor", executor, Executor, "a concurrent.futures.Executor, such as client.get_executor() of a Dask client, or None")
     flag("progress", progress)
-    return tuple(cases)
+    return given
 
 
 def _describe(total: int, computed: Mapping[Any, Outcome], todo: int, files: CaseFiles | None, interrupted: bool) -> str:

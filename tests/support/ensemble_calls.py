@@ -84,8 +84,8 @@ def ensemble_calls() -> dict[str, Call]:
             },
         ),
         "Parameters": (
-            lambda names, **k: tc.Model(tc.Scene(tc.shapes.prism(), parameters=tc.Parameters(*names, **k))),
-            {"names": ("stiffness", "bar_mass"), "scale": ("damping",), "groups": {"stiffness": [(0, 1), (2, 3)]}},
+            lambda name, **k: tc.Model(tc.Scene(tc.shapes.prism(), parameters=tc.Parameters(name, "bar_mass", **k))),
+            {"name": "stiffness", "scale": ("damping",), "groups": {"stiffness": [(0, 1), (2, 3)]}},
         ),
         "ParameterLayout.values": (lambda given, **k: opened.parameters.values(given, **k), {"given": p, "bar_mass": 2.0}),
         "Model.fixed": (opened.fixed, {"parameters": p}),
