@@ -98,7 +98,7 @@ def sparse_null_space(A: Any, tolerance: float) -> Array:
 def _largest_singular_value(A: Any) -> float:
     if min(A.shape) < 3:
         return float(np.linalg.norm(A.toarray(), 2)) if A.shape[0] else 0.0
-    return float(svds(A, k=1, return_singular_vectors=False, v0=_start(min(A.shape)))[0])
+    return float(svds(A, k=1, return_singular_vectors=False, v0=_start(min(A.shape)), tol=0.01)[0])
 
 
 def _start(size: int) -> Array:
