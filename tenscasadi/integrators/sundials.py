@@ -24,8 +24,8 @@ class Sundials:
     best. Events are not located: the control of the error finds them. Measured with the events known beforehand and a restart at each
     in the mode that holds then, at rtol of 1e-5 to 1e-11: a ball on the ground, errors 4 to 70 times smaller for half the evaluations;
     a bouncing string, 0.8 to 3 times for two thirds; a prism that falls with strings about to go slack (231 events in 0.5 s), 0.3 to 1.6
-    times for 0.7 to 1.3 times the evaluations. `DormandPrince853(rtol)`, which does locate them, is 7 to 4000 times more accurate than
-    these restarts at the same rtol, in some 1400 evaluations. (CasADi 3.8.2's own events stop these integrators at the first and let them
+    times for 0.7 to 1.3 times the evaluations. `DormandPrince853(rtol)`, which does locate them, is 7 to 5000 times more accurate than
+    these restarts at the same rtol, in 1400 to 3400 evaluations. (CasADi 3.8.2's own events stop these integrators at the first and let them
     run past the next without a word.)
     """
 
