@@ -22,6 +22,7 @@ from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
 from ocp.problem.goals import AtRest, NodePositions, Shape, StringLengths
+from ocp.problem.ground_bounds import AboveSurface
 from ocp.problem.instant import Instant
 from ocp.problem.periodic import Periodic
 from ocp.problem.problem import FreeStart, Problem
@@ -56,6 +57,7 @@ __all__ = [
     "Buckling",
     "InsideBox",
     "AboveGround",
+    "AboveSurface",
     "BarClearance",
     "Obstacle",
     "Effort",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ocp.problem import bar_bounds, costs, expressions, geometric_bounds, goals, string_bounds, waypoints
+from ocp.problem.ground_bounds import AboveSurface
 from ocp.problem.periodic import Periodic
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.tracking import Tracking
@@ -25,6 +26,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.serialize import model_from_arrays, model_to_arrays, structure_from_arrays, structure_to_arrays
 from tenscasadi.integrators import collocation
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
+from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import LARGEST, Array, instance
@@ -33,7 +35,7 @@ _TABLE = (
     *(goals.StringLengths, goals.NodePositions, goals.Shape, goals.AtRest, Periodic, waypoints.Waypoint, FreeStart),
     *(string_bounds.ForceDensityLimits, string_bounds.TensionLimits, string_bounds.RestLengthLimits, string_bounds.RestLengthRateLimits),
     *(bar_bounds.BarForceLimits, bar_bounds.Buckling),
-    *(geometric_bounds.InsideBox, geometric_bounds.BarClearance, geometric_bounds.Obstacle),
+    *(geometric_bounds.InsideBox, geometric_bounds.BarClearance, geometric_bounds.Obstacle, AboveSurface, Ground, Terrain),
     *(costs.Effort, costs.Smoothness, costs.Prestress, Tracking, costs.Duration, costs.Work),
     *(expressions.Constraint, expressions.Integral, expressions.AtEnd),  # for the name of what no file holds: their functions
     *(MultipleShooting, ImplicitMidpoint, Variational, Collocation, PiecewiseConstant, PiecewiseLinear),

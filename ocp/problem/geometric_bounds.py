@@ -151,6 +151,10 @@ def AboveGround(height: float = 0.0, nodes: Iterable[int] | None = None) -> Insi
     TypeError, ValueError
         If the height is no number, or as `InsideBox`.
 
+    See Also
+    --------
+    AboveSurface : the same for slopes and height fields.
+
     Examples
     --------
     >>> import ocp

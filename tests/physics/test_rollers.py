@@ -20,7 +20,7 @@ WEIGHT = np.array([0.5, -1.0, -9.0])
 
 def turned(pinned: Any, turn: Any = None, coordinates: Any = "full", control: Any = None) -> tc.Model:
     """Two joined bars and strings whose supports are along axes, or all of it turned."""
-    given: dict[str, Any] = {"bars": [(0, 1), (1, 2)], "strings": [(0, 3), (2, 3)], "node_mass": [0, 0, 0.1, 0.5], "rest_length": 0.9, "damping": 1.0}
+    given: dict[str, Any] = {"bars": [(0, 1), (1, 2)], "strings": [(0, 3), (2, 3)], "node_mass": [0, 0, 0.1, 0.5], "rest_length": 0.5, "damping": 1.0}
     if turn is None:
         structure, gravity = tc.Structure(NODES, pinned=pinned, **given), WEIGHT
     else:

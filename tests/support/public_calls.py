@@ -174,6 +174,7 @@ def planning_calls() -> dict[str, Call]:
         "Buckling": (bounded(lambda **k: ocp.Buckling(**k), structure=m.structure.replace(bar_radius=0.01)), {"modulus": np.full(3, 1e9), "safety": 2.0}),
         "InsideBox": (bounded(ocp.InsideBox), {"lower": (None, None, -1.0), "upper": (5.0, 5.0, 5.0), "nodes": [0, 1]}),
         "AboveGround": (bounded(ocp.AboveGround), {"height": -1.0, "nodes": [0, 1]}),
+        "AboveSurface": (bounded(ocp.AboveSurface), {"ground": tc.Ground(height=-5.0), "distance": 0.1, "nodes": [0, 1]}),
         "BarClearance": (bounded(ocp.BarClearance), {"distance": 0.01, "pairs": [(0, 1)]}),
         "Obstacle": (bounded(ocp.Obstacle), {"centre": (5.0, 5.0, 5.0), "radius": 0.5, "bars": [0], "nodes": [1]}),
         "Effort": (bounded(ocp.Effort, cost=True), weight),

@@ -37,6 +37,8 @@ BOUNDS = [
     ocp.Buckling(7e10),
     ocp.InsideBox((None, -9.0, None), (9.0, None, None), nodes=[0, 1]),
     ocp.AboveGround(-1.0),
+    ocp.AboveSurface(tc.Ground(normal=(0.1, 0.2, 1.0), height=-2.0, friction=0.3), -0.1, nodes=[0, 2]),
+    ocp.AboveSurface(tc.Terrain([[-5.0, -4.0], [-3.0, -4.0]], (-1, -1), (1, 1))),
     ocp.BarClearance(0.001, pairs=[(0, 1)]),
     ocp.Obstacle((5.0, 5.0, 5.0), 0.1),
 ]
