@@ -263,7 +263,8 @@ def check_ways(schemes: Any, corrections: Any) -> None:
 
 
 def _check_sequence(field: str, values: Any) -> Sequence[Any]:
-    if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
+    single = isinstance(values, str) or (isinstance(values, np.ndarray) and values.ndim == 0)
+    if single or not isinstance(values, (Sequence, np.ndarray)):
         raise TypeError(f"{field} is {shown(values)}: give a sequence, such as a list")
     if not len(values):
         raise ValueError(f"{field} is empty: give at least one")

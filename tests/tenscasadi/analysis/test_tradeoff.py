@@ -426,6 +426,7 @@ def test_summary_has_a_line_for_each_row(table):
         ({"reference": tc.Reference(np.zeros((6, 3)), 0.0, 0.2)}, "t_end"),
         ({"repeats": 0}, "repeats"),
         ({"compiled": True}, "compiled"),
+        ({"compiled": np.array(True)}, "compiled is"),
         ({"compiled": ["yes"]}, r"Single\(\)"),
         ({"state": np.zeros(3)}, "state"),
     ],
