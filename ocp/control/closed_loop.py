@@ -17,7 +17,7 @@ from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.diagnosis import off_constraints
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
-from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, shown, whole_number
+from tenscasadi.util.validate import LARGEST, Array, call_user_function, finite_array, instance, positive_number, shown, whole_number
 
 MOST = 1e7  # decisions in a run
 MOST_STEPS = 1000  # in a decision
@@ -148,7 +148,8 @@ def run(
     states, controls, seconds = [x[None]], [], []
     for now, after in pairwise(ends):
         if disturbance is not None:
-            x = finite_array("disturbance(time, x)", disturbance(now, x.copy()), (plant.nx,))
+            pushed = call_user_function("disturbance", lambda seen: disturbance(*seen), (now, x.copy()), "give a function (time, x) -> x")
+            x = finite_array("disturbance(time, x)", pushed, (plant.nx,))
             x = np.asarray(project(x).full()).ravel()
         seen = _seen(controller.model, plant, x, now)
         began = clock.perf_counter()

@@ -81,6 +81,7 @@ BAD = {
     "run of another plant": (lambda plan: ocp.run(ocp.track(plan), 1.0, driven(tc.shapes.d_bar())), ValueError, "model has other nodes"),
     "run of no controller": (lambda plan: ocp.run(ocp.Mpc, 1.0), TypeError, "controller is <class .*: give an ocp.Mpc"),
     "run for no time": (lambda plan: ocp.run(ocp.track(plan), 0.0), ValueError, "t_end"),
+    "disturbance that raises": (lambda plan: ocp.run(ocp.track(plan), 1.0, disturbance=lambda t: 1), ValueError, "disturbance fails with TypeError"),
     "disturbance of wrong size": (lambda plan: ocp.run(ocp.track(plan), 1.0, disturbance=lambda t, x: x[:3]), ValueError, "disturbance"),
 }
 
