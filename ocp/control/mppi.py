@@ -18,6 +18,7 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, finite_array, instance, per_item, positive_number, whole_number
 
+MOST, MOST_SAMPLES = 1000, 1_000_000  # improvements of a decision and steps of an interval; motions
 RANGE = 0.1  # of the limits' range: the deviation of the noise where none is given
 
 
@@ -115,10 +116,10 @@ class Mppi:
         self.model: Model = problem.model
         self.period = positive_number("period", period)
         self.intervals = whole_number("horizon / period", int(np.ceil(positive_number("horizon", horizon) / self.period - 1e-9)), 1, 10**5)
-        self.samples = whole_number("samples", samples, 2)
+        self.samples = whole_number("samples", samples, 2, MOST_SAMPLES)
         self._temperature = positive_number("temperature", temperature)
-        self._iterations = whole_number("iterations", iterations, 1)
-        self._steps = whole_number("steps", steps, 1)
+        self._iterations = whole_number("iterations", iterations, 1, MOST)
+        self._steps = whole_number("steps", steps, 1, MOST)
         self._seed = whole_number("seed", seed, 0)
         self._lower, self._upper = problem.force_density_limits
         smooth = noise if isinstance(noise, SplineNoise) else SplineNoise(self._deviation() if noise is None else noise)

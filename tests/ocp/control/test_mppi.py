@@ -166,6 +166,7 @@ BAD = {
     "period zero": (lambda: ocp.Mppi(folding(), 0.0), ValueError, "period"),
     "horizon zero": (lambda: ocp.Mppi(folding(), horizon=0.0), ValueError, "horizon is 0"),
     "one sample": (lambda: ocp.Mppi(folding(), samples=1), ValueError, "samples is 1"),
+    "samples beyond memory": (lambda: ocp.Mppi(folding(), samples=10**9), ValueError, "samples is 1e\\+09: it must be at most"),
     "temperature zero": (lambda: ocp.Mppi(folding(), temperature=0.0), ValueError, "temperature"),
     "steps zero": (lambda: ocp.Mppi(folding(), steps=0), ValueError, "steps"),
     "iterations zero": (lambda: ocp.Mppi(folding(), iterations=0), ValueError, "iterations"),
