@@ -18,6 +18,7 @@ from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.control_input import ControlProfile, sample_control
 from tenscasadi.util.validate import Array, positive_number, whole_number
 
+MOST_SAMPLES = 1_000_000  # replays
 STEPS = 10  # of a replay, for each interval of a plan
 UPDATES = 10  # of rest lengths in each interval
 WOUND_STEPS = 5  # from one change of rest lengths to the next
@@ -29,7 +30,7 @@ def measure_robustness(
 ) -> Robustness:
     """Replay a `Plan` many times; arguments and errors as of `Plan.robustness`. track: what makes a `Tracker` of it; None: open loop."""
     spreads, place = check_spreads(parameters), check_start(start)
-    whole_number("samples", samples, 1)
+    whole_number("samples", samples, 1, MOST_SAMPLES)
     rng = np.random.default_rng(whole_number("seed", seed, 0))
     limit = None if tolerance is None else positive_number("tolerance", tolerance)
     if not spreads and not any(place):
