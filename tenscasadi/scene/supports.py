@@ -73,10 +73,11 @@ class SupportMotion:
         structure : Structure
             The structure whose nodes are moved.
         """
+        for node in self.nodes:
+            node_index(f"SupportMotion.positions, node {shown(node)}", node, len(structure.nodes))
         start = self.rates()(0.0)[0].full().T
         size = float(np.ptp(structure.nodes, axis=0).max(initial=0.0))
         for node, place in zip(self.nodes, start, strict=True):
-            node_index(f"SupportMotion.positions, node {shown(node)}", node, len(structure.nodes))
             name = f"SupportMotion.positions[{node}]"
             if structure.pinned.get(node) != "xyz":
                 raise ValueError(f"{name}: node {node} is not pinned along all axes, add it to Structure.pinned")
