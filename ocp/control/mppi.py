@@ -16,9 +16,9 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.kernel import build_kernel
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.validate import Array, finite_array, instance, per_item, positive_number, whole_number
+from tenscasadi.util.validate import Array, finite_array, instance, nonnegative, per_item, positive_number, whole_number
 
-MOST, MOST_SAMPLES = 1000, 1_000_000  # improvements of a decision and steps of an interval; motions
+MOST, MOST_SAMPLES = 1000, 1_000_000  # periods of a horizon, improvements of a decision and steps of a period; motions
 RANGE = 0.1  # of the limits' range: the deviation of the noise where none is given
 
 
@@ -115,14 +115,17 @@ class Mppi:
         instance("problem", problem, Problem, "an ocp.Problem")
         self.model: Model = problem.model
         self.period = positive_number("period", period)
-        self.intervals = whole_number("horizon / period", int(np.ceil(positive_number("horizon", horizon) / self.period - 1e-9)), 1, 10**5)
+        ratio = positive_number("horizon", horizon) / self.period
+        if ratio > MOST:
+            raise ValueError(f"horizon is {horizon:g}: that is {ratio:.1g} periods of {self.period:g} s, give at most {MOST}")
+        self.intervals = max(1, int(np.ceil(ratio - 1e-9)))
         self.samples = whole_number("samples", samples, 2, MOST_SAMPLES)
         self._temperature = positive_number("temperature", temperature)
         self._iterations = whole_number("iterations", iterations, 1, MOST)
         self._steps = whole_number("steps", steps, 1, MOST)
         self._seed = whole_number("seed", seed, 0)
         self._lower, self._upper = problem.force_density_limits
-        smooth = noise if isinstance(noise, SplineNoise) else SplineNoise(self._deviation() if noise is None else noise)
+        smooth = noise if isinstance(noise, SplineNoise) else SplineNoise(self._deviation(noise))
         self._sizes, self._directions, self._basis = smooth.sizes(self.samples), smooth.directions(self.model.nu), smooth.basis(self.intervals)
         held = _held(problem) if initial is None else per_item("initial", initial, self.model.nu)
         self._initial = np.tile(np.clip(held, self._lower, self._upper), (self.intervals, 1))
@@ -178,7 +181,9 @@ class Mppi:
         self._last = None
         self.effective_samples = 0.0
 
-    def _deviation(self) -> Array:
+    def _deviation(self, given: ArrayLike | None) -> Array:
+        if given is not None:
+            return nonnegative("noise", per_item("noise", given, self.model.nu), "string")
         unlimited = np.flatnonzero(np.isinf(self._upper))
         if unlimited.size:
             raise ValueError(

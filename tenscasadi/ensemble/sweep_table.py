@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, file_path
+from tenscasadi.util.validate import Array, file_path, real_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +65,15 @@ class Sweep(ReadOnlyArrays):
     success: Any = None
 
     def __post_init__(self) -> None:
-        seconds = np.array(self.seconds, dtype=float)
-        done = np.array([not error for error in self.errors], dtype=bool) if self.success is None else np.array(self.success, dtype=bool)
+        count = len(self.cases)
+        for name in ("results", "errors"):
+            if len(getattr(self, name)) != count:
+                raise ValueError(f"Sweep.{name} has {len(getattr(self, name))} entries: give one for each of {count} cases")
+        seconds = real_array("Sweep.seconds", self.seconds, f"{count} numbers")
+        done = np.array([not error for error in self.errors] if self.success is None else self.success, dtype=bool)
         for name, array in {"seconds": seconds, "success": done}.items():
+            if array.shape != (count,):
+                raise ValueError(f"Sweep.{name} has shape {array.shape}: give ({count},), one for each case")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 

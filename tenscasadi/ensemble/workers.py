@@ -11,7 +11,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, as_completed, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
@@ -39,7 +39,10 @@ def run_on_executor(function: Function, cases: Mapping[Any, Any], executor: Exec
     futures: dict[Future[Outcome], Any] = {}
     try:
         for key, case in cases.items():
-            futures[executor.submit(compute, function, case)] = key
+            try:
+                futures[executor.submit(compute, function, case)] = key
+            except BrokenExecutor as fault:  # its workers have died meanwhile
+                yield key, _lost(fault)
         for future in as_completed(futures):
             yield futures[future], _outcome(future)
     finally:
@@ -92,7 +95,11 @@ def _outcome(future: Future[Outcome]) -> Outcome:
     try:
         return future.result()
     except Exception as fault:  # noqa: BLE001  what executors make of a lost worker, or of a case that does not pickle
-        return Outcome({}, f"no result came back: {type(fault).__name__}: {fault}", float("nan"))
+        return _lost(fault)
+
+
+def _lost(fault: Exception) -> Outcome:
+    return Outcome({}, f"no result came back: {type(fault).__name__}: {fault}", float("nan"))
 
 
 def _check_function(function: Function) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from tenscasadi.envs.task import Task, Transition, pair
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, call_user_function, finite_array
 
 FARTHEST = 1e6  # m, m/s: what is seen is kept within, as spaces need limits
 
@@ -68,9 +69,10 @@ class Episodes:
         """Return what is seen of all episodes (n, k), in single precision."""
         task, n = self.task, len(self.states)
         if task.observation is not None:
-            seen = np.asarray(task.observation(self.nodes, self.velocities, self.control), dtype=float)
-            if seen.ndim != 2 or len(seen) != n or not np.all(np.isfinite(seen)):
-                raise ValueError(f"Task.observation gives shape {seen.shape}: give a function that returns ({n}, k) finite numbers")
+            cure = "give a function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns (n, k)"
+            see = task.observation
+            given = call_user_function("Task.observation", lambda places: see(*places), (self.nodes, self.velocities, self.control), cure)
+            seen = finite_array("what Task.observation gives", given, (n, None))
         else:
             rows = [self.nodes.reshape(n, -1), self.velocities.reshape(n, -1), *([self.control] if task.winds else [])]
             seen = np.concatenate(rows, axis=1)
@@ -78,13 +80,13 @@ class Episodes:
 
     def rewards(self, now: Transition, lost: Array) -> Array:
         """Return the rewards (n,), 0 of those that diverged."""
-        return np.where(lost, 0.0, _per_episode("reward", self.task.reward(now), len(lost)))
+        return np.where(lost, 0.0, _per_episode("reward", self.task.reward, now))
 
     def ended(self, now: Transition, lost: Array) -> Any:
         """Return which episodes are terminated (n,)."""
         if self.task.terminated is None:
             return lost.copy()
-        return lost | (_per_episode("terminated", self.task.terminated(now), len(lost)) != 0)
+        return lost | (_per_episode("terminated", self.task.terminated, now) != 0)
 
     def _places(self, states: Array) -> tuple[Array, Array]:
         """Return nodes and velocities (n, N, 3) of the scene's structure."""
@@ -112,8 +114,8 @@ class Episodes:
         return inputs
 
 
-def _per_episode(name: str, given: Any, count: int) -> Array:
-    values = np.asarray(given, dtype=float)
-    if values.shape != (count,) or not np.all(np.isfinite(values)):
-        raise ValueError(f"Task.{name} gives shape {values.shape}: give a function that returns ({count},) finite numbers, one for each episode")
-    return values
+def _per_episode(name: str, function: Callable[[Transition], Any], now: Transition) -> Array:
+    """Return what a function of the task says of each episode (n,). Raises TypeError, ValueError."""
+    given = call_user_function(f"Task.{name}", function, now, "give a function of a Transition that returns one number for each episode")
+    values = given.astype(float) if isinstance(given, np.ndarray) and given.dtype == bool else given
+    return finite_array(f"what Task.{name} gives", values, (len(now.time),))

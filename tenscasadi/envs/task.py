@@ -13,7 +13,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.simulation.diagnosis import off_constraints
-from tenscasadi.util.validate import Array, finite_array, instance, nesting, nonnegative, per_item, positive_number, shown, whole_number
+from tenscasadi.util.validate import Array, finite_array, instance, nesting, nonnegative, per_item, positive_number, shown, text, whole_number
 
 CORRECTION = Projection(10)
 ROUNDED = 1e-3  # of lengths and speeds: what a start may be off its bars and joints by
@@ -129,7 +129,7 @@ class Task:
             raise ValueError(f"Task.model has the control {model.scene.control}: give Scene(..., control=ForceDensity() or RestLength())")
         for name in ("reward", "observation", "terminated"):
             if not callable(getattr(self, name)) and (name == "reward" or getattr(self, name) is not None):
-                raise TypeError(f"Task.{name} is {getattr(self, name)!r}: give a function")
+                raise TypeError(f"Task.{name} is {shown(getattr(self, name))}: give a function")
         for name in ("lower", "upper"):
             own[name] = nonnegative(f"Task.{name}", per_item(f"Task.{name}", getattr(self, name), model.nu), "string", strict=self.winds)
         crossed = np.less_equal(*reversed(self.limits))
@@ -192,6 +192,7 @@ def _spreads(model: Model, given: Any) -> dict[str, float]:
     known = ", ".join(model.parameters.places) or "none"
     found = {}
     for name, value in given.items():
+        text("Task.parameters: a name", name)
         if name not in model.parameters.places:
             raise ValueError(
                 f"Task.parameters has {shown(name)}, and the model's parameters are {known}: give Scene(..., parameters=Parameters({shown(name)}))"

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tenscasadi.plots.panels import FilePath, curve_colour, save_figure
-from tenscasadi.util.validate import Array, text
+from tenscasadi.util.validate import Array, shown, text
 
 
 class ReplayErrors(Protocol):
@@ -56,6 +56,11 @@ def robustness(what: ReplayErrors | Mapping[str, ReplayErrors], *, title: str = 
     matplotlib.figure.Figure
         The picture.
 
+    Raises
+    ------
+    TypeError, ValueError
+        An argument is wrong.
+
     Examples
     --------
     >>> from types import SimpleNamespace
@@ -65,7 +70,7 @@ def robustness(what: ReplayErrors | Mapping[str, ReplayErrors], *, title: str = 
     >>> len(plots.robustness(found).axes)
     2
     """
-    several = dict(what) if isinstance(what, Mapping) else {"": what}
+    several = _read(what)
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     for ax in (left, right):
@@ -85,6 +90,18 @@ def robustness(what: ReplayErrors | Mapping[str, ReplayErrors], *, title: str = 
         left.legend(frameon=False, fontsize=9)
     figure.suptitle(text("title", title))
     return save_figure(figure, path)
+
+
+def _read(what: Any) -> dict[str, ReplayErrors]:
+    """Return what is drawn by name. Raises TypeError, ValueError."""
+    several = dict(what) if isinstance(what, Mapping) else {"": what}
+    if not several:
+        raise ValueError("what is empty: give what plan.robustness(...) returns")
+    for name, one in several.items():
+        text("what: a name", name)
+        if not all(hasattr(one, field) for field in ("worst_error", "tolerance", "importance")):
+            raise TypeError(f"what is {shown(one)}: give what plan.robustness(...) returns, or several of them by name")
+    return several
 
 
 def _draw_importance(ax: Axes, several: Mapping[str, ReplayErrors]) -> None:

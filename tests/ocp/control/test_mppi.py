@@ -172,7 +172,9 @@ BAD = {
     "iterations zero": (lambda: ocp.Mppi(folding(), iterations=0), ValueError, "iterations"),
     "seed no number": (lambda: ocp.Mppi(folding(), seed="a"), TypeError, "seed"),
     "place zero": (lambda: ocp.Mppi(folding(), place=0.0), ValueError, "place"),
-    "noise of other strings": (lambda: ocp.Mppi(folding(), noise=[1.0] * 5), ValueError, "SplineNoise.deviation has shape"),
+    "noise of other strings": (lambda: ocp.Mppi(folding(), noise=[1.0] * 5), ValueError, "noise has shape"),
+    "noise below zero": (lambda: ocp.Mppi(folding(), noise=-1.0), ValueError, "noise of string 0 is -1"),
+    "a horizon of ages": (lambda: ocp.Mppi(folding(), horizon=1e9), ValueError, "horizon is 1e.09: that is 2e.10 periods"),
     "initial of other strings": (lambda: ocp.Mppi(folding(), initial=[1.0] * 5), ValueError, "initial has shape"),
     "no noise and no limits": (lambda: ocp.Mppi(folding(bounds=())), ValueError, "noise is None, and string 0 has no upper limit"),
     "a waypoint": (

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import jobs
@@ -195,6 +196,20 @@ def test_nothing_to_do(tmp_path):
 def test_progress_is_shown(capsys, one_thread):
     tc.sweep(abs, [-1, -2], one_thread, progress=True)
     assert "2/2" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_what_a_broken_pool_leaves_is_computed_by_the_next_sweep(tmp_path):
+    cases = [{"x": x} for x in (1, 2, "die", *range(5, 25))]
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
+        first = tc.sweep(jobs.square, cases, executor, tmp_path)
+        refused = tc.sweep(jobs.square, cases, executor, tmp_path)  # the pool takes nothing any more
+    assert first.success[:2].all()
+    assert not first.success[2:].any()
+    assert "no result came back: BrokenProcessPool" in first.errors[-1]
+    assert refused.message.startswith("23 cases: 21 computed, 21 failed, 2 read")
+    again = tc.sweep(jobs.square, cases, folder=tmp_path)
+    assert again.success.tolist() == [k != 2 for k in range(23)]
 
 
 # --- a cluster ---

@@ -75,3 +75,10 @@ def test_tables_do_not_change():
         made.seconds[0] = 1.0
     with pytest.raises(AttributeError):
         made.message = ""
+
+
+@pytest.mark.parametrize(("field", "value"), [("results", ()), ("errors", ("", "")), ("seconds", [1.0, 2.0]), ("success", [])])
+def test_columns_are_as_long_as_the_table(field, value):
+    given = {"cases": (1,), "results": ({},), "errors": ("",), "seconds": [0.1], "message": "", field: value}
+    with pytest.raises(ValueError, match=rf"Sweep\.{field} has"):
+        tc.Sweep(**given)

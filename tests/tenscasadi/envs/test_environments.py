@@ -189,12 +189,17 @@ BAD = {
     "a reward of other shape": (
         lambda: TensegrityEnv(Task(DRIVEN, lambda now: 1.0, 0.0, 1.0)).step(np.zeros(9)),
         ValueError,
-        "Task.reward gives shape",
+        r"what Task.reward gives has shape \(\): give .*\(1,\)",
+    ),
+    "a reward that fails": (
+        lambda: TensegrityEnv(Task(DRIVEN, lambda now: now.speed, 0.0, 1.0)).step(np.zeros(9)),
+        ValueError,
+        "Task.reward.*has no attribute 'speed'.*give a function of a Transition",
     ),
     "an observation of other shape": (
         lambda: TensegrityEnv(driven(observation=lambda nodes, velocities, control: nodes)),
         ValueError,
-        "Task.observation gives shape",
+        "what Task.observation gives has shape",
     ),
 }
 

@@ -35,6 +35,12 @@ def test_too_few_replays_to_tell_leave_the_bars_empty():
     assert plots.robustness(found(bar_mass=np.nan)).axes[1].patches[0].get_width() == 0.0
 
 
+@pytest.mark.parametrize(("what", "error"), [(3.0, TypeError), ({"a": 1}, TypeError), ({}, ValueError), ({1: found()}, TypeError)])
+def test_what_is_no_robustness_is_refused(what, error):
+    with pytest.raises(error, match="what"):
+        plots.robustness(what)
+
+
 def test_a_title_that_is_no_text_is_refused():
     with pytest.raises(TypeError, match="title"):
         plots.robustness(found(), title=3)
