@@ -352,8 +352,8 @@ class Terrain(ReadOnlyArrays, Surface):
         cell, rows = ca.MX.sym("cell"), self.heights.shape[0] + 2
         found = points(ca.horzcat(*(cell + offset for offset in (0, 1, rows, rows + 1)))).T
         # Which cell it is does not change with a small step. The zeros are stored: of a derivative without entries CasADi's scalars make NaN.
-        still = ca.Function("jac_corners", [cell, ca.MX.sym("out", 8)], [ca.DM.zeros(8, 1)], ["cell", "out_corners"], ["jac_corners_cell"])
-        options = {"never_inline": True, "custom_jacobian": still, "enable_forward": False, "enable_reverse": False}
+        still = ca.Function("jac_corners", [cell, ca.MX.sym("out", 8)], [ca.MX(ca.DM.zeros(8, 1))], ["cell", "out_corners"], ["jac_corners_cell"])
+        options: dict[str, Any] = {"never_inline": True, "custom_jacobian": still, "enable_forward": False, "enable_reverse": False}
         return ca.Function("corners", [cell], [ca.vec(found)], ["cell"], ["corners"], options)  # scalar code calls it: it cannot look up itself
 
 
