@@ -149,6 +149,7 @@ def rollouts(
         lambda step: float(inputs.times(np.array([step]))[0]),
         lambda k: controls_at(plan, model, time, result.saved, k),
         result,
+        inputs.unseen,
     )
     return _record(run, kernel, workers, seconds)
 
