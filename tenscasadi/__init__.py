@@ -96,12 +96,11 @@ __all__ = [
     "Sensitivities",
     "CompileError",
     # many at once
-    "sweep",
-    "Sweep",
-    # many at once
     "rollouts",
     "Rollouts",
     "Feedback",
+    "sweep",
+    "Sweep",
     # speed against accuracy
     "tradeoff",
     "Tradeoff",
