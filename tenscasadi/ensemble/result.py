@@ -146,7 +146,7 @@ class Rollouts(ReadOnlyArrays):
         rate = f" ({total / self.seconds:,.0f} steps/s)" if self.seconds > 0 else ""
         way = f"{self.lanes} lanes" if self.lanes else "one by one"
         lines = [
-            f"{good} of {n} motions succeeded, of which errors are told below" + (", interrupted" if self.interrupted else ""),
+            f"{good} of {n} motions succeeded; the errors below are theirs" + (", interrupted" if self.interrupted else ""),
             f"time          {self.time[0]:g} … {self.time[-1]:g} s, {self.steps} steps of {self.step:g} s each, {len(self.time)} rows kept",
             f"wall time     {self.seconds:.3g} s{rate}, {way}, {self.threads} threads" + (f"; {self.note}" if self.note else ""),
             f"energy        largest error {_largest(self.energy_error[self.success], 'J')}",
