@@ -99,7 +99,7 @@ def travel(slope: float, nodes: np.ndarray, duration: float) -> Row:
 
 def draw(rows: list[Row], path: Path, instants: int = 5) -> None:
     """Side views of each run at equal intervals of time, and the way of the centre."""
-    figure = Figure(figsize=(9.6, 3.2 * len(rows) + 0.6), layout="constrained")
+    figure = Figure(figsize=(9.6, 3.9 * len(rows) + 0.6), layout="constrained")
     for ax, row in zip(np.ravel(figure.subplots(len(rows), 1, sharex=True)), rows, strict=True):
         angle, motion = np.radians(row.slope), row.motion
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # from the ground's axes to the level
@@ -114,8 +114,9 @@ def draw(rows: list[Row], path: Path, instants: int = 5) -> None:
         ax.plot(*centre.T, color="tab:red", lw=1.2, label="way of the centre")
         ax.set(aspect="equal", ylabel="z (m)", title=f"{row.slope:g}°: {row.ahead:.2f} m in {motion.time[-1]:g} s")
         ax.set_xlim(-0.7, 3.5)
+        ax.set_ylim(np.array([-0.3, 1.45]) + min(0.0, 3.0 * np.tan(angle)))  # the same scale in all
     ax.set_xlabel("x (m)")
-    ax.legend(loc="upper left", fontsize=9, frameon=False)
+    figure.axes[0].legend(loc="upper left", fontsize=9, frameon=False)
     figure.suptitle("six-bar ball, steered by sampled motions; shown at equal intervals of time, later is darker")
     figure.savefig(path, dpi=150)
 
