@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.kernel import KernelResult
-from tenscasadi.ensemble.request import BEYOND, BROKEN, NOT_FINITE, STOPPED, SUPPLIED, WORST
+from tenscasadi.ensemble.request import BEYOND, BROKEN, KINETIC, NOT_FINITE, STOPPED, SUPPLIED, WORST
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.simulation.diagnosis import BROKEN_BARS, DRIFTED_BARS, LOST_ENERGY, OFF, WRONG_START, constraint_violation, describe_doubts
 from tenscasadi.simulation.trajectory import record_trajectory
@@ -154,7 +155,9 @@ def _ask(run: Run, k: int, success: NDArray[np.bool_], told: NDArray[Any]) -> No
     if saved is None or measured is None:
         return
     inputs = np.hstack([run.rows(k), np.broadcast_to(run.parameters[k if len(run.parameters) > 1 else 0], (len(run.time), run.parameters.shape[1]))])
-    recorded = record_trajectory(run.model, run.time, saved[k], inputs, step=run.step, message="", supplied=measured[k, :, SUPPLIED])
+    recorded = record_trajectory(run.model, run.time, saved[k], inputs, step=run.step, message="")
+    energy = measured[k, :, KINETIC:SUPPLIED].sum(axis=1)  # under the control that led there: the row's may be the one that follows
+    recorded = replace(recorded, energy_error=energy - energy[0] - measured[k, :, SUPPLIED])
     doubts, success[k] = describe_doubts(run.model, run.scheme, recorded, None)
     if doubts:
         told[k] = _finished(run) + doubts

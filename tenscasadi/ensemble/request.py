@@ -11,7 +11,7 @@ import numpy as np
 # the codes of `motions.hpp`
 FINISHED, NOT_FINITE, BEYOND, BROKEN, STOPPED = range(5)
 MEASURED = ("bar_length_error", "joint_error", "kinetic", "elastic", "gravity", "supplied")
-SUPPLIED = MEASURED.index("supplied")
+KINETIC, SUPPLIED = MEASURED.index("kinetic"), MEASURED.index("supplied")  # between them the energies
 WORST = ("bar_length_error", "joint_error", "energy_error", "kinetic", "elastic_low", "elastic_high", "gravity_low", "gravity_high")
 
 _NUMBERS, _ARRAY, _REAL = ctypes.c_int64, ctypes.c_void_p, ctypes.c_double

@@ -38,7 +38,7 @@ class Rollouts(ReadOnlyArrays):
     joint_error : ndarray, shape (n,)
         Largest gap of a joint on the way, m.
     energy : ndarray, shape (n, T)
-        Total energy, J.
+        Total energy, J; where the control changes at that time, under the one before.
     energy_error : ndarray, shape (n,)
         Largest energy gained or lost beyond the work of all forces and of changes of the control, J: an error of the numerics.
     place : ndarray of int, shape (N, 3)

@@ -16,7 +16,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.inputs import controls_at, count_motions, gather_intervals, lay_steps, read_controls, read_parameters, read_starts
 from tenscasadi.ensemble.judge import Run, judge
 from tenscasadi.ensemble.kernel import Kernel, build_kernel
-from tenscasadi.ensemble.request import MEASURED, STOPPED
+from tenscasadi.ensemble.request import KINETIC, MEASURED, STOPPED, SUPPLIED
 from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
@@ -203,7 +203,8 @@ def _record(run: Run, kernel: Kernel, threads: int, seconds: float) -> Rollouts:
     place = indices.reshape(-1, 3)[model.mechanism.first]
     probes = np.zeros((len(run.time), model.nx))
     if model.scene.has_clock and len(run.starts):
-        model.split(probes)[2][:] = run.time[:, None] + model.split(run.starts)[2][0]
+        clocks = model.split(run.starts)[2]
+        model.split(probes)[2][:] = run.time[:, None] + clocks[np.argmax(np.isfinite(clocks))]
     given = np.where(place >= 0, np.nan, model.nodes(probes))
     worst = result.worst
     return Rollouts(
@@ -213,7 +214,7 @@ def _record(run: Run, kernel: Kernel, threads: int, seconds: float) -> Rollouts:
         message=message,
         bar_length_error=worst[:, 0],
         joint_error=worst[:, 1],
-        energy=result.measured[:, :, 2:5].sum(axis=2),
+        energy=result.measured[:, :, KINETIC:SUPPLIED].sum(axis=2),
         energy_error=worst[:, 2],
         place=place,
         given=given,

@@ -57,6 +57,21 @@ def test_tables_and_energies_are_those_of_simulate(prism):
         np.testing.assert_allclose(many.bar_length_error[k], finest.bar_length_error.max(), atol=1e-15)
 
 
+def test_rows_where_the_control_changes_are_judged_as_by_simulate(prism):
+    u = prism.initial_control * np.array([1.0, 0.7, 1.3, 0.9])[None, :, None]
+    many = tc.rollouts(prism, 0.02, STEP, starts(prism, 3), u, save_every=5)
+    for k, x in enumerate(starts(prism, 3)):
+        run = tc.simulate(prism, 0.02, STEP, state=x, control=u[0], save_every=5, compiled=False)
+        assert (many.message[k], many.success[k]) == (run.message, run.success)
+
+
+def test_paths_of_moved_supports_outlive_a_start_that_is_lost():
+    motion = tc.SupportMotion({0: lambda t: (0.1 * t, 0.0, 0.0)})
+    model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity(), supports=motion))
+    many = tc.rollouts(model, 0.1, 0.01, [np.full(model.nx, np.nan), model.initial_state])
+    np.testing.assert_allclose(many.path(0)[1, :, 0], [0.0, 0.01], atol=1e-15)
+
+
 def test_steps_end_where_tables_of_forces_have_times():
     push = np.zeros((3, 6, 3))
     push[1, 0, 2] = 30.0
