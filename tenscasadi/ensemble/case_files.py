@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import inspect
 import json
@@ -15,6 +16,8 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.serialize import structure_to_arrays
+from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import archive
 from tenscasadi.util.archive import Fields
@@ -23,6 +26,7 @@ from tenscasadi.util.validate import shown
 _FORMAT = "tenscasadi case 1"
 _VALUE = "value."  # before the names of results in files
 _PLAIN = "biufcU"  # kinds of arrays, in NumPy's letters, that files hold
+_CONSTANTS = (bool, int, float, complex, str, np.generic, np.ndarray, Structure, Scene, Model, Scheme)  # that a closure may hold
 
 
 class Outcome(NamedTuple):
@@ -38,14 +42,45 @@ class Outcome(NamedTuple):
 
 def name_of(function: Callable[..., Any]) -> str:
     """Return the name that files tell of a function."""
+    function = _bare(function)
     return str(getattr(function, "__qualname__", type(function).__qualname__))
 
 
 def source_hash(function: Callable[..., Any]) -> str:
     """Return a hash of the function's own source text, "" where there is none."""
     with contextlib.suppress(OSError, TypeError):
-        return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()
+        return hashlib.sha256(inspect.getsource(_bare(function)).encode()).hexdigest()
     return ""
+
+
+def identity_of(function: Callable[..., Any]) -> str:
+    """Return the name of a function, and with it a hash of what it holds: arguments of a partial, the object it belongs to, constants of a closure.
+
+    Raises TypeError where that cannot be told.
+    """
+    name, held = name_of(function), _held_by(function)
+    return f"{name} {case_key(name, held, 'function')}" if held else name
+
+
+def _bare(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function below `functools.partial`."""
+    while isinstance(function, functools.partial):
+        function = function.func
+    return function
+
+
+def _held_by(function: Callable[..., Any]) -> Any:
+    if isinstance(function, functools.partial):  # of a partial, Python makes one with all arguments
+        return {"of": _held_by(function.func), "arguments": function.args, "keywords": function.keywords}
+    function = inspect.unwrap(function)
+    if inspect.ismethod(function) or not (inspect.isroutine(function) or isinstance(function, type)):
+        owner = getattr(function, "__self__", function)
+        return None if isinstance(owner, type) else owner if is_dataclass(owner) else dict(getattr(owner, "__dict__", {}))
+    if not inspect.isfunction(function):
+        return None
+    values = dict(inspect.getclosurevars(function).nonlocals)
+    values |= {f"default {k}": value for k, value in enumerate(function.__defaults__ or ())} | (function.__kwdefaults__ or {})
+    return {name: value for name, value in values.items() if isinstance(value, _CONSTANTS)}  # what may change as it runs tells nothing
 
 
 def case_key(name: str, case: Any, field: str) -> str:
@@ -110,16 +145,17 @@ def _plain(name: str, value: Any) -> Any:
 
 
 class CaseFiles:
-    """Folder with one .npz file for each finished case of a function."""
+    """Folder with one .npz file for each finished case of a function. Raises TypeError, OSError."""
 
     def __init__(self, folder: Path, function: Callable[..., Any]) -> None:
+        self._identity = identity_of(function)
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.name, self._source = folder, name_of(function), source_hash(function)
         self.found = self.damaged = self.outdated = 0  # files read so far: of finished cases, of no case, of an older text of the function
 
     def key(self, case: Any, field: str) -> str:
         """Return what identifies a case. Raises TypeError."""
-        return case_key(self.name, case, field)
+        return case_key(self._identity, case, field)
 
     def write(self, key: str, case: Any, outcome: Outcome) -> None:
         """Write a case whole or not at all. Raises OSError."""

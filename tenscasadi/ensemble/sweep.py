@@ -63,7 +63,9 @@ def sweep(
 
     Notes
     -----
-    A case is identified by what it holds and by the name of the function, its file is read without running what is in it (no pickle).
+    A case is identified by what it holds, and by the name of the function with what that holds: the arguments of a `functools.partial`, the
+    attributes of its object, numbers, text, arrays, structures, scenes and models in its closure and defaults. Its file is read without
+    running what is in it (no pickle).
     Failed cases are computed again in the next sweep of the folder. Where the text of the function has changed since, the message says how
     many results are older; what else the function calls is not compared: take a new folder when that changes.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import multiprocessing
 import os
 import subprocess
@@ -147,6 +148,48 @@ def test_results_of_an_older_function_are_told(tmp_path, one_thread):
         table = tc.sweep(space["job"], [0], one_thread, tmp_path / "results")
     assert table["result"].tolist() == [1]
     assert "1 results are of an older text of job: take a new folder" in table.message
+
+
+class Times:
+    def __init__(self, factor):
+        self.factor = factor
+
+    def __call__(self, case):
+        return self.factor * case
+
+    method = __call__
+
+
+def scaled(case, factor):
+    return factor * case
+
+
+def closure_of(factor):
+    return lambda case: factor * case
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda k: functools.partial(scaled, factor=k),
+        lambda k: functools.partial(functools.partial(scaled), factor=k),
+        Times,
+        lambda k: Times(k).method,
+        closure_of,
+        lambda k: lambda case, factor=k: factor * case,
+    ],
+    ids=["partial", "partial of a partial", "object", "method", "closure", "default"],
+)
+def test_what_a_function_holds_tells_its_results_apart(tmp_path, one_thread, make):
+    for k, read in ((2, 0), (3, 0), (2, 2)):
+        table = tc.sweep(make(k), [1, 10], one_thread, tmp_path)
+        assert table["result"].tolist() == [k, 10 * k]
+        assert table.message == f"2 cases: {2 - read} computed, {read} read from {tmp_path}"
+
+
+def test_a_function_whose_content_a_folder_cannot_tell_is_refused(tmp_path, one_thread):
+    with pytest.raises(TypeError, match=r"function\['keywords'\]\['factor'\] is <object .*: give numbers, text"):
+        tc.sweep(functools.partial(scaled, factor=object()), [1], one_thread, tmp_path)
 
 
 def test_ctrl_c_before_anything_is_done_gives_a_table(keyboard):
