@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.time_functions import at_edges, check_over_run, express, find_breaks, interpolate, trace
+from tenscasadi.scene.time_functions import as_numbers, at_edges, check_over_run, express, find_breaks, interpolate, trace
 from tenscasadi.util.validate import Array, finite_array
 
 
@@ -129,4 +129,4 @@ class OverTime:
 
 def read_sample(field: str, value: Any, shape: tuple[int, ...]) -> Array:
     """Return what a function of time returned for a number, of this shape. Raises TypeError, ValueError."""
-    return finite_array(field, float(value) if isinstance(value, ca.DM) and value.is_scalar() else value, shape)
+    return finite_array(field, as_numbers(value), shape)

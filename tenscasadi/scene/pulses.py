@@ -13,7 +13,7 @@ import numpy as np
 from tenscasadi.scene.over_time import OverTime
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.scene.time_functions import expand, trace
-from tenscasadi.util.interval_arithmetic import UnknownOperation, bound
+from tenscasadi.util.interval_arithmetic import Flags, UnknownOperation, bound
 from tenscasadi.util.validate import Array, Indices
 
 _ORDER = 4  # of the derivative that bounds what a cubic leaves of a function
@@ -23,6 +23,7 @@ _MOST_CUTS = 20_000  # besides as many as there are steps
 _GROUPS = 64  # parts of a run that are looked at first
 _FEWEST = 12  # parts of a piece at whose ends a function is sampled, where no bounds are known
 _SAMPLES = 2**14  # parts of a run, at least
+_JUMP = 1e-6  # share of the largest value: less is a slope
 
 
 class Pulses(NamedTuple):
@@ -93,6 +94,16 @@ def find_pulses(load: OverTime | SupportMotion, ends: Callable[[Indices], Array]
         first = np.concatenate([a[~single], half[~single]])
         last = np.concatenate([half[~single], b[~single]])
     return Pulses(np.unique(np.concatenate(cuts)), None)
+
+
+def find_jumps(load: OverTime | SupportMotion, times: Array, around: float, first: float, last: float) -> Flags:
+    """Return whether a load jumps within `around` s of each of `times` (k,) in a run from `first` to `last`, s; a kink is no jump."""
+    functions = _derivatives(load)
+    if functions is None:
+        return np.zeros(len(times), dtype=bool)
+    before, after = functions.samples(times - around), functions.samples(times + around)
+    some = functions.samples(np.linspace(first, last, _GROUPS + 1))
+    return np.asarray(abs(after - before).max(axis=0) > _JUMP * max(abs(values).max(initial=0.0) for values in (some, before, after)))
 
 
 class _Functions(NamedTuple):

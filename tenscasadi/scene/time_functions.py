@@ -27,6 +27,7 @@ _BISECTIONS = 60  # from a part of a run to the last digit
 _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  # they switch where both operands are equal
 _SIGNED = (ca.OP_SIGN, ca.OP_FABS)  # they switch where their operand is 0
 _ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL)  # they switch where their operand is whole
+_REMAINDERS = {ca.OP_FMOD: ca.sin, ca.OP_REMAINDER: ca.cos}  # they switch where the quotient of their operands is whole, or half of odd
 
 
 def express(field: str, function: Callable[[Any], Any], time: Any) -> Any:
@@ -49,6 +50,16 @@ def _row(entries: Any) -> Any:
     return ca.horzcat(*entries) if isinstance(entries, Iterable) else entries
 
 
+def as_numbers(value: Any) -> Any:
+    """Return what a user's function returned for a number, CasADi's numbers and vectors in it as Python's and NumPy's."""
+    if isinstance(value, ca.DM):
+        return float(value) if value.is_scalar() else value
+    if isinstance(value, (list, tuple)):
+        parts = [as_numbers(part) for part in value]
+        return [part.full().ravel() if isinstance(part, ca.DM) and part.is_vector() else part for part in parts]
+    return value
+
+
 def probe_times(first: float, last: float) -> Array:
     """Return times, s, evenly over a run."""
     return np.linspace(first, last, _PROBES + 1)
@@ -62,7 +73,8 @@ def find_breaks(function: ca.Function, first: float, last: float) -> Array:
     if not found:
         return np.empty(0)
     switches = ca.Function("switches", [t], [ca.densify(ca.vertcat(*found))])
-    times = _refine(switches, probe_times(first, last))
+    beyond = last + _FINEST * np.spacing(max(abs(first), abs(last)))  # what switches at the end may do so a rounding later
+    times = _refine(switches, np.append(probe_times(first, last), beyond))
     signs = np.sign(switches(times[None]).full())
     which, part = np.nonzero(signs[:, 1:] != signs[:, :-1])
     low, high, before = times[part], times[part + 1], signs[which, part]
@@ -72,7 +84,7 @@ def find_breaks(function: ca.Function, first: float, last: float) -> Array:
         middle = (low + high) / 2
         same = np.sign(switches(middle[None]).full())[which, np.arange(len(which))] == before
         low, high = np.where(same, middle, low), np.where(same, high, middle)
-    return np.unique(high)
+    return np.unique(np.clip(high, first, last))
 
 
 def _refine(switches: ca.Function, times: Array) -> Array:
@@ -117,6 +129,8 @@ def _switches(values: ca.SX) -> Iterator[ca.SX]:
             yield parts[0]
         elif parts and item.op() in _ROUNDED:
             yield ca.sin(np.pi * parts[0])
+        elif parts and item.op() in _REMAINDERS:
+            yield _REMAINDERS[item.op()](np.pi * parts[0] / parts[1])
 
 
 def check_over_run(field: str, function: Callable[[Any], Any], traced: ca.Function, first: float, last: float) -> None:
@@ -137,7 +151,7 @@ def check_over_run(field: str, function: Callable[[Any], Any], traced: ca.Functi
             raise ValueError(f"{field}{kind} grows beyond all bounds at t = {pole:.10g} s: give finite values over the whole run")
     for time in times[:: len(times) // _COMPARED_TIMES].tolist():
         try:
-            number = np.asarray(function(time), dtype=float).ravel()
+            number = np.asarray(as_numbers(function(time)), dtype=float).ravel()
         except (TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError):  # a function of CasADi's symbols alone
             return
         value = traced.call([time])[0].full().T.ravel()

@@ -116,15 +116,19 @@ def append_constants(inputs: SampledControl, values: Array) -> SampledControl:
     return replace(inputs, sample=sample)
 
 
-def cut_steps(inputs: SampledControl, breaks: Array) -> SampledControl:
-    """Cut the steps at `breaks`, s after the start; the control of a step is held in its parts. Ends that are there within rounding stay."""
+def cut_steps(inputs: SampledControl, breaks: Array, near: float | None = None) -> SampledControl:
+    """Cut the steps at `breaks`, s after the start; the control of a step is held in its parts.
+
+    near: distance, s, from an end of a step below which a break is there already; by default 1e-9 of the step.
+    """
     inside = breaks[(breaks > 0) & (breaks < inputs.t_end)]
     if not len(inside):
         return inputs
     ends = inputs.times(np.arange(inputs.steps + 1))
     place = np.clip(np.searchsorted(ends, inside), 1, inputs.steps)
     away = np.minimum(abs(inside - ends[place]), abs(inside - ends[place - 1]))
-    inside = inside[away > np.maximum(_SAME * (ends[place] - ends[place - 1]), 4 * np.spacing(inputs.t_end))]
+    least = _SAME * (ends[place] - ends[place - 1]) if near is None else near
+    inside = inside[away > np.maximum(least, 4 * np.spacing(inputs.t_end))]
     if not len(inside):
         return inputs
     cut = np.union1d(ends, inside)

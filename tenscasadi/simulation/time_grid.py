@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from tenscasadi.scene.over_time import OverTime
-from tenscasadi.scene.pulses import find_pulses
+from tenscasadi.scene.pulses import find_jumps, find_pulses
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.scene.time_functions import clock_error
 from tenscasadi.simulation.control_input import SampledControl, cut_steps
@@ -63,9 +63,13 @@ def cut_at_changes(changing: Sequence[OverTime | SupportMotion], inputs: Sampled
     last, resolution = first + inputs.t_end, _asked.get() or _RESOLUTION[adaptive]
     for load in changing:
         _check_functions(load, first, last)
-    steps = inputs.steps
-    inputs = cut_steps(inputs, np.concatenate([load.find_breaks(first, last, steps) for load in changing]) - first)
-    cuts, unseen = _find_cuts(changing, lambda rows: first + inputs.times(rows), inputs.steps, clock_error(first, last, steps), resolution)
+    steps, error = inputs.steps, clock_error(first, last, inputs.steps)
+    breaks = [load.find_breaks(first, last, steps) for load in changing]
+    inputs = cut_steps(inputs, np.concatenate(breaks) - first)
+    # A step that ends at a jump is cut just before it, too: its last stage is to see nothing of it.
+    jumps = [times[find_jumps(load, times, 2 * error, first, last)] for load, times in zip(changing, breaks, strict=True)]
+    inputs = cut_steps(inputs, np.concatenate(jumps) - first, error / 2)
+    cuts, unseen = _find_cuts(changing, lambda rows: first + inputs.times(rows), inputs.steps, error, resolution)
     return replace(cut_steps(inputs, cuts - first), unseen=unseen)
 
 

@@ -87,6 +87,18 @@ def truth(model: tc.Model, features: list[Feature]) -> Any:
     return model.nodes(x)
 
 
+@pytest.mark.parametrize("scheme", [tc.RungeKutta4(), tc.Rattle(), tc.Collocation(), tc.DormandPrince54(rtol=1e-8)])
+@pytest.mark.parametrize(
+    ("jumping", "impulse"),
+    [(lambda t: ca.sign(t - 0.5), 1.0), (lambda t: ca.floor(2 * t), 3.0), (lambda t: ca.fmod(t, 0.4), 0.4), (lambda t: ca.if_else(t < 1, 3, 1), 4.0)],
+)
+def test_steps_see_nothing_of_jumps_at_their_ends(jumping: Callable[[Any], Any], impulse: float, scheme: Any) -> None:
+    free = tc.Structure([(0, 0, 0)], node_mass=1.0)
+    model = tc.Model(tc.Scene(free, forces=tc.NodalForce(lambda t: [[jumping(t), 0, 0]])))
+    run = tc.simulate(model, 2.0, 0.01, scheme, compiled=False)
+    assert run.velocities[-1, 0, 0] == pytest.approx(impulse, abs=1e-8)
+
+
 def check(kind: str, features: list[Feature], certified: bool) -> None:
     def value(t: Any) -> Any:
         return sum((feature.value(t) for feature in features), start=0.5 + 0 * t)

@@ -110,3 +110,22 @@ def test_switches_are_found_to_the_last_digit() -> None:
     assert max(abs(found - time).min() for time in wanted) < 1e-14
     assert max(abs(wanted - time).min() for time in found) < 1e-14
     assert not len(find_breaks(ca.Function("f", [t], [ca.sin(t)]), 0.0, 9.0))
+
+
+def test_jumps_of_remainders_and_at_the_end_are_found() -> None:
+    t = ca.SX.sym("t")
+    for jumping, wanted in ((ca.fmod(t, 0.3), [0.3, 0.6, 0.9]), (ca.remainder(t, 0.4), [0.2, 0.6, 1.0]), (ca.floor(2 * t), [0.5, 1.0])):
+        found = find_breaks(ca.Function("f", [t], [jumping]), 0.1, 1.0)
+        assert max(abs(found - time).min() for time in wanted) < 1e-15
+        assert max(abs(np.array(wanted) - time).min() for time in found) < 1e-15
+        assert found[-1] <= 1.0
+
+
+def test_numbers_of_casadi_may_stand_in_lists() -> None:
+    def push(t: Any) -> list[Any]:
+        return [ca.vertcat(0, 0, t), [0, ca.if_else(t < 0.5, 1, 2), ca.fmax(t, 0)]]
+
+    NodalForce(push).check(2)
+    NodalForce(push).check_run(0.0, 1.0)
+    with pytest.raises(ValueError, match=r"NodalForce\.values\(0\.0\)\[1, 1\] is nan"):
+        NodalForce(lambda t: [REST, [0, ca.if_else(t < 0.5, np.nan, 2), 0]]).check(2)
