@@ -72,6 +72,8 @@ def read_controls(model: Model, controls: Any, p: Array) -> Plan:
         given, known = controls.controls.shape[1], controls.states.shape[1]
         if given != nu or known - 2 * model.nq not in (0, 1):  # with a clock or without: it is not fed back
             raise ValueError(f"controls is a Feedback of {given} controls and {known} states: the model has {nu} and {model.nx}")
+        if isinstance(model.scene.control, RestLength):
+            _check_rest_lengths(controls)
         return Plan(np.zeros((1, 1, nu)), controls)
     if controls is None:
         return Plan(_initial(model, p)[:, None], None)
@@ -86,6 +88,16 @@ def read_controls(model: Model, controls: Any, p: Array) -> Plan:
         place = tuple(int(i) for i in bad[0])
         raise ValueError(f"controls{list(place)} is {table[place]:g}: rest lengths (RestLength) must be greater than 0")
     return Plan(table, None)
+
+
+def _check_rest_lengths(feedback: Feedback) -> None:
+    """Raise ValueError where feedback may decide rest lengths of 0 or less."""
+    least = np.where(np.any(feedback.gains, axis=(0, 2)), -np.inf, feedback.controls.min(axis=0))
+    bad = np.flatnonzero((np.maximum(least, feedback.lower) < SMALLEST) | (feedback.upper < SMALLEST))
+    if bad.size:
+        k = bad[0]
+        told = f"controls is a Feedback whose limits of string {k} are {feedback.lower[k]:g} and {feedback.upper[k]:g}"
+        raise ValueError(f"{told}: rest lengths (RestLength) must be greater than 0, give Feedback(lower=...) above it")
 
 
 def _initial(model: Model, p: Array) -> Array:

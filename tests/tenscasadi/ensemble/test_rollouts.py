@@ -109,6 +109,17 @@ def test_feedback_is_decided_at_its_times_and_goes_on_after_the_plan(spring):
         np.testing.assert_allclose(many.final[k], state, rtol=1e-13)
 
 
+def test_feedback_whose_rest_lengths_may_vanish_is_refused():
+    structure = tc.Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 1.0], pinned={0: "xyz", 1: "yz"})
+    model = tc.Model(tc.Scene(structure, control=tc.RestLength()))
+    still = {"time": [0.0, 0.1], "states": np.ones((2, 2))}
+    for control, gain, lower in ((0.5, 3.0, -np.inf), (0.5, 3.0, 0.0), (-0.5, 0.0, -np.inf)):
+        with pytest.raises(ValueError, match=r"limits of string 0 are .* and inf: rest lengths .* give Feedback\(lower=...\) above it"):
+            tc.rollouts(model, 0.1, 0.01, controls=tc.Feedback(controls=[[control]], gains=[[[gain, 0.0]]], lower=lower, **still))
+    for gain, lower in ((0.0, -np.inf), (3.0, 0.1)):
+        assert tc.rollouts(model, 0.1, 0.01, controls=tc.Feedback(controls=[[0.9]], gains=[[[gain, 0.0]]], lower=lower, **still)).success.all()
+
+
 def test_feedback_may_be_laid_out_in_memory_as_it_likes():
     model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
     table = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
