@@ -141,7 +141,9 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
         return gamma
     # the bars take whatever acts along them: what is left is balanced by strings alone
     Q = null_space((balance[:, alpha:].toarray() / structure.bar_lengths).T, rcond=TOLERANCE).T
-    E, f = Q @ balance[:, :alpha].toarray(), Q @ w
+    strings = balance[:, :alpha].toarray()
+    E, f = Q @ strings, Q @ w
+    E[:, np.linalg.norm(E, axis=0) <= TOLERANCE * np.linalg.norm(strings, axis=0)] = 0.0  # a string beside a bar: what is left is rounding
 
     extra, residual = _balancing(E, f - E @ least, pushes)
     if residual > TOLERANCE * force:

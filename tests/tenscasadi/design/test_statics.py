@@ -231,3 +231,19 @@ def test_two_thousand_bars() -> None:
     assert stresses.shape == (count, 12 * count)
     assert abs(stresses @ statics._balance(s).T).max() < 1e-12
     np.testing.assert_allclose(equilibrium_force_density(s), np.tile(equilibrium_force_density(one), count), rtol=1e-9)
+
+
+def test_a_string_beside_a_bar_balances_nothing_by_rounding() -> None:
+    refused = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        nodes, lines = rng.normal(size=(4, 3)), {node: rng.normal(size=(2, 3)) for node in range(4)}
+        strings = [(0, 1), (1, 3), (2, 3), (1, 2), (0, 3)]
+        structure = Structure(nodes, bars=[(0, 1)], strings=strings, node_mass=1.0, rollers=lines)
+        try:
+            gamma = equilibrium_force_density(structure, rng.normal(size=(4, 3)), minimum=0.0)
+        except EquilibriumError:
+            refused += 1
+        else:
+            assert gamma.max() < 1e6
+    assert 0 < refused < 40
