@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from tenscasadi.ensemble.kernel import build_kernel
 from tenscasadi.envs.task import Task, Transition, pair
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
+from tenscasadi.simulation.diagnosis import BROKEN_BARS
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, call_user_function, finite_array
 
@@ -29,7 +31,8 @@ class Episodes:
         self._first, self._start = np.array(task.state, dtype=float), pair("Task.start", task.start)
         self.states, self.control = np.tile(self._first, (count, 1)), np.tile(model.initial_control, (count, 1))
         self.parameters, self.decided = np.tile(model.parameters.nominal, (count, 1)), np.zeros(count, dtype=int)
-        self._kernel = build_kernel(model, RungeKutta4(), task.correction)
+        correction = task.correction and replace(task.correction, every=min(task.correction.every, task.steps))  # each period counts anew
+        self._kernel = build_kernel(model, RungeKutta4(), correction)
         self._project = ArrayFunction(projection(model, 10))
         self._spread = task.spread
         self.nodes, self.velocities = self._places(self.states)
@@ -58,11 +61,12 @@ class Episodes:
         task = self.task
         inputs = self._inputs(action)
         rolled = self._kernel(self.states, inputs, task.period / task.steps, task.steps // inputs.shape[1], threads=self.threads)
-        lost = rolled.status != 0
-        self.states = np.where(lost[:, None], self.states, rolled.states)
-        self.decided = self.decided + 1
         before = self.nodes, self.velocities
-        self.nodes, self.velocities = self._places(self.states)
+        after = self._places(rolled.states)
+        lost = (rolled.status != 0) | self._broken(after[0])
+        self.states = np.where(lost[:, None], self.states, rolled.states)
+        self.nodes, self.velocities = (np.where(lost[:, None, None], *places) for places in zip(before, after, strict=True))
+        self.decided = self.decided + 1
         return Transition(self.nodes, self.velocities, *before, self.control, action, self.decided * task.period), lost
 
     def observe(self) -> Any:
@@ -92,6 +96,13 @@ class Episodes:
         """Return nodes and velocities (n, N, 3) of the scene's structure."""
         count = len(self.task.model.scene.structure.nodes)
         return self.task.model.nodes(states)[:, :count], self.task.model.velocities(states)[:, :count]
+
+    def _broken(self, nodes: Array) -> Any:
+        """Return in which episodes (n,) a bar is off its length as no motion can be that is still one."""
+        structure = self.task.model.scene.structure
+        ends, own = nodes[:, structure.bars], structure.nodes[structure.bars]
+        lengths = np.linalg.norm(own[:, 1] - own[:, 0], axis=1)
+        return np.any(np.abs(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2) - lengths) > BROKEN_BARS * lengths, axis=1)
 
     def _inputs(self, action: Array) -> Array:
         """Return the inputs (n, intervals, nw) of one period: rest lengths run on from step to step."""

@@ -86,7 +86,7 @@ class Task:
     terminated : callable, optional
         Function of a `Transition` that tells which episodes end (n,). Default: none but those that diverge.
     correction : Projection or BarLengthCorrection, optional
-        Applied after every `correction.every`-th step; None: none.
+        Applied after every `correction.every`-th step of a period, after its last one where it has fewer; None: none.
 
     Raises
     ------
@@ -95,7 +95,8 @@ class Task:
 
     Notes
     -----
-    All draws are uniform within ± their spread. An episode that diverges is terminated with the reward 0 and its last state.
+    All draws are uniform within ± their spread. An episode that diverges, or whose bars are off by more than 10 % of their length, is
+    terminated with the reward 0 and its last state.
 
     Examples
     --------

@@ -87,6 +87,31 @@ def test_rest_lengths_stay_within_their_limits():
         assert seen[-WOUND.nu :] == pytest.approx(np.full(WOUND.nu, 1.0 + 0.1 * sign))
 
 
+def bar_error(env):
+    ends = DRIVEN.nodes(env._episodes.states[0])[PRISM.bars]
+    return abs(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / DRIVEN.mechanism.lengths - 1).max()
+
+
+@pytest.mark.parametrize("steps", [3, 10])
+def test_bars_are_put_right_however_few_steps_a_period_has(steps):
+    env = TensegrityEnv(driven(steps=steps, period=0.005 * steps))
+    env.reset(seed=0)
+    for _ in range(10):
+        env.step(np.ones(DRIVEN.nu))
+    assert bar_error(env) < 1e-12
+
+
+def test_an_episode_whose_bars_break_is_terminated():
+    env = TensegrityEnv(driven(correction=None, period=0.1, steps=5, duration=10.0))
+    env.reset(seed=0)
+    for _ in range(100):
+        _, reward, terminated, _, info = env.step(np.ones(DRIVEN.nu))
+        assert bar_error(env) < 0.1
+        if terminated:
+            break
+    assert (reward, info) == (0.0, {"diverged": True})
+
+
 def test_many_episodes_are_those_of_one_by_one():
     task = driven(start=0.0, parameters={})
     envs, env = TensegrityVectorEnv(task, 5), TensegrityEnv(task)
