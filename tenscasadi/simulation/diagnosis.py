@@ -84,7 +84,8 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
     scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
     rounding = _ROUNDING[isinstance(compiled, Single)] * float(np.abs(parts).max() + run.tension.sum(axis=1).max() * np.ptp(run.nodes))
     s = model.structure
-    crossing = float(s.bar_mass.sum() + s.node_mass.sum()) * (extent(model) / float(run.time[-1])) ** 2  # of a run by which all cross their own size
+    masses = (model.parameters.item_values(name, run.parameters, getattr(s, name)) for name in ("bar_mass", "node_mass"))
+    crossing = float(sum(mass.sum() for mass in masses)) * (extent(model) / float(run.time[-1])) ** 2  # of a run by which all cross their own size
     rounding += _EPSILON * crossing
     largest = float(np.abs(run.energy_error).max())
     trusted = not largest > max(_LOST_TRUST * scale, rounding)  # NaN: not known
@@ -104,7 +105,7 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
 def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory) -> str:
     """Say that steps are too long to follow damped strings that go slack, though they are stable, and the cure; "" where they are not."""
     clamped = model.scene.clamped_strings
-    damped = clamped[model.scene.modelled.damping[clamped] > 0]
+    damped = clamped[_string_values(model, run, "damping")[clamped] > 0]
     if scheme.adaptive or scheme.implicit or not np.any(run.tension[:, damped] == 0) or not np.any(run.tension[:, damped] > 0):
         return ""
     worst = (0.0, 0)
@@ -154,8 +155,8 @@ def _looks(model: Model, run: Trajectory) -> list[tuple[list[Array], float, list
     count, last = len(run.time), len(run.time) - 1
     _, first, kind = np.unique(np.packbits(taut, axis=1), axis=0, return_index=True, return_inverse=True)
     kind = kind.ravel()
-    s = model.structure
-    danger = taut[first] @ sum(part / (part.max(initial=0.0) or 1.0) for part in (s.stiffness, s.damping))
+    rates = [_string_values(model, run, name) for name in ("stiffness", "damping")]
+    danger = taut[first] @ sum(part / (part.max(initial=0.0) or 1.0) for part in rates)
     chosen = set(np.argsort(-danger, kind="stable")[: _MOST_LOOKS if model.nx <= DENSE else 1].tolist()) | {int(kind[0]), int(kind[last])}
     strongest = int(run.force_density.max(axis=1, initial=0.0).argmax())
     groups = []
@@ -172,9 +173,18 @@ def _stretched(model: Model, run: Trajectory, states: Array) -> NDArray[np.bool_
     s, scene = model.structure, model.scene
     if isinstance(scene.control, ForceDensity):
         return np.asarray(run.tension != 0)
-    rest = run.control[:, s.string_parent] * s.string_fraction if isinstance(scene.control, RestLength) else s.rest_length
+    rest = run.control[:, s.string_parent] * s.string_fraction if isinstance(scene.control, RestLength) else _string_values(model, run, "rest_length")
     ends = model.nodes(states)
     return np.asarray(np.linalg.norm(ends[:, s.strings[:, 1]] - ends[:, s.strings[:, 0]], axis=2) > rest)
+
+
+def _string_values(model: Model, run: Trajectory, name: str) -> Array:
+    """Return stiffness, damping or rest length (α,) of the modelled strings, with the parameters of a run."""
+    s = model.structure
+    if not model.scene.has_parameter(name):
+        return np.asarray(getattr(s, name))
+    own = model.parameters.quantities[name].numbers(run.parameters)[s.string_parent]
+    return own * s.string_fraction if name == "rest_length" else own / s.string_fraction
 
 
 def _finer(model: Model, scheme: Scheme, run: Trajectory) -> str:

@@ -196,3 +196,18 @@ def test_strings_that_stay_taut_or_are_not_damped_need_no_such_word() -> None:
     assert "damped" not in simulate(Model(pulled), 1.0, 0.02, compiled=False).message
     loose = taut.replace(damping=0.0, rest_length=0.9)
     assert "damped" not in simulate(Model(Scene(loose)), 1.0, 0.05, compiled=False).message
+
+
+def test_strings_are_judged_with_the_parameters_of_the_run() -> None:
+    """Strings that are slack and undamped with the scene's own values: taut within a step alone, or damped and let go."""
+    parameters = tc.Parameters("rest_length", "damping")
+    taut = {"rest_length": 1.0, "damping": 1e3}, 0.9, [[-0.57, 0, 0], [0.57, 0, 0]], 0.01
+    damped = {"rest_length": 0.9, "damping": 100.0}, 1.0, None, 0.011
+    for values, length, speeds, step in (taut, damped):
+        pair = Structure([(0, 0, 0), (length, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=1e3, rest_length=5.0)
+        model = Model(Scene(pair, parameters=parameters))
+        start = model.state(pair.nodes, speeds)
+        runs = [simulate(m, 1.0, step, state=start, parameters=p, compiled=False) for m, p in ((model, values), (model.fixed(values), None))]
+        assert runs[0].message == runs[1].message
+        assert runs[0].success == runs[1].success
+        assert "the step is above the stability limit" in runs[0].message or "damped strings that go slack" in runs[0].message
