@@ -85,28 +85,21 @@ def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = Run
     return limit
 
 
-def log_growth(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignored: float, parameters: Any = None) -> float:
+def log_growth(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignored: float, bound: float, parameters: Any = None) -> float:
     """Compute log |R| of the mode of the motion linearised at a state that one step, s, of a scheme amplifies most; 0 where none grows.
 
-    Growth of the motion itself is none of the scheme. What a bound on the rates leaves below `ignored` is returned as 0.
+    Growth of the motion itself is none of the scheme. What the `rate_bound` leaves below `ignored` is returned as 0.
     """
-    bound = _rate_bound(model, x, model.held(u, parameters))
     if _largest_log(scheme, step * bound * _HALF_DISC) <= ignored:  # R is analytic: it is largest on the edge
         return 0.0
     rates = _rates(model, x, u, parameters)
     return _largest_log(scheme, step * np.where(rates.real > 0, 1j * np.abs(rates), rates))
 
 
-def damped_share(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignored: float, parameters: Any = None) -> float:
-    """Compute the share that one step, s, of a scheme is of the largest that damping leaves stable in the motion linearised at a state.
-
-    Modes count that damping slows down rather than lets swing. What a bound on the rates leaves below `ignored` is returned as 0.
-    """
-    reach = float(stability_limit(scheme, np.array([-1.0 + 0.0j]))[0])
-    if step * _rate_bound(model, x, model.held(u, parameters)) <= ignored * reach:
-        return 0.0
+def fastest_damped(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
+    """Compute the fastest rate, 1/s, at which damping slows a mode of the motion linearised at a state down rather than lets it swing; 0: none."""
     rates = _rates(model, x, u, parameters)
-    return float(-step / reach * rates.real[-rates.real > np.abs(rates.imag)].min(initial=0.0))
+    return float(-rates.real[-rates.real > np.abs(rates.imag)].min(initial=0.0))
 
 
 def _largest_log(scheme: Scheme, z: NDArray[Any]) -> float:
@@ -115,18 +108,19 @@ def _largest_log(scheme: Scheme, z: NDArray[Any]) -> float:
     return float(np.log(largest)) if largest > 1 + _ROUNDED else 0.0  # NaN: not known
 
 
-def _rate_bound(model: Model, x: Any, u: Any) -> float:
+def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
     """Return a bound on ω_max, rad/s, that costs little: from λ² q = (λ C + K) q; for large models an estimate that is rather too high."""
+    w = model.held(u, parameters)
     if model.nx > DENSE:
         along, v, size = _linearisation(model), np.random.default_rng(0).normal(size=model.nx), 1.0
         sizes = []
         for _ in range(_PROBES):
-            v = along(x, u, v / size if size else v).full().ravel()
+            v = along(x, w, v / size if size else v).full().ravel()
             size = float(np.linalg.norm(v))
             sizes.append(size)
         pairs = np.sqrt(np.multiply(sizes[1:], sizes[:-1]))  # positions and velocities by turns
         return _PROBED * float(pairs[-1])
-    jacobian, n = _linearisation(model)(x, u).full(), model.nq
+    jacobian, n = _linearisation(model)(x, w).full(), model.nq
     K, C = (
         min(abs(block).sum(axis=0).max(initial=0.0), abs(block).sum(axis=1).max(initial=0.0))
         for block in (jacobian[n : 2 * n, :n], jacobian[n : 2 * n, n : 2 * n])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
-from tenscasadi.integrators.scheme import Scheme, extent
-from tenscasadi.integrators.stability import DENSE, damped_share, fastest_rate, log_growth, stable_step
+from tenscasadi.integrators.scheme import Scheme, extent, stability_limit
+from tenscasadi.integrators.stability import DENSE, fastest_damped, fastest_rate, log_growth, rate_bound, stable_step
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, Single
@@ -77,7 +79,8 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
     x = run.states[0]
     if off := off_constraints(model, x, OFF):
         return f"; the start is {off}", constraint_violation(model, x) <= WRONG_START
-    growth, limit, when = _find_growth(model, scheme, run)
+    looks = [] if scheme.adaptive or scheme.implicit or not model.nx else _looks(model, run)
+    growth, limit, when = _find_growth(model, scheme, run, looks)
     drift = float(run.bar_length_error.max())
     found = [f"bars are off by up to {drift:.2g} of their length (correction=Projection() holds them)"] if drift > DRIFTED_BARS else []
     parts = run.energy_parts
@@ -98,20 +101,22 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
         # Friction is bounded, so is what its slope at rest amplifies: it only chatters.
         rubs = any(ground.friction is not None for ground in model.scene.grounds)
         return told, rubs or (trusted and growth <= LOST_GROWTH)
-    coarse = _find_coarse_damping(model, scheme, run)
+    coarse = _find_coarse_damping(model, scheme, run, looks)
     return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run)}" if found else "") + coarse, trusted
 
 
-def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory) -> str:
+def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory, looks: list[_Look]) -> str:
     """Say that steps are too long to follow damped strings that go slack, though they are stable, and the cure; "" where they are not."""
     clamped = model.scene.clamped_strings
     damped = clamped[_string_values(model, run, "damping")[clamped] > 0]
-    if scheme.adaptive or scheme.implicit or not np.any(run.tension[:, damped] == 0) or not np.any(run.tension[:, damped] > 0):
+    if not looks or not np.any(run.tension[:, damped] == 0) or not np.any(run.tension[:, damped] > 0):
         return ""
+    stable = float(stability_limit(scheme, np.array([-1.0 + 0.0j]))[0])  # step times rate
     worst = (0.0, 0)
-    for states, _, rows in _looks(model, run):
-        for x, row in zip(states, rows, strict=True):
-            worst = max(worst, (damped_share(model, scheme, run.step, x, run.control[row], _COARSE, run.parameters), row))
+    for look in looks:
+        for x, row, bound in zip(look.states, look.rows, look.bounds, strict=True):
+            if run.step * bound > _COARSE * stable:
+                worst = max(worst, (run.step / stable * fastest_damped(model, x, run.control[row], run.parameters), row))
     share, row = worst
     if share <= _COARSE:
         return ""
@@ -121,17 +126,15 @@ def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory) -> str:
     )
 
 
-def _find_growth(model: Model, scheme: Scheme, run: Trajectory) -> tuple[float, float, float]:
+def _find_growth(model: Model, scheme: Scheme, run: Trajectory, looks: list[_Look]) -> tuple[float, float, float]:
     """Find by how much the steps of a run amplified a mode that they should not: its log, the stability limit, s, and a time, s, of it."""
-    if scheme.adaptive or scheme.implicit or not model.nx:
-        return 0.0, np.inf, 0.0
     steps, ends = max(1.0, float(run.time[-1]) / run.step), (0, len(run.time) - 1)  # there, the limit is told however little it does
     total, worst = 0.0, (0.0, run.states[0], 0)
-    for states, share, rows in _looks(model, run):
+    for states, share, rows, bounds in looks:
         least = [0.0 if row in ends else SPOKEN_GROWTH / steps for row in rows]
         logs = [
-            log_growth(model, scheme, run.step, x, run.control[row], ignored, run.parameters)
-            for x, row, ignored in zip(states, rows, least, strict=True)
+            log_growth(model, scheme, run.step, x, run.control[row], ignored, bound, run.parameters)
+            for x, row, ignored, bound in zip(states, rows, least, bounds, strict=True)
         ]
         k = int(np.argmax(logs))
         total += logs[k] * max(1.0, share * steps)
@@ -141,8 +144,17 @@ def _find_growth(model: Model, scheme: Scheme, run: Trajectory) -> tuple[float, 
     return total, stable_step(model, worst[1], run.control[worst[2]], scheme, safety=1.0, parameters=run.parameters), float(run.time[worst[2]])
 
 
-def _looks(model: Model, run: Trajectory) -> list[tuple[list[Array], float, list[int]]]:
-    """Choose where to linearise: states, the share of the run that they stand for, and their rows.
+class _Look(NamedTuple):
+    """States at which a run is linearised, the share of the run that they stand for, their rows, and bounds on their rates, rad/s."""
+
+    states: list[Array]
+    share: float
+    rows: list[int]
+    bounds: list[float]
+
+
+def _looks(model: Model, run: Trajectory) -> list[_Look]:
+    """Choose where to linearise.
 
     One group for each set of taut strings, the stiffest and most damped first, with the start, the end and the largest force density in
     theirs. A string may be taut within a step alone, and be thrown slack by it: so also the states that the velocities lead to in a step.
@@ -164,7 +176,9 @@ def _looks(model: Model, run: Trajectory) -> list[tuple[list[Array], float, list
         where = dict.fromkeys([int(first[k]), *(row for row in (0, last, strongest) if kind[row] == k)])
         own = int(np.count_nonzero(kind[:count] == k))  # 0: taut within steps only
         states = [run.states[i] if i < count else ahead[i - count] for i in where]
-        groups.append((states, own / count if own else 0.0, [i % count for i in where]))
+        rows = [i % count for i in where]
+        bounds = [rate_bound(model, x, run.control[row], run.parameters) for x, row in zip(states, rows, strict=True)]
+        groups.append(_Look(states, own / count if own else 0.0, rows, bounds))
     return groups
 
 
