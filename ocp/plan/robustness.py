@@ -146,6 +146,8 @@ def check_spreads(parameters: Any) -> dict[str, float]:
         text("parameters: a name", name)
     spreads = {name: positive_number(f"parameters[{shown(name)}]", value, zero=True) for name, value in parameters.items()}
     for name, value in spreads.items():
+        if name == "rest_length":
+            raise ValueError("parameters has 'rest_length', which a plan commands, as force densities or by winding: vary 'stiffness' instead")
         if value >= 1:
             raise ValueError(f"parameters[{name!r}] is {value:g}: give a spread relative to its value, less than 1")
     return spreads

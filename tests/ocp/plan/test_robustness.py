@@ -193,6 +193,7 @@ BAD = {
     "a spread below zero": (lambda plan: plan.robustness({"bar_mass": -0.1}), ValueError, "parameters.'bar_mass'. is -0.1"),
     "start below zero": (lambda plan: plan.robustness(start=-1.0), ValueError, "start is -1"),
     "start of three": (lambda plan: plan.robustness(start=(1.0, 1.0, 1.0)), ValueError, "start has shape"),
+    "rest lengths": (lambda plan: plan.robustness({"rest_length": 0.1}), ValueError, "'rest_length', which a plan commands.*vary 'stiffness'"),
     "no samples": (lambda plan: plan.robustness(start=0.1, samples=0), ValueError, "samples is 0"),
     "seed no number": (lambda plan: plan.robustness(start=0.1, seed="a"), TypeError, "seed"),
     "tracked no flag": (lambda plan: plan.robustness(start=0.1, tracked=1), TypeError, "tracked is 1"),
