@@ -184,7 +184,10 @@ def cache_folder() -> Path:
         reason = str(error)
     if not reason:
         return folder
-    temporary = _temporary_folder()
+    temporary = _temporary_folder(os.getpid())
+    if not temporary.is_dir():  # swept away
+        _temporary_folder.cache_clear()
+        temporary = _temporary_folder(os.getpid())
     log.info("compiled code goes to %s for this process: %s", temporary, reason)
     return temporary
 
@@ -233,10 +236,16 @@ def _distrust(path: Path) -> str:
 
 
 @functools.cache
-def _temporary_folder() -> Path:
+def _temporary_folder(process: int) -> Path:
+    """Make a folder of this process alone: one that a fork shared would be removed by the first of both that ends."""
     folder = tempfile.mkdtemp(prefix="tenscasadi-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    atexit.register(_remove_own, folder, process)
     return Path(folder)
+
+
+def _remove_own(folder: str, process: int) -> None:
+    if os.getpid() == process:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @functools.cache

@@ -116,6 +116,31 @@ def test_a_folder_that_cannot_be_made_is_replaced(tmp_path: Path, monkeypatch: p
     assert tmp_path not in folder.parents
 
 
+@posix
+def test_temporary_folders_belong_to_one_process_and_come_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A forked process that ends must not take its parent's folder along, nor must who sweeps old files away."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path / "file" / "cache"))
+    code = """
+import os, sys
+from tenscasadi.util.compile import cache_folder
+own = cache_folder()
+child = os.fork()
+if not child:
+    other = cache_folder()
+    assert other != own and other.is_dir()
+    sys.exit()
+assert os.waitpid(child, 0)[1] == 0
+assert own.is_dir() and cache_folder() == own
+own.rmdir()
+print(cache_folder().is_dir(), cache_folder())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    again, _, folder = done.stdout.strip().partition(" ")
+    assert again == "True"
+    assert not Path(folder).exists()
+
+
 def test_the_users_cache_is_the_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TENSCASADI_CACHE")
     name = {"win32": "LOCALAPPDATA", "darwin": "HOME"}.get(sys.platform, "XDG_CACHE_HOME")
