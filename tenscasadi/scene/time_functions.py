@@ -174,16 +174,28 @@ def _find_poles(traced: ca.Function, output: int, times: Array, values: Array) -
     rows = sizes.argmax(axis=0)
     steep = np.flatnonzero(sizes.max(axis=0) > _STEEP * np.median(sizes, axis=0))
     for row, entry in {int(rows[entry]): int(entry) for entry in steep}.items():
+        size_at = _size_of_entry(traced, output, entry)
         low, high = times[max(row - 1, 0)], times[min(row + 1, len(times) - 1)]
         middle: list[float] = []
         while high - low > _FINEST * np.spacing(max(abs(low), abs(high))):
             near = np.linspace(low, high, 21)
-            size = np.abs(_values(traced, output, near)[:, entry])
+            size = size_at(near)
             place = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
             middle.append(float(np.median(size)))
             low, high = near[max(place - 1, 0)], near[min(place + 1, 20)]
         if len(middle) > _LAST and not middle[-1] < _GROWS * middle[-1 - _LAST]:
             yield float(near[place])
+
+
+def _size_of_entry(traced: ca.Function, output: int, entry: int) -> Callable[[Array], Array]:
+    """Return the function times (K,) → size of one entry of an output (K,), without the cost of the others where that is possible."""
+    t = ca.SX.sym("t")
+    try:
+        values = ca.densify(traced.call([t])[output])
+    except RuntimeError:  # it cannot be expanded
+        return lambda times: np.abs(_values(traced, output, times)[:, entry])
+    alone = ca.Function("entry", [t], [values[divmod(entry, values.shape[1])]])
+    return lambda times: np.abs(alone(times[None]).full().ravel())
 
 
 def trace(function: Any) -> ca.Function:
