@@ -152,7 +152,10 @@ def _derivatives(load: OverTime | SupportMotion) -> _Functions | None:
     value = ca.Function("value", [t], [column])
     derivative, order = value, 0
     while order < _ORDER:
-        further = ca.Function("derivative", [t], [ca.densify(ca.cse(ca.jacobian(derivative(t), t)))])
+        try:
+            further = ca.Function("derivative", [t], [ca.densify(ca.cse(ca.jacobian(derivative(t), t)))])
+        except RuntimeError:  # of splines CasADi has few derivatives
+            break
         if further.n_instructions() > _LONGEST:
             break
         derivative, order = further, order + 1

@@ -156,3 +156,14 @@ def test_breaks_belong_to_functions() -> None:
         replace(TABLE, breaks=[0.5])
     with pytest.raises(TypeError, match=r"NodalForce\.breaks"):
         replace(SWITCH, breaks="soon")
+
+
+def test_supports_may_move_along_splines() -> None:
+    times = np.linspace(-1, 2, 31)
+    spline = ca.interpolant("spline", "bspline", [times], times**3)
+    runs = []
+    for place in (spline, lambda t: t**3):
+        motion = SupportMotion({0: lambda t, place=place: (place(t) - place(0), 0, 0)})
+        runs.append(simulate(Model(Scene(SPRING, supports=motion)), 1.0, 0.01, compiled=False))
+    assert runs[0].success
+    assert runs[0].nodes[-1] == pytest.approx(runs[1].nodes[-1], abs=1e-6)
