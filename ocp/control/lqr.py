@@ -134,7 +134,7 @@ def track(
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or the steps of so few decisions diverge.
+        An argument is wrong, or the steps of so few decisions diverge, or departures do.
 
     Notes
     -----
@@ -175,7 +175,13 @@ def track(
     tangents = Tangents(model, states[0])
     Z = [tangents(x) for x in states]
     C = [np.asarray(kept(x)[1].full()) @ basis for x, basis in zip(states, Z, strict=True)]
-    return Tracker(model, time, states, gamma, _gains(A, B, Z, C, force**-2), *limits.limits(model.scene.structure))
+    try:
+        with np.errstate(all="ignore"):  # what overflows is told
+            gains = _gains(A, B, Z, C, force**-2)
+    except (scipy.linalg.LinAlgError, ValueError):
+        told = f"departures along the motion{'' if plan.success else ' of a plan that failed'} grow too fast for gains to be found"
+        raise ValueError(f"decisions is {count}: {told}, give more decisions") from None
+    return Tracker(model, time, states, gamma, gains, *limits.limits(model.scene.structure))
 
 
 Plan._track = staticmethod(track)

@@ -234,12 +234,14 @@ def _check_values(content: dict[str, Any]) -> None:
     if not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0):
         raise ValueError("field 'time' does not increase")
     for name, least in {"step": 0.0, "steps": 0, "seconds": 0.0, "lanes": 0, "threads": 0}.items():
-        if not content[name] >= least:
-            raise ValueError(f"field {name!r} is {content[name]:g}: it must be at least {least:g}")
+        if not least <= content[name] < np.inf:
+            raise ValueError(f"field {name!r} is {content[name]:g}: it must be at least {least:g}, and finite")
     good = np.asarray(content["success"])
     for name in ("states", "energy", "energy_error", "bar_length_error", "joint_error"):
         if not np.all(np.isfinite(content[name][good])):
             raise ValueError(f"field {name!r} is not finite in a motion that succeeded")
+        if name.endswith("error") and np.any(content[name] < 0):
+            raise ValueError(f"field {name!r} holds a value below 0")
 
 
 def _largest(errors: Array, unit: str = "") -> str:

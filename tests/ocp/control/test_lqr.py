@@ -10,6 +10,7 @@ from controlling import MODEL, gust, misfit
 
 import ocp
 import tenscasadi as tc
+from ocp.control import lqr
 from ocp.control.lqr import Tangents
 
 
@@ -79,3 +80,12 @@ def test_bad_arguments_are_refused_by_name(plan, name):
     make, error, message = BAD[name]
     with pytest.raises(error, match=message):
         make(plan)
+
+
+@pytest.mark.parametrize("success", [True, False])
+def test_a_plan_along_which_departures_explode_is_refused(plan, monkeypatch, success):
+    derivatives = lqr.Motion.derivatives
+    monkeypatch.setattr(lqr.Motion, "derivatives", lambda *given: [1e200 * slope for slope in derivatives(*given)])
+    told = "motion" if success else "motion of a plan that failed"
+    with pytest.raises(ValueError, match=rf"decisions is 20: departures along the {told} grow too fast.* more decisions"):
+        ocp.track(replace(plan, success=success))

@@ -204,6 +204,8 @@ def test_files(prism, tmp_path):
     for name, value, told in (
         ("states", content["states"][:, :1], "'states'"),
         ("time", content["time"][::-1], "'time' does not increase"),
+        ("step", np.asarray(np.inf), "'step' is inf: it must be at least 0, and finite"),
+        ("energy_error", -1 - content["energy_error"], "'energy_error' holds a value below 0"),
         ("place", content["place"] + 100, "'place' holds indices"),
         ("energy", content["energy"] * np.nan, "'energy' is not finite"),
         ("message", np.arange(3), "'message' holds values of type"),
