@@ -14,14 +14,23 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.kernel import KernelResult
 from tenscasadi.ensemble.request import BEYOND, BROKEN, KINETIC, NOT_FINITE, STOPPED, SUPPLIED, WORST
 from tenscasadi.integrators.scheme import Scheme
-from tenscasadi.simulation.diagnosis import BROKEN_BARS, DRIFTED_BARS, LOST_ENERGY, OFF, WRONG_START, constraint_violation, describe_doubts
+from tenscasadi.simulation.diagnosis import (
+    BROKEN_BARS,
+    DRIFTED_BARS,
+    LOST_ENERGY,
+    LOST_TRUST,
+    OFF,
+    WRONG_START,
+    constraint_violation,
+    describe_doubts,
+)
 from tenscasadi.simulation.trajectory import record_trajectory
 from tenscasadi.util.validate import Array
 
 _ROUNDING = 1e-9  # of the energies, what a run may lose by rounding
 _LOOKED_AT = 2  # motions that are looked at closely beside the first and the last, and for each of a few parameters the two with its extremes
 _FEW = 8  # entries of controls and of parameters; of more their sum
-_MOST = 50  # motions that are looked at where a step is above the stability limit
+_MOST = 50  # motions that are looked at where a step is above the stability limit, or energy is off by what takes the trust
 _LIMIT = "stability limit"
 
 _FAULTS = {
@@ -71,9 +80,10 @@ def judge(run: Run) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
         told[k] += f"; bars are off by up to {worst['bar_length_error'][k]:.2g} of their length (correction=Projection() holds them)"
     moved = worst["kinetic"] + worst["elastic_high"] - worst["elastic_low"] + worst["gravity_high"] - worst["gravity_low"]
     size = worst["kinetic"] + abs(worst["elastic_high"]) + abs(worst["gravity_low"]) + abs(worst["gravity_high"])
-    for k in np.flatnonzero(success & (worst["energy_error"] > np.maximum(LOST_ENERGY * moved, _ROUNDING * size))).tolist():
+    off = np.where(worst["energy_error"] > _ROUNDING * size, worst["energy_error"] / np.maximum(moved, 1e-300), 0.0)
+    for k in np.flatnonzero(success & (off > LOST_ENERGY)).tolist():
         told[k] += f"; energy is off by {worst['energy_error'][k]:.2g} J where {moved[k]:.2g} J move: try a smaller step"
-    _look_closer(run, worst["energy_error"] / np.maximum(moved, 1e-300), success, told)
+    _look_closer(run, off, success, told)
     if run.unseen:
         success[:] = False
     return success, np.array(told.tolist(), dtype=np.str_).reshape(n)
@@ -125,7 +135,10 @@ def _may_be_off(model: Model, starts: Array) -> NDArray[np.bool_]:
 
 
 def _look_closer(run: Run, share: Array, success: NDArray[np.bool_], told: NDArray[Any]) -> None:
-    """Ask of some motions all that `simulate` asks: of those likeliest to be wrong, and of all where a step is above the stability limit."""
+    """Ask of some motions all that `simulate` asks: of those likeliest to be wrong, and of all where a step is above the stability limit.
+
+    share: of the energy that moves, by which it is off (n,).
+    """
     left = np.flatnonzero(success)
     if not len(left) or not run.model.nx:
         return
@@ -135,8 +148,11 @@ def _look_closer(run: Run, share: Array, success: NDArray[np.bool_], told: NDArr
         if len(values) > 1 and values.shape[1]:
             columns = values[left] if values.shape[1] <= _FEW else values[left].sum(axis=1, keepdims=True)
             chosen |= {int(left[pick(column)]) for column in columns.T for pick in (np.argmin, np.argmax)}
+    lost = [k for k in order if share[k] > LOST_TRUST]
+    chosen |= set(lost[:_MOST])
     for k in sorted(chosen):
         _ask(run, k, success, told)
+    success[lost[_MOST:]] &= bool(success[lost[:_MOST]].all())  # as far to be trusted as those that were looked at
     above = [k for k in sorted(chosen) if _LIMIT in told[k]]
     if not above:
         return

@@ -20,7 +20,7 @@ BROKEN_BARS = 0.1  # relative length error at which a run has diverged
 BEYOND = 1e12  # entries of a state above this are not physical in any unit
 DRIFTED_BARS = 0.01  # relative length error at which the message speaks of it
 LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
-_LOST_TRUST = 0.5  # and at which the run is another motion
+LOST_TRUST = 0.5  # and at which the run is another motion
 _ROUNDING = {False: 1e-9, True: 1e-5}  # of the energies, what a run may lose by rounding, in double and in single precision
 OFF = 1e-6  # of lengths and speeds: what a start may be off its bars and joints by without a word
 WRONG_START = 0.2  # of lengths and speeds: a start that is off by more is another structure's
@@ -91,7 +91,7 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
     crossing = float(sum(mass.sum() for mass in masses)) * (extent(model) / float(run.time[-1])) ** 2  # of a run by which all cross their own size
     rounding += _EPSILON * crossing
     largest = float(np.abs(run.energy_error).max())
-    trusted = not largest > max(_LOST_TRUST * scale, rounding)  # NaN: not known
+    trusted = not largest > max(LOST_TRUST * scale, rounding)  # NaN: not known
     if largest > max(LOST_ENERGY * scale, rounding):
         found.append(f"energy is off by {largest:.2g} J where {scale:.2g} J move")
     if run.step > limit:

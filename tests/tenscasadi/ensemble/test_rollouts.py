@@ -328,3 +328,14 @@ def test_what_changes_faster_than_any_steps_is_told_and_not_trusted() -> None:
     many = tc.rollouts(model, 1.0, 0.01)
     assert not many.success.any()
     assert "NodalForce.values changes within steps at t = " in many.message[0]
+
+
+def test_each_motion_whose_energy_is_lost_is_no_success() -> None:
+    """Masses bounce on ground that is stiff for the step: also where many of them lose or gain more than half of what moves."""
+    mass = tc.Structure([(0, 0, 0.5)], node_mass=1.0)
+    model = tc.Model(tc.Scene(mass, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1e5, damping=0.0, friction=None)))
+    states = np.array([model.state([[0, 0, height]]) for height in np.linspace(0.3, 3.0, 64)])
+    many = tc.rollouts(model, t_end=20.0, step=8.5e-3, states=states, save_every=1)
+    alone = [tc.simulate(model, 20.0, 8.5e-3, state=state, save_every=1, compiled=False) for state in states]
+    assert many.success.tolist() == [run.success for run in alone]
+    assert 40 < many.success.sum() < 60
