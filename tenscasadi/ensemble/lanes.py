@@ -33,7 +33,7 @@ def write_source(program: Program, lanes: int | None) -> str:
     lanes: motions in each instruction; None: as many as the processor's registers hold. One lane is plain double, and takes any code.
     """
     functions, sizes, tableau = program.functions, program.sizes, program.tableau
-    generator = ca.CodeGenerator("motion.c", {"with_header": False})
+    generator = ca.CodeGenerator("motion.c", {"with_header": False, "verbose": False})
     for function in functions.values():
         generator.add(function)
     room = {

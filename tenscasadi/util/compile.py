@@ -346,7 +346,8 @@ def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, suffix:
 
 def _c_code(function: ca.Function, single: bool = False) -> str:
     """Write `function` in C, for `casadi.external`; `single`: with float inside. Raises RuntimeError where CasADi cannot write C."""
-    generator = ca.CodeGenerator(function.name() + ".c", {"casadi_real": "float"} if single else {})
+    # Without comments: their numbers are printed as any part of the process has told CasADi to, and the same code would be compiled again.
+    generator = ca.CodeGenerator(function.name() + ".c", {"verbose": False} | ({"casadi_real": "float"} if single else {}))
     generator.add(function)
     return _behind_double(function, generator.dump()) if single else generator.dump()
 

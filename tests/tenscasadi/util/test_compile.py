@@ -570,3 +570,14 @@ def test_cpp_is_compiled_once_and_sealed(cache: Path, count: list[str], monkeypa
     monkeypatch.setattr(compiled, "find_compiler", lambda: None)
     with pytest.raises(CompileError, match="no C compiler found"):
         compile_library("answer", source)
+
+
+def test_how_a_process_prints_numbers_does_not_change_its_code() -> None:
+    x = ca.MX.sym("x", 3)
+    function = ca.Function("third", [x], [ca.sin(x) * (1 / 3)])
+    before = compiled._c_code(function)
+    try:
+        ca.DM.set_precision(14)
+        assert compiled._c_code(function) == before
+    finally:
+        ca.DM.set_precision(6)
