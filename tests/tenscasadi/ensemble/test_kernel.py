@@ -20,8 +20,9 @@ def prism(**options):
 
 
 def table(t):
+    # Kinks on the grid, at which `simulate` cuts no step.
     push = np.zeros((6, 3)).tolist()
-    push[3] = [ca.sin(9 * t), ca.if_else(t > 0.008, 2.0, 0.0), ca.sign(t - 0.01)]
+    push[3] = [ca.sin(9 * t), 250 * ca.if_else(t > 0.008, t - 0.008, 0.0), 100 * ca.fabs(t - 0.01)]
     return ca.vertcat(*(ca.horzcat(*row) for row in push))
 
 
