@@ -79,7 +79,7 @@ def simulate(  # noqa: PLR0913  the options of a run
         needs that account.
     seconds : float, optional
         Wall time after which the run stops, s, as by Ctrl-C: `success` is False, and what it has is kept. It is looked at after each piece of
-        steps that is computed at once. Default: no limit.
+        steps that is computed at once; compiling comes on top. Default: no limit.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters (`Scene.parameters`), or of some by name, see `ParameterLayout.values`. One compiled loop serves all
         values. Default: nominal.
