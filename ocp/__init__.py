@@ -24,6 +24,7 @@ from ocp.problem.geometric_bounds import AboveGround, BarClearance, InsideBox, O
 from ocp.problem.goals import AtRest, NodePositions, Shape, StringLengths
 from ocp.problem.ground_bounds import AboveSurface
 from ocp.problem.instant import Instant
+from ocp.problem.node_goals import CentreOfMass
 from ocp.problem.periodic import Periodic
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
@@ -46,6 +47,7 @@ __all__ = [
     "StringLengths",
     "NodePositions",
     "Shape",
+    "CentreOfMass",
     "AtRest",
     "Periodic",
     "Waypoint",

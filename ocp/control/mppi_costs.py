@@ -63,10 +63,9 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
     asked = [type(part).__name__ for part in (problem.start, *problem.goals) if isinstance(part, (FreeStart, Waypoint))]
     if asked:
         raise ValueError(f"problem has {asked[0]}, which asks for a motion of a given duration: solve it, and keep to the plan by ocp.Tracking")
-    x = ca.SX.sym("x", problem.model.nx)
-    end = Instant(problem.model, x, ca.SX(problem.model.nu, 1), ca.SX(0))
-    structure = problem.model.scene.structure
-    rows = stack(goal.rows(structure, end.nodes, end.velocities) for goal in problem.final_goals)
+    model, structure = problem.model, problem.model.scene.structure
+    x = ca.SX.sym("x", model.nx)
+    rows = stack(goal.rows(structure, model.nodes(x), model.velocities(x)) for goal in problem.final_goals)
     misses = ca.Function("misses", [x], [ca.sumsqr(rows.value / ca.DM(rows.sizes(sizes)))]) if rows.names else None
     return misses(now.state) if misses is not None else ca.DM(0)
 

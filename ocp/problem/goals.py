@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.rows import Rows
+from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, coordinates, finite_array, node_index, nonnegative, number_or_vector, per_item, shown, whole_number
 
@@ -23,6 +24,10 @@ class Goal:
 
     def check(self, structure: Structure) -> None:
         """Raise TypeError or ValueError, naming the field, where the goal does not fit the structure."""
+
+    def complete(self, model: Model, start: Array | None) -> Goal:
+        """Return the goal with what its problem knows: the model, and the start (nx,), None where it is free."""
+        return self
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Return the rows that vanish when the goal is met, of nodes and velocities 3×n (CasADi)."""

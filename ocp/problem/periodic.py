@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from ocp.problem.goals import Goal
 from ocp.problem.rows import Rows
+from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import coordinates, finite_array
+from tenscasadi.util.validate import Array, coordinates, finite_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +69,26 @@ class Periodic(Goal):
             if value and structure.fixed[:, axis].any():
                 node = int(np.argmax(structure.fixed[:, axis]))
                 raise ValueError(f"Periodic.shift moves node {node}, which is pinned along {'xyz'[axis]}: give 0 for that axis")
+
+    def complete(self, model: Model, start: Array | None) -> Goal:
+        """Return the goal with what a problem knows.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+        start : ndarray of shape (nx,), optional
+            Its start; None where it is free.
+
+        Returns
+        -------
+        Goal
+            The same goal, with the start to come back to where it has none.
+        """
+        if self.start is not None or start is None:
+            return self
+        count = len(model.scene.structure.nodes)
+        return replace(self, start=(model.nodes(start)[:count], model.velocities(start)[:count]))
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Return coordinates, m, and velocities, m/s, minus those of the start.

@@ -73,7 +73,7 @@ class Problem:
         Nodes at rest, m, or a state; None for the model's initial state; ``FreeStart(...)`` for a start that is found with the plan. Rounded
         numbers are put right.
     goals : iterable of goals, optional
-        `StringLengths`, `NodePositions`, `Shape`, `AtRest`, `Periodic`, `Waypoint`: all met, at the end unless they say when.
+        `StringLengths`, `NodePositions`, `Shape`, `CentreOfMass`, `AtRest`, `Periodic`, `Waypoint`: all met, at the end unless they say when.
     bounds : iterable of bounds, optional
         `ForceDensityLimits`, `TensionLimits`, `BarClearance`, `Constraint`, ...: all hold along the way.
     costs : iterable of costs, optional
@@ -137,11 +137,17 @@ class Problem:
         structure = self.model.scene.structure
         for item in (*own["goals"], *own["bounds"], *own["costs"], *self.start_goals):
             item.check(structure)
-        own["goals"] = tuple(self._with_start(goal) for goal in own["goals"])
+        begin = None if self.free_start else self.first_state
+        own["goals"] = tuple(goal.complete(self.model, begin) for goal in own["goals"])
+        if isinstance(self.start, FreeStart):
+            own["start"] = replace(self.start, goals=tuple(goal.complete(self.model, None) for goal in self.start.goals))
+        for goal in own["goals"]:
+            if isinstance(goal, Waypoint):
+                goal.at(self.shortest, self.longest)
         self._check_limits()
         if not own["costs"] and np.isposinf(self.force_density_limits[1]).any():
             own["costs"] = (Effort(),)  # with nothing to keep them small, barriers of the solver let force densities grow without bound
-        check_expressions(self.model, own["bounds"], own["costs"], None if self.free_start else self.first_state)
+        check_expressions(self.model, own["bounds"], own["costs"], begin)
 
     @property
     def shortest(self) -> float:
@@ -240,18 +246,6 @@ class Problem:
             i = int(bad[0])
             raise ValueError(f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths")
         return np.asarray(projection(self.model, 10)(state).full()).ravel()
-
-    def _with_start(self, goal: Goal) -> Goal:
-        """Tell periodic goals where the plan starts."""
-        if isinstance(goal, Waypoint):
-            goal.at(self.shortest, self.longest)
-            if self.free_start and any(isinstance(inner, Periodic) and inner.start is None for inner in goal.goals):
-                raise ValueError("Waypoint.goals has Periodic(), and the start is free: give Periodic(start=...), or Periodic() as a goal of the end")
-            return replace(goal, goals=tuple(self._with_start(inner) for inner in goal.goals))
-        if isinstance(goal, Periodic) and goal.start is None and not self.free_start:
-            start, count = self.first_state, len(self.model.scene.structure.nodes)
-            return replace(goal, start=(self.model.nodes(start)[:count], self.model.velocities(start)[:count]))
-        return goal
 
     def _check_limits(self) -> None:
         for kind in (ForceDensityLimits, TensionLimits):

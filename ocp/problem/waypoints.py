@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ocp.problem.goals import Goal
+from ocp.problem.periodic import Periodic
+from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import positive_number, shown
+from tenscasadi.util.validate import Array, positive_number, shown
 
 INSTANT = 1e-9  # of the duration: what lies nearer together is one instant
 
@@ -72,6 +74,31 @@ class Waypoint(Goal):
         """
         for goal in self.goals:
             goal.check(structure)
+
+    def complete(self, model: Model, start: Array | None) -> Goal:
+        """Return the goals with what a problem knows.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+        start : ndarray of shape (nx,), optional
+            Its start; None where it is free.
+
+        Returns
+        -------
+        Goal
+            The same waypoint, its goals complete.
+
+        Raises
+        ------
+        ValueError
+            If one of them repeats a start that is free.
+        """
+        goals = tuple(goal.complete(model, start) for goal in self.goals)
+        if any(isinstance(goal, Periodic) and goal.start is None for goal in goals):
+            raise ValueError("Waypoint.goals has Periodic(), and the start is free: give Periodic(start=...), or Periodic() as a goal of the end")
+        return replace(self, goals=goals)
 
     def at(self, shortest: float, longest: float) -> float:
         """Return when the goals are met.

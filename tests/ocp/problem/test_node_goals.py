@@ -1,0 +1,96 @@
+"""Goals of where nodes are, together or each: met as SciPy integrates the plan, and refused by name where no strings bring them about."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import numpy as np
+import pytest
+from flights import centre
+from planning import driven, prism
+from scipy.integrate import solve_ivp
+
+import ocp
+import tenscasadi as tc
+
+LIMITS = ocp.ForceDensityLimits(0.0, 200.0)
+
+
+def integrated(plan, share=1.0):
+    """The state at a share of the plan's duration, by SciPy from force densities that are held in intervals."""
+    model, state = plan.model, plan.trajectory.states[0]
+    for begin, end, gamma in zip(plan.time, plan.time[1:], plan.force_density, strict=False):
+        end = min(end, share * plan.time[-1])
+        if end > begin:
+            rate = lambda t, x, gamma=gamma: model.ode(x, gamma).full().ravel()  # noqa: E731
+            state = solve_ivp(rate, (begin, end), state, "DOP853", rtol=1e-10, atol=1e-10).y[:, -1]
+    return state
+
+
+def planned(model, *goals, duration=0.6, **changes):
+    given = {"bounds": [LIMITS], "costs": [ocp.Effort()], **changes}
+    return ocp.solve(ocp.Problem(model, duration, goals=goals, **given), ocp.MultipleShooting(20))
+
+
+def test_the_centre_of_mass_is_put_in_its_place_at_the_end_and_on_the_way():
+    model = driven(prism(1.0, pinned=[0, 1, 2], node_mass=[0.1, 0.2, 0.3, 0.4, 0.5, 2.0]))
+    begun = centre(model, model.structure.nodes)
+    goals = [ocp.CentreOfMass((begun[0] + 0.01, None, begun[2] - 0.02)), ocp.AtRest()]
+    plan = planned(model, *goals, ocp.Waypoint([ocp.CentreOfMass((None, begun[1] + 0.01, None))], share=0.5))
+    assert plan.success, plan.message
+    ended, passed = (centre(model, model.nodes(integrated(plan, share))) for share in (1.0, 0.5))
+    assert ended[[0, 2]] == pytest.approx([begun[0] + 0.01, begun[2] - 0.02], abs=2e-4)
+    assert passed[1] == pytest.approx(begun[1] + 0.01, abs=1e-3)
+
+
+def test_masses_inside_strings_count():
+    structure = prism(1.0, string_mass=0.5)
+    model = driven(structure, segments=2)
+    problem = ocp.Problem(model, goals=[ocp.CentreOfMass((None, None, 0.5))])
+    assert np.sum(problem.goals[0].masses) == pytest.approx(structure.bar_mass.sum() + structure.string_mass.sum())
+    assert len(problem.goals[0].masses) == len(model.structure.nodes)
+
+
+def test_strings_do_not_move_the_centre_of_mass_of_what_is_free():
+    model = driven(prism(1.0))
+    height = centre(model, model.structure.nodes)[2]
+    with pytest.raises(ocp.UnreachableGoal, match=r"CentreOfMass: z misses its goal by 0\.1 m at best, as the centre of mass follows"):
+        planned(model, ocp.CentreOfMass((None, None, height + 0.1)))
+    with pytest.raises(ocp.UnreachableGoal, match=r"waypoint at 0\.5 of the duration: CentreOfMass: x misses"):
+        planned(model, ocp.Waypoint([ocp.CentreOfMass((9.0, None, None))], share=0.5))
+
+
+def test_what_falls_is_where_galilei_says():
+    model = driven(prism(1.0), gravity=tc.Gravity((0, 0, -9.81)))
+    height = centre(model, model.structure.nodes)[2]
+    plan = planned(model, ocp.CentreOfMass((None, None, height - 9.81 * 0.6**2 / 2)))
+    assert plan.success, plan.message
+    with pytest.raises(ocp.UnreachableGoal, match=r"CentreOfMass: z misses its goal by 1\.77 m at best"):
+        planned(model, ocp.CentreOfMass((None, None, height)))
+
+
+def test_files_and_pickles_hold_them(tmp_path):
+    model = driven(prism(1.0, pinned=[0, 1, 2]))
+    height = centre(model, model.structure.nodes)[2]
+    plan = planned(model, ocp.CentreOfMass((None, None, height - 0.01)))
+    plan.save(tmp_path / "plan.npz")
+    again = ocp.Plan.load(tmp_path / "plan.npz").problem.goals[0]
+    assert again.position == (None, None, height - 0.01)
+    assert np.array_equal(again.masses, deepcopy(plan.problem).goals[0].masses)
+
+
+BAD = {
+    "two coordinates": (lambda: ocp.CentreOfMass((1.0, 2.0)), ValueError, "CentreOfMass.position .* give three coordinates"),
+    "no coordinate": (lambda: ocp.CentreOfMass((None, None, None)), ValueError, "CentreOfMass.position"),
+    "no place": (lambda: ocp.CentreOfMass(1.0), TypeError, "CentreOfMass.position is 1.0"),
+    "no mass": (lambda: ocp.CentreOfMass((1.0, None, None), np.zeros(6)), ValueError, "CentreOfMass.masses are all 0"),
+    "few masses": (lambda: planned(driven(prism(1.0)), ocp.CentreOfMass((1.0, None, None), np.ones(5))), ValueError, "CentreOfMass.masses has 5"),
+    "many masses": (lambda: planned(driven(prism(1.0)), ocp.CentreOfMass((1.0, None, None), np.ones(7))), ValueError, r"CentreOfMass.masses .* \(6"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_goals_of_nodes_are_refused_by_name(name):
+    make, error, message = BAD[name]
+    with pytest.raises(error, match=message):
+        make()
