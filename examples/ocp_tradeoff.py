@@ -44,7 +44,7 @@ class Row(NamedTuple):
 class Plain(ocp.Ipopt):
     """IPOPT as it comes, with the derivatives that CasADi makes of the whole program."""
 
-    def solve(self, program: Program) -> Solution:
+    def solve(self, program: Program, deadline: float | None = None) -> Solution:
         """The solution."""
         solver = ca.nlpsol("solver", "ipopt", program.problem, {"ipopt": {"print_level": 0, "sb": "yes"}, "print_time": False})
         result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper)

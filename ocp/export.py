@@ -12,7 +12,7 @@ import numpy as np
 
 from ocp.control.mpc import Mpc
 from ocp.problem.problem import Problem
-from ocp.solve import program_of
+from ocp.program import program_of
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess
 from tenscasadi.util.validate import file_path, instance

@@ -12,7 +12,7 @@ import numpy as np
 from ocp.boundary.sensitivities import Reach, find_controlled
 from ocp.boundary.target import Target
 from ocp.solvers.base import Solution
-from ocp.solvers.ipopt import STOPPED
+from ocp.solvers.ipopt import STOPPED, TIME_UP
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
@@ -40,6 +40,7 @@ _CAUSES = {
 _STOPS = {
     "Maximum_WallTime_Exceeded": "stopped at the time limit: raise Ipopt(seconds=...)",
     "Maximum_CpuTime_Exceeded": "stopped at the time limit: raise max_cpu_time in Ipopt(options=...)",
+    TIME_UP: "stopped at the time limit, with the best so far: raise seconds",
     STOPPED: "stopped on request, by Ipopt(watch=...) or from the keyboard, with the best so far",
 }
 _STEPS = f"the solver could not go on: {_ROOM}, or more intervals"

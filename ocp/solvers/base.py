@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
+from ocp.solvers.multipliers import Duals
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.validate import Array, positive_number, shown, whole_number
 
@@ -24,6 +25,29 @@ class Solution(NamedTuple):
     last: Array | None = None
 
 
+class Outcome(NamedTuple):
+    """What a method found for a problem, before it is replayed; where there is no plan, its best.
+
+    states (K + 1, nx), force_density (K or K + 1, α) and duration, s; objective: sum of the costs; success, status, iterations: the method's own
+    word; duals: multipliers, None where no optimum was found; gap: m, how far states are from those of fine steps where an accuracy was asked
+    for; why: what is to be said of a failure, "" after success; imposed: the rows that were, in words; time (K + 1,): the nodes of the mesh, s,
+    None where they are those of the transcription.
+    """
+
+    states: Array
+    force_density: Array
+    duration: float
+    objective: float
+    success: bool
+    status: str
+    iterations: int
+    duals: Duals | None = None
+    gap: float = 0.0
+    why: str = ""
+    imposed: str = ""
+    time: Array | None = None
+
+
 class Solver(Protocol):
     """Anything that solves a program."""
 
@@ -31,8 +55,8 @@ class Solver(Protocol):
     def tolerance(self) -> float:
         """Of scaled optimality and constraints."""
 
-    def solve(self, program: Program) -> Solution:
-        """Return the solution; where there is none, the best iterate with success False."""
+    def solve(self, program: Program, deadline: float | None = None) -> Solution:
+        """Return the solution; where there is none by the deadline (of `time.perf_counter`, s), the best iterate with success False."""
 
 
 def check_options(name: str, max_iterations: Any, tolerance: Any, verbose: Any, options: Any, example: str) -> None:

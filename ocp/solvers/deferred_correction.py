@@ -44,19 +44,19 @@ def check_correctable(transcription: Transcription, solver: Solver) -> None:
         raise ValueError(f"{text}: give ocp.Ipopt(), or accuracy=None and more intervals")
 
 
-def solve_corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, accuracy: float) -> Corrected:
+def solve_corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, accuracy: float, deadline: float | None = None) -> Corrected:
     """Solve, and again with rows g(w) = τ of the motion in place of g(w) = 0, until states are as near to fine ones as `accuracy`.
 
     τ is what the rows leave at the states of fine steps under the planned force densities (Stetter, Numer. Math. 1978, 29, 425): where that is
     settled, the coarse rows hold exactly at the fine motion. Each round gains what the coarse scheme is worth: a factor of about its relative error.
     Only limits change, so nothing is built again. Optimal is the plan for the costs of the coarse rows, which are wrong by its order.
     """
-    solution = replace(solver, tolerance=max(solver.tolerance, ROUGH_TOLERANCE)).solve(program)
+    solution = replace(solver, tolerance=max(solver.tolerance, ROUGH_TOLERANCE)).solve(program, deadline)
     best, before, iterations = Corrected(solution, None, np.inf), np.inf, solution.iterations
     if not solution.success:
         return best
     rows = ca.Function("rows", [program.problem["x"]], [program.problem["g"]])
-    again: Callable[[Program], Solution] | None = None
+    again: Callable[..., Solution] | None = None
     count, moving = len(fractions), program.rows("start", "defect")[-1].stop
     linear = program.unpack.size2_out(1) > count
     chain = (ramped_step if linear else shooting_step)(model, DormandPrince853(), FINE_STEPS).mapaccum(count)
@@ -77,7 +77,7 @@ def solve_corrected(program: Program, solver: Ipopt, model: Model, fractions: Ar
         lower, upper = (np.concatenate([shift, limit[moving:]]) for limit in (program.lower, program.upper))
         moved = replace(program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers)
         again = again or replace(solver, warm=True).prepared(moved)
-        solution = again(moved)
+        solution = again(moved, deadline)
         iterations += solution.iterations
         if not solution.success:
             return best if done else Corrected(solution, None, np.inf)

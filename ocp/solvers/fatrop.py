@@ -67,13 +67,15 @@ class Fatrop:
     def __post_init__(self) -> None:
         check_options("Fatrop", self.max_iterations, self.tolerance, self.verbose, self.options, "{'mu_init': 0.1}")
 
-    def solve(self, program: Program) -> Solution:
+    def solve(self, program: Program, deadline: float | None = None) -> Solution:  # it cannot be stopped
         """Solve a program.
 
         Parameters
         ----------
         program : Program
             The program.
+        deadline : float, optional
+            Has no effect: Fatrop ends by `max_iterations` alone.
 
         Returns
         -------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ FIRST_BARRIER_KNOWN = 1e-9  # the same where multipliers are known; where they a
 
 
 STOPPED = "User_Requested_Stop"
+TIME_UP = "Time_Limit_Reached"  # that of the whole search, which includes what comes before the solver
 SMALL_VIOLATION = 1e-6  # violation, scaled, below which iterates are judged by their objective
 
 
@@ -124,13 +126,15 @@ class Ipopt:
             raise TypeError(f"Ipopt.warm is {shown(self.warm)}: give True or False")
         _check_library(self.options)
 
-    def solve(self, program: Program) -> Solution:
+    def solve(self, program: Program, deadline: float | None = None) -> Solution:
         """Solve a program.
 
         Parameters
         ----------
         program : Program
             The program.
+        deadline : float, optional
+            Value of `time.perf_counter`, s, after which it stops. By default there is none.
 
         Returns
         -------
@@ -142,9 +146,9 @@ class Ipopt:
         ValueError
             If IPOPT refuses an option.
         """
-        return self.prepared(program)(program)
+        return self.prepared(program)(program, deadline)
 
-    def prepared(self, program: Program) -> Callable[[Program], Solution]:
+    def prepared(self, program: Program) -> Callable[..., Solution]:
         """Build the solver once for several programs.
 
         Parameters
@@ -155,7 +159,8 @@ class Ipopt:
         Returns
         -------
         callable
-            Function of a program that differs from this one in limits, start and multipliers alone; it returns a `Solution`.
+            Function of a program that differs from this one in limits, start and multipliers alone, and of a deadline (see `solve`) or None; it
+            returns a `Solution`.
 
         Raises
         ------
@@ -212,11 +217,11 @@ class BestIterate(ca.Callback):
         super().__init__()
         self._sizes = {"x": size, "f": 1, "g": rows, "lam_x": size, "lam_g": rows, "lam_p": 0}
         self._objective, self._watch = objective, watch
-        self._begin(np.zeros(rows), np.zeros(rows))
+        self._begin(np.zeros(rows), np.zeros(rows), None)
         self.construct("best", {})
 
-    def _begin(self, lower: Array, upper: Array) -> None:
-        self._lower, self._upper = lower, upper
+    def _begin(self, lower: Array, upper: Array, deadline: float | None) -> None:
+        self._lower, self._upper, self._deadline = lower, upper, np.inf if deadline is None else deadline
         self._merit = np.inf
         self._count = 0
         self.w: Array | None = None
@@ -224,9 +229,9 @@ class BestIterate(ca.Callback):
         self.error: Exception | None = None
 
     @contextmanager
-    def following(self, lower: Array, upper: Array) -> Iterator[None]:
-        """Follow a run with these limits of rows; Ctrl-C meanwhile stops the solver after its iteration; a second time it raises, as usual."""
-        self._begin(lower, upper)
+    def following(self, lower: Array, upper: Array, deadline: float | None) -> Iterator[None]:
+        """Follow a run with these limits of rows until a deadline; Ctrl-C stops the solver after its iteration; a second time it raises, as usual."""
+        self._begin(lower, upper, deadline)
         with on_interrupt(self._stop, then_raise=False):
             yield
 
@@ -270,13 +275,15 @@ class BestIterate(ca.Callback):
         self._count += 1
         if not proceed:
             self.status = STOPPED
+        elif time.perf_counter() > self._deadline:
+            self.status = TIME_UP
         np.frombuffer(res[0])[:] = float(bool(self.status))
         return 0
 
 
-def _run(solver: ca.Function, best: BestIterate, program: Program) -> Solution:
+def _run(solver: ca.Function, best: BestIterate, program: Program, deadline: float | None = None) -> Solution:
     known = {} if program.multipliers is None else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
-    with best.following(program.lower, program.upper):
+    with best.following(program.lower, program.upper, deadline):
         result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper, **known)
     if best.error is not None:
         raise best.error

@@ -60,6 +60,10 @@ class Transcription:
         """Share of the duration that each interval takes (K,)."""
         return fractions(self.intervals)
 
+    def longest_step(self, duration: float) -> float:
+        """Return the longest step, s, of a motion of `duration` s."""
+        return duration * float(self.fractions.max())
+
     def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
         """Return the nonlinear program, scaled about the guess. Raise ValueError for a model that the transcription cannot take."""
         self.check_model(problem.model)

@@ -78,6 +78,10 @@ class MultipleShooting(Transcription):
             text = f"MultipleShooting.scheme is {name}(), which steps whole models, not the equations with force densities of an interval"
             raise ValueError(f"{text}: give RungeKutta4(), DormandPrince54(), DormandPrince853() or Collocation()") from None
 
+    def longest_step(self, duration: float) -> float:
+        """Return the longest step, s, of a motion of `duration` s."""
+        return super().longest_step(duration) / self.substeps
+
     def defects(self, variables: Variables, used: Array) -> Defects:
         """Return the blocks of rows that vanish on a motion: the gaps between intervals.
 

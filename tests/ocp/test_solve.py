@@ -34,6 +34,15 @@ def asked(**changes):
     return {"goals": goals, "bounds": [PRESTRESS], "costs": [ocp.Effort()], **changes}
 
 
+def test_a_time_limit_stops_the_solver_with_the_best_so_far(plan):
+    stopped = ocp.solve(plan.problem, plan.transcription, ocp.Ipopt(tolerance=1e-30, max_iterations=10**6), seconds=2.0 * plan.seconds)
+    assert not stopped.success
+    assert "stopped at the time limit" in stopped.message
+    assert stopped.objective == pytest.approx(plan.objective, rel=1e-3)
+    with pytest.raises(ValueError, match="seconds"):
+        ocp.solve(plan.problem, seconds=-1.0)
+
+
 def test_a_prism_rises(plan):
     assert plan.success
     assert plan.status == "Solve_Succeeded"

@@ -1,0 +1,29 @@
+"""The rows of a target that the strings can move along a motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ocp.boundary.sensitivities import REACHED, Reach, find_controlled
+from ocp.boundary.target import Target
+from tenscasadi.util.validate import Array
+
+
+def controlled(target: Target, reach: Reach, force_density: Array, duration: float, least: float = REACHED) -> Target:
+    """Return the target without the rows that the strings cannot move, to first order, along the motion under force densities (K, α)."""
+    if not count_rows(target) or target.free_start is not None:  # a free start moves them too
+        return target
+    intervals = len(force_density)
+
+    def reduced(part: Target, share: float) -> Target:
+        end = max(1, round(share * intervals))
+        kept = find_controlled(reach.of_rows(part.single, part.weights, target.start, force_density, duration, end), least)
+        return part if len(kept) == part.count else part.keep(kept, "out of control")
+
+    waypoints = tuple(one._replace(target=reduced(one.target, one.share)) for one in target.waypoints)
+    return replace(reduced(target, 1.0), waypoints=waypoints)
+
+
+def count_rows(target: Target) -> int:
+    """Count the rows that are imposed at the end and on the way."""
+    return sum(part.count for _, part, _ in target.instants)

@@ -1,0 +1,201 @@
+"""Plans by nonlinear programs: what the strings control, the program, its solution, and why there is none."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ocp.boundary.controlled import controlled, count_rows
+from ocp.boundary.find_target import find_target
+from ocp.boundary.sensitivities import HARDLY_REACHED, Reach
+from ocp.boundary.target import Target
+from ocp.plan.diagnosis import explain_failure, long_steps, measure_misses
+from ocp.presolve import check_freedom, check_groups, check_start
+from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
+from ocp.solvers.base import Outcome, Solution, Solver
+from ocp.solvers.deferred_correction import check_correctable, solve_corrected
+from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.multipliers import Duals, named_duals, warm_started
+from ocp.transcription.base import Transcription
+from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
+from ocp.transcription.mesh import group_matrix, held_values, hermite_state, locate_share
+from ocp.transcription.sparse_nlp import Program
+from tenscasadi.util.validate import Array, instance
+
+MET = 3e-4  # of the structure's size (and of it per duration): goals missed by more are missed
+LOOSENING = 0.3  # of the strongest force density: disturbs a guess along which some rows are out of control
+
+
+class _Task(NamedTuple):
+    """A problem and how it becomes a program, where its goals lead, how far the strings move their rows, and what solves it."""
+
+    problem: Problem
+    transcription: Transcription
+    target: Target
+    scales: Scales
+    reach: Reach
+    solver: Solver
+
+
+class _Found(NamedTuple):
+    """The rows that were imposed, and the solution; `guess` is what it says, to start again from."""
+
+    imposed: Target
+    program: Program
+    solution: Solution
+    guess: Guess
+    gap: float  # m, from fine steps, where an accuracy is asked for
+
+
+def solve_program(
+    problem: Problem,
+    transcription: Transcription,
+    target: Target,
+    scales: Scales,
+    guess: Guess,
+    solver: Solver,
+    deadline: float | None = None,
+    duals: Duals | None = None,
+) -> Outcome:
+    """Solve the nonlinear program that a transcription makes of a problem.
+
+    duals: multipliers to start from, where they are known. deadline: of `time.perf_counter`, s; None: no limit.
+    """
+    check_correctable(transcription, solver)
+    _check(problem, transcription, target)
+    task = _Task(problem, transcription, target, scales, _reach(problem, transcription), solver)
+    imposed = controlled(target, task.reach, guess.force_density, guess.duration)
+    found = _attempt(task, imposed, guess, deadline, duals)
+    if count_rows(imposed) < count_rows(target) and not (found.solution.success and _met(task, found)) and not _late(deadline):
+        # Rows that no string moved along the guess are missed: along a less regular motion they may be within reach.
+        loosened = _loosened(problem, guess)
+        more = controlled(target, task.reach, loosened.force_density, loosened.duration, HARDLY_REACHED)
+        if count_rows(more) > count_rows(imposed):
+            found = _attempt(task, more, loosened, deadline)
+    return _outcome(task, found)
+
+
+def prepare(problem: Problem, transcription: Transcription) -> tuple[Target, Scales]:
+    """Return where the goals lead, and scales; refuse what has no solution."""
+    check_groups(problem, transcription.control)
+    scales = Scales.of(problem)
+    target = find_target(problem, scales)
+    if not problem.free_start:
+        check_start(problem)
+    return target, scales
+
+
+def program_of(problem: Problem, transcription: Transcription, guess: InitialGuess | None = None) -> Program:
+    """Return the program that `solve` gives to its solver. Raises as `solve`."""
+    instance("problem", problem, Problem, "an ocp.Problem")
+    instance("transcription", transcription, Transcription, "a transcription, such as ocp.MultipleShooting()")
+    target, scales = prepare(problem, transcription)
+    _check(problem, transcription, target)
+    first = evaluate_guess(guess, problem, target, transcription.count)
+    imposed = controlled(target, _reach(problem, transcription), first.force_density, first.duration)
+    return transcription.program(problem, imposed, scales, first)
+
+
+def _check(problem: Problem, transcription: Transcription, target: Target) -> None:
+    if not problem.free_start:
+        check_freedom(problem, target, transcription)
+
+
+def _reach(problem: Problem, transcription: Transcription) -> Reach:
+    together = group_matrix(transcription.control, problem.model.nu)
+    return Reach(problem.model, transcription.count, problem.shortest < problem.longest, grouping=together)
+
+
+def _late(deadline: float | None) -> bool:
+    return deadline is not None and time.perf_counter() >= deadline
+
+
+def _loosened(problem: Problem, guess: Guess) -> Guess:
+    """Return the guess with force densities that differ from string to string and from interval to interval, always in the same way."""
+    lower, upper = problem.force_density_limits
+    change = np.random.default_rng(0).uniform(size=guess.force_density.shape)
+    strength = float(np.abs(guess.force_density).max()) or 1.0
+    return replace(guess, force_density=np.clip(guess.force_density + LOOSENING * strength * change, lower, upper))
+
+
+def _attempt(task: _Task, imposed: Target, guess: Guess, deadline: float | None, duals: Duals | None = None) -> _Found:
+    """Make the program and solve it, from multipliers where they are known."""
+    problem, transcription, solver = task.problem, task.transcription, task.solver
+    program = transcription.program(problem, imposed, task.scales, guess)
+    known = program if duals is None else warm_started(program, imposed, duals)
+    if transcription.accuracy is None or not isinstance(solver, Ipopt):
+        limited = {} if deadline is None else {"deadline": deadline}  # own solvers may know none
+        solution, states, gap = solver.solve(known, **limited), None, 0.0
+    else:
+        solution, states, gap = solve_corrected(known, solver, problem.model, transcription.fractions, transcription.accuracy, deadline)
+    planned, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
+    lower, upper = problem.force_density_limits
+    # Interior-point methods overstep limits by their tolerance.
+    duration = np.clip(duration.squeeze(), problem.shortest, problem.longest)
+    says = Guess(planned.T if states is None else states, np.clip(controls.T, lower, upper), float(duration))
+    return _Found(imposed, program, solution, says, gap)
+
+
+def _planned(task: _Task, found: _Found) -> Callable[[float], Array]:
+    """Return the planned state (nx,) as a function of the share of the duration, as waypoints see it."""
+    shares, guess, model = task.transcription.fractions, found.guess, task.problem.model
+
+    def state_at(share: float) -> Array:
+        k, part = locate_share(shares, share)
+        (before, after), h = guess.states[k : k + 2], guess.duration * shares[k]
+        return after if part == 1.0 else np.asarray(hermite_state(model, ca.DM(before), ca.DM(after), h, part).full()).ravel()
+
+    return state_at
+
+
+def _met(task: _Task, found: _Found) -> bool:
+    """Tell whether the rows of all goals vanish, also those that were not imposed; how well bars and momenta are kept is not asked."""
+    state_at = _planned(task, found)
+    for share, part, _ in task.target.begin_at(found.guess.states[0]).instants:
+        residual = np.asarray(part.rows(state_at(share)).full()).ravel()
+        if len(residual) and np.abs(np.linalg.lstsq(part.reduction.combinations, residual)[0]).max() > MET:
+            return False
+    return True
+
+
+def _outcome(task: _Task, found: _Found) -> Outcome:
+    """Return what was found, and why where it is no plan."""
+    imposed, program, solution, guess, gap = found
+    cost = ca.Function("cost", [program.problem["x"]], [program.problem["f"]])(solution.w)
+    why = _why(task, found)
+    return Outcome(
+        states=guess.states,
+        force_density=guess.force_density,
+        duration=guess.duration,
+        objective=float(cost) * program.objective,
+        success=not why,
+        status=solution.status,
+        iterations=solution.iterations,
+        duals=named_duals(program, imposed, solution.w, *solution.multipliers) if solution.success and solution.multipliers else None,
+        gap=gap,
+        why=why,
+        imposed=imposed.begin_at(guess.states[0]).describe(),
+    )
+
+
+def _why(task: _Task, found: _Found) -> str:
+    """Tell why what was found is no plan; "" where it is one."""
+    transcription, (imposed, program, solution, guess, gap) = task.transcription, found
+    state_at, target = _planned(task, found), task.target.begin_at(found.guess.states[0])
+    if solution.success and transcription.accuracy is not None and gap > transcription.accuracy:
+        return f"too coarse: corrections end {gap:.2g} m from fine steps, not {transcription.accuracy:.2g} m: give more intervals"
+    if solution.success and not _met(task, found):
+        missed = measure_misses(target, state_at).worst()
+        return f"no plan: {missed}, and no string moves it there to first order: give a goal that the motion passes"
+    if solution.success:
+        return ""
+    held = replace(guess, force_density=held_values(guess.force_density, transcription.count))
+    step = transcription.longest_step(guess.duration)
+    too_long = long_steps(task.problem.model, guess.states, held.force_density, step, guess.duration)
+    return explain_failure(measure_misses(target, state_at), imposed.begin_at(guess.states[0]), task.reach, program, solution, held, too_long)
