@@ -21,10 +21,10 @@ from ocp.problem.bar_bounds import BarForceLimits, Buckling
 from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
-from ocp.problem.goals import AtRest, NodePositions, Shape, StringLengths
+from ocp.problem.goals import Shape, StringLengths
 from ocp.problem.ground_bounds import AboveSurface
 from ocp.problem.instant import Instant
-from ocp.problem.node_goals import CentreOfMass
+from ocp.problem.node_goals import AtRest, CentreOfMass, NodePositions, NodeVelocities
 from ocp.problem.periodic import Periodic
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
@@ -46,6 +46,7 @@ __all__ = [
     "FreeStart",
     "StringLengths",
     "NodePositions",
+    "NodeVelocities",
     "Shape",
     "CentreOfMass",
     "AtRest",

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ocp.problem import bar_bounds, costs, expressions, geometric_bounds, goals, string_bounds, waypoints
+from ocp.problem import bar_bounds, costs, expressions, geometric_bounds, goals, node_goals, string_bounds, waypoints
 from ocp.problem.ground_bounds import AboveSurface
-from ocp.problem.node_goals import CentreOfMass
 from ocp.problem.periodic import Periodic
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.tracking import Tracking
@@ -33,7 +32,8 @@ from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import LARGEST, Array, instance
 
 _TABLE = (
-    *(goals.StringLengths, goals.NodePositions, goals.Shape, goals.AtRest, CentreOfMass, Periodic, waypoints.Waypoint, FreeStart),
+    *(goals.StringLengths, goals.Shape, Periodic, waypoints.Waypoint, FreeStart),
+    *(node_goals.NodePositions, node_goals.NodeVelocities, node_goals.CentreOfMass, node_goals.AtRest),
     *(string_bounds.ForceDensityLimits, string_bounds.TensionLimits, string_bounds.RestLengthLimits, string_bounds.RestLengthRateLimits),
     *(bar_bounds.BarForceLimits, bar_bounds.Buckling),
     *(geometric_bounds.InsideBox, geometric_bounds.BarClearance, geometric_bounds.Obstacle, AboveSurface, Ground, Terrain),

@@ -1,8 +1,8 @@
-"""Goals of the end of a plan, as values: each turns a state into rows that are zero there."""
+"""Goals of the end of a plan, as values: each turns a state into rows that are zero there. Here those of distances."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, coordinates, finite_array, node_index, nonnegative, number_or_vector, per_item, shown, whole_number
+from tenscasadi.util.validate import Array, finite_array, nonnegative, number_or_vector, per_item, whole_number
 
 BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, those that give bars other lengths are refused
 
@@ -117,133 +117,6 @@ class StringLengths(Goal):
         vectors = nodes[:, ends[:, 1].tolist()] - nodes[:, ends[:, 0].tolist()]
         value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(list(wanted.values()))
         return Rows(value, tuple(f"StringLengths: string {string}" for string in wanted), ("m",) * len(wanted))
-
-
-@dataclass(frozen=True, eq=False)
-class NodePositions(Goal):
-    """Nodes that are in given places at the end.
-
-    Parameters
-    ----------
-    positions : mapping of int to sequence of float or None, or array_like of shape (n, 3)
-        ``{node: (x, y, z)}``, m, None for an axis that is free; or the places of all nodes.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a place has not three coordinates, or all are None; with a problem, if a node does not exist, or is pinned elsewhere.
-
-    Examples
-    --------
-    >>> import ocp
-    >>> ocp.NodePositions({3: (None, None, 1.0)}).positions
-    {3: (None, None, 1.0)}
-    """
-
-    positions: Mapping[int, Sequence[float | None]] | ArrayLike
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.positions, Mapping):
-            object.__setattr__(self, "positions", finite_array("NodePositions.positions", self.positions, (None, 3)))
-            return
-        if not self.positions:
-            raise ValueError("NodePositions.positions is empty: give {node: (x, y, z)}")
-        places = {
-            node: coordinates(f"NodePositions.positions[{shown(node)}]", place, "an axis that is free", some=True)
-            for node, place in self.positions.items()
-        }
-        object.__setattr__(self, "positions", places)
-
-    def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
-
-        Parameters
-        ----------
-        structure : Structure
-            The structure of the problem's model.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If a node does not exist, or is pinned elsewhere.
-        """
-        count = len(structure.nodes)
-        if not isinstance(self.positions, Mapping):
-            finite_array("NodePositions.positions", self.positions, (count, 3))
-        tolerance = 1e-9 * np.ptp(structure.nodes, axis=0).max()
-        for node, place in self._wanted().items():
-            node_index("NodePositions.positions: node", node, count)
-            for axis, value in enumerate(place):
-                held = structure.nodes[node, axis]
-                if value is not None and structure.fixed[node, axis] and abs(value - held) > tolerance:
-                    place_text = f"{'xyz'[axis]} = {value:g} m of a node that is pinned at {held:g} m"
-                    raise ValueError(f"NodePositions.positions[{node}] wants {place_text}: leave that axis None")
-
-    def _wanted(self) -> dict[int, tuple[float | None, ...]]:
-        """Return {node: place}."""
-        if isinstance(self.positions, Mapping):
-            return {node: tuple(place) for node, place in self.positions.items()}
-        return {node: tuple(place) for node, place in enumerate(np.asarray(self.positions).tolist())}
-
-    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return coordinate minus wanted coordinate, m; pinned ones, which are there already, have no row.
-
-        Parameters
-        ----------
-        structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
-        nodes : casadi.SX
-            Node positions, 3×n, m.
-        velocities : casadi.SX
-            Node velocities, 3×n, m/s.
-
-        Returns
-        -------
-        Rows
-            Named rows that vanish where the goal is met.
-        """
-        entries = [
-            (node, axis, value)
-            for node, place in self._wanted().items()
-            for axis, value in enumerate(place)
-            if value is not None and not structure.fixed[node, axis]
-        ]
-        value = ca.vertcat(*(nodes[axis, node] - wanted for node, axis, wanted in entries))
-        return Rows(value, tuple(f"NodePositions: node {node} {'xyz'[axis]}" for node, axis, _ in entries), ("m",) * len(entries))
-
-
-@dataclass(frozen=True)
-class AtRest(Goal):
-    """No node moves at the end.
-
-    Examples
-    --------
-    >>> import ocp
-    >>> ocp.AtRest()
-    AtRest()
-    """
-
-    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return the velocities of all modelled nodes, m/s.
-
-        Parameters
-        ----------
-        structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
-        nodes : casadi.SX
-            Node positions, 3×n, m.
-        velocities : casadi.SX
-            Node velocities, 3×n, m/s.
-
-        Returns
-        -------
-        Rows
-            Named rows that vanish where the goal is met.
-        """
-        held = {(int(node), int(axis)) for node, axis in np.argwhere(structure.fixed)}
-        free = [(node, axis) for node in range(velocities.shape[1]) for axis in range(3) if (node, axis) not in held]
-        value = ca.vertcat(*(velocities[axis, node] for node, axis in free))
-        return Rows(value, tuple(f"AtRest: node {node} {'xyz'[axis]}" for node, axis in free), ("m/s",) * len(free))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,8 @@
-"""Goals of where nodes, or all of them together, are at the end."""
+"""Goals of nodes, or of all of them together: where they are at the end, and how fast."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,175 @@ from ocp.problem.goals import Goal
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, coordinates, finite_array, nonnegative
+from tenscasadi.util.validate import Array, coordinates, finite_array, node_index, nonnegative, shown
+
+
+@dataclass(frozen=True, eq=False)
+class NodePositions(Goal):
+    """Nodes that are in given places at the end.
+
+    Parameters
+    ----------
+    positions : mapping of int to sequence of float or None, or array_like of shape (n, 3)
+        ``{node: (x, y, z)}``, m, None for an axis that is free; or the places of all nodes.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a place has not three coordinates, or all are None; with a problem, if a node does not exist, or is pinned elsewhere.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.NodePositions({3: (None, None, 1.0)}).positions
+    {3: (None, None, 1.0)}
+    """
+
+    positions: Mapping[int, Sequence[float | None]] | ArrayLike
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "positions", _read("NodePositions.positions", self.positions, "(x, y, z)"))
+
+    def check(self, structure: Structure) -> None:
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a node does not exist, or is pinned elsewhere.
+        """
+        tolerance = 1e-9 * np.ptp(structure.nodes, axis=0).max()
+        for node, axis, value in _entries("NodePositions.positions", self.positions, structure):
+            held = structure.nodes[node, axis]
+            if structure.fixed[node, axis] and abs(value - held) > tolerance:
+                place_text = f"{'xyz'[axis]} = {value:g} m of a node that is pinned at {held:g} m"
+                raise ValueError(f"NodePositions.positions[{node}] wants {place_text}: leave that axis None")
+
+    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
+        """Return coordinate minus wanted coordinate, m; pinned ones, which are there already, have no row.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : casadi.SX
+            Node positions, 3×n, m.
+        velocities : casadi.SX
+            Node velocities, 3×n, m/s.
+
+        Returns
+        -------
+        Rows
+            Named rows that vanish where the goal is met.
+        """
+        return _rows("NodePositions", _entries("NodePositions.positions", self.positions, structure), structure, nodes, "m")
+
+
+@dataclass(frozen=True, eq=False)
+class NodeVelocities(Goal):
+    """Nodes that have given velocities at the end.
+
+    Parameters
+    ----------
+    velocities : mapping of int to sequence of float or None, or array_like of shape (n, 3)
+        ``{node: (vx, vy, vz)}``, m/s, None for an axis that is free; or the velocities of all nodes.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a velocity has not three entries, or all are None; with a problem, if a node does not exist, or is pinned along an axis with a velocity.
+
+    See Also
+    --------
+    AtRest : all velocities zero.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.NodeVelocities({3: (None, None, 0.5)}).velocities
+    {3: (None, None, 0.5)}
+    """
+
+    velocities: Mapping[int, Sequence[float | None]] | ArrayLike
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "velocities", _read("NodeVelocities.velocities", self.velocities, "(vx, vy, vz)"))
+
+    def check(self, structure: Structure) -> None:
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a node does not exist, or is pinned along an axis with a velocity.
+        """
+        for node, axis, value in _entries("NodeVelocities.velocities", self.velocities, structure):
+            if structure.fixed[node, axis] and value:
+                wanted = f"{'xyz'[axis]} = {value:g} m/s of a node that is pinned along it"
+                raise ValueError(f"NodeVelocities.velocities[{node}] wants {wanted}: leave that axis None")
+
+    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
+        """Return velocity minus wanted velocity, m/s; along pinned axes there is no row.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : casadi.SX
+            Node positions, 3×n, m.
+        velocities : casadi.SX
+            Node velocities, 3×n, m/s.
+
+        Returns
+        -------
+        Rows
+            Named rows that vanish where the goal is met.
+        """
+        return _rows("NodeVelocities", _entries("NodeVelocities.velocities", self.velocities, structure), structure, velocities, "m/s")
+
+
+@dataclass(frozen=True)
+class AtRest(Goal):
+    """No node moves at the end.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.AtRest()
+    AtRest()
+    """
+
+    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
+        """Return the velocities of all modelled nodes, m/s.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : casadi.SX
+            Node positions, 3×n, m.
+        velocities : casadi.SX
+            Node velocities, 3×n, m/s.
+
+        Returns
+        -------
+        Rows
+            Named rows that vanish where the goal is met.
+        """
+        held = {(int(node), int(axis)) for node, axis in np.argwhere(structure.fixed)}
+        free = [(node, axis) for node in range(velocities.shape[1]) for axis in range(3) if (node, axis) not in held]
+        value = ca.vertcat(*(velocities[axis, node] for node, axis in free))
+        return Rows(value, tuple(f"AtRest: node {node} {'xyz'[axis]}" for node, axis in free), ("m/s",) * len(free))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,3 +294,29 @@ class CentreOfMass(Goal):
         wanted = {axis: value for axis, value in enumerate(self.position) if value is not None}
         value = ca.vertcat(*(centre[axis] - value for axis, value in wanted.items()))
         return Rows(value, tuple(f"CentreOfMass: {'xyz'[axis]}" for axis in wanted), ("m",) * len(wanted))
+
+
+def _read(field: str, given: Any, example: str) -> Any:
+    """Return three numbers or None for each node of a mapping, or an array (n, 3)."""
+    if not isinstance(given, Mapping):
+        return finite_array(field, given, (None, 3))
+    if not given:
+        raise ValueError(f"{field} is empty: give {{node: {example}}}")
+    return {node: coordinates(f"{field}[{shown(node)}]", entry, "an axis that is free", some=True) for node, entry in given.items()}
+
+
+def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, int, float]]:
+    """Return (node, axis, value) of all that is given, for nodes that exist."""
+    count = len(structure.nodes)
+    if not isinstance(given, Mapping):
+        given = dict(enumerate(finite_array(field, given, (count, 3)).tolist()))
+    for node in given:
+        node_index(f"{field}: node", node, count)
+    return [(node, axis, value) for node, entry in given.items() for axis, value in enumerate(entry) if value is not None]
+
+
+def _rows(goal: str, entries: list[tuple[int, int, float]], structure: Structure, columns: Any, unit: str) -> Rows:
+    """Return entry minus wanted entry of columns (3×n), but for pinned axes."""
+    free = [(node, axis, value) for node, axis, value in entries if not structure.fixed[node, axis]]
+    value = ca.vertcat(*(columns[axis, node] - wanted for node, axis, wanted in free))
+    return Rows(value, tuple(f"{goal}: node {node} {'xyz'[axis]}" for node, axis, _ in free), (unit,) * len(free))

@@ -73,7 +73,8 @@ class Problem:
         Nodes at rest, m, or a state; None for the model's initial state; ``FreeStart(...)`` for a start that is found with the plan. Rounded
         numbers are put right.
     goals : iterable of goals, optional
-        `StringLengths`, `NodePositions`, `Shape`, `CentreOfMass`, `AtRest`, `Periodic`, `Waypoint`: all met, at the end unless they say when.
+        `StringLengths`, `NodePositions`, `NodeVelocities`, `CentreOfMass`, `Shape`, `AtRest`, `Periodic`, `Waypoint`: all met, at the end unless
+        they say when.
     bounds : iterable of bounds, optional
         `ForceDensityLimits`, `TensionLimits`, `BarClearance`, `Constraint`, ...: all hold along the way.
     costs : iterable of costs, optional
@@ -141,9 +142,7 @@ class Problem:
         own["goals"] = tuple(goal.complete(self.model, begin) for goal in own["goals"])
         if isinstance(self.start, FreeStart):
             own["start"] = replace(self.start, goals=tuple(goal.complete(self.model, None) for goal in self.start.goals))
-        for goal in own["goals"]:
-            if isinstance(goal, Waypoint):
-                goal.at(self.shortest, self.longest)
+        _ = self._timed  # refuses times that are none of the plan's
         self._check_limits()
         if not own["costs"] and np.isposinf(self.force_density_limits[1]).any():
             own["costs"] = (Effort(),)  # with nothing to keep them small, barriers of the solver let force densities grow without bound
@@ -176,8 +175,9 @@ class Problem:
 
     @property
     def final_goals(self) -> tuple[Goal, ...]:
-        """The goals that are met at the end, wherever the motion starts."""
-        return tuple(goal for goal in self.goals if not isinstance(goal, Waypoint) and goal not in self.repeating)
+        """The goals that are met at the end, wherever the motion starts; also those of waypoints there."""
+        last = [inner for share, waypoint in self._timed if share == 1.0 for inner in waypoint.goals]
+        return tuple(goal for goal in (*self.goals, *last) if not isinstance(goal, Waypoint) and goal not in self.repeating)
 
     @property
     def repeating(self) -> tuple[Periodic, ...]:
@@ -185,11 +185,16 @@ class Problem:
         return tuple(goal for goal in self.goals if isinstance(goal, Periodic) and goal.start is None)
 
     @property
+    def _timed(self) -> list[tuple[float, Waypoint]]:
+        return [(goal.at(self.shortest, self.longest), goal) for goal in self.goals if isinstance(goal, Waypoint)]
+
+    @property
     def waypoints(self) -> list[tuple[float, Problem]]:
-        """The goals on the way in their order: each a share of the duration, and the problem that ends there; those of one time are one."""
+        """The goals before the end in their order: each a share of the duration, and the problem that ends there; those of one time are one."""
         found: list[tuple[float, list[Goal]]] = []
-        given = [(goal.at(self.shortest, self.longest), goal) for goal in self.goals if isinstance(goal, Waypoint)]
-        for share, goal in sorted(given, key=lambda pair: pair[0]):
+        for share, goal in sorted(self._timed, key=lambda pair: pair[0]):
+            if share == 1.0:
+                continue
             if not found or share - found[-1][0] > INSTANT:
                 found.append((share, []))
             found[-1][1].extend(goal.goals)

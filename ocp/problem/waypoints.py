@@ -16,7 +16,7 @@ INSTANT = 1e-9  # of the duration: what lies nearer together is one instant
 
 @dataclass(frozen=True, eq=False)
 class Waypoint(Goal):
-    """Goals that are met on the way, at a time or a share of the duration.
+    """Goals that are met on the way, or at the end, at a time or a share of the duration.
 
     Between the ends of intervals the motion is taken as cubic. Give either ``time`` or ``share``.
 
@@ -27,12 +27,12 @@ class Waypoint(Goal):
     time : float, optional
         Seconds from the start; only where the duration is given.
     share : float, optional
-        Share of the duration, between 0 and 1.
+        Share of the duration, more than 0; 1 is the end, where the goals are goals of the end.
 
     Raises
     ------
     TypeError, ValueError
-        If goals are no list of goals, both or none of time and share are given, or the share is not between 0 and 1; with a problem, if the
+        If goals are no list of goals, both or none of time and share are given, or the share is not above 0 and up to 1; with a problem, if the
         time is outside the plan, or the duration is free and a time is given.
 
     Examples
@@ -56,8 +56,8 @@ class Waypoint(Goal):
             raise ValueError("Waypoint.time and .share: give one of them")
         if self.time is not None:
             object.__setattr__(self, "time", positive_number("Waypoint.time", self.time))
-        if self.share is not None and not INSTANT < positive_number("Waypoint.share", self.share) < 1 - INSTANT:
-            raise ValueError(f"Waypoint.share is {self.share:g}: give a share of the duration between 0 and 1, or a goal of the end")
+        if self.share is not None and not INSTANT < positive_number("Waypoint.share", self.share) <= 1:
+            raise ValueError(f"Waypoint.share is {self.share:g}: give a share of the duration between 0 and 1")
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.
@@ -113,7 +113,7 @@ class Waypoint(Goal):
         Returns
         -------
         float
-            Share of the duration.
+            Share of the duration: 1 for what is nearer to the end than planning tells apart.
 
         Raises
         ------
@@ -121,12 +121,12 @@ class Waypoint(Goal):
             If the time is outside the plan, or the duration is free and a time is given.
         """
         if self.share is not None:
-            return float(self.share)
+            return 1.0 if self.share > 1 - INSTANT else float(self.share)
         time = float(self.time or 0.0)
         if shortest < longest:
             raise ValueError(f"Waypoint.time is {time:g}, and Problem.duration is free: give Waypoint(share=...)")
-        if time >= (1 - INSTANT) * longest:
+        if time > (1 + INSTANT) * longest:
             raise ValueError(f"Waypoint.time is {time:g}, and the plan takes {longest:g} s: give an earlier time, or a goal of the end")
         if time <= INSTANT * longest:
             raise ValueError(f"Waypoint.time is {time:g}, where a plan of {longest:g} s has hardly begun: give a later time")
-        return time / longest
+        return 1.0 if time > (1 - INSTANT) * longest else time / longest

@@ -164,6 +164,7 @@ def planning_calls() -> dict[str, Call]:
         "StringLengths": (bounded(ocp.StringLengths, goal=True), {"lengths": {0: 1.0, 1: 1.0}}),
         "NodePositions": (bounded(ocp.NodePositions, goal=True), {"positions": {0: (None, 0.0, 1.0)}}),
         "Shape": (bounded(ocp.Shape, goal=True), {"nodes": m.structure.nodes}),
+        "NodeVelocities": (bounded(ocp.NodeVelocities, goal=True), {"velocities": {0: (None, 0.0, 1.0)}}),
         "CentreOfMass": (bounded(ocp.CentreOfMass, goal=True), {"position": (None, 0.0, 1.0), "masses": np.full(n, 0.5)}),
         "Periodic": (bounded(ocp.Periodic, goal=True), {"shift": (0.0, None, 0.0), "start": (m.structure.nodes, np.zeros((n, 3)))}),
         "Waypoint": (bounded(ocp.Waypoint, goal=True), {"goals": [ocp.AtRest()], "time": 0.5, "share": None}),

@@ -54,8 +54,7 @@ BAD = {
     "waypoint nowhere": (lambda: ocp.Waypoint([ocp.AtRest()]), ValueError, "Waypoint.time and .share"),
     "waypoint twice": (lambda: ocp.Waypoint([ocp.AtRest()], 0.5, 0.5), ValueError, "Waypoint.time and .share"),
     "waypoint after the end": (lambda: planned(ocp.Waypoint([ocp.AtRest()], time=1.5)), ValueError, "Waypoint.time is 1.5"),
-    "waypoint at the end": (lambda: ocp.Waypoint([ocp.AtRest()], share=1.0), ValueError, "Waypoint.share is 1"),
-    "waypoint all but at the end": (lambda: planned(ocp.Waypoint([ocp.AtRest()], time=1 - 1e-12)), ValueError, "a goal of the end"),
+    "waypoint beyond the end": (lambda: ocp.Waypoint([ocp.AtRest()], share=1.01), ValueError, "Waypoint.share is 1.01"),
     "waypoint at the start": (lambda: planned(ocp.Waypoint([ocp.AtRest()], time=1e-12)), ValueError, "Waypoint.time is 1e-12, where .* hardly begun"),
     "waypoints that contradict each other": (
         lambda: planned(*(ocp.Waypoint([ocp.StringLengths({0: length})], time=0.5) for length in (0.8, 0.9))),

@@ -43,6 +43,30 @@ def test_the_centre_of_mass_is_put_in_its_place_at_the_end_and_on_the_way():
     assert passed[1] == pytest.approx(begun[1] + 0.01, abs=1e-3)
 
 
+def test_a_node_passes_a_place_at_a_velocity():
+    model = driven(prism(1.0, pinned=[0, 1, 2]))
+    place, velocity = model.structure.nodes[3] + [0.0, 0.0, 0.01], (None, 0.1, 0.15)
+    goals = [ocp.Waypoint([ocp.NodePositions({3: (None, None, place[2])})], share=1.0), ocp.NodeVelocities({3: velocity})]
+    plan = planned(model, *goals)
+    assert plan.success, plan.message
+    ended = integrated(plan)
+    assert model.nodes(ended)[3, 2] == pytest.approx(place[2], abs=2e-4)
+    assert model.velocities(ended)[3, 1:] == pytest.approx(velocity[1:], abs=1e-3)
+
+
+def test_a_waypoint_at_the_end_is_a_goal_of_the_end():
+    model = driven(prism(1.0))
+    goals = [ocp.Shape(prism(1.03).nodes), ocp.AtRest()]
+    plain = planned(model, *goals)
+    for when in ({"share": 1.0}, {"time": 0.6}, {"share": 1 - 1e-12}):
+        assert planned(model, ocp.Waypoint(goals, **when)).objective == pytest.approx(plain.objective, rel=1e-9)
+
+
+def test_strings_do_not_give_what_is_free_a_speed():
+    with pytest.raises(ocp.UnreachableGoal, match=r"NodeVelocities: node 0 x misses its goal by .* as the centre of mass keeps its speed along x"):
+        planned(driven(prism(1.0)), ocp.NodeVelocities(np.tile([1.0, 0.0, 0.0], (6, 1))))
+
+
 def test_masses_inside_strings_count():
     structure = prism(1.0, string_mass=0.5)
     model = driven(structure, segments=2)
@@ -84,6 +108,14 @@ BAD = {
     "no coordinate": (lambda: ocp.CentreOfMass((None, None, None)), ValueError, "CentreOfMass.position"),
     "no place": (lambda: ocp.CentreOfMass(1.0), TypeError, "CentreOfMass.position is 1.0"),
     "no mass": (lambda: ocp.CentreOfMass((1.0, None, None), np.zeros(6)), ValueError, "CentreOfMass.masses are all 0"),
+    "two components": (lambda: ocp.NodeVelocities({0: (1.0, 2.0)}), ValueError, r"NodeVelocities.velocities\[0\] .* give three"),
+    "no velocity": (lambda: ocp.NodeVelocities({}), ValueError, r"NodeVelocities.velocities is empty: give {node: \(vx, vy, vz\)}"),
+    "velocity of no node": (lambda: planned(driven(prism(1.0)), ocp.NodeVelocities({9: (1.0, 0, 0)})), ValueError, "velocities: node is 9"),
+    "velocity of a pin": (
+        lambda: planned(driven(prism(1.0, pinned=[2])), ocp.NodeVelocities({2: (1.0, 0, 0)})),
+        ValueError,
+        "wants x = 1 m/s of a node that is pinned along it: leave that axis None",
+    ),
     "few masses": (lambda: planned(driven(prism(1.0)), ocp.CentreOfMass((1.0, None, None), np.ones(5))), ValueError, "CentreOfMass.masses has 5"),
     "many masses": (lambda: planned(driven(prism(1.0)), ocp.CentreOfMass((1.0, None, None), np.ones(7))), ValueError, r"CentreOfMass.masses .* \(6"),
 }
