@@ -15,7 +15,7 @@ from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import stable_step
-from tenscasadi.scene.pulses import is_bounded
+from tenscasadi.scene.pulses import Resolution, is_bounded
 from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.time_grid import resolving, unseen_changes
@@ -29,7 +29,7 @@ _COARSEST = 64  # steps of the first pair, at least
 _TOLERANCES = (1e-10, 1e-12, 1e-14)
 _GRID = 50  # parts of a run with control of the error, at least as many steps
 _ROUNDING = 1e-10  # of the structure's size: solutions that differ by less and cease to converge, do so by rounding
-_RESOLUTION = 1e-6  # share of the largest value of a function of time that steps may leave unseen
+_RESOLUTION = Resolution(1e-3, 1e-10)  # of functions of time
 _LEAST_SECONDS = 0.1  # for a solution that is begun
 _FASTER = 10.0  # compiled code against the virtual machine
 
@@ -88,8 +88,8 @@ def certify(
     The schemes are `DormandPrince853` and `DormandPrince54`. Refinement ends when they agree within `enough`, when finer steps do not
     bring them closer, or when the next solution would cost more than `work`. Where slack or contact spoils the order of fixed steps,
     both control their error and locate these events. Steps are cut where a function of time of the scene would do something that they do
-    not see, down to a millionth of its largest value, however short it is; the message says where a function, such as an interpolant, can
-    be looked at in samples alone.
+    not see, down to a ten-billionth of its impulse over the run, however short it is; the message says where a function, such as an
+    interpolant, can be looked at in samples alone.
 
     Parameters
     ----------

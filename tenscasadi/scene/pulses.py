@@ -21,9 +21,22 @@ _LONGEST = 20_000  # instructions of a derivative that are worth bounding
 _MOST_PIECES = 200_000  # pieces of a run that are looked at
 _MOST_CUTS = 20_000  # besides as many as there are steps
 _GROUPS = 64  # parts of a run that are looked at first
+_WORST = 0.01  # of the largest impulse that is left unseen: pieces above are halved at once
+_UNBOUNDED = 1e300  # impulse of what has no bounds
+_PLACES = np.linspace(0, 1, 5)  # of a step, at which its values are compared
 _FEWEST = 12  # parts of a piece at whose ends a function is sampled, where no bounds are known
 _SAMPLES = 2**14  # parts of a run, at least
 _JUMP = 1e-6  # share of the largest value: less is a slope
+
+
+class Resolution(NamedTuple):
+    """What a step may leave unseen of a function of time, the larger of two shares.
+
+    of_step: of how far the function's values in the step are apart. of_run: of the function's impulse, the integral of its size over the run.
+    """
+
+    of_step: float
+    of_run: float
 
 
 class Pulses(NamedTuple):
@@ -42,11 +55,13 @@ def is_bounded(load: OverTime | SupportMotion) -> bool:
     return functions is None or functions.derivative is not None
 
 
-def find_pulses(load: OverTime | SupportMotion, ends: Callable[[Indices], Array], steps: int, least: float, resolution: float) -> Pulses:
+def find_pulses(load: OverTime | SupportMotion, ends: Callable[[Indices], Array], steps: int, least: float, resolution: Resolution) -> Pulses:
     """Find where a load that is a function of time changes within steps so that they do not see it.
 
-    A step sees a cubic, but for a share of the function's largest value: what the fourth derivative leaves of the function, bounded by
-    interval arithmetic over the whole of the step, or how much the function changes at all. Steps that see less are halved until they do.
+    A step sees a cubic. What the fourth derivative leaves of the function, bounded by interval arithmetic over the whole of the step, is to
+    be small against how far its values at five places of this very step are apart: what is left out is then not much narrower than the
+    step. Or what is left out, or how much the function changes at all, is small as an impulse. Steps of which neither holds are halved
+    until one does, the worst first: so that the impulse of the whole is known before what is small against it is judged.
 
     Parameters
     ----------
@@ -58,8 +73,8 @@ def find_pulses(load: OverTime | SupportMotion, ends: Callable[[Indices], Array]
         Number of steps.
     least : float
         Length of a piece, s, that is not halved any more.
-    resolution : float
-        Share of the largest value that a step may leave unseen.
+    resolution : Resolution
+        What a step may leave unseen.
 
     Returns
     -------
@@ -71,29 +86,39 @@ def find_pulses(load: OverTime | SupportMotion, ends: Callable[[Indices], Array]
         return Pulses(np.empty(0), None)
     edges = np.unique(np.linspace(0, steps, _GROUPS + 1).round().astype(np.intp))
     finest = float(np.ptp(ends(edges[[0, -1]]))) / _SAMPLES
-    scale = float(abs(functions.samples(ends(edges))).max(initial=0.0))
-    first, last = edges[:-1], edges[1:]  # pieces of several steps
-    low, high = np.empty(0), np.empty(0)  # pieces of one step, or of less
+
+    def look(first: Indices, last: Indices, starts: Array, stops: Array) -> _Pieces:
+        unseen, surely = functions.look(starts, stops, finest, resolution.of_step)
+        return _Pieces(first, last, starts, stops, np.where(stops - starts > least, unseen, 0.0), surely)
+
+    pieces = look(edges[:-1], edges[1:], ends(edges[:-1]), ends(edges[1:]))
     cuts: list[Array] = [np.empty(0)]
-    seen = made = 0
-    while len(first) or len(low):
-        starts, stops = np.concatenate([ends(first), low]), np.concatenate([ends(last), high])
-        scale = max(scale, float(abs(functions.samples((starts + stops) / 2)).max(initial=0.0)))
-        coarse = (functions.leaves(starts, stops, finest) > resolution * scale) & (stops - starts > least)
-        seen += len(starts)
-        pieces = coarse[len(first) :]
-        middle = (low[pieces] + high[pieces]) / 2
-        cuts.append(middle)
-        made += len(middle)
+    seen, made = len(pieces.first), 0
+    while (worst := pieces.unseen.max(initial=0.0)) > (enough := resolution.of_run * pieces.surely.sum()):
+        halved = pieces.unseen > max(enough, _WORST * worst)
+        first, last, starts, stops = (values[halved] for values in pieces[:4])
+        inside = last - first <= 1  # of one step, or less: its halves are cut
+        middle = (first + last) // 2
+        times = np.where(inside, (starts + stops) / 2, ends(middle))
+        cuts.append(times[inside])
+        seen, made = seen + 2 * len(first), made + int(np.count_nonzero(inside))
         if seen > _MOST_PIECES or made > _MOST_CUTS + steps:
-            return Pulses(np.empty(0), float(starts[coarse][0]))
-        a, b = first[coarse[: len(first)]], last[coarse[: len(first)]]
-        single, half = b - a == 1, (a + b) // 2
-        low = np.concatenate([low[pieces], middle, ends(a[single])])
-        high = np.concatenate([middle, high[pieces], ends(b[single])])
-        first = np.concatenate([a[~single], half[~single]])
-        last = np.concatenate([half[~single], b[~single]])
+            return Pulses(np.empty(0), float(starts[0]))
+        low, high = np.where(inside, first, middle), np.where(inside, last, middle)
+        halves = look(np.concatenate([first, low]), np.concatenate([high, last]), np.concatenate([starts, times]), np.concatenate([times, stops]))
+        pieces = _Pieces(*(np.concatenate([old[~halved], young]) for old, young in zip(pieces, halves, strict=True)))
     return Pulses(np.unique(np.concatenate(cuts)), None)
+
+
+class _Pieces(NamedTuple):
+    """Parts of a run, each of several steps, of one, or within one: their steps from `first` to `last`, and times, s."""
+
+    first: Indices
+    last: Indices
+    starts: Array
+    stops: Array
+    unseen: Array  # impulse that a step may leave unseen, at most; 0 where that is little of what it sees
+    surely: Array  # impulse of the function's size, at least
 
 
 def find_jumps(load: OverTime | SupportMotion, times: Array, around: float, first: float, last: float) -> Flags:
@@ -117,24 +142,42 @@ class _Functions(NamedTuple):
         """Return the values (m, k) at times (k,), s."""
         return np.asarray(self.value(times[None]).full()).reshape(-1, len(times), order="F") if len(times) else np.empty((1, 0))
 
-    def leaves(self, starts: Array, stops: Array, finest: float) -> Array:
-        """Return how much at most a polynomial of lower order leaves of the function in each piece, or how far its values are apart (k,).
+    def look(self, starts: Array, stops: Array, finest: float, share: float) -> tuple[Array, Array]:
+        """Return the impulse that a step over each piece leaves unseen at most, and that of the function's size at least (k,).
 
-        finest: distance of samples, s, where no bounds are known.
+        share: of what the step sees: where less is left, nothing is. finest: distance of samples, s, where no bounds are known.
         """
+        values = self._across(starts, stops, _PLACES)
+        remainder, low, high = self._bounds(starts, stops, finest)
+        unseen = np.fmin(remainder, (high - low).max(axis=0))
+        visible = remainder <= share * np.ptp(values, axis=1).max(axis=0)
+        size = np.maximum(np.maximum(low, -high), 0.0).max(axis=0)
+        most = np.nan_to_num(unseen * (stops - starts), nan=_UNBOUNDED, posinf=_UNBOUNDED)
+        return np.where(visible, 0.0, most), np.where(np.isfinite(size), size, 0.0) * (stops - starts)
+
+    def _across(self, starts: Array, stops: Array, places: Array) -> Array:
+        """Return the values at `places`, from 0 to 1, of each piece: m × places × k."""
+        times = starts + (stops - starts) * places[:, None]
+        return self.samples(times.ravel()).reshape(-1, *times.shape)
+
+    def _bounds(self, starts: Array, stops: Array, finest: float) -> tuple[Array, Array, Array]:
+        """Return what a polynomial of lower order leaves of the function in each piece at most (k,), and its least and largest values (m, k)."""
         half = (stops - starts) / 2
         if self.derivative is None:
             places = np.linspace(0, 1, max(_FEWEST, int(2 * half.max() / finest)) + 1)
-            times = starts + 2 * half * places[:, None]
-            values = self.samples(times.ravel()).reshape(-1, *times.shape)  # m × samples × pieces
+            values = self._across(starts, stops, places)
             powers = np.vander(2 * places - 1, _ORDER)
             fitted = np.einsum("sp,mpk->msk", powers, np.einsum("ps,msk->mpk", np.linalg.pinv(powers), values))
-            return np.asarray(np.minimum(abs(values - fitted).max(axis=(0, 1)), np.ptp(values, axis=1).max(axis=0)))
-        changes, slopes = bound(self.value, starts, stops), bound(self.derivative, starts, stops)
-        reach = np.maximum(abs(slopes.low), abs(slopes.high)).max(axis=0)
+            return abs(values - fitted).max(axis=(0, 1)), values.min(axis=1), values.max(axis=1)
+        times = starts + (stops - starts) * _PLACES[:, None]
+        parts = times[:-1].ravel(), times[1:].ravel()  # bounds of shorter intervals are closer, but for what switches between them
+        changes, slopes = bound(self.value, *parts), bound(self.derivative, *parts)
+        low, high, least, most = (values.reshape(-1, len(_PLACES) - 1, len(starts)) for values in (*changes[:2], *slopes[:2]))
+        reach = np.maximum(abs(least), abs(most)).max(axis=(0, 1))
         with np.errstate(over="ignore", invalid="ignore"):
-            remainder = np.where(changes.switches, np.inf, reach * half**self.order / factorial(self.order))
-        return np.asarray(np.fmin(remainder, (changes.high - changes.low).max(axis=0)))
+            remainder = reach * half**self.order / factorial(self.order)
+        switches = bound(self.value, starts, stops).switches
+        return np.where(switches, np.inf, remainder), low.min(axis=1), high.max(axis=1)
 
 
 @lru_cache(maxsize=32)  # many runs of one scene look once

@@ -11,23 +11,23 @@ from functools import lru_cache
 import numpy as np
 
 from tenscasadi.scene.over_time import OverTime
-from tenscasadi.scene.pulses import find_jumps, find_pulses
+from tenscasadi.scene.pulses import Resolution, find_jumps, find_pulses
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.scene.time_functions import clock_error
 from tenscasadi.simulation.control_input import SampledControl, cut_steps
 from tenscasadi.util.validate import Array, Indices
 
-_RESOLUTION = {False: 0.1, True: 0.01}  # share of the largest value that a step may leave unseen, without and with control of the error
+_RESOLUTION = {False: Resolution(0.1, 1e-6), True: Resolution(0.05, 1e-9)}  # of a step without and with control of the error
 _NARROWEST = 3.0  # errors of the clock to both sides of a jump: what lies between is stepped over
 
 
-_asked: ContextVar[float | None] = ContextVar("resolution", default=None)
+_asked: ContextVar[Resolution | None] = ContextVar("resolution", default=None)
 
 
 @contextmanager
-def resolving(share: float) -> Iterator[None]:
-    """Let the steps of all runs within leave no more than this share of a function of time unseen."""
-    before = _asked.set(share)
+def resolving(resolution: Resolution) -> Iterator[None]:
+    """Let the steps of all runs within leave no more than this of a function of time unseen."""
+    before = _asked.set(resolution)
     try:
         yield
     finally:
@@ -73,7 +73,7 @@ def cut_at_changes(changing: Sequence[OverTime | SupportMotion], inputs: Sampled
     return replace(cut_steps(inputs, cuts - first), unseen=unseen)
 
 
-def unseen_changes(changing: Sequence[OverTime | SupportMotion], first: float, last: float, steps: int, resolution: float) -> str:
+def unseen_changes(changing: Sequence[OverTime | SupportMotion], first: float, last: float, steps: int, resolution: Resolution) -> str:
     """Say what changes too fast for equal steps from `first` to `last`, s, and the cuts in them; "" where there is nothing."""
 
     def ends(rows: Indices) -> Array:
@@ -83,15 +83,14 @@ def unseen_changes(changing: Sequence[OverTime | SupportMotion], first: float, l
 
 
 def _find_cuts(
-    changing: Sequence[OverTime | SupportMotion], ends: Callable[[Indices], Array], steps: int, error: float, resolution: float
+    changing: Sequence[OverTime | SupportMotion], ends: Callable[[Indices], Array], steps: int, error: float, resolution: Resolution
 ) -> tuple[Array, str]:
     cuts, unseen = [np.empty(0)], ""
     for load in changing:
         pulses = find_pulses(load, ends, steps, _NARROWEST * error, resolution)
         cuts.append(pulses.cuts)
         if pulses.unresolved is not None:
-            share = f"more than {resolution:g} of its largest value"
-            unseen += f"; {load.field} changes within steps at t = {pulses.unresolved:g} s, by {share}: try a smaller step"
+            unseen += f"; {load.field} changes within steps at t = {pulses.unresolved:g} s, more than they see: try a smaller step"
     return np.concatenate(cuts), unseen
 
 

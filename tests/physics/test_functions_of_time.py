@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
@@ -117,8 +117,9 @@ def check(kind: str, features: list[Feature], certified: bool) -> None:
 
 
 @pytest.mark.parametrize("kind", SCENES)
-@settings(max_examples=3, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck))
 @given(features=st.lists(FEATURES, min_size=1, max_size=2))
+@example(features=[bell(0.5, 1e-5, -0.1), bell(0.375, 10**-2.875, -0.1)])
 def test_no_feature_is_missed(kind: str, features: list[Feature]) -> None:
     check(kind, features, certified=False)
 

@@ -17,8 +17,8 @@ POWERS = {"mass": (-1.0, 1.0), "stiffness": (1.0, 5.0), "damping": (-1.0, 5.5)} 
 
 
 def on_examples(check: Callable[[st.DataObject], None], count: int) -> None:
-    """The check on so many examples, the same each time."""
-    options = settings(max_examples=count, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+    """The check on so many examples."""
+    options = settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck))
     options(given(st.data())(check))()
 
 

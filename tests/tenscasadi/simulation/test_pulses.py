@@ -73,6 +73,23 @@ def test_smooth_pulses_are_found_by_themselves_however_short(width: float) -> No
         assert run.nodes[-1, 1, 0] == pytest.approx(after(1.0), abs=1e-6 if scheme.adaptive else 2e-3)
 
 
+@pytest.mark.parametrize(("background", "impulse"), [(0.0, 0.1), (0.0, 1e-3), (1e3, 1e-3)], ids=["", "small", "on a large force"])
+def test_pulses_stand_next_to_pulses_and_on_large_forces(background: float, impulse: float) -> None:
+    """Each a hundredth of the height of the next or less, yet long enough to move the mass."""
+    first, widths = 0.3125, [1e-3, 1e-6, 1e-3]  # s; halvings of steps would meet the first at its top
+    places = [first, 0.5, 0.6871]
+
+    def pulses(t: Any) -> Any:
+        return sum(impulse / (w * np.sqrt(np.pi)) * ca.exp(-(((t - at) / w) ** 2)) for at, w in zip(places, widths, strict=True))
+
+    model = Model(Scene(SPRING, forces=NodalForce(lambda t: [[0, 0, 0], [background + pulses(t), 0, 0]])))
+    wanted = 1.5 + background / 10 * (1 - np.cos(FREQUENCY)) + impulse / FREQUENCY * np.sin(FREQUENCY * (1 - np.array(places))).sum()
+    for scheme in (DormandPrince54(1e-11), DormandPrince853(1e-11), Cvodes(1e-11)):
+        run = simulate(model, 1.0, 0.05, scheme, compiled=False)
+        assert run.success, run.message
+        assert run.nodes[-1, 1, 0] == pytest.approx(wanted, abs=3e-6 * impulse + 1e-9 * background)
+
+
 def test_certificates_of_smooth_pulses_hold() -> None:
     found = certify(Model(Scene(SPRING, forces=smooth(1e-6))), 1.0, accuracy=1e-6, enough=1e-9, compiled=False)
     assert abs(found.nodes[1, 0] - after(1.0)) <= max(2 * found.error, 1e-11) < 1e-6
