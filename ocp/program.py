@@ -109,7 +109,7 @@ def _check(problem: Problem, transcription: Transcription, target: Target) -> No
 
 def _reach(problem: Problem, transcription: Transcription) -> Reach:
     together = group_matrix(transcription.control, problem.model.nu)
-    return Reach(problem.model, transcription.count, problem.shortest < problem.longest, grouping=together)
+    return Reach(problem.model, problem.shortest < problem.longest, grouping=together)
 
 
 def _late(deadline: float | None) -> bool:

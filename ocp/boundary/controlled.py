@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ocp.boundary.sensitivities import REACHED, Reach, find_controlled
+from ocp.boundary.sensitivities import REACHED, Reach
 from ocp.boundary.target import Target
 from tenscasadi.util.validate import Array
 
@@ -17,7 +17,7 @@ def controlled(target: Target, reach: Reach, force_density: Array, duration: flo
 
     def reduced(part: Target, share: float) -> Target:
         end = max(1, round(share * intervals))
-        kept = find_controlled(reach.of_rows(part.single, part.weights, target.start, force_density, duration, end), least)
+        kept = reach.controlled(part.single, part.weights, target.start, force_density, duration, end, least)
         return part if len(kept) == part.count else part.keep(kept, "out of control")
 
     waypoints = tuple(one._replace(target=reduced(one.target, one.share)) for one in target.waypoints)

@@ -8,7 +8,7 @@ gradients of the optimal control problem linearly dependent, and solvers fail.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -16,11 +16,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy.linalg
+import scipy.sparse as sp
 
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices
 
 RANK = 1e-3  # smallest singular value, relative to rows of norm one, that counts: below it a row has two solutions closer than a plan resolves
+
+SMALL = 50  # rows or columns of a matrix that is not looked at in parts
 
 
 class RowFunction:
@@ -46,16 +49,17 @@ class RowFunction:
         """Return the norm of the scaled rows."""
         return float(np.linalg.norm(self._code.value(y)[0].ravel()[self._rows]))
 
-    def curvatures(self, y: Array, weights: Array) -> Iterator[Array]:
-        """Yield second derivatives (ny, ny) of wᵀ rows in scaled unknowns, for each column w of `weights` (m, k)."""
-        every = np.zeros((self._code.count, weights.shape[1]))
+    def curvatures(self, y: Array, weights: Array, basis: Array) -> Array:
+        """Return second derivatives (j, k, k) of wᵀ rows along scaled directions (ny, k), for each column w of `weights` (m, j)."""
+        function, row, one, other = self._code.second
+        entries = function(y)[0].ravel() * self.scale[one] * self.scale[other]
+        ny, every = len(y), np.zeros((self._code.count, weights.shape[1]))
         every[self._rows] = weights
-        function, row, column = self._code.second
-        factor = self.scale[row] * self.scale[column]
-        for entries in np.asarray(function.map(max(1, weights.shape[1]))(y, every).full()).T if weights.size else ():
-            result = np.zeros((len(y), len(y)))
-            result[row, column] = entries * factor
-            yield result
+        pairs, place = np.unique(one * ny + other, return_inverse=True)
+        summed = sp.csr_array((entries, (place, row)), shape=(len(pairs), self._code.count)) @ every
+        where = np.arange(weights.shape[1])[:, None] * ny
+        stacked = sp.csr_array((summed.T.ravel(), ((where + pairs // ny).ravel(), np.tile(pairs % ny, len(where)))), shape=(len(where) * ny, ny))
+        return np.asarray(basis.T @ (stacked @ basis).reshape(len(where), ny, basis.shape[1]))
 
 
 class _Code:
@@ -67,12 +71,12 @@ class _Code:
         self.first = ArrayFunction(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
 
     @cached_property
-    def second(self) -> tuple[ca.Function, Indices, Indices]:
-        """(y, w) → non-zeros of the Hessian of wᵀ rows, and where they stand."""
-        weight = ca.SX.sym("w", self.count)
-        hessian = ca.hessian(ca.dot(weight, self._scaled), self._y)[0]
-        row, column = (np.array(entries, dtype=np.intp) for entries in hessian.sparsity().get_triplet())
-        return ca.Function("curvature", [self._y, weight], [ca.densify(ca.vec(hessian.nz[:]))]), row, column
+    def second(self) -> tuple[ArrayFunction, Indices, Indices, Indices]:
+        """y → non-zeros of the second derivatives, and the row and both unknowns of each."""
+        jacobian = ca.jacobian(self._scaled, self._y)
+        curvature = ca.jacobian(ca.densify(jacobian.nz[:]), self._y)
+        (row, one), (entry, other) = (np.array(part.sparsity().get_triplet(), dtype=np.intp) for part in (jacobian, curvature))
+        return ArrayFunction(ca.Function("curvature", [self._y], [ca.densify(curvature.nz[:])])), row[entry], one[entry], other
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,12 +139,13 @@ def soft_directions(rows: RowFunction, y: Array, rank_tolerance: float = RANK) -
     W = np.zeros((len(J), left.shape[1] - rank))
     W[used] = left[:, rank:] / norms[used, None]
     F = right[rank:].T
-    forms = [F.T @ curvature @ F for curvature in rows.curvatures(y, W)]
-    if not forms or not F.shape[1]:
+    if not W.shape[1] or not F.shape[1]:
         return np.zeros((J.shape[1], 0)), W, np.zeros((W.shape[1], 0, 0))
-    strength, vectors = np.linalg.eigh(sum(form @ form for form in forms))
+    forms = rows.curvatures(y, W, F)
+    stacked = forms.reshape(-1, F.shape[1])
+    strength, vectors = np.linalg.eigh(stacked.T @ stacked)
     D = vectors[:, strength > RANK**2]
-    return F @ D, W, np.array([D.T @ form @ D for form in forms])
+    return F @ D, W, np.asarray(D.T @ forms @ D)
 
 
 def null_space(A: Array) -> Array:
@@ -156,7 +161,35 @@ def _normalised(A: Array) -> Array:
 
 def _svd(A: Array) -> tuple[Array, Array, Array]:
     """U, σ padded with zeros to the number of rows or columns, Vᵀ, all of full size."""
-    if A.shape[0] == 0 or A.shape[1] == 0:
-        return np.eye(A.shape[0]), np.zeros(0), np.eye(A.shape[1])
-    left, values, right = np.linalg.svd(A, full_matrices=True)
-    return left, values, right
+    m, n = A.shape
+    if not A.size:
+        return np.eye(m), np.zeros(0), np.eye(n)
+    left, values, right = np.zeros((m, m)), np.zeros(min(m, n)), np.zeros((n, n))
+    parts = [(rows, columns, np.linalg.svd(A[np.ix_(rows, columns)])) for rows, columns in separate_parts(A)]
+    found = np.concatenate([part[1] for _, _, part in parts]) if parts else np.zeros(0)
+    rank = np.argsort(np.argsort(-found, kind="stable"), kind="stable")  # where each value goes
+    values[rank] = found
+    begin, spare = 0, [len(found), len(found)]
+    for rows, columns, (U, own, Vt) in parts:
+        place, begin = rank[begin : begin + len(own)], begin + len(own)
+        for whole, lines, vectors, k in ((left, rows, U, 0), (right, columns, Vt.T, 1)):
+            more = vectors.shape[1] - len(own)
+            whole[np.ix_(lines, np.append(place, np.arange(spare[k], spare[k] + more)))] = vectors
+            spare[k] += more
+    for whole, k in ((left, 0), (right, 1)):  # rows and columns of zeros
+        empty = np.flatnonzero(~whole.any(axis=1))
+        whole[empty, spare[k] + np.arange(len(empty))] = 1.0
+    return left, values, right.T
+
+
+def separate_parts(A: Array) -> list[tuple[Indices, Indices]]:
+    """Return the rows and columns of the parts of a matrix that share neither; all but zeros, as one where it is small."""
+    m, n = A.shape
+    if min(m, n) < SMALL:
+        return [(np.arange(m), np.arange(n))] if A.size else []
+    row, column = np.nonzero(A)
+    links = sp.coo_array((np.ones(len(row)), (row, m + column)), shape=(m + n, m + n))
+    _, label = sp.csgraph.connected_components(links, directed=False)
+    order = np.argsort(label, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+    return [(group[group < m], group[group >= m] - m) for group in groups if len(group) > 1]

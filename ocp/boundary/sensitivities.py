@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from ocp.boundary.dynamics import Dynamics, Linearised
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.tableaux import CLASSICAL
 from tenscasadi.util.casadi_tools import ArrayFunction
@@ -14,6 +17,10 @@ from tenscasadi.util.validate import Array
 
 REACHED = 1e-5  # of the strongest direction: below it a row of the goal is not controlled to first order, or by errors of the scheme only
 HARDLY_REACHED = 1e-9  # the same, for a second attempt
+SURELY = 10.0  # times the share above: rows that the last intervals move by more need no further look
+FEW = 50  # rows that are looked at as a whole
+PROBES = 8  # random combinations of rows from which the size of a gradient is estimated
+FIRST_COMPARED = 4  # intervals from the end after which it is compared for the first time, then after twice as many
 
 
 class Motion:
@@ -63,29 +70,6 @@ class Motion:
             A, B = step[k::n, :, :nx] @ A, step[k::n, :, :nx] @ B + step[k::n, :, nx:]
         return A, B
 
-    def gradient(self, last: Array, points: Array, controls: Array, length: float, end: int) -> tuple[Array, Array]:
-        """Return derivatives of rows with gradient `last` (m, nx) after `end` intervals.
-
-        By the controls, (m, count, nu), and by the length of all intervals, (m,).
-        """
-        nx, n, h = self.model.nx, self._substeps, length / self._substeps
-        rates, J = (part[: end * n] for part in self._rates(points, controls))
-        turns = h * J[..., :nx]
-        pulls = np.zeros((end * n, 4, len(last), nx))  # of the rows on each stage's derivative, divided by h
-        for step in reversed(range(end * n)):
-            before, pulled = last, np.zeros_like(last)
-            for i in reversed(range(4)):
-                pulls[step, i] = CLASSICAL.b[i] * last + (
-                    CLASSICAL.a[i + 1][i] * pulled if i < 3 else 0.0
-                )  # of earlier stages each sees the last one only
-                pulled = pulls[step, i] @ turns[step, i]
-                before = before + pulled
-            last = before
-        by_step = np.einsum("siml,sil->m", pulls, rates)
-        by_control = np.zeros((len(last), self.count, self.model.nu))
-        by_control[:, :end] = h * (pulls @ J[..., nx:]).sum(axis=1).reshape(end, n, *by_control.shape[::2]).sum(axis=1).transpose(1, 0, 2)
-        return by_control, by_step / n
-
     def _rates(self, points: Array, controls: Array) -> tuple[Array, Array]:
         """Return f (steps, 4, nx) and its derivative (steps, 4, nx, nx + nu) with respect to state and control."""
         nx, width = self.model.nx, self.model.nx + self.model.nu
@@ -106,32 +90,121 @@ class Reach:
     its own. Controls that are given are evened out within groups.
     """
 
-    def __init__(self, model: Model, count: int, free_duration: bool, substeps: int = 1, grouping: Array | None = None) -> None:
-        self._motion, self._free_duration = Motion(model, count, substeps), free_duration
+    def __init__(self, model: Model, free_duration: bool, substeps: int = 1, grouping: Array | None = None) -> None:
+        self._model, self._substeps, self._free_duration = model, substeps, free_duration
         self._grouping = np.eye(model.nu) if grouping is None else grouping
         self._evened = self._grouping / self._grouping.sum(axis=0) @ self._grouping.T
 
+    @cached_property
+    def _dynamics(self) -> Dynamics:
+        return Dynamics(self._model)
+
+    @cached_property
+    def _rate(self) -> ArrayFunction:
+        return ArrayFunction(self._model.ode)
+
     def rollout(self, start: Array, controls: Array, duration: float) -> Array:
-        """Return the states (count + 1, nx) of the motion under controls (count, nu)."""
-        return self._motion.states(start, controls @ self._evened, duration / len(controls))[0]
+        """Return the states (count + 1, nx) of the motion under controls (count, nu); NaN from where it diverges."""
+        return self._rolled(start, controls @ self._evened, duration / len(controls))[0]
 
     def of_rows(self, rows: ca.Function, weights: Array, start: Array, controls: Array, duration: float, at: int | None = None) -> Array:
         """Return the gradient (m, count·groups [+ 1]) of weights (m, ·) @ rows(x) by all controls (and the duration).
 
         rows are taken after `at` intervals from `start`, None: all. NaN where the motion diverges.
         """
-        controls, count, length = controls @ self._evened, len(controls), duration / len(controls)
-        end = count if at is None else at
-        strings, groups = self._grouping.shape
-        states, points = self._motion.states(start, controls, length)
+        length = duration / len(controls)
+        last, motion = self._linearised(rows, weights, start, controls[:at], length)
+        return self._gradient(last, motion, len(controls), length)
+
+    def controlled(
+        self, rows: ca.Function, weights: Array, start: Array, controls: Array, duration: float, at: int | None = None, least: float = REACHED
+    ) -> Array:
+        """Return orthonormal combinations (rank, m) of the rows that the controls can move, as `find_controlled` of `of_rows`."""
+        length = duration / len(controls)
+        last, motion = self._linearised(rows, weights, start, controls[:at], length)
+        if motion is not None and self._surely_controlled(last, motion, length, least):
+            return np.eye(len(weights))
+        return find_controlled(self._gradient(last, motion, len(controls), length), least)
+
+    def _surely_controlled(self, last: Array, motion: Linearised, length: float, least: float) -> bool:
+        """Tell whether the controls of the last intervals alone move all rows by more than their share of the size of the whole gradient.
+
+        That size is estimated from a few random combinations of the rows: E |wᵀ S|² = |S|² for w of independent unit variance.
+        """
+        if len(last) < FEW:
+            return False
+        probes = np.random.default_rng(0).normal(size=(PROBES, len(last))) / np.sqrt(PROBES)
+        size = sum(float(np.sum(by_control**2)) for by_control, _ in self._backwards(probes @ last, motion, length))
+        gathered, compared = np.zeros((len(last), len(last))), FIRST_COMPARED
+        for count, (by_control, _) in enumerate(self._backwards(last, motion, length), 1):
+            gathered += by_control @ by_control.T
+            if count == compared:
+                compared *= 2
+                if np.linalg.eigvalsh(gathered)[0] > (SURELY * least) ** 2 * size:
+                    return True
+        return False
+
+    def _gradient(self, last: Array, motion: Linearised | None, count: int, length: float) -> Array:
+        """Return the derivatives of `of_rows` of rows with the gradient `last` (m, nx) at the end of the motion."""
+        groups = self._grouping.shape[1]
+        result = np.zeros((len(last), count * groups + self._free_duration))
+        if motion is None:
+            return np.full_like(result, np.nan)
+        end = len(motion.rates) // (4 * self._substeps)
+        for back, (by_control, by_length) in enumerate(self._backwards(last, motion, length), 1):
+            result[:, (end - back) * groups : (end - back + 1) * groups] = by_control
+            result[:, count * groups :] += by_length[:, None] / count
+        return result
+
+    def _linearised(self, rows: ca.Function, weights: Array, start: Array, controls: Array, length: float) -> tuple[Array, Linearised | None]:
+        """Return the gradient (m, nx) of the rows at the end of the motion under controls, and the motion; None where it diverges."""
+        evened = controls @ self._evened
+        states, points = self._rolled(start, evened, length)
         if not np.all(np.isfinite(states)):
-            return np.full((len(weights), count * groups + self._free_duration), np.nan)
-        x: Any = (ca.SX if rows.is_a("SXFunction") else ca.MX).sym("x", len(start))
-        last = weights @ np.asarray(ca.Function("last", [x], [ca.densify(ca.jacobian(rows(x), x))])(states[end]).full())
-        by_control, by_length = self._motion.gradient(last, points, controls, length, end)
-        by_group = by_control.reshape(len(last), count, strings) @ self._grouping
-        parts = [by_group.reshape(len(last), count * groups), by_length[:, None] / count]
-        return np.concatenate(parts[: 1 + self._free_duration], axis=1)
+            return np.zeros((len(weights), len(start))), None
+        return weights @ _slope(rows, states[-1]), self._dynamics.linearise(points, np.repeat(evened, 4 * self._substeps, axis=0))
+
+    def _rolled(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
+        """Return the states (count + 1, nx) at the ends of intervals, and the points (4 count substeps, nx) at which the rate is taken."""
+        h, n, points, rates = length / self._substeps, self._substeps, [], []
+        states = np.full((len(controls) * n + 1, len(start)), np.nan)
+        states[0] = start
+        for k, u in enumerate(np.repeat(controls, n, axis=0)):
+            x = states[k]
+            for stage in range(4):  # each sees the one before it only
+                points.append(x if stage == 0 else x + h * CLASSICAL.a[stage][stage - 1] * rates[-1])
+                rates.append(self._rate(points[-1], u)[0].ravel())
+            states[k + 1] = x + h * (np.array(CLASSICAL.b) @ rates[-4:])
+            if not np.all(np.isfinite(states[k + 1])):
+                break
+        return states[::n], np.array(points)
+
+    def _backwards(self, last: Array, motion: Linearised, length: float) -> Iterator[tuple[Array, Array]]:
+        """Yield the derivatives of rows with the gradient `last` (m, nx), interval by interval from the last to the first.
+
+        By the controls of each group, (m, groups), and by the length of all intervals, (m,): what this interval adds.
+        """
+        h, nx, stages = length / self._substeps, last.shape[1], 4 * self._substeps
+        pulled, later = last.T, np.zeros_like(last.T)
+        for end in range(len(motion.rates), 0, -stages):
+            by_control, by_length = np.zeros((self._model.nu, len(last))), np.zeros(len(last))
+            for k in reversed(range(end - stages, end)):
+                i = k % 4
+                if i == 3:
+                    before, later = pulled, np.zeros_like(pulled)
+                pull = CLASSICAL.b[i] * before + (CLASSICAL.a[i + 1][i] * later if i < 3 else 0.0)
+                slopes = h * self._dynamics.pull(motion, k, pull)
+                later = slopes[:nx]
+                pulled = pulled + later
+                by_control += slopes[nx:]
+                by_length += motion.rates[k] @ pull / self._substeps
+            yield by_control.T @ self._grouping, by_length
+
+
+def _slope(rows: ca.Function, x: Array) -> Array:
+    """Return the gradient (m, nx) of the rows of a Function of x."""
+    symbol: Any = (ca.SX if rows.is_a("SXFunction") else ca.MX).sym("x", len(x))
+    return np.asarray(ca.Function("slope", [symbol], [ca.jacobian(rows(symbol), symbol)])(x).full())
 
 
 def find_controlled(sensitivity: Array, least: float = REACHED) -> Array:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.sensitivities import Reach, find_controlled
+from ocp.boundary.sensitivities import Reach
 from ocp.boundary.target import Target
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import STOPPED, TIME_UP
@@ -100,7 +100,7 @@ def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Prog
     if imposed.count:
         states = reach.rollout(imposed.start, found.force_density, found.duration)
         if np.all(np.isfinite(states)):
-            rank = len(find_controlled(reach.of_rows(imposed.single, imposed.weights, imposed.start, found.force_density, found.duration)))
+            rank = len(reach.controlled(imposed.single, imposed.weights, imposed.start, found.force_density, found.duration))
             parts.append(f"the strings move {rank} of {imposed.count} rows of the goals")
     return "; ".join(parts)
 

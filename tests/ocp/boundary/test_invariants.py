@@ -76,7 +76,7 @@ def test_invariants_are_all_that_the_strings_cannot_change(name):
     x = ca.SX.sym("x", model.nx)
     gradients = [ca.jacobian(group.value, x) for group in invariants(model, start, x, ca.SX(1.0))]
     intervals = 16
-    reach = Reach(model, intervals, free_duration=False, substeps=16)
+    reach = Reach(model, free_duration=False, substeps=16)
     controls = np.random.default_rng(3).uniform(0, 10, size=(intervals, model.nu))
     states = reach.rollout(start, controls, 1.0)
     A = ca.Function("A", [x], [ca.vertcat(*gradients)])(states[-1]).full()

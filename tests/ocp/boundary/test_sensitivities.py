@@ -16,7 +16,7 @@ PRISM = tc.shapes.prism()
 def test_sensitivities_agree_with_differences():
     model = driven(PRISM)
     intervals = 5
-    reach = Reach(model, intervals, free_duration=True)
+    reach = Reach(model, free_duration=True)
     controls = np.random.default_rng(4).uniform(1, 5, size=(intervals, 9))
     x = ca.SX.sym("x", model.nx)
     rows = ca.Function("rows", [x], [x[:7] ** 2])

@@ -1,0 +1,108 @@
+"""The equation of motion in numbers, with derivatives that stay sparse: M q̈ = F + Jᵀ μ, J q̈ + c = 0."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.dynamics.equation_of_motion import applied_forces
+from tenscasadi.dynamics.model import Model
+from tenscasadi.util.casadi_tools import REFINEMENTS, REGULARISATION, ArrayFunction, block_inverse
+from tenscasadi.util.validate import Array
+
+
+class Linearised(NamedTuple):
+    """What moves at P states.
+
+    rates: ẋ (P, nx). weighted, inverse: J M⁻¹ (P, c, nq) and (J M⁻¹ Jᵀ)⁻¹ (P, c, c), through which accelerations depend on forces. slopes: entries
+    (P, ·) of the derivatives of F + Jᵀ μ and J q̈ + c by state and control; q̈ and μ stand still.
+    """
+
+    rates: Array
+    weighted: Array
+    inverse: Array
+    slopes: Array
+
+
+class Dynamics:
+    """Forces F on the free coordinates, and constraints of bars and joints with gradients J, of a model.
+
+    The system of the multipliers is inverted in numbers, point by point: expressions of the accelerations' derivatives would be dense.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        nq, nx = model.nq, model.nx
+        # Without a clock all forces are scalar code; functions of time may not be.
+        kind: Any = ca.SX if model.ode.is_a("SXFunction") or not model.scene.has_clock else ca.MX
+        x, u, a = kind.sym("x", nx), kind.sym("u", model.nu), kind.sym("a", nq)
+        N, V, time = model.unpack(x)
+        F, _ = applied_forces(model, N, V, u, time)
+        force = model.split(model.pack(F, F, 0))[0]
+        constraints = model.constraints(x)
+        rates = ca.densify(ca.vertcat(kind(0, 1), constraints.bar_rates, constraints.joint_rates))
+        count = rates.shape[0]
+        mu = kind.sym("mu", count)
+        q, v, clock = model.split(x)
+        J = ca.jacobian(rates, x)[:, nq : 2 * nq]
+        onwards = ca.vertcat(v, kind.zeros(nq, 1), *([1] if clock.shape[0] else []))  # the state's rate while nothing accelerates
+        bias = ca.jtimes(rates, x, onwards) if count else rates
+        pushed = force + ca.mtimes(J.T, mu)
+        kept = ca.mtimes(J, a) + bias
+        slopes = ca.jacobian(ca.vertcat(pushed, kept), ca.vertcat(x, u))
+        self._places = tuple(np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet())
+        row, column = (np.array(entries, dtype=np.intp) for entries in slopes.sparsity().get_triplet())
+        self._order = np.lexsort((row, column))  # row by row of the transpose
+        pointers = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=nx + model.nu))])
+        self._transposed = sp.csr_array((np.zeros(len(row)), row[self._order], pointers), shape=(nx + model.nu, nq + count))
+        self._values = ArrayFunction(ca.Function("values", [x, u], [ca.densify(part) for part in (force, bias, J.nz[:])]))
+        self._slopes = ArrayFunction(ca.Function("slopes", [x, u, mu, a], [ca.densify(slopes.nz[:])]))
+        self._inverse_mass = block_inverse(model.mechanism.free_mass, np.ones(nq, bool))
+
+    def linearise(self, states: Array, controls: Array) -> Linearised:
+        """Return what moves at states (P, nx) under controls (P, nu)."""
+        values = [self._values(x, u) for x, u in zip(states, controls, strict=True)]
+        forces, bias, entries = (np.array([value[k].ravel() for value in values]) for k in range(3))
+        accelerations, mu = forces @ self._inverse_mass, bias
+        count, P, nq = bias.shape[1], len(states), self.model.nq
+        weighted, inverse = np.zeros((P, count, nq)), np.zeros((P, count, count))
+        if count:
+            J = np.zeros((P, count, nq))
+            J[:, *self._places] = entries
+            weighted[:] = (J.reshape(-1, nq) @ self._inverse_mass).reshape(J.shape)
+            inverse[:] = _inverted(J @ weighted.transpose(0, 2, 1))
+            mu = -_times(inverse, _times(J, accelerations) + bias)
+            accelerations = accelerations + _times(weighted.transpose(0, 2, 1), mu)
+        slopes = [self._slopes(*point)[0].ravel() for point in zip(states, controls, mu, accelerations, strict=True)]
+        _, v, clock = self.model.split(states)
+        return Linearised(np.column_stack([v, accelerations, np.ones_like(clock)]), weighted, inverse, np.array(slopes)[:, self._order])
+
+    def pull(self, at: Linearised, k: int, pulls: Array) -> Array:
+        """Return what `pulls` (nx, m) on ẋ at state k are on state and control (nx + nu, m): their product with the derivatives of ẋ."""
+        nq = self.model.nq
+        on = pulls[nq : 2 * nq]
+        back = at.inverse[k] @ (at.weighted[k] @ on)
+        self._transposed.data = at.slopes[k]
+        result = self._transposed @ np.concatenate([self._inverse_mass @ on - at.weighted[k].T @ back, -back])
+        result[nq : 2 * nq] += pulls[:nq]
+        return np.asarray(result)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
+
+
+def _inverted(S: Array) -> Array:
+    """Return the inverses of symmetric positive semidefinite S (P, c, c); of those that are singular, as `solve_semidefinite` takes them."""
+    diagonal = np.diagonal(S, axis1=1, axis2=2)
+    scale = 1 / np.sqrt(diagonal + 1e-14 * diagonal.sum(axis=1, keepdims=True))
+    scales = scale[:, :, None] * scale[:, None, :]
+    eye = np.eye(S.shape[1])
+    rough = np.linalg.inv(S * scales + REGULARISATION * eye)
+    inverse = rough
+    for _ in range(REFINEMENTS):
+        inverse = inverse + rough @ (eye - (S * scales) @ inverse)
+    return np.asarray(inverse * scales)
