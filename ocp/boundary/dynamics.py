@@ -46,7 +46,7 @@ class Dynamics:
         rates = ca.densify(ca.vertcat(kind(0, 1), constraints.bar_rates, constraints.joint_rates))
         count = rates.shape[0]
         mu = kind.sym("mu", count)
-        q, v, clock = model.split(x)
+        _, v, clock = model.split(x)
         J = ca.jacobian(rates, x)[:, nq : 2 * nq]
         onwards = ca.vertcat(v, kind.zeros(nq, 1), *([1] if clock.shape[0] else []))  # the state's rate while nothing accelerates
         bias = ca.jtimes(rates, x, onwards) if count else rates
@@ -71,7 +71,7 @@ class Dynamics:
         weighted, inverse = np.zeros((P, count, nq)), np.zeros((P, count, count))
         if count:
             J = np.zeros((P, count, nq))
-            J[:, *self._places] = entries
+            J[:, self._places[0], self._places[1]] = entries
             weighted[:] = (J.reshape(-1, nq) @ self._inverse_mass).reshape(J.shape)
             inverse[:] = _inverted(J @ weighted.transpose(0, 2, 1))
             mu = -_times(inverse, _times(J, accelerations) + bias)

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy.optimize
+import scipy.sparse as sp
 
-from ocp.boundary.row_reduction import RANK, RowFunction, soft_directions
+from ocp.boundary.row_reduction import RANK, RowFunction, separate_parts, soft_directions
 from tenscasadi.util.validate import Array
 
 STRIDE = 0.1  # of the structure's size: how far a step may move nodes relative to each other
@@ -57,8 +58,8 @@ class GaussNewton:
 
     def _trials(self, rows: RowFunction, y: Array) -> Iterator[Array]:
         """Shortened steps that come nearer: along regular directions, along all, and along those that only second order feels."""
-        for rank_tolerance in (NEARLY_SINGULAR, RANK):
-            yield from self._shortened(rows, y, self._step(rows, y, rank_tolerance), follow=False)
+        for step in self._steps(rows, y, NEARLY_SINGULAR, RANK):
+            yield from self._shortened(rows, y, step, follow=False)
         soft = self._soft_step(rows, y)
         if soft is not None:
             yield from self._shortened(rows, y, soft, follow=True)
@@ -75,21 +76,44 @@ class GaussNewton:
                 return
 
     def _step(self, rows: RowFunction, y: Array, rank_tolerance: float) -> Array:
-        """Return −J⁺ r in scaled unknowns; directions that are more singular than `rank_tolerance` stay where they are."""
-        r, J = rows(y)
-        step = self._newton(r, J, rank_tolerance)
-        wanted = y + step * self._scale
-        allowed = self._allowed(wanted)
-        held = allowed != wanted
-        if held.any():  # what is at its limit goes no further, and the others do without it
-            fixed = np.where(held, (allowed - y) / self._scale, 0.0)
-            step = fixed + self._newton(r + J @ fixed, np.where(held, 0.0, J), rank_tolerance)
-        return self._strided(step)
+        return next(self._steps(rows, y, rank_tolerance))
 
-    def _newton(self, r: Array, J: Array, rank_tolerance: float) -> Array:
-        left, values, right = np.linalg.svd(J @ self._basis, full_matrices=False)
-        used = values > rank_tolerance * values.max(initial=0.0)
-        return np.asarray(self._basis @ (-right[used].T @ ((left[:, used].T @ r) / values[used])))
+    def _steps(self, rows: RowFunction, y: Array, *rank_tolerances: float) -> Iterator[Array]:
+        """Yield −J⁺ r in scaled unknowns for each tolerance: directions that are more singular stay where they are."""
+        r, J = rows(y)
+        inverse = self._pseudoinverse(J)
+        for tolerance in rank_tolerances:
+            step = -inverse(r, tolerance)
+            wanted = y + step * self._scale
+            allowed = self._allowed(wanted)
+            held = allowed != wanted
+            if held.any():  # what is at its limit goes no further, and the others do without it
+                fixed = np.where(held, (allowed - y) / self._scale, 0.0)
+                step = fixed - self._pseudoinverse(np.where(held, 0.0, J))(r + J @ fixed, tolerance)
+            yield self._strided(step)
+
+    def _pseudoinverse(self, J: Array) -> Callable[[Array, float], Array]:
+        """Return (r, tolerance) → J⁺ r, the shortest in the metric, without singular values below the tolerance times the largest.
+
+        By the eigenvectors of A Aᵀ or Aᵀ A, the smaller: tolerances are far above the root of rounding.
+        """
+        A = np.asarray(sp.csr_array(J) @ self._basis)
+        parts = []
+        for rows, columns in separate_parts(A):
+            own = A[np.ix_(rows, columns)]
+            wide = len(rows) <= len(columns)
+            values, vectors = np.linalg.eigh(own @ own.T if wide else own.T @ own)
+            parts.append((rows, columns, values, *((vectors, own.T @ vectors) if wide else (own @ vectors, vectors))))
+        largest = max((float(values[-1]) for _, _, values, _, _ in parts), default=0.0)
+
+        def solve(r: Array, tolerance: float) -> Array:
+            x = np.zeros(A.shape[1])
+            for rows, columns, values, left, right in parts:
+                used = values > tolerance**2 * largest
+                x[columns] = right[:, used] @ ((left[:, used].T @ r[rows]) / values[used])
+            return np.asarray(self._basis @ x)
+
+        return solve
 
     def _soft_step(self, rows: RowFunction, y: Array) -> Array | None:
         """Return a step d to second order: c + b d + ½ dᵀ K d = 0 for the combinations of rows that have (nearly) no gradient."""

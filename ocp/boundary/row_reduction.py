@@ -11,7 +11,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -51,15 +51,31 @@ class RowFunction:
 
     def curvatures(self, y: Array, weights: Array, basis: Array) -> Array:
         """Return second derivatives (j, k, k) of wᵀ rows along scaled directions (ny, k), for each column w of `weights` (m, j)."""
-        function, row, one, other = self._code.second
-        entries = function(y)[0].ravel() * self.scale[one] * self.scale[other]
-        ny, every = len(y), np.zeros((self._code.count, weights.shape[1]))
-        every[self._rows] = weights
-        pairs, place = np.unique(one * ny + other, return_inverse=True)
-        summed = sp.csr_array((entries, (place, row)), shape=(len(pairs), self._code.count)) @ every
-        where = np.arange(weights.shape[1])[:, None] * ny
-        stacked = sp.csr_array((summed.T.ravel(), ((where + pairs // ny).ravel(), np.tile(pairs % ny, len(where)))), shape=(len(where) * ny, ny))
-        return np.asarray(basis.T @ (stacked @ basis).reshape(len(where), ny, basis.shape[1]))
+        code, k = self._code.second, basis.shape[1]
+        entries = code.function(y)[0].ravel()[code.order] * self.scale[code.other]
+        slopes = sp.csr_array((entries, code.other, code.pointers), shape=(len(code.one), len(y))) @ basis  # of the gradient's entries
+        forms = np.zeros((self._code.count, k, k))
+        if len(code.one):
+            along = basis[code.one] * self.scale[code.one, None]
+            forms[code.row[code.first]] = np.add.reduceat(along[:, :, None] * slopes[:, None, :], code.first, axis=0)
+        own = forms.reshape(len(forms), -1)[self._rows]
+        return np.asarray((weights.T @ own).reshape(-1, k, k))
+
+
+class _Curvature(NamedTuple):
+    """Second derivatives of rows: y → their entries; those with `order` make a sparse matrix.
+
+    It has a row for each entry of the rows' gradient, that of `row` by the unknown `one`, and a column for each unknown. first: the first
+    entry of each row that has any.
+    """
+
+    function: ArrayFunction
+    order: Indices
+    row: Indices
+    one: Indices
+    other: Indices
+    pointers: Indices
+    first: Indices
 
 
 class _Code:
@@ -71,12 +87,16 @@ class _Code:
         self.first = ArrayFunction(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
 
     @cached_property
-    def second(self) -> tuple[ArrayFunction, Indices, Indices, Indices]:
-        """y → non-zeros of the second derivatives, and the row and both unknowns of each."""
-        jacobian = ca.jacobian(self._scaled, self._y)
+    def second(self) -> _Curvature:
+        """The second derivatives."""
+        jacobian = ca.jacobian(self._scaled, self._y).T  # by rows
         curvature = ca.jacobian(ca.densify(jacobian.nz[:]), self._y)
-        (row, one), (entry, other) = (np.array(part.sparsity().get_triplet(), dtype=np.intp) for part in (jacobian, curvature))
-        return ArrayFunction(ca.Function("curvature", [self._y], [ca.densify(curvature.nz[:])])), row[entry], one[entry], other
+        (one, row), (entry, other) = (np.array(part.sparsity().get_triplet(), dtype=np.intp).reshape(2, -1) for part in (jacobian, curvature))
+        order = np.argsort(entry, kind="stable")
+        pointers = np.concatenate([[0], np.cumsum(np.bincount(entry, minlength=len(row)))])
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        function = ArrayFunction(ca.Function("curvature", [self._y], [ca.densify(curvature.nz[:])]))
+        return _Curvature(function, order, row, one, other[order], pointers, first)
 
 
 @dataclass(frozen=True, eq=False)

@@ -166,7 +166,9 @@ class Reach:
 
     def _rolled(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
         """Return the states (count + 1, nx) at the ends of intervals, and the points (4 count substeps, nx) at which the rate is taken."""
-        h, n, points, rates = length / self._substeps, self._substeps, [], []
+        h, n = length / self._substeps, self._substeps
+        points: list[Array] = []
+        rates: list[Array] = []
         states = np.full((len(controls) * n + 1, len(start)), np.nan)
         states[0] = start
         for k, u in enumerate(np.repeat(controls, n, axis=0)):
