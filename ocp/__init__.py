@@ -27,7 +27,7 @@ from ocp.problem.instant import Instant
 from ocp.problem.node_goals import AtRest, CentreOfMass, NodePositions, NodeVelocities
 from ocp.problem.periodic import Periodic
 from ocp.problem.problem import FreeStart, Problem
-from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
+from ocp.problem.string_bounds import ForceDensityLimits, ForceDensityRateLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
 from ocp.problem.tracking import Tracking
 from ocp.problem.waypoints import Waypoint
 from ocp.solve import solve
@@ -53,6 +53,7 @@ __all__ = [
     "Periodic",
     "Waypoint",
     "ForceDensityLimits",
+    "ForceDensityRateLimits",
     "TensionLimits",
     "RestLengthLimits",
     "RestLengthRateLimits",
