@@ -19,7 +19,7 @@ from tenscasadi.util.validate import Array, Indices
 _ORDER = 4  # of the derivative that bounds what a cubic leaves of a function
 _LONGEST = 20_000  # instructions of a derivative that are worth bounding
 _MOST_PIECES = 200_000  # pieces of a run that are looked at
-_MOST_CUTS = 20_000  # besides as many as there are steps
+_MOST_CUTS = 40_000  # besides as many as there are steps
 _GROUPS = 64  # parts of a run that are looked at first
 _WORST = 0.01  # of the largest impulse that is left unseen: pieces above are halved at once
 _UNBOUNDED = 1e300  # impulse of what has no bounds

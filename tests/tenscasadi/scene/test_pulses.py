@@ -60,3 +60,9 @@ def test_cuts_are_no_more_than_a_pulse_needs() -> None:
     """However much narrower than the step it is: those on the way to it count as its logarithm."""
     for width in (1e-3, 1e-6, 1e-9):
         assert len(edges(lambda t, width=width: bell(t, 0.5123, width), 1.0, 0.05)) < 21 + 60 + 2 * np.log2(0.05 / width)
+
+
+def test_a_thousand_pulses_are_not_too_many() -> None:
+    times = edges(lambda t: ca.exp(-100 * (1 - ca.cos(20 * t))), 400.0, 0.05)
+    middles = (times[1:] + times[:-1]) / 2
+    assert np.diff(times)[np.cos(20 * middles) > 0.99].max() < 0.02  # s; each is 0.014 s wide
