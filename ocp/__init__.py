@@ -26,8 +26,9 @@ from ocp.problem.ground_bounds import AboveSurface
 from ocp.problem.instant import Instant
 from ocp.problem.node_goals import AtRest, CentreOfMass, NodePositions, NodeVelocities
 from ocp.problem.periodic import Periodic
+from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
-from ocp.problem.string_bounds import ForceDensityLimits, ForceDensityRateLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
+from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
 from ocp.problem.tracking import Tracking
 from ocp.problem.waypoints import Waypoint
 from ocp.solve import solve
@@ -44,6 +45,7 @@ __all__ = [
     # what is asked
     "Problem",
     "FreeStart",
+    "Phase",
     "StringLengths",
     "NodePositions",
     "NodeVelocities",
@@ -53,7 +55,6 @@ __all__ = [
     "Periodic",
     "Waypoint",
     "ForceDensityLimits",
-    "ForceDensityRateLimits",
     "TensionLimits",
     "RestLengthLimits",
     "RestLengthRateLimits",

@@ -16,16 +16,16 @@ from ocp.boundary.sensitivities import HARDLY_REACHED, Reach
 from ocp.boundary.target import Target
 from ocp.plan.diagnosis import explain_failure, long_steps, measure_misses
 from ocp.presolve import check_freedom, check_groups, check_start
+from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.deferred_correction import check_correctable, solve_corrected
-from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
-from ocp.transcription.mesh import group_matrix, held_values, hermite_state, locate_share, spans
+from ocp.transcription.mesh import group_matrix, held_values, hermite_state, locate_share
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.validate import Array, instance
 
@@ -69,8 +69,6 @@ def solve_program(
     duals: multipliers to start from, where they are known. deadline: of `time.perf_counter`, s; None: no limit.
     """
     check_correctable(transcription, solver)
-    if isinstance(solver, Fatrop) and transcription.control.changes is not None:
-        raise ValueError(f"PiecewiseConstant.changes is {transcription.control.changes}, and Fatrop finds no plan of few changes: give ocp.Ipopt()")
     _check(problem, transcription, target)
     task = _Task(problem, transcription, target, scales, _reach(problem, transcription), solver)
     imposed = controlled(target, task.reach, guess.force_density, guess.duration)
@@ -97,6 +95,7 @@ def prepare(problem: Problem, transcription: Transcription) -> tuple[Target, Sca
 def program_of(problem: Problem, transcription: Transcription, guess: InitialGuess | None = None) -> Program:
     """Return the program that `solve` gives to its solver. Raises as `solve`."""
     instance("problem", problem, Problem, "an ocp.Problem")
+    refuse_phases(problem.phases, "export_program")
     instance("transcription", transcription, Transcription, "a transcription, such as ocp.MultipleShooting()")
     target, scales = prepare(problem, transcription)
     _check(problem, transcription, target)
@@ -112,9 +111,7 @@ def _check(problem: Problem, transcription: Transcription, target: Target) -> No
 
 def _reach(problem: Problem, transcription: Transcription) -> Reach:
     together = group_matrix(transcription.control, problem.model.nu)
-    equal = np.full(transcription.count, 1 / transcription.count)  # as intervals of guesses are
-    held = spans(transcription.control, equal)
-    return Reach(problem.model, problem.shortest < problem.longest, grouping=together, spans=held)
+    return Reach(problem.model, problem.shortest < problem.longest, grouping=together)
 
 
 def _late(deadline: float | None) -> bool:

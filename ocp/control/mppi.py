@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from ocp.control.mppi_costs import horizon_costs
 from ocp.control.spline_noise import SplineNoise
+from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.transcription.inverse_dynamics import inverse_dynamics
@@ -113,6 +114,7 @@ class Mppi:
         seed: int = 0,
     ) -> None:
         instance("problem", problem, Problem, "an ocp.Problem")
+        refuse_phases(problem.phases, "Mppi")
         self.model: Model = problem.model
         self.period = positive_number("period", period)
         ratio = positive_number("horizon", horizon) / self.period

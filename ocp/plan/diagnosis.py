@@ -70,10 +70,10 @@ def measure_misses(target: Target, state_at: Callable[[float], Array]) -> Misses
     return found
 
 
-def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Program, solution: Solution, found: Guess, too_long: str) -> str:
+def explain_failure(missed: Misses, imposed: Target, reach: Reach | None, program: Program, solution: Solution, found: Guess, too_long: str) -> str:
     """Tell the cause and its cure, the largest violation by name, the limits that hold, and how many rows of the goals the strings move.
 
-    too_long: what `long_steps` says.
+    too_long: what `long_steps` says. reach: None where it is not known.
     """
     values = ca.Function("values", [program.problem["x"]], [program.problem["f"], program.problem["g"]])(solution.w)
     f, g = (np.asarray(value.full()).ravel() for value in values)
@@ -97,7 +97,7 @@ def explain_failure(missed: Misses, imposed: Target, reach: Reach, program: Prog
     if held:
         often, _ = Counter(name.split(",")[0] for name in held).most_common(1)[0]
         parts.append(f"upper limits hold {len(held)} times, most often the {often}")
-    if imposed.count:
+    if reach is not None and imposed.count:
         states = reach.rollout(imposed.start, found.force_density, found.duration)
         if np.all(np.isfinite(states)):
             rank = len(reach.controlled(imposed.single, imposed.weights, imposed.start, found.force_density, found.duration))

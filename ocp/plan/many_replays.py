@@ -11,6 +11,7 @@ import numpy as np
 from ocp.boundary.find_target import find_target
 from ocp.plan.robustness import STRINGS, Robustness, check_spreads, check_start, draw_starts, share_variance, vary_model
 from ocp.plan.winding import wind
+from ocp.problem.phase import refuse_phases
 from ocp.problem.scaling import Scales
 from tenscasadi.ensemble.feedback import Feedback
 from tenscasadi.ensemble.rollouts import rollouts
@@ -116,6 +117,7 @@ def _measure(plan: Any, shares: Array, states: Array) -> _Misses:
     duration, final = float(plan.time[-1]), plan.trajectory.states[-1]
     metres, speeds = [np.zeros((count, 0))], [np.zeros((count, 0))]
     if plan.problem is not None:
+        refuse_phases(plan.problem.phases, "robustness")
         target = find_target(plan.problem, Scales.of(plan.problem)).begin_at(plan.trajectory.states[0])
         for share, part, _ in target.instants:
             place, speed = (np.asarray(value.full()).T for value in part.misfit.map(count)(_at(share, shares, states).T))

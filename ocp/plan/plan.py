@@ -11,12 +11,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ocp.boundary.target import Target
+from ocp.plan.contact_rate import CONTACT_STEP, contact_rate
 from ocp.plan.many_replays import measure_robustness
 from ocp.plan.mesh_refinement import refine_mesh
 from ocp.plan.planned_forces import PlannedForces
 from ocp.plan.report import Report, report_of
 from ocp.plan.robustness import Robustness
 from ocp.plan.serialize import FORMAT, plan_arrays, plan_fields, rebuilt
+from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.solvers.base import Solver
 from ocp.solvers.ipopt import Ipopt
@@ -141,7 +143,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
         scheme : Scheme, optional
             Integration scheme. Default: `RungeKutta4()`.
         step : float, optional
-            Longest step, s. Default: a tenth of an interval.
+            Longest step, s. Default: a tenth of an interval, less where a node on the ground would vibrate too fast for it.
 
         Returns
         -------
@@ -156,6 +158,8 @@ class Plan(PlannedForces, ReadOnlyArrays):
         model, scheme = self.known_model("replay"), RungeKutta4() if scheme is None else scheme
         check_scheme(scheme)
         size = None if step is None else positive_number("step", step)
+        if size is None and model.scene.grounds:
+            size = min(np.diff(self.time).max() / REPLAY_STEPS, CONTACT_STEP / contact_rate(model))
         start, intervals, end, control = self.trajectory.states[0], np.diff(self.time), float(self.time[-1]), self.force_density
         if self.linear or np.ptp(intervals) > 1e-9 * end:
             profile = ControlProfile(self.time, control, REPLAY_STEPS if size is None else 1)
@@ -254,6 +258,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
         model, transcription = self.known_model("refine"), self.transcription
         if self.problem is None or transcription is None or self.solver is None:
             raise ValueError(f"refine needs to know how the plan was solved ({self.unknown}): refine solve(problem, ..., guess=plan)")
+        refuse_phases(self.problem.phases, "refine")
         solver = replace(self.solver, warm=True) if isinstance(self.solver, Ipopt) else self.solver
 
         def again(intervals: Array, plan: Plan) -> Plan:

@@ -12,6 +12,7 @@ import numpy as np
 from ocp.problem import bar_bounds, costs, expressions, geometric_bounds, goals, node_goals, string_bounds, waypoints
 from ocp.problem.ground_bounds import AboveSurface
 from ocp.problem.periodic import Periodic
+from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.tracking import Tracking
 from ocp.solvers.fatrop import Fatrop
@@ -32,10 +33,10 @@ from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import LARGEST, Array, instance
 
 _TABLE = (
-    *(goals.StringLengths, goals.Shape, Periodic, waypoints.Waypoint, FreeStart),
+    *(goals.StringLengths, goals.Shape, Periodic, waypoints.Waypoint, FreeStart, Phase),
     *(node_goals.NodePositions, node_goals.NodeVelocities, node_goals.CentreOfMass, node_goals.AtRest),
     *(string_bounds.ForceDensityLimits, string_bounds.TensionLimits, string_bounds.RestLengthLimits, string_bounds.RestLengthRateLimits),
-    *(string_bounds.ForceDensityRateLimits, bar_bounds.BarForceLimits, bar_bounds.Buckling),
+    *(bar_bounds.BarForceLimits, bar_bounds.Buckling),
     *(geometric_bounds.InsideBox, geometric_bounds.BarClearance, geometric_bounds.Obstacle, AboveSurface, Ground, Terrain),
     *(costs.Effort, costs.Smoothness, costs.Prestress, Tracking, costs.Duration, costs.Work),
     *(expressions.Constraint, expressions.Integral, expressions.AtEnd),  # for the name of what no file holds: their functions
@@ -45,7 +46,7 @@ _TABLE = (
 _CLASSES: dict[str, type] = {**{cls.__name__: cls for cls in _TABLE}, "Collocation (scheme)": collocation.Collocation}
 _NAMES = {cls: name for name, cls in _CLASSES.items()}
 _PARTS: dict[str, tuple[type, ...]] = {"problem": (Problem,), "transcription": (Transcription,), "solver": (Ipopt, Fatrop)}
-_ASKED = ("duration", "start", "goals", "bounds", "costs")  # the fields of a problem but for its model
+_ASKED = ("duration", "start", "goals", "bounds", "costs", "phases")  # the fields of a problem but for its model
 
 
 FORMAT = "tenscasadi plan 1"

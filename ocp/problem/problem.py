@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,12 +14,13 @@ from ocp.problem.costs import Cost, Effort
 from ocp.problem.expressions import check_expressions
 from ocp.problem.goals import BAR_TOLERANCE, Goal, check_bar_lengths
 from ocp.problem.periodic import Periodic
+from ocp.problem.phase import Phase, check_phases, read_duration, read_items
 from ocp.problem.string_bounds import ForceDensityLimits, StringLimits, TensionLimits
 from ocp.problem.waypoints import INSTANT, Waypoint
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity
-from tenscasadi.util.validate import Array, finite_array, instance, listed, nesting, positive_number
+from tenscasadi.util.validate import Array, finite_array, instance, nesting, shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class FreeStart:
     goals: Iterable[Goal] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "goals", _listed("FreeStart.goals", self.goals, Goal, "[AtRest()]"))
+        object.__setattr__(self, "goals", read_items("FreeStart.goals", self.goals, Goal, "[AtRest()]"))
         for k, goal in enumerate(self.goals):
             if isinstance(goal, (Waypoint, Periodic)):
                 raise TypeError(
@@ -83,6 +84,9 @@ class Problem:
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters, see `tenscasadi.ParameterLayout.values`; nominal if None. `Problem.model` is then the model with
         these as constants (`Model.fixed`), and `Problem.parameters` is None.
+    phases : sequence of Phase, optional
+        Parts of the plan in which nodes stand on the scene's ground, one after another: jumps, landings, steps. They have the durations; the
+        problem's goals are met at the end of the last.
 
     Raises
     ------
@@ -113,6 +117,7 @@ class Problem:
     bounds: Iterable[Bound] = ()
     costs: Iterable[Cost] = ()
     parameters: Any = None
+    phases: Sequence[Phase] = ()
 
     def __post_init__(self) -> None:
         instance("Problem.model", self.model, Model, "a tenscasadi.Model")
@@ -124,7 +129,8 @@ class Problem:
         if self.model.nq == 0:
             raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
         own = self.__dict__
-        own["duration"] = _duration(self.duration)
+        own["phases"] = read_items("Problem.phases", self.phases, Phase, "[Phase(0.5)]")
+        own["duration"] = read_duration("Problem.duration", self._whole_duration())
         if isinstance(self.start, type):
             raise TypeError(f"Problem.start is the class {self.start.__name__}: give {self.start.__name__}()")
         if isinstance(self.start, FreeStart):
@@ -134,7 +140,7 @@ class Problem:
         else:
             own["start"] = self._state("Problem.start", self.start)
         for field, kinds, example in _KINDS:
-            own[field] = _listed(f"Problem.{field}", getattr(self, field), kinds, example)
+            own[field] = read_items(f"Problem.{field}", getattr(self, field), kinds, example)
         structure = self.model.scene.structure
         for item in (*own["goals"], *own["bounds"], *own["costs"], *self.start_goals):
             item.check(structure)
@@ -147,6 +153,20 @@ class Problem:
         if not own["costs"] and np.isposinf(self.force_density_limits[1]).any():
             own["costs"] = (Effort(),)  # with nothing to keep them small, barriers of the solver let force densities grow without bound
         check_expressions(self.model, own["bounds"], own["costs"], begin)
+        if own["phases"]:
+            if self.free_start:
+                raise ValueError("Problem.start is free, and phases begin where nodes stand: give the start")
+            check_phases(self.model, self.first_state, own["phases"], own["goals"], own["bounds"], own["costs"])
+
+    def _whole_duration(self) -> Any:
+        """Return the duration that is given, or that of all phases."""
+        phases: tuple[Phase, ...] = self.__dict__["phases"]
+        if not phases:
+            return self.duration
+        whole = read_duration("Problem.duration", (sum(phase.shortest for phase in phases), sum(phase.longest for phase in phases)))
+        if read_duration("Problem.duration", self.duration) not in (1.0, whole):
+            raise ValueError(f"Problem.duration is {shown(self.duration)}, and phases have durations of their own: leave it out")
+        return whole
 
     @property
     def shortest(self) -> float:
@@ -259,23 +279,6 @@ class Problem:
             if crossed.size:
                 i = int(crossed[0])
                 raise ValueError(f"Problem.bounds: {kind.__name__} leave string {i} nothing, lower {lower[i]:g} and upper {upper[i]:g}: widen one")
-
-
-def _listed(field: str, values: Any, kinds: type, example: str) -> tuple[Any, ...]:
-    found = listed(field, values, example)
-    for k, value in enumerate(found):
-        instance(f"{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}")
-    return found
-
-
-def _duration(value: Any) -> float | tuple[float, float]:
-    if nesting(value) == 0:
-        return positive_number("Problem.duration", value)
-    pair = finite_array("Problem.duration", value, (2,))
-    shortest = positive_number("Problem.duration[0]", pair[0])
-    if pair[1] < shortest:
-        raise ValueError(f"Problem.duration is ({shortest:g}, {pair[1]:g}): give (shortest, longest)")
-    return shortest if pair[1] == shortest else (shortest, float(pair[1]))
 
 
 _KINDS: tuple[tuple[str, type, str], ...] = (

@@ -1,0 +1,76 @@
+"""Solving again for what the true ground leaves: phases know neither how it gives way nor what its springs give back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ocp.boundary.target import Target
+from ocp.phases.program import PhasedProgram
+from ocp.plan.contact_rate import CONTACT_STEP, contact_rate
+from ocp.solvers.base import Solution
+from ocp.solvers.ipopt import Ipopt
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.simulation.control_input import ControlProfile
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.util.validate import Array
+
+MOST_ROUNDS = 4
+MOST_LEFT = 0.8  # a round that leaves more than this share of the miss leads nowhere
+ENOUGH = 0.5  # of the tolerance
+
+Read = Callable[[Array], tuple[Array, Array, Array]]  # of w: time (K + 1,), states (K + 1, nx), force densities (K, α)
+
+
+def correct(
+    linked: PhasedProgram,
+    model: Model,
+    solver: Ipopt,
+    solution: Solution,
+    read: Read,
+    targets: Sequence[Target],
+    tolerance: float,
+    deadline: float | None,
+) -> Solution:
+    """Return the solution whose replay misses its goals least: of the program, and of it with goals moved against what the replay misses.
+
+    tolerance: m, and m per duration, of which half is enough. Only limits of rows change, so nothing is built again.
+    """
+    program, again, best = linked.program, None, solution
+    least, residuals = _replayed(model, *read(solution.w), targets)
+    shift, before, iterations = np.zeros(0), np.inf, solution.iterations
+    for _ in range(MOST_ROUNDS):
+        if not ENOUGH * tolerance < least < MOST_LEFT * before or not len(residuals):
+            break
+        before = least
+        shift = residuals if not len(shift) else shift + residuals
+        lower, upper = program.lower.copy(), program.upper.copy()
+        for rows, own in zip(program.rows("end"), np.split(shift, np.cumsum([part.count for part in targets if part.count])[:-1]), strict=True):
+            lower[rows] -= own
+            upper[rows] -= own
+        moved = replace(program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers)
+        again = again or replace(solver, warm=True).prepared(moved)
+        solution = again(moved, deadline)
+        iterations += solution.iterations
+        if not solution.success:
+            break
+        missed, residuals = _replayed(model, *read(solution.w), targets)
+        if missed < least:
+            best, least = solution, missed
+    return best._replace(iterations=iterations)
+
+
+def _replayed(model: Model, time: Array, states: Array, gamma: Array, targets: Sequence[Target]) -> tuple[float, Array]:
+    """Return how far the replay misses all goals, m, and the rows of the goals at the ends of the phases."""
+    count = len(gamma) // len(targets)
+    step = min(np.diff(time).max() / 10, CONTACT_STEP / contact_rate(model)) if model.scene.grounds else np.diff(time).max() / 10
+    motion = simulate(model, float(time[-1]), step, RungeKutta4(), states[0], ControlProfile(time, gamma, 1), compiled=False)
+    if not motion.success:
+        return np.inf, np.zeros(0)
+    ends = [np.array([np.interp(time[k * count], motion.time, column) for column in motion.states.T]) for k in range(1, len(targets) + 1)]
+    misses = [part.misfit(end) for part, end in zip(targets, ends, strict=True)]
+    worst = max(float(np.abs(size * value.full()).max(initial=0.0)) for both in misses for value, size in zip(both, (1.0, time[-1]), strict=True))
+    return worst, np.concatenate([np.asarray(part.rows(end).full()).ravel() for part, end in zip(targets, ends, strict=True)])

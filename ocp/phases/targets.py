@@ -1,0 +1,66 @@
+"""Where the goals of phases lead: what is met at the end of each, without what standing nodes keep by themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from ocp.boundary.find_target import find_target
+from ocp.boundary.row_reduction import reduce_rows
+from ocp.boundary.target import Target, WaypointTarget
+from ocp.boundary.unreachable import UnreachableGoal
+from ocp.phases.motion import node_coordinates
+from ocp.problem.problem import FreeStart, Problem
+from ocp.problem.scaling import Scales
+from tenscasadi.util.validate import Array, Indices
+
+
+def phase_problems(problem: Problem, air: Problem) -> list[Problem]:
+    """Return the problem of each phase by itself, as if it began where the plan does; air: the problem without its ground and its phases."""
+    goals = [phase.goals for phase in problem.phases]
+    goals[-1] = (*goals[-1], *problem.goals)
+    return [
+        replace(air, duration=phase.duration, goals=own, bounds=(*problem.bounds, *phase.bounds))
+        for phase, own in zip(problem.phases, goals, strict=True)
+    ]
+
+
+def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> list[Target]:
+    """Return the target of each phase, near that of the one before. Raises `UnreachableGoal`, naming the phase."""
+    targets, near = [], problem.first_state
+    for k, (phase, part) in enumerate(zip(problem.phases, parts, strict=True)):
+        try:
+            target = find_target(replace(part, start=FreeStart(near)), scales)
+        except UnreachableGoal as error:
+            raise UnreachableGoal(f"phase {k}: {error}") from None
+        targets.append(_without_standing(target, part, node_coordinates(part.model)[list(phase.stands)].ravel(), scales))
+        if target.state is not None:
+            near = target.state.copy()
+            near[part.model.nq :] = 0.0
+    targets[0] = replace(targets[0], start=problem.first_state, free_start=None)
+    return targets
+
+
+def whole_target(targets: Sequence[Target], ends: Array) -> Target:
+    """Return the target of the plan, in which phases end at shares of its duration."""
+    start = targets[0].start
+    on_the_way = [WaypointTarget(float(end), replace(part, free_start=None)) for end, part in zip(ends[:-1], targets[:-1], strict=True)]
+    return replace(targets[-1], start=start, free_start=None, waypoints=tuple(one for one in on_the_way if one.target.names))
+
+
+def _without_standing(target: Target, part: Problem, held: Indices, scales: Scales) -> Target:
+    """Return the target without the combinations of its rows that nodes which stand keep together with the bars."""
+    if not target.count or not held.size or target.state is None:
+        return target
+    model = part.model
+    x = ca.SX.sym("x", model.nx)
+    kept = model.constraints(x)
+    gradients = ca.Function("gradients", [x], [ca.jacobian(value, x) for value in (target.single(x), ca.vertcat(kept.bars, kept.bar_rates))])
+    goal, bars = (np.asarray(J.full()) * scales.state for J in gradients(target.state))
+    standing = np.zeros((2 * len(held), model.nx))
+    standing[np.arange(2 * len(held)), np.concatenate([held, model.nq + held])] = 1.0
+    reduction = reduce_rows(target.weights @ goal, [("bar", bars), ("standing", standing)])
+    return target.keep(reduction.combinations, "standing")
