@@ -28,7 +28,7 @@ from ocp.problem.node_goals import AtRest, CentreOfMass, NodePositions, NodeVelo
 from ocp.problem.periodic import Periodic
 from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
-from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
+from ocp.problem.string_bounds import ForceDensityLimits, ForceDensityRateLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
 from ocp.problem.tracking import Tracking
 from ocp.problem.waypoints import Waypoint
 from ocp.solve import solve
@@ -55,6 +55,7 @@ __all__ = [
     "Periodic",
     "Waypoint",
     "ForceDensityLimits",
+    "ForceDensityRateLimits",
     "TensionLimits",
     "RestLengthLimits",
     "RestLengthRateLimits",

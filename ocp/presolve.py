@@ -11,7 +11,7 @@ from ocp.problem.bounds import PathBound
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.transcription.base import Transcription
-from ocp.transcription.mesh import Profile, group_matrix, locate_share
+from ocp.transcription.mesh import Profile, group_matrix, locate_share, spans
 
 CLEAR = 1e-3  # of a limit: contradictions that are smaller are left to the solver
 
@@ -35,6 +35,8 @@ def check_start(problem: Problem) -> None:
     lower, upper = problem.force_density_limits
     slopes, room, rows = [np.zeros((0, len(lower)))], [np.zeros(0)], []
     for limited in path_constraints(problem, PathBound):
+        if limited.ends == ("last",):
+            continue
         value, control = ca.densify(limited.value), limited.symbols[1]
         linear = ~np.array(ca.which_depends(value, control, 2, True), dtype=bool)
         function = ca.Function("linear", limited.symbols, [value, ca.densify(ca.jacobian(value, control))])
@@ -69,11 +71,14 @@ def check_freedom(problem: Problem, target: Target, transcription: Transcription
     """Raise ValueError where goals have more rows than there are force densities before them, which has no solution."""
     lower, upper = problem.force_density_limits
     free = int(np.sum(lower < upper))
-    name = f"{type(transcription).__name__}.intervals is {transcription.count}"
+    held = spans(transcription.control, transcription.fractions)
+    each = len(held) == held[-1] + 1
+    name = f"{type(transcription).__name__}.intervals is {transcription.count}" if each else f"PiecewiseConstant.changes is {held[-1]}"
     for share, part, label in target.instants:
-        intervals = locate_share(transcription.fractions, share)[0] + 1
-        if part.count > intervals * free:
+        there = int(held[locate_share(transcription.fractions, share)[0]]) + 1
+        if part.count > there * free:
             least = int(np.ceil(np.ceil(part.count / free) / share)) if free else 0
-            needed = f"give at least {least} intervals" if free else "allow some more force densities"
-            each = "each" if share == 1.0 else f"each of the {intervals} up to there"
-            raise ValueError(f"{name}: {label}{free} force densities in {each} cannot meet {part.count} rows of goals, {needed}")
+            cure = f"give at least {least} intervals" if each else f"allow at least {least - 1}"
+            needed = cure if free else "allow some more force densities"
+            where = "each" if share == 1.0 and each else f"each of the {there} up to there"
+            raise ValueError(f"{name}: {label}{free} force densities in {where} cannot meet {part.count} rows of goals, {needed}")

@@ -21,11 +21,12 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.deferred_correction import check_correctable, solve_corrected
+from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
-from ocp.transcription.mesh import group_matrix, held_values, hermite_state, locate_share
+from ocp.transcription.mesh import group_matrix, held_values, hermite_state, locate_share, spans
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.validate import Array, instance
 
@@ -69,6 +70,8 @@ def solve_program(
     duals: multipliers to start from, where they are known. deadline: of `time.perf_counter`, s; None: no limit.
     """
     check_correctable(transcription, solver)
+    if isinstance(solver, Fatrop) and transcription.control.changes is not None:
+        raise ValueError(f"PiecewiseConstant.changes is {transcription.control.changes}, and Fatrop finds no plan of few changes: give ocp.Ipopt()")
     _check(problem, transcription, target)
     task = _Task(problem, transcription, target, scales, _reach(problem, transcription), solver)
     imposed = controlled(target, task.reach, guess.force_density, guess.duration)
@@ -111,7 +114,9 @@ def _check(problem: Problem, transcription: Transcription, target: Target) -> No
 
 def _reach(problem: Problem, transcription: Transcription) -> Reach:
     together = group_matrix(transcription.control, problem.model.nu)
-    return Reach(problem.model, problem.shortest < problem.longest, grouping=together)
+    equal = np.full(transcription.count, 1 / transcription.count)  # as intervals of guesses are
+    held = spans(transcription.control, equal)
+    return Reach(problem.model, problem.shortest < problem.longest, grouping=together, spans=held)
 
 
 def _late(deadline: float | None) -> bool:

@@ -13,7 +13,7 @@ from ocp.boundary.dynamics import Dynamics, Linearised
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.tableaux import CLASSICAL
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, Indices
 
 REACHED = 1e-5  # of the strongest direction: below it a row of the goal is not controlled to first order, or by errors of the scheme only
 HARDLY_REACHED = 1e-9  # the same, for a second attempt
@@ -87,13 +87,15 @@ class Reach:
     """Sensitivities of a motion to its controls over `count` intervals, in steps of Runge and Kutta.
 
     grouping: E (nu, groups) of ones, γ of all strings from those of groups that pull alike (`ocp.transcription.mesh`); None: each pulls on
-    its own. Controls that are given are evened out within groups.
+    its own. spans (count,): over which intervals controls are held, numbered from 0; None: each interval has its own. Controls that are given
+    are evened out within groups and spans.
     """
 
-    def __init__(self, model: Model, free_duration: bool, substeps: int = 1, grouping: Array | None = None) -> None:
+    def __init__(self, model: Model, free_duration: bool, substeps: int = 1, grouping: Array | None = None, spans: Indices | None = None) -> None:
         self._model, self._substeps, self._free_duration = model, substeps, free_duration
         self._grouping = np.eye(model.nu) if grouping is None else grouping
         self._evened = self._grouping / self._grouping.sum(axis=0) @ self._grouping.T
+        self._spans = None if spans is None or spans[-1] + 1 == len(spans) else spans
 
     @cached_property
     def _dynamics(self) -> Dynamics:
@@ -105,15 +107,25 @@ class Reach:
 
     def rollout(self, start: Array, controls: Array, duration: float) -> Array:
         """Return the states (count + 1, nx) of the motion under controls (count, nu); NaN from where it diverges."""
-        return self._rolled(start, controls @ self._evened, duration / len(controls))[0]
+        return self._rolled(start, self._even(controls), duration / len(controls))[0]
+
+    def _even(self, controls: Array) -> Array:
+        """Return controls (count, nu) that are the same within groups and spans."""
+        if self._spans is not None:
+            controls = (self._summed(controls) / np.bincount(self._spans)[:, None])[self._spans]
+        return np.asarray(controls @ self._evened)
+
+    def _summed(self, values: Array) -> Array:
+        """Sum values (…, count, m) over the intervals of each span."""
+        return values if self._spans is None else np.add.reduceat(values, np.unique(self._spans, return_index=True)[1], axis=-2)
 
     def of_rows(self, rows: ca.Function, weights: Array, start: Array, controls: Array, duration: float, at: int | None = None) -> Array:
-        """Return the gradient (m, count·groups [+ 1]) of weights (m, ·) @ rows(x) by all controls (and the duration).
+        """Return the gradient (m, spans·groups [+ 1]) of weights (m, ·) @ rows(x) by all controls (and the duration).
 
         rows are taken after `at` intervals from `start`, None: all. NaN where the motion diverges.
         """
         length = duration / len(controls)
-        last, motion = self._linearised(rows, weights, start, controls[:at], length)
+        last, motion = self._linearised(rows, weights, start, self._even(controls)[:at], length)
         return self._gradient(last, motion, len(controls), length)
 
     def controlled(
@@ -121,8 +133,8 @@ class Reach:
     ) -> Array:
         """Return orthonormal combinations (rank, m) of the rows that the controls can move, as `find_controlled` of `of_rows`."""
         length = duration / len(controls)
-        last, motion = self._linearised(rows, weights, start, controls[:at], length)
-        if motion is not None and self._surely_controlled(last, motion, length, least):
+        last, motion = self._linearised(rows, weights, start, self._even(controls)[:at], length)
+        if motion is not None and self._spans is None and self._surely_controlled(last, motion, length, least):
             return np.eye(len(weights))
         return find_controlled(self._gradient(last, motion, len(controls), length), least)
 
@@ -154,15 +166,15 @@ class Reach:
         for back, (by_control, by_length) in enumerate(self._backwards(last, motion, length), 1):
             result[:, (end - back) * groups : (end - back + 1) * groups] = by_control
             result[:, count * groups :] += by_length[:, None] / count
-        return result
+        by_span = self._summed(result[:, : count * groups].reshape(len(last), count, groups))
+        return np.column_stack([by_span.reshape(len(last), -1), result[:, count * groups :]])
 
     def _linearised(self, rows: ca.Function, weights: Array, start: Array, controls: Array, length: float) -> tuple[Array, Linearised | None]:
-        """Return the gradient (m, nx) of the rows at the end of the motion under controls, and the motion; None where it diverges."""
-        evened = controls @ self._evened
-        states, points = self._rolled(start, evened, length)
+        """Return the gradient (m, nx) of the rows at the end of the motion under even controls, and the motion; None where it diverges."""
+        states, points = self._rolled(start, controls, length)
         if not np.all(np.isfinite(states)):
             return np.zeros((len(weights), len(start))), None
-        return weights @ _slope(rows, states[-1]), self._dynamics.linearise(points, np.repeat(evened, 4 * self._substeps, axis=0))
+        return weights @ _slope(rows, states[-1]), self._dynamics.linearise(points, np.repeat(controls, 4 * self._substeps, axis=0))
 
     def _rolled(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
         """Return the states (count + 1, nx) at the ends of intervals, and the points (4 count substeps, nx) at which the rate is taken."""

@@ -36,13 +36,13 @@ class Horizon(NamedTuple):
 class HorizonLimits:
     """All bounds of a problem but those of γ itself: a ΔU ≤ b, one-sided rows in each interval of `period` s.
 
-    Bounds of instants hold at the end of each interval; those of rates from the start of each interval's predecessor to its own start,
-    first from the last decision to now. strength: a typical γ, N/m.
+    Bounds of instants hold at the end of each interval, those of the end of a plan at that of the horizon; those of rates from the start of
+    each interval's predecessor to its own start, first from the last decision to now. strength: a typical γ, N/m.
     """
 
     def __init__(self, problem: Problem, scales: Scales, strength: float, period: float) -> None:
         self._period = period
-        self._instants = [_one_sided(rows) for rows in scaled_rows(problem, PathBound, scales, strength)]
+        self._instants = [(_one_sided(rows), rows.ends == ("last",)) for rows in scaled_rows(problem, PathBound, scales, strength)]
         self._rates = [_one_sided(rows) for rows in scaled_rows(problem, RateBound, scales, strength)]
 
     @property
@@ -54,8 +54,8 @@ class HorizonLimits:
         """Return a (rows, K α) and b (rows,) from `time` on; begun: whether there was a last decision."""
         a, b = [ca.DM(0, horizon.control_effects[0].shape[1])], [ca.DM(0, 1)]
         x, dx, u, du = horizon
-        for limit in self._instants:
-            for k in range(horizon.intervals):
+        for limit, last in self._instants:
+            for k in range(horizon.intervals - 1 if last else 0, horizon.intervals):
                 room, by_state, by_control, _ = limit(x[k + 2], u[k + 1], time + (k + 1) * self._period)
                 a.append(by_state @ dx[k + 2] + by_control @ du[k + 1])
                 b.append(room)

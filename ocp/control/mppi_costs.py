@@ -42,8 +42,10 @@ def horizon_costs(problem: Problem, scales: Scales, period: float, intervals: in
     length = period * intervals
     limits = scaled_rows(problem, PathBound, scales, strength)
     stage = sum((cost.rate(now) for cost in problem.costs if isinstance(cost, RunningCost)), ca.DM(0))
-    stage += OVERSTEP / length * sum((_excess(rows, *now.symbols) for rows in limits), ca.DM(0))
+    along, last = ([rows for rows in limits if (rows.ends == ("last",)) is ending] for ending in (False, True))
+    stage += OVERSTEP / length * sum((_excess(rows, *now.symbols) for rows in along), ca.DM(0))
     final = sum((cost.final(now) for cost in problem.costs if isinstance(cost, FinalCost)), ca.DM(0))
+    final += OVERSTEP * sum((_excess(rows, *now.symbols) for rows in last), ca.DM(0))
     misses = _misses(problem, now, {"m": place, "m/s": 10 * place / scales.time})
     stage, final = stage + misses / length, final + misses
     running, ending = (

@@ -152,7 +152,11 @@ def _at_instants(problem: Problem, time: Array, states: Array, controls: Array) 
     lower, upper = problem.force_density_limits
     names = tuple(f"force density of string {k}" for k in range(len(lower)))
     own = _Course(PathConstraint(None, lower, upper, names, "N/m", (), ()), time, controls)
-    return [own, *(_course(one, time, states.T, controls.T, time[None]) for one in path_constraints(problem, PathBound))]
+    courses = [own]
+    for one in path_constraints(problem, PathBound):
+        when = slice(-1, None) if one.ends == ("last",) else slice(None)
+        courses.append(_course(one, time[when], states[when].T, controls[when].T, time[None, when]))
+    return courses
 
 
 def _between_instants(problem: Problem, time: Array, states: Array, force_density: Array) -> list[_Course]:

@@ -36,7 +36,7 @@ _TABLE = (
     *(goals.StringLengths, goals.Shape, Periodic, waypoints.Waypoint, FreeStart, Phase),
     *(node_goals.NodePositions, node_goals.NodeVelocities, node_goals.CentreOfMass, node_goals.AtRest),
     *(string_bounds.ForceDensityLimits, string_bounds.TensionLimits, string_bounds.RestLengthLimits, string_bounds.RestLengthRateLimits),
-    *(bar_bounds.BarForceLimits, bar_bounds.Buckling),
+    *(string_bounds.ForceDensityRateLimits, bar_bounds.BarForceLimits, bar_bounds.Buckling),
     *(geometric_bounds.InsideBox, geometric_bounds.BarClearance, geometric_bounds.Obstacle, AboveSurface, Ground, Terrain),
     *(costs.Effort, costs.Smoothness, costs.Prestress, Tracking, costs.Duration, costs.Work),
     *(expressions.Constraint, expressions.Integral, expressions.AtEnd),  # for the name of what no file holds: their functions

@@ -17,10 +17,10 @@ from tenscasadi.util.validate import Array, per_item
 
 @dataclass(frozen=True, eq=False)
 class PathConstraint:
-    """lower ≤ value ≤ upper: a column of CasADi expressions in `unit` ("N", "N/m", "m", "m/s" or ""), with a name for each entry.
+    """lower ≤ value ≤ upper: a column of CasADi expressions in `unit` ("N", "N/m", "N/(m s)", "m", "m/s" or ""), with a name for each entry.
 
     symbols: what `value` is made of, x, u, t of an instant, or x, u, x⁺, u⁺, h of two that are h apart. ends: at which ends
-    ("start", "end") of every interval it holds.
+    ("start", "end") of every interval it holds; ("last",): at the end of the last one alone.
     """
 
     value: Any

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -14,7 +15,7 @@ from ocp.problem.bounds import Bound, PathBound, PathConstraint
 from ocp.problem.costs import Cost, FinalCost, RunningCost
 from ocp.problem.instant import Instant, symbolic
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array, call_user_function, number_or_vector, positive_number, shown
+from tenscasadi.util.validate import Array, call_user_function, flag, number_or_vector, positive_number, shown
 
 Expression = Callable[[Instant], Any]
 
@@ -23,19 +24,81 @@ _NO_NUMBER = "is not a number at the start: keep roots, logarithms and quotients
 
 
 @dataclass(frozen=True, eq=False)
-class Constraint(PathBound):
-    """Own limits lower ≤ expression(now) ≤ upper, at both ends of every interval.
+class AtEnd(FinalCost):
+    """The cost weight · expression(end) of an own expression; within `Constraint`, what is limited there.
 
     Parameters
     ----------
     name : str
-        What reports and multipliers call it; each constraint of a problem has its own.
+        What errors call it.
+    expression : callable
+        Takes the `Instant` at the end and gives a CasADi scalar of it.
+    weight : float, optional
+        Factor of the cost, > 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there is no name, no function or no weight; with a problem, if the expression fails or is no scalar of the instant alone.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> high = ocp.AtEnd("height", lambda end: -end.nodes[2, 3])
+    >>> high.weight
+    1.0
+    """
+
+    name: str
+    expression: Expression
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        _named(self)
+        object.__setattr__(self, "weight", positive_number(f"AtEnd {self.name!r}: weight", self.weight))
+
+    @property
+    def weighted(self) -> Expression:
+        """The expression times the weight, a function of an instant."""
+        return self.expression if self.weight == 1.0 else partial(_weighted, self)
+
+    def final(self, end: Instant) -> Any:
+        """Return the cost of the end.
+
+        Parameters
+        ----------
+        end : Instant
+            The end of the plan.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX
+            weight · expression, a scalar.
+        """
+        return self.weight * _scalar(self, end)
+
+
+def _weighted(item: AtEnd, end: Instant) -> Any:
+    return item.weight * item.expression(end)
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint(PathBound):
+    """Own limits lower ≤ expression(now) ≤ upper, at both ends of every interval; or at the end of the plan alone.
+
+    Parameters
+    ----------
+    name : str or AtEnd
+        What reports and multipliers call it; each constraint of a problem has its own. ``Constraint(AtEnd(name, expression), lower=...)`` limits
+        weight · expression at the end of the plan, and is the same as to give name, expression and ``at_end``.
     expression : callable
         Takes an `Instant` and gives a CasADi scalar or column of it.
     lower : float or array_like, optional
         One number, or one for each entry; None for no limit.
     upper : float or array_like, optional
         One number, or one for each entry; None for no limit.
+    at_end : bool, optional
+        Whether the limits hold at the end of the plan alone, not along the way.
 
     Raises
     ------
@@ -51,15 +114,23 @@ class Constraint(PathBound):
     >>> low = ocp.Constraint("height", lambda now: now.nodes[2, 3], upper=1.2)
     >>> low.constraint(model).names
     ('height',)
+    >>> ocp.Constraint(ocp.AtEnd("height", lambda end: end.nodes[2, 3]), upper=1.2).at_end
+    True
     """
 
-    name: str
-    expression: Expression
+    name: str | AtEnd
+    expression: Expression | None = None  # AtEnd has its own
     lower: ArrayLike | None = None
     upper: ArrayLike | None = None
+    at_end: bool = False
 
     def __post_init__(self) -> None:
+        if isinstance(self.name, AtEnd):
+            if self.expression is not None:
+                raise TypeError(f"Constraint {self.name.name!r}: expression is given beside that of AtEnd: give lower=... and upper=... by name")
+            self.__dict__.update(name=self.name.name, expression=self.name.weighted, at_end=True)
         _named(self)
+        flag(f"Constraint {self.name!r}: at_end", self.at_end)
         if self.lower is None and self.upper is None:
             raise ValueError(f"Constraint {self.name!r}: lower and upper are both None: give at least one")
         for field in ("lower", "upper"):
@@ -91,8 +162,8 @@ class Constraint(PathBound):
         lower, upper = self._limit("lower", count, -np.inf), self._limit("upper", count, np.inf)
         if np.any(lower > upper):
             raise ValueError(f"Constraint {self.name!r}: lower is above upper: give lower ≤ upper")
-        names = (self.name,) if count == 1 else tuple(f"{self.name} [{k}]" for k in range(count))
-        return PathConstraint(value, lower, upper, names, "", now.symbols, self.ends)
+        names = (str(self.name),) if count == 1 else tuple(f"{self.name} [{k}]" for k in range(count))
+        return PathConstraint(value, lower, upper, names, "", now.symbols, ("last",) if self.at_end else self.ends)
 
     def _limit(self, field: str, count: int, missing: float) -> Array:
         value = getattr(self, field)
@@ -160,56 +231,6 @@ class Integral(RunningCost):
         return self.weight * _scalar(self, now)
 
 
-@dataclass(frozen=True, eq=False)
-class AtEnd(FinalCost):
-    """The cost weight · expression(end) of an own expression.
-
-    Parameters
-    ----------
-    name : str
-        What errors call it.
-    expression : callable
-        Takes the `Instant` at the end and gives a CasADi scalar of it.
-    weight : float, optional
-        Factor of the cost, > 0.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If there is no name, no function or no weight; with a problem, if the expression fails or is no scalar of the instant alone.
-
-    Examples
-    --------
-    >>> import ocp
-    >>> high = ocp.AtEnd("height", lambda end: -end.nodes[2, 3])
-    >>> high.weight
-    1.0
-    """
-
-    name: str
-    expression: Expression
-    weight: float = 1.0
-
-    def __post_init__(self) -> None:
-        _named(self)
-        object.__setattr__(self, "weight", positive_number(f"AtEnd {self.name!r}: weight", self.weight))
-
-    def final(self, end: Instant) -> Any:
-        """Return the cost of the end.
-
-        Parameters
-        ----------
-        end : Instant
-            The end of the plan.
-
-        Returns
-        -------
-        casadi.SX or casadi.MX
-            weight · expression, a scalar.
-        """
-        return self.weight * _scalar(self, end)
-
-
 def check_expressions(model: Model, bounds: Sequence[Bound], costs: Sequence[Cost], start: Array | None) -> None:
     """Build each bound and cost once, so that a fault shows here.
 
@@ -226,7 +247,7 @@ def check_expressions(model: Model, bounds: Sequence[Bound], costs: Sequence[Cos
             undefined = np.isnan(value) & ~steered
             if undefined.any():
                 raise ValueError(f"Problem.bounds: {limited.names[int(np.argmax(undefined))]} {_NO_NUMBER}")
-            if "start" not in bound.ends and len(value):
+            if limited.ends == ("end",) and len(value):
                 _check_within(limited, value, START_TOLERANCE * float(np.ptp(model.structure.nodes)))
     for cost in costs:
         now = symbolic(model)

@@ -54,7 +54,7 @@ def _scaled(limited: PathConstraint, scales: Scales, strength: float) -> ScaledR
 
 def _row_scale(limited: PathConstraint, scales: Scales, strength: float) -> Array:
     """Return the size that one row of each entry stands for: by its unit; of own constraints, which have none, by its limits."""
-    sizes = {"N": strength * scales.length, "N/m": strength, **scales.units}
+    sizes = {"N": strength * scales.length, "N/m": strength, "N/(m s)": strength / scales.time, **scales.units}
     if limited.unit:
         return np.full(len(limited.names), sizes[limited.unit])
     ends = np.array([limited.lower, limited.upper])

@@ -80,6 +80,78 @@ class ForceDensityLimits(StringLimits):
 
 
 @dataclass(frozen=True, eq=False)
+class ForceDensityRateLimits(RateBound):
+    """Limits of how fast force densities change: of the mean rate of each γ over an interval.
+
+    From the start of each interval, of h s, to that of the next, γ changes by at most ``rate`` · h. Where force densities are linear in each
+    interval (`PiecewiseLinear`), this also holds to the end of the last one.
+
+    Parameters
+    ----------
+    rate : float or array_like, shape (α,)
+        Greatest rate, N/(m s), > 0; one number, or one for each string; inf for no limit.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a rate is no number, zero or negative; with a problem, if there is not one for each string.
+
+    See Also
+    --------
+    PiecewiseConstant : limits the number of changes, by ``changes``.
+    RestLengthRateLimits : how fast motors wind.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.ForceDensityRateLimits(50.0).rate
+    50.0
+    """
+
+    rate: ArrayLike
+
+    def __post_init__(self) -> None:
+        array = number_or_vector("ForceDensityRateLimits.rate", replace_inf(self.rate, 1.0))
+        nonnegative("ForceDensityRateLimits.rate", array, "string", strict=True)
+
+    def check(self, structure: Structure) -> None:
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is not one rate for each string.
+        """
+        broadcast_limits("ForceDensityRateLimits.rate", self.rate, len(structure.strings), np.inf)
+
+    def constraint(self, model: Model) -> PathConstraint:
+        """Return the mean rate of each force density, N/(m s), with the limits, as a path constraint.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+
+        Returns
+        -------
+        PathConstraint
+            Expressions of two instants of symbols, between their limits.
+        """
+        before, after = symbolic(model), symbolic(model)
+        interval: Any = type(before.state).sym("h")
+        rate = broadcast_limits("ForceDensityRateLimits.rate", self.rate, len(model.scene.structure.strings), np.inf)
+        names = tuple(f"force density rate of string {i}" for i in range(len(rate)))
+        symbols = (before.state, before.control, after.state, after.control, interval)
+        value = (after.control - before.control) / interval
+        return PathConstraint(value, -rate, rate, names, "N/(m s)", symbols, self.ends).drop_open()
+
+
+@dataclass(frozen=True, eq=False)
 class TensionLimits(StringLimits, PathBound):
     """Limits of the tension γ s of each string, at both ends of every interval.
 

@@ -72,7 +72,7 @@ def path_blocks(v: Variables) -> list[Block]:
     limits = scaled_rows(v.problem, PathBound, v.scales, v.strength)
     blocks = [_at_end(v, rows, end) for rows in limits for end in rows.ends]
     if v.problem.free_start:  # a given one has been checked
-        blocks += [_at_start(_at_end(v, rows, "start"), len(rows.names)) for rows in limits if "start" not in rows.ends]
+        blocks += [_only(0, _at_end(v, rows, "start"), len(rows.names)) for rows in limits if rows.ends == ("end",)]
     if len(v.controls) > 1:
         blocks += [_between(v, rows) for rows in scaled_rows(v.problem, RateBound, v.scales, v.strength)]
     return blocks
@@ -126,12 +126,15 @@ def _at_end(v: Variables, rows: ScaledRows, end: str) -> Block:
     z, (x, c, T, part) = split_symbol(symbol_kind(rows.function), v.model.nx, v.interval_controls.shape[1], 1, 1)
     function = ca.Function("bound", [z], [rows.function(x, v.gamma(c, share), T * part)])
     index = np.hstack([v.states[at_end], v.interval_controls, v.repeated(v.duration), v.time[at_end]])
-    names = tuple(f"{name}, {end} of interval {k}" for k in range(v.count) for name in rows.names)
-    return Block(function, index, names, rows.lower, rows.upper, rows.scale, kind="path")
+    side = "start" if end == "start" else "end"
+    names = tuple(f"{name}, {side} of interval {k}" for k in range(v.count) for name in rows.names)
+    block = Block(function, index, names, rows.lower, rows.upper, rows.scale, kind="path")
+    return _only(v.count - 1, block, len(rows.names)) if end == "last" else block
 
 
-def _at_start(block: Block, count: int) -> Block:
-    return replace(block, index=block.index[:1], names=block.names[:count])
+def _only(k: int, block: Block, count: int) -> Block:
+    """Return instance k of a block with `count` names for each."""
+    return replace(block, index=block.index[k : k + 1], names=block.names[k * count : (k + 1) * count])
 
 
 def _between(v: Variables, rows: ScaledRows) -> Block:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import hermite_cubic
-from tenscasadi.util.validate import Array, finite_array, positive_number, shown, whole_number
+from tenscasadi.util.validate import Array, Indices, finite_array, positive_number, shown, whole_number
 
 Intervals = int | Sequence[float]
 MOST_INTERVALS = 100_000  # a file may ask for more than memory holds
@@ -47,6 +47,10 @@ class Profile(Protocol):
     def groups(self) -> tuple[tuple[int, ...], ...]:
         """Strings that always have the same force density."""
 
+    @property
+    def changes(self) -> int | None:
+        """How often force densities change at most; None: from interval to interval."""
+
 
 @dataclass(frozen=True)
 class _Grouped:
@@ -75,20 +79,31 @@ class PiecewiseConstant(_Grouped):
     ----------
     groups : sequence of sequences of int
         Groups of strings, such as those that a symmetry maps onto each other: the strings of a group share their force density.
+    changes : int, optional
+        How often force densities may change at most, after (nearly) equal times: they are held over the intervals between. By default they
+        change from interval to interval.
 
     Raises
     ------
     TypeError, ValueError
-        If a group is no sequence of strings, or a string is given twice.
+        If a group is no sequence of strings, a string is given twice, or changes is no number of at least 0.
 
     Examples
     --------
     >>> import ocp
     >>> ocp.PiecewiseConstant(groups=[(0, 1, 2), (3, 4, 5)]).groups
     ((0, 1, 2), (3, 4, 5))
+    >>> ocp.PiecewiseConstant(changes=4).changes
+    4
     """
 
     linear: ClassVar[bool] = False
+    changes: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.changes is not None:
+            whole_number("PiecewiseConstant.changes", self.changes, 0)
 
 
 @dataclass(frozen=True)
@@ -113,6 +128,7 @@ class PiecewiseLinear(_Grouped):
     """
 
     linear: ClassVar[bool] = True
+    changes: ClassVar[int | None] = None
 
 
 def group_matrix(profile: Profile, strings: int) -> Array:
@@ -128,6 +144,15 @@ def group_matrix(profile: Profile, strings: int) -> Array:
     for group in profile.groups:
         leader[list(group)] = min(group)
     return np.asarray(leader[:, None] == np.unique(leader)[None], dtype=float)
+
+
+def spans(profile: Profile, fractions: Array) -> Indices:
+    """Return for each interval (K,) the span over which force densities are held, numbered from 0: K spans where nothing else is asked."""
+    if profile.changes is None or profile.changes + 1 >= len(fractions):
+        return np.arange(len(fractions))
+    middle = np.cumsum(fractions) - np.asarray(fractions) / 2
+    within = np.floor(middle * (profile.changes + 1) * (1 - 1e-12)).astype(np.intp)
+    return np.asarray(np.unique(within, return_inverse=True)[1])
 
 
 def node_values(held: Array, lengths: Array) -> Array:

@@ -13,7 +13,7 @@ from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, typical_cost
 from ocp.transcription.initial_guess import Guess, on_mesh
-from ocp.transcription.mesh import Profile, group_matrix
+from ocp.transcription.mesh import Profile, group_matrix, spans
 from ocp.transcription.sparse_nlp import Block, Unknowns, invertible
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import sparse
@@ -110,9 +110,12 @@ class Variables:
         least, most = self.problem.force_density_limits
         lower, upper = (np.array([choose(limit[own]) for own in members]) for choose, limit in ((np.max, least), (np.min, most)))
         first = self.guess.force_density @ (self.group_matrix / self.group_matrix.sum(axis=0))
+        span = np.arange(len(first)) if self.profile.linear else spans(self.profile, self.fractions)
+        begins = np.unique(span, return_index=True)[1]
+        first = np.add.reduceat(first, begins) / np.bincount(span)[:, None]
         own = [f"force density of string{'s' * (len(strings) > 1)} {', '.join(map(str, strings))}" for strings in members]
-        names = [f"{name}, interval {k}" for k in range(len(first)) for name in own]
-        return self.entries.unknowns(names, first, self.strength, lower, upper, np.arange(len(first))[:, None])
+        names = [f"{name}, interval {k}" for k in begins for name in own]
+        return self.entries.unknowns(names, first, self.strength, lower, upper, begins[:, None])[span]
 
     def _duration(self) -> Indices:
         shortest, longest = self.problem.shortest, self.problem.longest

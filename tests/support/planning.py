@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 import ocp
 import tenscasadi as tc
@@ -48,3 +49,14 @@ def taller(*bounds):
     goals = [ocp.Shape(prism(1.15).nodes), ocp.AtRest()]
     model = driven(prism(1.0, stiffness=1000.0))
     return ocp.Problem(model, goals=goals, bounds=[ocp.ForceDensityLimits(5.0, 100.0), *bounds], costs=[ocp.Effort()])
+
+
+def integrated(plan, share=1.0):
+    """The state at a share of the plan's duration, by SciPy from force densities that are held in intervals."""
+    model, state = plan.model, plan.trajectory.states[0]
+    for begin, end, gamma in zip(plan.time, plan.time[1:], plan.force_density, strict=False):
+        end = min(end, share * plan.time[-1])
+        if end > begin:
+            rate = lambda t, x, gamma=gamma: model.ode(x, gamma).full().ravel()  # noqa: E731
+            state = solve_ivp(rate, (begin, end), state, "DOP853", rtol=1e-10, atol=1e-10).y[:, -1]
+    return state

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
-from rising import along, binds, raised
+from planning import integrated
+from rising import MODEL, PRESTRESS, along, binds, raised
 
 import ocp
 
@@ -28,7 +30,31 @@ def test_own_constraints_hold(free):
     assert plan.force_density[:2, 0].min() > 6.0 - 1e-5 > free.force_density[:2, 0].min()
 
 
+def test_what_is_limited_at_the_end_is_free_along_the_way():
+    """The top has to be low at the end alone: it starts above, and its speed, which is bounded along the way by nothing, is low there."""
+    problem = {"bounds": [PRESTRESS], "costs": [ocp.Effort()]}
+
+    def height(now):
+        return now.nodes[2, 3]
+
+    top = float(MODEL.structure.nodes[3, 2])
+    given = ocp.Constraint(ocp.AtEnd("top", height, 2.0), upper=2 * (top - 0.02))
+    slow = ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities), upper=1e-3, at_end=True)
+    plan = ocp.solve(ocp.Problem(MODEL, 0.6, bounds=[*problem["bounds"], given, slow], costs=problem["costs"]), ocp.Variational(20))
+    assert plan.success, plan.message
+    ended = integrated(plan)
+    assert MODEL.nodes(ended)[3, 2] <= top - 0.02 + 1e-3
+    assert np.sum(MODEL.velocities(ended) ** 2) <= 1.1e-3
+    assert np.sum(plan.trajectory.velocities**2, axis=(1, 2)).max() > 2e-3
+    assert len(plan.duals["top"]) == 1
+    assert "top" in {finding.name for finding in plan.report().active}
+    assert not {"top", "speed"} & {finding.name for finding in plan.report().violated}
+
+
 BAD = {
+    "constraint of an end with an expression": (lambda: ocp.Constraint(ocp.AtEnd("a", lambda e: e.time), lambda e: e.time, 0.0), TypeError, "'a'"),
+    "constraint of an end without limit": (lambda: ocp.Constraint(ocp.AtEnd("a", lambda e: e.time)), ValueError, "'a': lower and upper"),
+    "constraint at some end": (lambda: ocp.Constraint("a", lambda e: e.time, 0.0, at_end=1), TypeError, "'a': at_end"),
     "constraint without name": (lambda: ocp.Constraint("", lambda now: now.time, 0.0), TypeError, "Constraint.name"),
     "constraint without limit": (lambda: ocp.Constraint("a", lambda now: now.time), ValueError, "Constraint 'a': lower and upper"),
     "constraint without expression": (lambda: ocp.Constraint("a", 1.0, 0.0), TypeError, "Constraint 'a': expression"),

@@ -31,6 +31,25 @@ def test_motors_have_a_speed(free):
     assert np.abs(np.diff(plan.rest_lengths(), axis=0)).max() * 10 == pytest.approx(speed, rel=5e-3)
 
 
+@pytest.mark.parametrize("profile", [ocp.PiecewiseConstant(), ocp.PiecewiseLinear()])
+def test_force_densities_change_slowly(profile):
+    def planned(*bounds):
+        problem = ocp.Problem(MODEL, goals=GOALS, bounds=[ocp.ForceDensityLimits(1.0, 100.0), *bounds], costs=[ocp.Effort()])
+        return ocp.solve(problem, ocp.Variational(16, control=profile))
+
+    def fastest(plan):
+        return np.abs(np.diff(plan.force_density, axis=0)).max() * 16
+
+    free = planned()
+    limit = 0.7 * fastest(free)
+    plan = planned(ocp.ForceDensityRateLimits(limit))
+    assert plan.success, plan.message
+    assert fastest(plan) == pytest.approx(limit, rel=1e-5)
+    assert plan.objective > free.objective
+    active = {finding.name: finding.unit for finding in plan.report().active}
+    assert "N/(m s)" in {unit for name, unit in active.items() if name.startswith("force density rate of string")}
+
+
 def rates(plan):
     """Of the rest lengths, from each time that has force densities to the next, m/s."""
     rest = plan.rest_lengths()

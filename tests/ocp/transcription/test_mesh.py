@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from planning import GROUPS, raising
+from planning import GROUPS, integrated, raising
 
 import ocp
 
@@ -22,6 +22,28 @@ def test_linear_force_densities(make):
     assert found.rest_lengths(500.0).shape == (13, 9)
     assert found.replay_error < 2e-3
     assert found.replay(step=1e-3).nodes[-1] == pytest.approx(found.replay().nodes[-1], abs=1e-4)
+
+
+@pytest.mark.parametrize("make", [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational], ids=lambda kind: kind.__name__)
+def test_few_changes(make):
+    problem = raising()
+    few, fewer, many = (ocp.solve(problem, make(14, control=ocp.PiecewiseConstant(changes=n))) for n in (6, 3, 13))
+    assert few.success
+    assert fewer.success
+    assert few.force_density == pytest.approx(np.repeat(few.force_density[::2], 2, axis=0), abs=0)
+    assert [len(np.unique(plan.force_density[:, 0])) for plan in (few, fewer, many)] == [7, 4, 14]
+    assert len(fewer.duals["force density of string 0"]) == 4
+    assert fewer.objective > few.objective > many.objective == pytest.approx(ocp.solve(problem, make(14)).objective, rel=1e-9)
+    assert np.abs(fewer.model.nodes(integrated(fewer)) - fewer.trajectory.nodes[-1]).max() < 5e-3
+
+
+def test_goals_need_changes():
+    with pytest.raises(ValueError, match="changes is 0: 9 force densities in each of the 1 up to there cannot meet 18 rows of goals, allow"):
+        ocp.solve(raising(), ocp.Variational(14, control=ocp.PiecewiseConstant(changes=0)))
+    with pytest.raises(ValueError, match="Fatrop finds no plan of few changes"):
+        ocp.solve(raising(), ocp.Variational(14, control=ocp.PiecewiseConstant(changes=3)), ocp.Fatrop())
+    with pytest.raises(ValueError, match=r"PiecewiseConstant.changes"):
+        ocp.PiecewiseConstant(changes=-1)
 
 
 @pytest.mark.parametrize("make", [ocp.MultipleShooting, ocp.Variational], ids=lambda kind: kind.__name__)
