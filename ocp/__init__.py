@@ -21,7 +21,7 @@ from ocp.problem.bar_bounds import BarForceLimits, Buckling
 from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
-from ocp.problem.goals import Shape, StringLengths
+from ocp.problem.goals import Shape, SoftGoal, StringLengths
 from ocp.problem.ground_bounds import AboveSurface
 from ocp.problem.instant import Instant
 from ocp.problem.node_goals import AtRest, CentreOfMass, NodePositions, NodeVelocities
@@ -54,6 +54,7 @@ __all__ = [
     "AtRest",
     "Periodic",
     "Waypoint",
+    "SoftGoal",
     "ForceDensityLimits",
     "ForceDensityRateLimits",
     "TensionLimits",

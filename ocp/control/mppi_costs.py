@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from ocp.problem.bounds import PathBound, RateBound
-from ocp.problem.costs import ControlCost, FinalCost, RunningCost
+from ocp.problem.costs import ControlCost, CostAt, FinalCost, RunningCost
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import FreeStart, Problem
@@ -63,6 +63,7 @@ def _instant(problem: Problem) -> tuple[Instant, Any]:
 def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
     """Return Σ (row/size)² over the rows of all goals."""
     asked = [type(part).__name__ for part in (problem.start, *problem.goals) if isinstance(part, (FreeStart, Waypoint))]
+    asked += ["Waypoint"] * any(isinstance(cost, CostAt) for cost in problem.costs)
     if asked:
         raise ValueError(f"problem has {asked[0]}, which asks for a motion of a given duration: solve it, and keep to the plan by ocp.Tracking")
     model, structure = problem.model, problem.model.scene.structure

@@ -6,9 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds import PathBound, PathConstraint, RateBound
+from ocp.problem.costs import CostAt
+from ocp.problem.goals import SoftGoal
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.solvers.multipliers import Duals
@@ -57,6 +60,30 @@ class Finding(NamedTuple):
         return f"{self.name}: {self.side} limit {self.limit:g}{unit}, {worst}{cost}"
 
 
+class Missed(NamedTuple):
+    """One row of a soft goal (`Goal.soft`), and by how much the replay of a plan misses it.
+
+    Attributes
+    ----------
+    name : str
+        The row of the goal.
+    miss : float
+        By how much it is missed, in `unit`.
+    unit : str
+        "m" or "m/s".
+    cost : float
+        What that costs.
+    """
+
+    name: str
+    miss: float
+    unit: str
+    cost: float
+
+    def __str__(self) -> str:
+        return f"{self.name}: missed by {self.miss:.4g} {self.unit}, costs {self.cost:.4g}"
+
+
 @dataclass(frozen=True)
 class Report:
     """Limits that hold a plan back, and those that it breaks; see `Plan.report`. It prints as a text.
@@ -68,6 +95,8 @@ class Report:
     violated : tuple of Finding
         Those that the plan oversteps, or its replay between the nodes of the mesh. What several bounds limit is told apart by the place of the
         bound, such as "obstacle clear of bar 0 (bounds[2])".
+    missed : tuple of Missed
+        The rows of soft goals, the most costly first.
 
     Examples
     --------
@@ -85,12 +114,15 @@ class Report:
 
     active: tuple[Finding, ...]
     violated: tuple[Finding, ...]
+    missed: tuple[Missed, ...] = ()
 
     def __str__(self) -> str:
         lines = []
         for title, findings in (("active", self.active), ("violated", self.violated)):
             lines.append(f"{title}: {len(findings) or 'none'}")
             lines += [f"  {finding}" for finding in findings]
+        if self.missed:
+            lines += [f"soft goals: {len(self.missed)} rows", *(f"  {row}" for row in self.missed)]
         return "\n".join(lines)
 
 
@@ -107,7 +139,25 @@ def report_of(problem: Problem, time: Array, states: Array, force_density: Array
     return Report(
         tuple(sorted(active, key=lambda one: (-np.nan_to_num(one.price), -one.share))),
         _merged(broken, lambda one: abs(one.worst - one.limit)),
+        _missed(problem, replay),
     )
+
+
+def _missed(problem: Problem, replay: Trajectory) -> tuple[Missed, ...]:
+    """Return the rows of all soft goals at the instants of a replay at which they are wished for."""
+    found, model = [], problem.model
+    for cost in problem.costs:
+        share, goal = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
+        if not isinstance(goal, SoftGoal):
+            continue
+        state = [np.interp(share * replay.time[-1], replay.time, column) for column in replay.states.T]
+        x = ca.SX.sym("x", model.nx)
+        rows = goal.rows(model.scene.structure, model.nodes(x), model.velocities(x))
+        misses = np.abs(np.asarray(ca.Function("rows", [x], [ca.densify(rows.value)])(state).full()).ravel())
+        label = "" if share == 1.0 else f"waypoint at {share:.3g} of the duration, "
+        named = zip(rows.names, misses.tolist(), rows.units, strict=True)
+        found += [Missed(label + name, miss, unit, goal.weight * miss**2) for name, miss, unit in named]
+    return tuple(sorted(found, key=lambda one: -np.nan_to_num(one.cost, nan=np.inf)))
 
 
 def _price(finding: Finding, duals: Duals | None) -> float:

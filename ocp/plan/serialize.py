@@ -33,7 +33,7 @@ from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import LARGEST, Array, instance
 
 _TABLE = (
-    *(goals.StringLengths, goals.Shape, Periodic, waypoints.Waypoint, FreeStart, Phase),
+    *(goals.StringLengths, goals.Shape, goals.SoftGoal, costs.CostAt, Periodic, waypoints.Waypoint, FreeStart, Phase),
     *(node_goals.NodePositions, node_goals.NodeVelocities, node_goals.CentreOfMass, node_goals.AtRest),
     *(string_bounds.ForceDensityLimits, string_bounds.TensionLimits, string_bounds.RestLengthLimits, string_bounds.RestLengthRateLimits),
     *(string_bounds.ForceDensityRateLimits, bar_bounds.BarForceLimits, bar_bounds.Buckling),

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ocp.problem.instant import Instant
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import nonnegative, number_or_vector, per_item, positive_number
+from tenscasadi.util.validate import instance, nonnegative, number_or_vector, per_item, positive_number
 
 
 class Cost:
@@ -42,6 +42,23 @@ class FinalCost(Cost):
     def final(self, end: Instant) -> Any:
         """Return the cost, a CasADi scalar."""
         raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class CostAt(Cost):
+    """A cost of the end that is taken at a share of the duration, between 0 and 1."""
+
+    cost: FinalCost
+    share: float
+
+    def __post_init__(self) -> None:
+        instance("CostAt.cost", self.cost, FinalCost, "a cost of the end")
+        if not positive_number("CostAt.share", self.share) < 1:
+            raise ValueError(f"CostAt.share is {self.share:g}: give a share of the duration between 0 and 1")
+
+    def check(self, structure: Structure) -> None:
+        """Raise TypeError or ValueError, naming the field, where the cost does not fit the structure."""
+        self.cost.check(structure)
 
 
 @dataclass(frozen=True)

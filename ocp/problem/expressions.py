@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ocp.problem.bounds import Bound, PathBound, PathConstraint
-from ocp.problem.costs import Cost, FinalCost, RunningCost
+from ocp.problem.costs import Cost, CostAt, FinalCost, RunningCost
 from ocp.problem.instant import Instant, symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, call_user_function, flag, number_or_vector, positive_number, shown
@@ -255,6 +255,8 @@ def check_expressions(model: Model, bounds: Sequence[Bound], costs: Sequence[Cos
             value, steered = _first(cost, now.symbols, cost.rate(now), start)
             if np.any(~np.isfinite(value) & ~steered):
                 raise ValueError(f"Problem.costs: {_label(cost)} {_NO_NUMBER}")
+        elif isinstance(cost, CostAt):
+            _first(cost, now.symbols, cost.cost.final(now), None)
         elif isinstance(cost, FinalCost):
             _first(cost, now.symbols, cost.final(now), None)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -11,10 +11,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ocp.problem.costs import FinalCost, check_weight
+from ocp.problem.instant import Instant
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, nonnegative, number_or_vector, per_item, whole_number
+from tenscasadi.util.validate import Array, finite_array, nonnegative, number_or_vector, per_item, shown, whole_number
 
 BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, those that give bars other lengths are refused
 
@@ -32,6 +34,124 @@ class Goal:
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Return the rows that vanish when the goal is met, of nodes and velocities 3×n (CasADi)."""
         raise NotImplementedError
+
+    def soft(self, weight: float = 1.0) -> Goal:
+        """Return the goal as a wish: a cost of what it is missed by, in place of a constraint; see `SoftGoal`.
+
+        Parameters
+        ----------
+        weight : float, optional
+            What a miss of 1 m, or of 1 m/s, costs; > 0.
+
+        Returns
+        -------
+        Goal
+            For the goals of a problem, or of a `Waypoint`.
+        """
+        return SoftGoal(self, weight)
+
+
+@dataclass(frozen=True, eq=False)
+class SoftGoal(Goal, FinalCost):
+    """The cost weight · Σ miss² of a goal's rows, in place of constraints that say that they vanish; made by `Goal.soft`.
+
+    Nothing tests whether it can be met, and it counts neither in the success of a plan nor in its replay's errors: `Plan.report` tells by
+    how much the replay misses it.
+
+    Parameters
+    ----------
+    goal : Goal
+        The goal.
+    weight : float, optional
+        Factor of the cost, > 0: what a miss of 1 m, or of 1 m/s, costs. Other costs have units of their own (`Effort` that of N²·s/m²), so that
+        a miss of a centimetre weighs against them with 10⁻⁴ · weight.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the goal is none, or soft already, or the weight is no number, zero or negative.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.StringLengths({0: 0.8}).soft(1e5).weight
+    100000.0
+    """
+
+    goal: Goal
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.goal, Goal) or isinstance(self.goal, SoftGoal):
+            raise TypeError(f"SoftGoal.goal is {shown(self.goal)}: give a goal that is met, such as AtRest()")
+        check_weight(self)
+
+    def check(self, structure: Structure) -> None:
+        """Refuse a structure that this does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the goal does not fit.
+        """
+        self.goal.check(structure)
+
+    def complete(self, model: Model, start: Array | None) -> Goal:
+        """Return the goal with what a problem knows.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+        start : ndarray of shape (nx,), optional
+            Its start; None where it is free.
+
+        Returns
+        -------
+        Goal
+            The same wish for a complete goal.
+        """
+        return replace(self, goal=self.goal.complete(model, start))
+
+    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
+        """Return the rows of the goal.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : casadi.SX
+            Node positions, 3×n, m.
+        velocities : casadi.SX
+            Node velocities, 3×n, m/s.
+
+        Returns
+        -------
+        Rows
+            Named rows that vanish where the goal is met.
+        """
+        return self.goal.rows(structure, nodes, velocities)
+
+    def final(self, end: Instant) -> Any:
+        """Return the cost of the end.
+
+        Parameters
+        ----------
+        end : Instant
+            The instant at which the goal is wished for.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX
+            weight · Σ miss², a scalar.
+        """
+        model = end.model
+        return self.weight * ca.sumsqr(self.rows(model.scene.structure, model.nodes(end.state), model.velocities(end.state)).value)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.bounds import Bound
-from ocp.problem.costs import Cost, Effort
+from ocp.problem.costs import Cost, CostAt, Effort
 from ocp.problem.expressions import check_expressions
-from ocp.problem.goals import BAR_TOLERANCE, Goal, check_bar_lengths
+from ocp.problem.goals import BAR_TOLERANCE, Goal, SoftGoal, check_bar_lengths
 from ocp.problem.periodic import Periodic
 from ocp.problem.phase import Phase, check_phases, read_duration, read_items
 from ocp.problem.string_bounds import ForceDensityLimits, StringLimits, TensionLimits
@@ -39,7 +39,7 @@ class FreeStart:
     Raises
     ------
     TypeError
-        If goals are no goals, or `Waypoint` or `Periodic`, which are goals of the problem.
+        If goals are no goals, or `Waypoint`, `Periodic` or soft ones, which are goals of the problem.
 
     Examples
     --------
@@ -54,7 +54,7 @@ class FreeStart:
     def __post_init__(self) -> None:
         object.__setattr__(self, "goals", read_items("FreeStart.goals", self.goals, Goal, "[AtRest()]"))
         for k, goal in enumerate(self.goals):
-            if isinstance(goal, (Waypoint, Periodic)):
+            if isinstance(goal, (Waypoint, Periodic, SoftGoal)):
                 raise TypeError(
                     f"FreeStart.goals[{k}] is a {type(goal).__name__}: give it to the problem, goals of the start are of that instant alone"
                 )
@@ -75,7 +75,7 @@ class Problem:
         numbers are put right.
     goals : iterable of goals, optional
         `StringLengths`, `NodePositions`, `NodeVelocities`, `CentreOfMass`, `Shape`, `AtRest`, `Periodic`, `Waypoint`: all met, at the end unless
-        they say when.
+        they say when; those that are `Goal.soft` join the costs.
     bounds : iterable of bounds, optional
         `ForceDensityLimits`, `TensionLimits`, `BarClearance`, `Constraint`, ...: all hold along the way.
     costs : iterable of costs, optional
@@ -152,6 +152,8 @@ class Problem:
         self._check_limits()
         if not own["costs"] and np.isposinf(self.force_density_limits[1]).any():
             own["costs"] = (Effort(),)  # with nothing to keep them small, barriers of the solver let force densities grow without bound
+        own["goals"], wishes = self._without_wishes()
+        own["costs"] += wishes
         check_expressions(self.model, own["bounds"], own["costs"], begin)
         if own["phases"]:
             if self.free_start:
@@ -271,6 +273,24 @@ class Problem:
             i = int(bad[0])
             raise ValueError(f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths")
         return np.asarray(projection(self.model, 10)(state).full()).ravel()
+
+    def _without_wishes(self) -> tuple[tuple[Goal, ...], tuple[Cost, ...]]:
+        """Return the goals that are met, and the costs of those that are not."""
+        met: list[Goal] = []
+        wished: list[Cost] = []
+        for goal in self.goals:
+            parts = list(goal.goals) if isinstance(goal, Waypoint) else [goal]
+            soft = [part for part in parts if isinstance(part, SoftGoal)]
+            share = goal.at(self.shortest, self.longest) if isinstance(goal, Waypoint) else 1.0
+            wished += soft if share == 1.0 else [CostAt(part, share) for part in soft]
+            if isinstance(goal, Waypoint) and 0 < len(soft) < len(parts):
+                met.append(replace(goal, goals=tuple(part for part in parts if part not in soft)))
+            elif not soft:
+                met.append(goal)
+        goals = [wish.cost if isinstance(wish, CostAt) else wish for wish in wished]
+        if any(isinstance(wish.goal, Periodic) and wish.goal.start is None for wish in goals if isinstance(wish, SoftGoal)):
+            raise ValueError("Problem.goals has Periodic().soft(), and the start is free: give Periodic(start=...), or Periodic()")
+        return tuple(met), tuple(wished)
 
     def _check_limits(self) -> None:
         for kind in (ForceDensityLimits, TensionLimits):

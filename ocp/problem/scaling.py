@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ocp.problem.costs import ControlCost, FinalCost, RunningCost
+from ocp.problem.costs import ControlCost, CostAt, FinalCost, RunningCost
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
 from tenscasadi.util.validate import Array
@@ -55,6 +55,9 @@ def typical_cost(problem: Problem, strength: float, states: Array, force_density
         elif isinstance(cost, RunningCost):
             rate = ca.Function("rate", now.symbols, [cost.rate(now)]).map(count)
             total += duration / count * float(ca.sum2(rate(x[:, 1:], pattern, np.linspace(0.0, duration, count + 1)[None, 1:])))
-        elif isinstance(cost, FinalCost):
-            total += float(ca.Function("final", now.symbols, [cost.final(now)])(x[:, -1], pattern[:, -1], duration))
+        elif isinstance(cost, (FinalCost, CostAt)):
+            share, of_end = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
+            k = round(share * count)
+            final = ca.Function("final", now.symbols, [of_end.final(now)])
+            total += float(final(x[:, k], pattern[:, max(k - 1, 0)], share * duration))
     return abs(total) if np.isfinite(total) and total else 1.0

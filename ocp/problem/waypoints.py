@@ -23,7 +23,7 @@ class Waypoint(Goal):
     Parameters
     ----------
     goals : sequence of goals
-        All met at that instant: `NodePositions`, `Shape`, ...
+        All met at that instant: `NodePositions`, `Shape`, ...; or wished for (`Goal.soft`).
     time : float, optional
         Seconds from the start; only where the duration is given.
     share : float, optional
@@ -99,6 +99,21 @@ class Waypoint(Goal):
         if any(isinstance(goal, Periodic) and goal.start is None for goal in goals):
             raise ValueError("Waypoint.goals has Periodic(), and the start is free: give Periodic(start=...), or Periodic() as a goal of the end")
         return replace(self, goals=goals)
+
+    def soft(self, weight: float = 1.0) -> Waypoint:
+        """Return the waypoint with all its goals as wishes; see `SoftGoal`.
+
+        Parameters
+        ----------
+        weight : float, optional
+            What a miss of 1 m, or of 1 m/s, costs; > 0.
+
+        Returns
+        -------
+        Waypoint
+            For the goals of a problem.
+        """
+        return replace(self, goals=[goal.soft(weight) for goal in self.goals])
 
     def at(self, shortest: float, longest: float) -> float:
         """Return when the goals are met.

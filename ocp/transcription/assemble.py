@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds import PathBound, RateBound
-from ocp.problem.costs import ControlCost, Cost, FinalCost, RunningCost, Smoothness
+from ocp.problem.costs import ControlCost, Cost, CostAt, FinalCost, RunningCost, Smoothness
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.transcription.mesh import hermite_state, locate_share
@@ -157,6 +157,8 @@ def _cost(v: Variables, cost: Cost) -> Block:
         index = np.hstack([v.interval_controls, v.repeated(v.duration), v.share])
     elif isinstance(cost, RunningCost):
         z, value, index = _simpson(v, cost)
+    elif isinstance(cost, CostAt):
+        z, value, index = _passing(v, cost)
     elif isinstance(cost, FinalCost):
         z, (x, c, T) = split_symbol(type(symbolic(v.model).state), v.model.nx, v.interval_controls.shape[1], 1)
         value = cost.final(Instant(v.model, x, v.gamma(c, 1.0), T))
@@ -164,6 +166,16 @@ def _cost(v: Variables, cost: Cost) -> Block:
     else:
         raise TypeError(f"Problem.costs has {shown(cost)}: give a ControlCost, RunningCost or FinalCost")
     return Block(ca.Function("cost", [z], [value]), index, ("cost",) * len(index), kind="cost")
+
+
+def _passing(v: Variables, cost: CostAt) -> tuple[Any, Any, Indices]:
+    """At a share of the duration, on the cubic between the ends of the interval in which it lies."""
+    k, share = locate_share(v.fractions, cost.share)
+    final = ca.Function("final", (now := symbolic(v.model)).symbols, [cost.cost.final(now)])
+    z, (x, y, c, T, part) = split_symbol(symbol_kind(final), v.model.nx, v.model.nx, v.interval_controls.shape[1], 1, 1)
+    state = y if share == 1.0 else hermite_state(v.model, x, y, T * part, share)
+    index = np.concatenate([v.states[k], v.states[k + 1], v.interval_controls[k], v.duration, v.share[k]])
+    return z, final(state, v.gamma(c, share), T * cost.share), index[None]
 
 
 def _differences(v: Variables, cost: Smoothness) -> tuple[Any, Any, Indices]:
