@@ -8,10 +8,13 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from ocp.boundary.row_reduction import separate_parts
 from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import REFINEMENTS, REGULARISATION, ArrayFunction, block_inverse
 from tenscasadi.util.validate import Array
+
+FEW = 6  # parts of a mass matrix that are inverted as dense blocks: all bars hang together
 
 
 class Linearised(NamedTuple):
@@ -61,6 +64,8 @@ class Dynamics:
         self._values = ArrayFunction(ca.Function("values", [x, u], [ca.densify(part) for part in (force, bias, J.nz[:])]))
         self._slopes = ArrayFunction(ca.Function("slopes", [x, u, mu, a], [ca.densify(slopes.nz[:])]))
         self._inverse_mass = block_inverse(model.mechanism.free_mass, np.ones(nq, bool))
+        parts = separate_parts(self._inverse_mass.toarray())
+        self._blocks = [(index, self._inverse_mass[index][:, index].toarray()) for index, _ in parts] if len(parts) <= FEW else []
 
     def linearise(self, states: Array, controls: Array) -> Linearised:
         """Return what moves at states (P, nx) under controls (P, nu)."""
@@ -80,13 +85,29 @@ class Dynamics:
         _, v, clock = self.model.split(states)
         return Linearised(np.column_stack([v, accelerations, np.ones_like(clock)]), weighted, inverse, np.array(slopes)[:, self._order])
 
+    def _accelerated(self, forces: Array) -> Array:
+        """Return M⁻¹ forces (nq, m)."""
+        if not self._blocks:
+            return np.asarray(self._inverse_mass @ forces)
+        result = np.empty_like(forces)
+        for index, block in self._blocks:
+            result[index] = block @ forces[index]
+        return result
+
+    def by_control(self, at: Linearised, k: int) -> Array:
+        """Return the derivatives (nq, nu) of the accelerations at state k by the control."""
+        self._transposed.data = at.slopes[k]
+        forces, kept = np.split(self._transposed[self.model.nx :].toarray().T, [self.model.nq])
+        back = at.inverse[k] @ (at.weighted[k] @ forces + kept)
+        return np.asarray(self._accelerated(forces) - at.weighted[k].T @ back)
+
     def pull(self, at: Linearised, k: int, pulls: Array) -> Array:
         """Return what `pulls` (nx, m) on ẋ at state k are on state and control (nx + nu, m): their product with the derivatives of ẋ."""
         nq = self.model.nq
         on = pulls[nq : 2 * nq]
         back = at.inverse[k] @ (at.weighted[k] @ on)
         self._transposed.data = at.slopes[k]
-        result = self._transposed @ np.concatenate([self._inverse_mass @ on - at.weighted[k].T @ back, -back])
+        result = self._transposed @ np.concatenate([self._accelerated(on) - at.weighted[k].T @ back, -back])
         result[nq : 2 * nq] += pulls[:nq]
         return np.asarray(result)
 

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
 
 from ocp.boundary.free_start import find_free_start
 from ocp.boundary.gauss_newton import NEARLY_SINGULAR, GaussNewton
 from ocp.boundary.invariants import invariants
 from ocp.boundary.row_reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
+from ocp.boundary.shape import all_pairs, feel, neighbours, squared_distances
 from ocp.boundary.target import Target, WaypointTarget
 from ocp.boundary.unreachable import UnreachableGoal
 from ocp.problem.problem import Problem
 from ocp.problem.rows import stack
 from ocp.problem.scaling import Scales
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, Indices
 
 ROUNDED = 2e-4  # of the structure's size: goals given to four digits are met as nearly as the bars allow, beyond they are refused
 AMPLE = 100.0  # times what nodes move by in a short time, as accelerations at the start tell: beyond is out of reach however they grow
@@ -171,43 +173,44 @@ class _Finder:
         """Return the target at y with the rows that can be imposed there."""
         values, H = self.goal(y)
         directions, _, _ = soft_directions(self.rows, y, NEARLY_SINGULAR)
-        weights, squared, (more, gradient) = self._shape_rows(y, directions)
+        weights, gradient, near = self._shape_rows(y, directions)
         added = len(weights)
-        H = np.concatenate([H, weights @ gradient])
+        H = np.concatenate([H, gradient])
         groups = [(rows.kind, kept(y)[1]) for rows, kept in zip(self.invariants, self.kept, strict=True)]
         if self.problem.shortest == self.problem.longest:
             H, groups = H[:, :-1], [(kind, A[:, :-1]) for kind, A in groups]
         row_names = (*self.goals.names, *(f"shape, combination {k}" for k in range(added)))
         reduction = reduce_rows(H, groups, row_names, np.append(self.goal.row_scale, np.ones(added)))
-        rows = ca.vertcat(self.goals.value / ca.DM(self.goal.row_scale), squared) - ca.DM(np.append(values, more))
+        found = self._nodes(y)
+        squared = self._squared(near) - ca.DM(squared_distances(found, near) / self.scales.length**2)
+        rows = ca.vertcat(self.goals.value / ca.DM(self.goal.row_scale) - ca.DM(values), squared)
         single, every = ca.Function("single", [self.x], [rows]), reduction.combinations
         imposed = np.concatenate([every[:, : len(values)], every[:, len(values) :] @ weights], axis=1)
-        distances = (ca.sqrt(squared) - ca.DM(np.sqrt(more))) * self.scales.length
+        pairs = all_pairs(len(found)) if added else near
+        distances = ca.sqrt(self._squared(pairs)) * self.scales.length - ca.DM(np.sqrt(squared_distances(found, pairs)))
         lengths, speeds = self.goals.select("m"), self.goals.select("m/s")
         misfit = ca.Function("misfit", [self.x], [ca.vertcat(lengths.value, distances), speeds.value], ["x"], ["metres", "speeds"])
-        pairs = self._pairs() if distances.shape[0] else []
         names = (*lengths.names, *(f"distance of nodes {a} and {b}" for a, b in pairs), *speeds.names)
         return Target(self.start, y[:-1], single, imposed, misfit, names, reduction, added, adjusted)
 
-    def _shape_rows(self, y: Array, directions: Array) -> tuple[Array, Any, tuple[Array, Array]]:
-        """Find rows that feel `directions` and no rigid motion.
-
-        Combinations (k, m) of all m squared distances of nodes; the distances, as rows of x; and their values and gradient at y.
-        """
+    def _shape_rows(self, y: Array, directions: Array) -> tuple[Array, Array, Indices]:
+        """Find rows that feel `directions` and no rigid motion: combinations (k, m) of m squared distances, their gradients, and the pairs (m, 2)."""
         if not directions.shape[1]:
-            return np.zeros((0, 0)), ca.SX(0, 1), (np.zeros(0), np.zeros((0, len(y))))
-        a, b = ([pair[k] for pair in self._pairs()] for k in (0, 1))
-        N = self.problem.model.nodes(self.x)
-        d = N[:, a] - N[:, b]
-        squared = ca.sum1(d * d).T / self.scales.length**2
-        value, gradient = RowFunction(self.y, squared, np.ones(len(a)), self.scale)(y)
-        weights = (gradient @ directions).T
-        norms = np.linalg.norm(weights, axis=1, keepdims=True)
-        return (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK], squared, (value, gradient)
+            return np.zeros((0, 0)), np.zeros((0, len(y))), np.zeros((0, 2), dtype=np.intp)
+        structure, nodes = self.problem.model.scene.structure, self._nodes(y)
+        placed = ca.jacobian(ca.vec(self.problem.model.nodes(self.x)), self.y)  # constant
+        moves = sp.csr_array(ca.DM(ca.Function("moves", [self.y], [placed])(y)).sparse()) * self.scale
+        return feel(nodes / self.scales.length, sp.csr_array(moves / self.scales.length), directions, neighbours(structure))
 
-    def _pairs(self) -> list[tuple[int, int]]:
-        """List all pairs of nodes."""
-        return list(combinations(range(len(self.problem.model.scene.structure.nodes)), 2))
+    def _nodes(self, y: Array) -> Array:
+        """Return the nodes (n, 3), before strings are cut into segments."""
+        return np.asarray(self.problem.model.nodes(y[:-1])[: len(self.problem.model.scene.structure.nodes)])
+
+    def _squared(self, pairs: Indices) -> Any:
+        """Return the squared distances of pairs (m, 2) of nodes, relative to the structure's size, as rows of x."""
+        N = self.problem.model.nodes(self.x)
+        d = N[:, pairs[:, 0].tolist()] - N[:, pairs[:, 1].tolist()]
+        return ca.sum1(d * d).T / self.scales.length**2
 
 
 def _metric(model: Model) -> Array:

@@ -54,19 +54,22 @@ class RowFunction:
         code, k = self._code.second, basis.shape[1]
         entries = code.function(y)[0].ravel()[code.order] * self.scale[code.other]
         slopes = sp.csr_array((entries, code.other, code.pointers), shape=(len(code.one), len(y))) @ basis  # of the gradient's entries
-        forms = np.zeros((self._code.count, k, k))
-        if len(code.one):
-            along = basis[code.one] * self.scale[code.one, None]
-            forms[code.row[code.first]] = np.add.reduceat(along[:, :, None] * slopes[:, None, :], code.first, axis=0)
-        own = forms.reshape(len(forms), -1)[self._rows]
-        return np.asarray((weights.T @ own).reshape(-1, k, k))
+        along = basis[code.one] * self.scale[code.one, None]
+        used = along.any(axis=1) & slopes.any(axis=1)
+        along, slopes, row = along[used], slopes[used], code.row[used]
+        if not len(row):
+            return np.zeros((weights.shape[1], k, k))
+        first = np.flatnonzero(np.diff(row, prepend=-1))
+        forms = np.add.reduceat(along[:, :, None] * slopes[:, None, :], first, axis=0)
+        every = np.zeros((self._code.count, weights.shape[1]))
+        every[self._rows] = weights
+        return np.asarray((every[row[first]].T @ forms.reshape(len(forms), -1)).reshape(-1, k, k))
 
 
 class _Curvature(NamedTuple):
     """Second derivatives of rows: y → their entries; those with `order` make a sparse matrix.
 
-    It has a row for each entry of the rows' gradient, that of `row` by the unknown `one`, and a column for each unknown. first: the first
-    entry of each row that has any.
+    It has a row for each entry of the rows' gradient, that of `row` by the unknown `one`, and a column for each unknown.
     """
 
     function: ArrayFunction
@@ -75,7 +78,6 @@ class _Curvature(NamedTuple):
     one: Indices
     other: Indices
     pointers: Indices
-    first: Indices
 
 
 class _Code:
@@ -94,9 +96,8 @@ class _Code:
         (one, row), (entry, other) = (np.array(part.sparsity().get_triplet(), dtype=np.intp).reshape(2, -1) for part in (jacobian, curvature))
         order = np.argsort(entry, kind="stable")
         pointers = np.concatenate([[0], np.cumsum(np.bincount(entry, minlength=len(row)))])
-        first = np.flatnonzero(np.diff(row, prepend=-1))
         function = ArrayFunction(ca.Function("curvature", [self._y], [ca.densify(curvature.nz[:])]))
-        return _Curvature(function, order, row, one, other[order], pointers, first)
+        return _Curvature(function, order, row, one, other[order], pointers)
 
 
 @dataclass(frozen=True, eq=False)

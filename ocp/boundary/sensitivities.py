@@ -17,7 +17,7 @@ from tenscasadi.util.validate import Array, Indices
 
 REACHED = 1e-5  # of the strongest direction: below it a row of the goal is not controlled to first order, or by errors of the scheme only
 HARDLY_REACHED = 1e-9  # the same, for a second attempt
-SURELY = 10.0  # times the share above: rows that the last intervals move by more need no further look
+SURELY = 3.0  # times the share above: rows that the last intervals move by more need no further look
 FEW = 50  # rows that are looked at as a whole
 PROBES = 8  # random combinations of rows from which the size of a gradient is estimated
 FIRST_COMPARED = 4  # intervals from the end after which it is compared for the first time, then after twice as many

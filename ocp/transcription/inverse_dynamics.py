@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import scipy.optimize
 
+from ocp.boundary.dynamics import Dynamics
 from ocp.problem.problem import Problem
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.scene.loads import Gravity
@@ -25,18 +24,15 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
     equilibrium force densities of the first and the last state.
     """
     model = problem.model
-    nq = model.nq
-    kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
-    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
-    _, acceleration, _ = model.split(model.ode(x, u))
-    linear = ca.Function("linear", [x, u], [ca.densify(acceleration), ca.densify(ca.jacobian(acceleration, u))])
     middle = (states[:-1] + states[1:]) / 2
     wanted = np.diff(model.split(states)[1], axis=0) / interval
     lower, upper = problem.force_density_limits
     count = len(middle)
-    free, slopes = (value.full().T for value in linear.map(count)(middle.T, np.zeros((model.nu, count))))
-    A = slopes.reshape(count, model.nu, nq).transpose(0, 2, 1)
-    size = np.maximum(np.linalg.norm(A, 2, axis=(1, 2)), 1e-300)[:, None]
+    dynamics = Dynamics(model)
+    at_none = dynamics.linearise(middle, np.zeros((count, model.nu)))
+    free = model.split(at_none.rates)[1]
+    A = np.array([dynamics.by_control(at_none, k) for k in range(count)])
+    size = np.sqrt(np.maximum(np.linalg.eigvalsh(A.transpose(0, 2, 1) @ A)[:, -1:], 1e-300))
     A = np.concatenate([A / size[:, None], np.broadcast_to(np.sqrt(REFERENCE_WEIGHT) * np.eye(model.nu), (count, model.nu, model.nu))], axis=1)
     b = np.concatenate([(wanted - free) / size, np.sqrt(REFERENCE_WEIGHT) * _reference(problem, states)], axis=1)
     return _bounded_least_squares(A, b, lower, upper)

@@ -199,9 +199,11 @@ def _projection(model: Model, iterations: int) -> ca.Function:
     N, V, time = model.unpack(x)
     D, Dd, _ = model.targets(time)
     if mech.system_size:
+        before = kind.sym("N", *N.shape)
+        B = mech.bar_vectors(before)
+        nearer = ca.Function("nearer", [before, x, p], [remove_residuals(mech, before, B, *residuals(mech, before, B, D))])
         for _ in range(iterations):  # Newton's method
-            B = mech.bar_vectors(N)
-            N = remove_residuals(mech, N, B, *residuals(mech, N, B, D))
+            N = nearer(N, x, p)
     elif mech.constrained:
         N = _rescale(mech, N)
     return _correcting("project", x, p, model.pack(N, project_velocities(mech, N, V, Dd), time), "projected")
