@@ -93,7 +93,7 @@ class _Finder:
         self.invariants = [rows for rows in invariants(model, start, self.x, duration) if rows.kind in RIGID or not problem.free_start]
         every = [self.goals, *self.invariants]
         sizes = np.concatenate([rows.sizes(scales.units) for rows in every])
-        self.rows = RowFunction(self.y, ca.vertcat(*(rows.value for rows in every)), sizes, self.scale)
+        self.rows = RowFunction(self.y, [rows.value for rows in every], sizes, self.scale)
         ends = np.cumsum([0, *(len(rows.units) for rows in every)]).tolist()
         self.goal, *self.kept = [self.rows.select(slice(a, b)) for a, b in pairwise(ends)]
         self.search = GaussNewton(self.scale, _metric(model), self._allowed, self._deforming)
@@ -198,7 +198,7 @@ class _Finder:
         if not directions.shape[1]:
             return np.zeros((0, 0)), np.zeros((0, len(y))), np.zeros((0, 2), dtype=np.intp)
         structure, nodes = self.problem.model.scene.structure, self._nodes(y)
-        placed = ca.jacobian(ca.vec(self.problem.model.nodes(self.x)), self.y)  # constant
+        placed = ca.jacobian(ca.vec(self.problem.model.nodes(self.x)[:, : len(nodes)]), self.y)  # constant
         moves = sp.csr_array(ca.DM(ca.Function("moves", [self.y], [placed])(y)).sparse()) * self.scale
         return feel(nodes / self.scales.length, sp.csr_array(moves / self.scales.length), directions, neighbours(structure))
 

@@ -75,7 +75,7 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
 
 
 def _gradient(rows: Rows, x: Any, at: Array, scales: Scales) -> Array:
-    return RowFunction(x, rows.value, rows.sizes(scales.units), scales.state)(at)[1]
+    return RowFunction(x, [rows.value], rows.sizes(scales.units), scales.state)(at)[1]
 
 
 def _combined(reduction: Reduction, rows: Rows, scales: Scales) -> Any:

@@ -27,12 +27,16 @@ SMALL = 50  # rows or columns of a matrix that is not looked at in parts
 
 
 class RowFunction:
-    """CasADi rows of y, with numbers for value, gradient and curvature in scaled rows and scaled unknowns."""
+    """CasADi rows of y, with numbers for value, gradient and curvature in scaled rows and scaled unknowns.
 
-    def __init__(self, y: Any, value: Any, row_scale: Array, scale: Array) -> None:
+    Groups of rows are differentiated one by one: a few that depend on everything make derivatives of all others slow.
+    """
+
+    def __init__(self, y: Any, groups: Sequence[Any], row_scale: Array, scale: Array) -> None:
         self.row_scale, self.scale = row_scale, scale
         self._rows: slice = slice(None)
-        self._code = _Code(y, value / ca.DM(row_scale))
+        ends = np.cumsum([0, *(group.shape[0] for group in groups)])
+        self._code = _Code(y, [group / ca.DM(row_scale[a:b]) for group, a, b in zip(groups, ends[:-1], ends[1:], strict=True)])
 
     def select(self, rows: slice) -> RowFunction:
         """Select some of the rows, from the same code. Only those of all rows."""
@@ -83,16 +87,18 @@ class _Curvature(NamedTuple):
 class _Code:
     """Scaled rows of y as CasADi Functions."""
 
-    def __init__(self, y: Any, scaled: Any) -> None:
-        self._y, self._scaled, self.count = y, scaled, int(scaled.shape[0])
+    def __init__(self, y: Any, groups: list[Any]) -> None:
+        self._y, scaled = y, ca.vertcat(*groups)
+        self._slopes = [ca.jacobian(group, y) for group in groups]
+        self.count = int(scaled.shape[0])
         self.value = ArrayFunction(ca.Function("rows", [y], [ca.densify(scaled)]))
-        self.first = ArrayFunction(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.jacobian(scaled, y))]))
+        self.first = ArrayFunction(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.vertcat(*self._slopes))]))
 
     @cached_property
     def second(self) -> _Curvature:
         """The second derivatives."""
-        jacobian = ca.jacobian(self._scaled, self._y).T  # by rows
-        curvature = ca.jacobian(ca.densify(jacobian.nz[:]), self._y)
+        jacobian = ca.vertcat(*self._slopes).T  # by rows
+        curvature = ca.vertcat(*(ca.jacobian(ca.densify(slopes.T.nz[:]), self._y) for slopes in self._slopes))
         (one, row), (entry, other) = (np.array(part.sparsity().get_triplet(), dtype=np.intp).reshape(2, -1) for part in (jacobian, curvature))
         order = np.argsort(entry, kind="stable")
         pointers = np.concatenate([[0], np.cumsum(np.bincount(entry, minlength=len(row)))])

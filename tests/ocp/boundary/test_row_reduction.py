@@ -39,7 +39,7 @@ def test_shape_rows_feel_the_flex_that_lengths_do_not():
     goal = ocp.StringLengths(PRISM.string_lengths).rows(PRISM, nodes, model.velocities(x)).value
     bars = [group.value for group in invariants(model, model.initial_state, x, ca.SX(0.0)) if group.kind == "bar"]
     value = ca.vertcat(goal, *bars)
-    rows = RowFunction(x, value, np.ones(value.shape[0]), np.ones(model.nx))
+    rows = RowFunction(x, [value], np.ones(value.shape[0]), np.ones(model.nx))
     directions, _, curvature = soft_directions(rows, model.initial_state)
     assert directions.shape == (36, 1)
     assert abs(curvature).max() > 0.1
