@@ -32,6 +32,7 @@ from ocp.problem.string_bounds import ForceDensityLimits, ForceDensityRateLimits
 from ocp.problem.tracking import Tracking
 from ocp.problem.waypoints import Waypoint
 from ocp.solve import solve
+from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt, Progress
 from ocp.solvers.multipliers import Duals
@@ -85,6 +86,7 @@ __all__ = [
     "PiecewiseConstant",
     "PiecewiseLinear",
     "Ipopt",
+    "CondensedNewton",
     "Fatrop",
     "Progress",
     "solve",

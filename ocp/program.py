@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ from ocp.boundary.controlled import controlled, count_rows
 from ocp.boundary.find_target import find_target
 from ocp.boundary.sensitivities import HARDLY_REACHED, Reach
 from ocp.boundary.target import Target
-from ocp.plan.diagnosis import explain_failure, long_steps, measure_misses
+from ocp.plan.diagnosis import StateAt, explain_failure, goals_met, long_steps, measure_misses, state_function
 from ocp.presolve import check_freedom, check_groups, check_start
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
@@ -26,11 +25,10 @@ from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
-from ocp.transcription.mesh import group_matrix, held_values, hermite_state, locate_share, spans
+from ocp.transcription.mesh import group_matrix, held_values, spans
 from ocp.transcription.sparse_nlp import Program
-from tenscasadi.util.validate import Array, instance
+from tenscasadi.util.validate import instance
 
-MET = 3e-4  # of the structure's size (and of it per duration): goals missed by more are missed
 LOOSENING = 0.3  # of the strongest force density: disturbs a guess along which some rows are out of control
 
 
@@ -149,26 +147,14 @@ def _attempt(task: _Task, imposed: Target, guess: Guess, deadline: float | None,
     return _Found(imposed, program, solution, says, gap)
 
 
-def _planned(task: _Task, found: _Found) -> Callable[[float], Array]:
+def _planned(task: _Task, found: _Found) -> StateAt:
     """Return the planned state (nx,) as a function of the share of the duration, as waypoints see it."""
-    shares, guess, model = task.transcription.fractions, found.guess, task.problem.model
-
-    def state_at(share: float) -> Array:
-        k, part = locate_share(shares, share)
-        (before, after), h = guess.states[k : k + 2], guess.duration * shares[k]
-        return after if part == 1.0 else np.asarray(hermite_state(model, ca.DM(before), ca.DM(after), h, part).full()).ravel()
-
-    return state_at
+    return state_function(task.problem.model, found.guess.states, found.guess.duration, task.transcription.fractions)
 
 
 def _met(task: _Task, found: _Found) -> bool:
     """Tell whether the rows of all goals vanish, also those that were not imposed; how well bars and momenta are kept is not asked."""
-    state_at = _planned(task, found)
-    for share, part, _ in task.target.begin_at(found.guess.states[0]).instants:
-        residual = np.asarray(part.rows(state_at(share)).full()).ravel()
-        if len(residual) and np.abs(np.linalg.lstsq(part.reduction.combinations, residual)[0]).max() > MET:
-            return False
-    return True
+    return goals_met(task.target.begin_at(found.guess.states[0]), _planned(task, found))
 
 
 def _outcome(task: _Task, found: _Found) -> Outcome:

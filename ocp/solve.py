@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ocp.boundary.target import Target
+from ocp.condensed.method import solve_condensed
 from ocp.phases.method import solve_phased
 from ocp.plan.diagnosis import long_steps, measure_misses
 from ocp.plan.plan import Plan
@@ -15,6 +16,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.program import prepare, solve_program
 from ocp.solvers.base import Outcome, Solver
+from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.base import Transcription
@@ -32,7 +34,7 @@ RELIABLE = 1e-2  # of the structure's size (and of it per duration): what a repl
 def solve(
     problem: Problem,
     transcription: Transcription | None = None,
-    solver: Solver | None = None,
+    solver: Solver | CondensedNewton | None = None,
     guess: InitialGuess | None = None,
     tolerance: float | None = None,
     *,
@@ -46,7 +48,7 @@ def solve(
         What is asked.
     transcription : MultipleShooting, Collocation, ImplicitMidpoint or Variational, optional
         How the motion becomes a program. Default: `MultipleShooting()`.
-    solver : Ipopt or Fatrop, optional
+    solver : Ipopt, CondensedNewton or Fatrop, optional
         What solves the program. Default: `Ipopt()`.
     guess : InverseDynamics, Equilibrium, Arrays or Plan, optional
         Where the solver starts. From a plan of the same mesh and constraints it starts exactly, with its multipliers (see `Ipopt.warm`).
@@ -91,7 +93,7 @@ def solve(
         transcription = Variational(PHASE_INTERVALS) if problem.phases else MultipleShooting()
     solver = Ipopt() if solver is None else solver
     instance("transcription", transcription, Transcription, "a transcription, such as ocp.MultipleShooting()")
-    instance("solver", solver, (Ipopt, Fatrop), "an ocp.Ipopt or ocp.Fatrop")
+    instance("solver", solver, (Ipopt, Fatrop, CondensedNewton), "an ocp.Ipopt, ocp.CondensedNewton or ocp.Fatrop")
     limit = RELIABLE * Scales.of(problem).length if tolerance is None else positive_number("tolerance", tolerance)
     began = time.perf_counter()
     deadline = None if seconds is None else began + positive_number("seconds", seconds)
@@ -113,15 +115,17 @@ def _find(
     target: Target,
     scales: Scales,
     guess: InitialGuess | None,
-    solver: Solver,
+    solver: Solver | CondensedNewton,
     deadline: float | None,
 ) -> Outcome:
     """Return what the method finds that fits the solver."""
     first = evaluate_guess(guess, problem, target, transcription.count)
+    if isinstance(solver, CondensedNewton):
+        return solve_condensed(problem, transcription, target, scales, first, solver, deadline)
     return solve_program(problem, transcription, target, scales, first, solver, deadline, guess.duals if isinstance(guess, Plan) else None)
 
 
-def _plan(problem: Problem, transcription: Transcription, solver: Solver, found: Outcome, seconds: float) -> Plan:
+def _plan(problem: Problem, transcription: Transcription, solver: Solver | CondensedNewton, found: Outcome, seconds: float) -> Plan:
     """Return the plan that was found, not yet replayed."""
     mesh = found.duration * np.append(0.0, np.cumsum(transcription.fractions)) if found.time is None else found.time.copy()
     mesh[-1] = found.duration

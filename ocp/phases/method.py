@@ -21,6 +21,7 @@ from ocp.problem.costs import Duration, FinalCost
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.solvers.base import Outcome, Solution, Solver
+from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import named_duals
 from ocp.transcription.base import Transcription
@@ -52,7 +53,12 @@ class PhasedTask(NamedTuple):
 
 
 def solve_phased(
-    problem: Problem, transcription: Transcription, solver: Solver, guess: InitialGuess | None, deadline: float | None, tolerance: float
+    problem: Problem,
+    transcription: Transcription,
+    solver: Solver | CondensedNewton,
+    guess: InitialGuess | None,
+    deadline: float | None,
+    tolerance: float,
 ) -> tuple[Outcome, Target]:
     """Return what was found for a problem with phases, and the target that its replay is measured by.
 

@@ -14,11 +14,13 @@ from ocp.boundary.target import Target
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import STOPPED, TIME_UP
 from ocp.transcription.initial_guess import Guess
+from ocp.transcription.mesh import hermite_state, locate_share
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.util.validate import Array
 
+MET = 3e-4  # of the structure's size (and of it per duration): goals missed by more are missed
 VIOLATED = 1e-6  # in scaled rows: below it a constraint counts as met
 AT_LIMIT = 1e-3  # of a limit: nearer counts as held by it
 LONG = 2.0  # radians of the fastest vibration in a step: beyond, steps are unstable, or nearly
@@ -46,6 +48,9 @@ _STOPS = {
 _STEPS = f"the solver could not go on: {_ROOM}, or more intervals"
 
 
+StateAt = Callable[[float], Array]  # the state (nx,) at a share of the duration
+
+
 class Misses(NamedTuple):
     """Distances from goals, m, and differences of speed, m/s, each with the name of the goal's row."""
 
@@ -59,7 +64,7 @@ class Misses(NamedTuple):
         return f"{name} misses its goal by {amount:.2g} {unit}"
 
 
-def measure_misses(target: Target, state_at: Callable[[float], Array]) -> Misses:
+def measure_misses(target: Target, state_at: StateAt) -> Misses:
     """Return what the motion misses whose state (nx,) at a share of the duration is state_at(share)."""
     found = Misses([], [])
     for share, part, label in target.instants:
@@ -68,6 +73,26 @@ def measure_misses(target: Target, state_at: Callable[[float], Array]) -> Misses
         found.places.extend(zip(metres, names, strict=False))
         found.speeds.extend(zip(speeds, names[len(metres) :], strict=True))
     return found
+
+
+def state_function(model: Model, states: Array, duration: float, fractions: Array) -> StateAt:
+    """Return the state (nx,) as a function of the share of the duration, as waypoints see it, of states (K + 1, nx) at the nodes of the mesh."""
+
+    def state_at(share: float) -> Array:
+        k, part = locate_share(fractions, share)
+        before, after = states[k : k + 2]
+        return after if part == 1.0 else np.asarray(hermite_state(model, ca.DM(before), ca.DM(after), duration * fractions[k], part).full()).ravel()
+
+    return state_at
+
+
+def goals_met(target: Target, state_at: StateAt) -> bool:
+    """Tell whether the rows of all goals vanish, also those that were not imposed; how well bars and momenta are kept is not asked."""
+    for share, part, _ in target.instants:
+        residual = np.asarray(part.rows(state_at(share)).full()).ravel()
+        if len(residual) and np.abs(np.linalg.lstsq(part.reduction.combinations, residual)[0]).max() > MET:
+            return False
+    return True
 
 
 def explain_failure(missed: Misses, imposed: Target, reach: Reach | None, program: Program, solution: Solution, found: Guess, too_long: str) -> str:

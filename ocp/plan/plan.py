@@ -21,6 +21,7 @@ from ocp.plan.serialize import FORMAT, plan_arrays, plan_fields, rebuilt
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.solvers.base import Solver
+from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.base import Transcription
@@ -101,7 +102,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
     duals: Duals | None = None
     problem: Problem | None = None
     transcription: Transcription | None = None
-    solver: Solver | None = None
+    solver: Solver | CondensedNewton | None = None
     unknown: str = "it was made by hand"
 
     _track: ClassVar[Callable[..., Any]]  # ocp.control.lqr.track, likewise

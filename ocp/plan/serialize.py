@@ -15,6 +15,7 @@ from ocp.problem.periodic import Periodic
 from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.tracking import Tracking
+from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals
@@ -41,11 +42,11 @@ _TABLE = (
     *(costs.Effort, costs.Smoothness, costs.Prestress, Tracking, costs.Duration, costs.Work),
     *(expressions.Constraint, expressions.Integral, expressions.AtEnd),  # for the name of what no file holds: their functions
     *(MultipleShooting, ImplicitMidpoint, Variational, Collocation, PiecewiseConstant, PiecewiseLinear),
-    *(RungeKutta4, DormandPrince54, DormandPrince853, Ipopt, Fatrop),
+    *(RungeKutta4, DormandPrince54, DormandPrince853, Ipopt, Fatrop, CondensedNewton),
 )
 _CLASSES: dict[str, type] = {**{cls.__name__: cls for cls in _TABLE}, "Collocation (scheme)": collocation.Collocation}
 _NAMES = {cls: name for name, cls in _CLASSES.items()}
-_PARTS: dict[str, tuple[type, ...]] = {"problem": (Problem,), "transcription": (Transcription,), "solver": (Ipopt, Fatrop)}
+_PARTS: dict[str, tuple[type, ...]] = {"problem": (Problem,), "transcription": (Transcription,), "solver": (Ipopt, Fatrop, CondensedNewton)}
 _ASKED = ("duration", "start", "goals", "bounds", "costs", "phases")  # the fields of a problem but for its model
 
 

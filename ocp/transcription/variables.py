@@ -113,8 +113,7 @@ class Variables:
         span = np.arange(len(first)) if self.profile.linear else spans(self.profile, self.fractions)
         begins = np.unique(span, return_index=True)[1]
         first = np.add.reduceat(first, begins) / np.bincount(span)[:, None]
-        own = [f"force density of string{'s' * (len(strings) > 1)} {', '.join(map(str, strings))}" for strings in members]
-        names = [f"{name}, interval {k}" for k in begins for name in own]
+        names = control_names(self.group_matrix, begins)
         return self.entries.unknowns(names, first, self.strength, lower, upper, begins[:, None])[span]
 
     def _duration(self) -> Indices:
@@ -137,6 +136,13 @@ class Variables:
     def repeated(self, index: Indices, count: int | None = None) -> Indices:
         """Return the same entries (n,) for every interval, or for `count` instances."""
         return np.tile(index, (self.count if count is None else count, 1))
+
+
+def control_names(group_matrix: Array, begins: Indices) -> list[str]:
+    """Return the names of the force densities that are held from the start of these intervals on, those of one interval after the other."""
+    members = [np.flatnonzero(column) for column in group_matrix.T]
+    own = [f"force density of string{'s' * (len(strings) > 1)} {', '.join(map(str, strings))}" for strings in members]
+    return [f"{name}, interval {k}" for k in begins for name in own]
 
 
 def state_names(model: Model) -> tuple[str, ...]:

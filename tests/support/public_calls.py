@@ -200,6 +200,7 @@ def planning_calls() -> dict[str, Call]:
         "PiecewiseConstant": (ocp.PiecewiseConstant, {"groups": ((0, 1), (2, 3)), "changes": 3}),
         "PiecewiseLinear": (ocp.PiecewiseLinear, {"groups": ((0, 1), (2, 3))}),
         "Ipopt": (ocp.Ipopt, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}, "seconds": 1.0, "watch": None, "warm": False}),
+        "CondensedNewton": (ocp.CondensedNewton, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False}),
         "Fatrop": (ocp.Fatrop, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}}),
         "InverseDynamics": (ocp.InverseDynamics, {"path": np.array([m.structure.nodes] * 2)}),
         "Arrays": (ocp.Arrays, {"states": np.array([x] * 4), "force_density": np.array([u] * 3), "duration": 1.0}),

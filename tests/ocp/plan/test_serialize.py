@@ -50,7 +50,11 @@ TRANSCRIPTIONS = [
     ocp.Variational(3),
     ocp.Collocation(4, degree=3),
 ]
-SOLVERS = [ocp.Ipopt(50, seconds=2.0, options={"mu_strategy": "adaptive", "acceptable_tol": np.float64(1e-6)}), ocp.Fatrop(tolerance=1e-7)]
+SOLVERS = [
+    ocp.Ipopt(50, seconds=2.0, options={"mu_strategy": "adaptive", "acceptable_tol": np.float64(1e-6)}),
+    ocp.Fatrop(tolerance=1e-7),
+    ocp.CondensedNewton(50),
+]
 
 
 def same(one: Any, other: Any) -> bool:

@@ -1,0 +1,266 @@
+"""An interior-point method for the reduced problem, with a trust region for its steps and a funnel for what they leave unmet."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp.condensed.chain import Motion, Rows
+from ocp.condensed.limits import LimitDuals, Limits
+from ocp.condensed.metric import Metric, Projector
+from ocp.condensed.reduced import Expansion, Leftover, ReducedProblem
+from ocp.condensed.tangential import Model, Step
+from tenscasadi.util.validate import Array
+
+DAMPING = 1e-12  # of J D⁻¹ Jᵀ, relative to its mean diagonal: rows that nothing moves stay harmless
+NEAR_LIMIT = 0.99  # the share of the way to a limit that a step may take
+LEAST_ROOM = 1e-2  # before limits, times μ in units of the costs' curvature
+SPREAD = 100.0  # how far multipliers of limits may be from μ over the distance
+FEWER = 0.2  # factor of μ from one barrier problem to the next
+LEAST_BARRIER = 1e-5  # μ, in units of the costs' curvature
+CENTRED = 10.0  # times μ: a smaller error ends a barrier problem
+CORRECTIONS = 3  # of a trial point, towards goals and motion
+NEARLY_MET = 1e-3  # of order-one rows: is not corrected further
+STIFFENING = 100.0  # most that is added to the metric against negative curvature, in units of the costs' curvature
+GIVEN_UP = 1e4  # the same where no step is accepted
+SETTLED_BARRIER, SETTLED, WITHIN = 1e-4, 1e-4, 3  # μ, relative change of costs, iterations: then costs are settled
+
+
+class Point(NamedTuple):
+    """Unknowns, motion, what is not met: its sum θ and its largest entry; and J."""
+
+    w: Array
+    motion: Motion
+    left: Leftover
+    theta: float
+    worst: float
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where the method ended: a point, multipliers of goals and limits, iterations, and how: "optimal", "settled", or why not."""
+
+    point: Point
+    multipliers: Array
+    duals: LimitDuals
+    iterations: int
+    status: str
+    error: float
+
+
+def point_at(of: ReducedProblem, w: Array, motion: Motion) -> Point:
+    """Evaluate a point."""
+    with np.errstate(all="ignore"):
+        left = of.leftover(w, motion)
+        return Point(w, motion, left, *of.size_of(left), of.cost(w))
+
+
+def solve(of: ReducedProblem, w: Array, motion: Motion, tolerance: float, most: int, deadline: float | None, verbose: bool) -> Found:
+    """Minimise, from force densities and a motion that need not fit each other."""
+    search = Search(of, w, motion, tolerance)
+    status = ""
+    while not status:
+        if search.iterations == most or (deadline is not None and time.perf_counter() > deadline):
+            status = "iterations" if search.iterations == most else "time"
+        elif search.converged():
+            status = search.converged()
+        elif not search.advance():
+            status = "stuck"
+        if verbose and not status:
+            sys.stdout.write(search.line() + "\n")
+    return Found(search.point, search.multipliers, search.duals, search.iterations, status, search.error(0.0))
+
+
+class Search:
+    """The state of the method."""
+
+    def __init__(self, of: ReducedProblem, w: Array, motion: Motion, tolerance: float) -> None:
+        self.of, self.tolerance, self.limits = of, tolerance, Limits(of.lower, of.upper)
+        self.base, self.coupling = of.curvature_scale(w)
+        self.unit = float(self.base.mean())
+        w = self._start(w, motion)
+        low, high = self.limits.gaps(w)
+        pull = np.abs(of.slope(w)) * np.minimum(np.minimum(low, high), 1.0)
+        self.mu = 0.5 * max(float(pull.mean()), 0.01 * self.unit)
+        self.duals = LimitDuals(self.limits, w, self.mu)
+        self.radius = 1e3 * float(np.sqrt(np.maximum(w @ (self.base * w), len(w) * self.unit)))
+        self.stiffened, self.iterations = 0.0, 0
+        self.history: list[tuple[float, float]] = []
+        self.multipliers = np.zeros(of.goals.count)
+        self._stand(point_at(of, w, motion))
+        self.funnel = max(1.0, 2 * self.point.worst)
+        self.last: Step | None = None
+
+    def _start(self, w: Array, motion: Motion) -> Array:
+        """Return w as far inside the limits as the first step towards the goals is long: from near limits, steps are short."""
+        of = self.of
+        w = self.limits.inside(w, 0.05, 0.05)
+        point, expansion = point_at(of, w, motion), of.about(w, motion)
+        drift = expansion.change(expansion.follow(None, point.left.rows))
+        first = self._projector(expansion, 0.0, np.zeros_like(w))[1].shortest(point.left.goals + drift)
+        inside = self.limits.inside(w, float(np.sqrt(np.mean(first**2))), 0.2)
+        if of.free_duration:
+            inside[-1] = w[-1]
+        return inside
+
+    def _projector(self, expansion: Expansion, more: float, stiffness: Array) -> tuple[Metric, Projector]:
+        diagonal = self.base + stiffness + more
+        metric = Metric(np.where(self.limits.free, diagonal, 1e300), self.coupling)
+        return metric, Projector(expansion.jacobian * self.limits.free, metric, DAMPING)
+
+    def _stand(self, point: Point) -> None:
+        """Move to a point."""
+        self.point = point
+        self.expansion = self.of.about(point.w, point.motion)
+        self.slope = self.of.slope(point.w) * self.limits.free
+        self.gradient = self.slope + self.mu * self.limits.barrier_slope(point.w)
+        self.history.append((point.cost, point.worst))
+        if self.iterations:
+            nearest = self._projector(self.expansion, 0.0, self.duals.stiffness(point.w))[1].multipliers(self.gradient)
+            if self.iterations < 3 or np.abs(nearest).max(initial=0.0) < 3 * np.abs(self.multipliers).max(initial=0.0):
+                self.multipliers = nearest
+
+    def error(self, mu: float) -> float:
+        """Return how far the point is from the optimum with barriers μ, in units of the costs' curvature."""
+        duals = self.duals
+        gap = (self.slope + self.multipliers @ self.expansion.jacobian - duals.lower + duals.upper) * self.limits.free
+        scale = max(1.0, float(duals.lower.mean() + duals.upper.mean()) / self.unit / 100)
+        return max(float(np.abs(gap).max(initial=0.0)), duals.error(self.point.w, mu)) / self.unit / scale
+
+    def converged(self) -> str:
+        """Return "optimal", or "settled" where costs no longer fall, or ""."""
+        if self.error(0.0) < self.tolerance and self.point.worst < self.tolerance:
+            return "optimal"
+        return "settled" if self._still(WITHIN, SETTLED) and (self.mu <= SETTLED_BARRIER * self.unit or not self.of.objective.given) else ""
+
+    def _still(self, most: int, share: float) -> bool:
+        """Tell whether costs have not changed by more than a share in the last iterations, all of them near the goals."""
+        recent = self.history[-most:]
+        costs = [cost for cost, worst in recent if worst < 2 * NEARLY_MET]
+        return len(costs) == most and max(costs) - min(costs) <= share * abs(self.point.cost)
+
+    def advance(self) -> bool:
+        """Take a step; False where there is none."""
+        try:
+            return self._advance()
+        except np.linalg.LinAlgError:  # something became infinite
+            return False
+
+    def _advance(self) -> bool:
+        if max(self.error(self.mu), CENTRED * self.point.worst) < CENTRED * self.mu / self.unit or self._still(2, SETTLED):
+            self.mu = max(LEAST_BARRIER * self.unit, FEWER * self.mu)
+            self.gradient = self.slope + self.mu * self.limits.barrier_slope(self.point.w)
+        stiffness, more = self.duals.stiffness(self.point.w) * self.limits.free, 0.0
+        exact = self.iterations > 0
+        if exact:
+            self.expansion.weigh(self.multipliers)
+        while more <= GIVEN_UP * self.unit:
+            metric, projector = self._projector(self.expansion, more, stiffness)
+            model = Model(self.expansion, stiffness + more, metric, projector, self.gradient, exact)
+            step = model.step(*self.point.left, self.radius)
+            if step.bent and more < STIFFENING * self.unit:
+                more = 4 * more if more else max(self.stiffened / 3, 0.05 * self.unit)
+                self.stiffened = more
+                continue
+            reached = self._tried(step, projector)
+            if reached is not None:
+                self._move(step, *reached)
+                return True
+            more = max(8 * more, 0.1 * self.unit)
+        return False
+
+    def _tried(self, step: Step, projector: Projector) -> tuple[Point, float] | None:
+        """Return the first point along a step, cut at the limits and corrected, that is better, and the share of the step taken."""
+        share = 1.0
+        rows = self.point.left.rows
+        for _ in range(10):
+            d = self.limits.cut(self.point.w, share * step.d, self._most(), self._room())
+            point = self._moved(self.point, d, Rows(share * rows.impulses, share * rows.lengths))
+            for _ in range(CORRECTIONS):
+                if (self._better(point, step, share) and self._close(point)) or not point.theta < 10 * max(self.point.theta, 100.0):
+                    break
+                left = point.left
+                drift = self.expansion.change(self.expansion.follow(None, left.rows))
+                back = self.limits.cut(point.w, -projector.shortest(left.goals + drift), self._most(), self._room())
+                corrected = self._moved(point, back, left.rows)
+                if not corrected.theta < point.theta:
+                    break
+                point = corrected
+            if self._better(point, step, share):
+                return point, share
+            share /= 2
+        return None
+
+    def _moved(self, point: Point, d: Array, rows: Rows) -> Point:
+        step = self.expansion.follow(d, rows)
+        shaped = Motion(*(one.reshape(other.shape) for one, other in zip(step, point.motion, strict=True)))
+        return point_at(self.of, point.w + d, point.motion.moved(shaped))
+
+    def _most(self) -> float:
+        return max(NEAR_LIMIT, 1 - self.mu / self.unit)
+
+    def _room(self) -> float:
+        return LEAST_ROOM * self.mu / self.unit
+
+    def _close(self, point: Point) -> bool:
+        nearly = min(NEARLY_MET, max(1e-6, 1e-2 * self.mu / self.unit))
+        return point.worst < nearly or (point.theta < 0.5 * self.point.theta and self.point.worst > 10 * nearly)
+
+    def _better(self, point: Point, step: Step, share: float) -> bool:
+        """Tell whether a point lies in the funnel and costs less, or, where goals are far from met, meets them better."""
+        if not np.isfinite(point.theta) or point.worst > self.funnel:
+            return False
+        if (step.slope < 0 and self.point.worst < 0.1 * self.funnel) or self.point.worst < 1e-7:
+            before, after = (one.cost + self.mu * self.limits.barrier(one.w) for one in (self.point, point))
+            return bool(after <= before + 1e-4 * share * step.slope + 1e-10 * abs(before))
+        return point.theta <= 0.9 * self.point.theta or point.worst < 0.5 * self.point.worst
+
+    def _move(self, step: Step, point: Point, share: float) -> None:
+        before = self.point
+        if share > 0.9:
+            self.radius = max(self.radius, 3 * step.tangential)
+        elif share < 0.3 and (step.tangential > 0.5 * step.normal or step.hit):
+            self.radius = max(2 * share * step.tangential, 1e-3 * float(np.sqrt(len(point.w) * self.unit)))
+        if point.worst < 0.9 * before.worst or point.worst < 0.1 * self.funnel:
+            least = min(1e-2, 10 * self.mu / self.unit)
+            self.funnel = min(self.funnel, max(0.5 * self.funnel, 10 * point.worst, least))
+        self.duals.follow(before.w, point.w, step.d, self.mu, self._most(), SPREAD)
+        self.multipliers = self.multipliers + share * (step.multipliers - self.multipliers)
+        self.iterations += 1
+        self.last, self.share = step, share
+        self._stand(point)
+
+    def line(self) -> str:
+        """Describe the last iteration."""
+        point, step = self.point, self.last
+        ends = "" if step is None else f"  products {step.products}{'-' * step.bent}{'|' * step.hit}  step {self.share:.2g}"
+        return (
+            f"{self.iterations:4d}  cost {point.cost * self.of.cost_scale:.6g}  unmet {point.worst:.1e}  error {self.error(0.0):.1e}  "
+            f"barrier {self.mu / self.unit:.0e}{ends}"
+        )
+
+
+def polish(of: ReducedProblem, point: Point, tolerance: float, most: int = 12) -> Point:
+    """Return the nearest point, relative to the distances from limits, that meets goals and motion exactly."""
+    limits = Limits(of.lower, of.upper)
+    for _ in range(most):
+        if not point.worst > tolerance:
+            break
+        expansion = of.about(point.w, point.motion)
+        low, high = limits.gaps(point.w)
+        room = np.minimum(np.minimum(low, high), 0.5) + 1e-9
+        projector = Projector(expansion.jacobian * limits.free, Metric(np.where(limits.free, 1 / room, 1e300), None), DAMPING)
+        drift = expansion.change(expansion.follow(None, point.left.rows))
+        d = limits.cut(point.w, -projector.shortest(point.left.goals + drift), 0.999, 0.0)
+        step = expansion.follow(d, point.left.rows)
+        shaped = Motion(*(one.reshape(other.shape) for one, other in zip(step, point.motion, strict=True)))
+        moved = point_at(of, point.w + d, point.motion.moved(shaped))
+        if not moved.theta < point.theta:
+            break
+        point = moved
+    return point

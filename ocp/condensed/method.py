@@ -1,0 +1,168 @@
+"""From a problem to what the condensed Newton method finds for it: what it takes, where it starts, and what it says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ocp.boundary.sensitivities import find_controlled
+from ocp.boundary.target import Target
+from ocp.condensed.interior_point import Found, Point, polish, solve
+from ocp.condensed.motions import first_motion, states_of
+from ocp.condensed.objective import foreign_costs
+from ocp.condensed.reduced import ReducedProblem
+from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function
+from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales, typical_cost
+from ocp.problem.string_bounds import ForceDensityLimits
+from ocp.solvers.base import Outcome
+from ocp.solvers.condensed_newton import CondensedNewton
+from ocp.solvers.multipliers import Duals
+from ocp.transcription.base import Transcription
+from ocp.transcription.initial_guess import Guess
+from ocp.transcription.mesh import group_matrix, node_values, spans
+from ocp.transcription.variables import control_names
+from ocp.transcription.variational import Variational
+from tenscasadi.util.validate import Array, Indices
+
+MET = 1e-9  # in order-one rows: the motion and the goals that are imposed are met
+POLISHED = 1e-11  # what is aimed at
+_PASSES = "give a goal that the motion passes"
+WHY = {
+    "iterations": "stopped at the iteration limit: raise max_iterations of the solver",
+    "time": "stopped at the time limit, with the best so far: raise seconds",
+    "stuck": "the solver could not go on: give a longer duration, wider limits, or a nearer goal, or more intervals",
+}
+
+
+def applies(problem: Problem) -> str:
+    """Return why the method does not take a problem, in words; "" where it does."""
+    model, scene = problem.model, problem.model.scene
+    if problem.phases:
+        return "it has phases"
+    if scene.ground is not None:
+        return "its scene has a ground"
+    if scene.pressure is not None:
+        return "its scene has a pressure"
+    if model.mechanism.joints:
+        return "its model has full coordinates"
+    if model.redundancy:
+        return "some of its bars depend on each other"
+    if scene.supports is not None and problem.shortest < problem.longest:
+        return "supports are moved, and its duration is free"
+    if problem.free_start:
+        return "its start is free"
+    bounds = sorted({type(bound).__name__ for bound in problem.bounds if type(bound) is not ForceDensityLimits})
+    if bounds:
+        return f"it has {' and '.join(bounds)}, limits of more than force densities"
+    costs = foreign_costs(problem.costs)
+    return f"it has the cost {' and '.join(costs)}, of more than force densities and the duration" if costs else ""
+
+
+def solve_condensed(
+    problem: Problem, transcription: Transcription, target: Target, scales: Scales, guess: Guess, solver: CondensedNewton, deadline: float | None
+) -> Outcome:
+    """Solve a problem that the method takes (`applies`). deadline: of `time.perf_counter`, s; None: no limit. Raises ValueError."""
+    against = applies(problem)
+    if against:
+        raise ValueError(f"solver is CondensedNewton, which does not take this problem: {against}; give ocp.Ipopt()")
+    if not isinstance(transcription, Variational):
+        raise ValueError(f"solver is CondensedNewton, and transcription is {type(transcription).__name__}: give ocp.Variational(...)")
+    with np.errstate(all="ignore"):
+        reduced, w, imposed = _reduced(problem, transcription, target, scales, guess)
+        motion = first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states)
+        found = solve(reduced, w, motion, solver.tolerance, solver.max_iterations, deadline, solver.verbose)
+        point = polish(reduced, found.point, POLISHED)
+        return _outcome(problem, transcription, target, imposed, reduced, found, point)
+
+
+def _reduced(problem: Problem, transcription: Transcription, target: Target, scales: Scales, guess: Guess) -> tuple[ReducedProblem, Array, Target]:
+    """Return the problem in force densities, where these start, and the target without rows that they do not move there."""
+    linear, together = transcription.control.linear, group_matrix(transcription.control, problem.model.nu)
+    gamma = node_values(guess.force_density, transcription.fractions) if linear else guess.force_density
+    begins, span = _held(transcription)
+    gamma = np.add.reduceat(gamma, begins) / np.bincount(span)[:, None]
+    strength = max(float(np.sqrt(np.mean(guess.force_density**2))), scales.mass / scales.time**2)
+    cost = typical_cost(problem, strength, guess.states, guess.force_density, guess.duration)
+    reduced = ReducedProblem(problem, transcription, target, scales, strength, cost)
+    w = np.clip(reduced.joined(gamma @ (together / together.sum(axis=0)), guess.duration) / reduced.units, reduced.lower, reduced.upper)
+    jacobian = reduced.about(w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states)).jacobian
+    imposed = _controlled(target, jacobian)
+    if imposed is not target:
+        reduced = ReducedProblem(problem, transcription, imposed, scales, strength, cost)
+    return reduced, w, imposed
+
+
+def _held(transcription: Transcription) -> tuple[Indices, Indices]:
+    """Return where each of the force densities begins that are unknowns, and which of them each interval (of linear profiles, each node) has."""
+    linear = transcription.control.linear
+    span = np.arange(transcription.count + 1) if linear else spans(transcription.control, transcription.fractions)
+    return np.unique(span, return_index=True)[1], span
+
+
+def _controlled(target: Target, jacobian: Array) -> Target:
+    """Return the target without the rows that the force densities do not move, given their gradient."""
+    start, parts = 0, []
+    for part in [*(one.target for one in target.waypoints), target]:
+        kept = find_controlled(jacobian[start : start + part.count])
+        start += part.count
+        parts.append(part if len(kept) == part.count else part.keep(kept, "out of control"))
+    *waypoints, end = parts
+    if all(part is given for part, given in zip(parts, [*(one.target for one in target.waypoints), target], strict=True)):
+        return target
+    return replace(end, waypoints=tuple(one._replace(target=part) for one, part in zip(target.waypoints, waypoints, strict=True)))
+
+
+def _outcome(
+    problem: Problem, transcription: Transcription, target: Target, imposed: Target, reduced: ReducedProblem, found: Found, point: Point
+) -> Outcome:
+    """Return what was found, and why where it is no plan."""
+    chain = reduced.chain
+    c, duration = reduced.split(point.w)
+    together = group_matrix(transcription.control, problem.model.nu)
+    clock = (chain.clock + duration * chain.time[:, None])[:, : problem.model.nx - 2 * problem.model.nq]
+    states = states_of(chain, duration**2 * chain.controls.before_nodes(c), duration, point.motion, clock)
+    lower, upper = problem.force_density_limits
+    why = _why(target, found, point, state_function(problem.model, states, duration, transcription.fractions))
+    return Outcome(
+        states=states,
+        force_density=np.clip(c[_held(transcription)[1]] @ together.T, lower, upper),
+        duration=float(np.clip(duration, problem.shortest, problem.longest)),
+        objective=reduced.cost(point.w) * reduced.cost_scale,
+        success=not why,
+        status=found.status,
+        iterations=found.iterations,
+        duals=_duals(reduced, imposed, transcription, found, point) if not why else None,
+        why=why,
+        imposed=imposed.describe(),
+    )
+
+
+def _why(target: Target, found: Found, point: Point, state_at: StateAt) -> str:
+    """Tell why what was found is no plan; "" where it is one."""
+    missed = measure_misses(target, state_at)
+    if point.worst <= MET and found.status in ("optimal", "settled"):
+        return "" if goals_met(target, state_at) else f"no plan: {missed.worst()}, and no string moves it there to first order: {_PASSES}"
+    parts = [f"no plan: {WHY.get(found.status, WHY['stuck'])}"]
+    if point.worst <= MET:
+        parts.append("all constraints are met, but the cost is not settled")
+    elif np.isfinite(point.worst):
+        parts.append(f"largest violation: {missed.worst() if missed.places or missed.speeds else 'the motion'}")
+    return "; ".join(parts)
+
+
+def _duals(reduced: ReducedProblem, imposed: Target, transcription: Transcription, found: Found, point: Point) -> Duals:
+    """Return the multipliers of goals and limits by name, in physical units, as `named_duals` does."""
+    names, values, start = [], [], 0
+    for part in [*(one.target for one in imposed.waypoints), imposed]:
+        own = found.multipliers[start : start + part.count] * reduced.cost_scale
+        start += part.count
+        if part.count:
+            label = next((one.label for one in imposed.waypoints if one.target is part), "")
+            names += [f"{label}{name}" for name in part.reduction.names]
+            values.append(part.reduction.combinations.T @ own / part.reduction.sizes)
+    unknowns = control_names(group_matrix(transcription.control, reduced.problem.model.nu), _held(transcription)[0])
+    limits = (found.duals.upper - found.duals.lower) * reduced.cost_scale / reduced.units
+    w_names = (*unknowns, *["duration"] * reduced.free_duration)
+    return Duals((*names, *w_names), np.concatenate([*values, limits]), point.w * reduced.units)

@@ -1,0 +1,46 @@
+"""From states to the motion that the method starts from, and from the motion that it finds to states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ocp.condensed.chain import Chain, Motion
+from ocp.condensed.linear_chain import bar_directions
+from tenscasadi.util.validate import Array
+
+
+def first_motion(chain: Chain, strings: Array, duration: float, states: Array) -> Motion:
+    """Return the motion through states (K + 1, nx), with the bars that fit it best under T²σγ at the stations (K + X, α)."""
+    places, velocities = chain.unpack(states)
+    motion = Motion(places, velocities[chain.taps] * duration, np.zeros((len(chain.at), chain.bars)))
+    if not chain.bars:
+        return motion
+    directions = bar_directions(chain, places)[chain.at]
+    left = chain.rows(strings, duration, motion).impulses[:, :, None]
+    return motion._replace(bars=-_along_bars(chain, directions, left))
+
+
+def states_of(chain: Chain, late: Array, duration: float, motion: Motion, clock: Array) -> Array:
+    """Return the states (K + 1, nx) of a motion that is met; late: T²σγ (K, α) that acts from before at the nodes k = 1 … K; clock (K + 1, ·).
+
+    Velocities are those of the discrete momenta just before each node, along the bars.
+    """
+    places = motion.places
+    before = (places[1:] - places[:-1]) / chain.shares[:, None, None]
+    pull = chain.across(chain.C_sT, late[:, :, None] * chain.across(chain.C_s, places[1:])).reshape(chain.count, -1)
+    loads = chain.loads_at(duration, chain.time[1:], chain.shares / 2)[0]
+    rates = before.reshape(chain.count, -1)[:, :, None] - chain.by_inverse((pull - loads)[:, :, None])
+    directions = bar_directions(chain, places)[1:]
+    if chain.bars:
+        rates = rates - np.matmul(chain.by_inverse(directions), _along_bars(chain, directions, rates)[:, :, None])
+    velocities = np.concatenate([chain.first_rate[None], rates.reshape(-1, chain.nodes, 3) / duration])
+    velocities[chain.taps] = motion.rates / duration
+    free = chain.mech.free_index
+    flat = (chain.mech.local(values.reshape(chain.count + 1, -1))[:, free] for values in (places, velocities))
+    return np.column_stack([*flat, clock])
+
+
+def _along_bars(chain: Chain, directions: Array, vectors: Array) -> Array:
+    """Return what of M⁻ C_bᵀ∘b takes away the parts along the bars of vectors (P, 3n, 1): (P, β)."""
+    across = directions.transpose(0, 2, 1)
+    return np.linalg.solve(np.matmul(across, chain.by_inverse(directions)), np.matmul(across, vectors))[:, :, 0]

@@ -1,0 +1,91 @@
+"""One step of the reduced problem: towards the goals, and along them towards less cost, by projected conjugate gradients."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp.condensed.chain import Rows
+from ocp.condensed.metric import Metric, Projector
+from ocp.condensed.reduced import Expansion
+from tenscasadi.util.validate import Array
+
+LEAST_LEFT = 0.05  # of the projected gradient: conjugate gradients end
+MOST_PRODUCTS = 30  # with the second derivatives, in one step
+FLAT = 1e-8  # of the metric's: less curvature is none
+
+
+class Step(NamedTuple):
+    """A step d of w: normal, the part that leads to the goals; tangential, the metric's size of the rest.
+
+    slope: what the cost with barriers changes by along d, to first order; multipliers: those of the goals at its end. hit: whether the trust
+    region ends it; bent: whether curvature is negative along it.
+    """
+
+    d: Array
+    normal: float
+    tangential: float
+    slope: float
+    multipliers: Array
+    hit: bool
+    bent: bool
+    products: int
+
+
+class Model:
+    """The quadratic model of costs and barriers about a point: exact, or, without multipliers, its metric alone."""
+
+    def __init__(self, expansion: Expansion, stiffness: Array, metric: Metric, projector: Projector, gradient: Array, exact: bool) -> None:
+        self.expansion, self.stiffness, self.metric, self.projector = expansion, stiffness, metric, projector
+        self.gradient, self.exact = gradient, exact
+
+    def times(self, step: Array, rows: Rows | None = None) -> Array:
+        """Return the second derivatives along a step of w, that the motion follows while it takes away its rows."""
+        if not self.exact:
+            return self.metric.times(step)
+        return self.expansion.curvature(step, self.expansion.follow(step, rows)) + self.stiffness * step
+
+    def step(self, goals: Array, rows: Rows, radius: float) -> Step:
+        """Return the step that meets the goals, linearised, and then minimises the model within a radius, in the metric, of that."""
+        expansion, projector, metric = self.expansion, self.projector, self.metric
+        drift = expansion.change(expansion.follow(None, rows))
+        normal = -projector.shortest(goals + drift)
+        curved = self.times(normal, rows)
+        tangential, change, hit, bent, products = self._descend(self.gradient + curved, radius)
+        d, curved = normal + tangential, curved + change
+        return Step(
+            d,
+            metric.norm(normal),
+            metric.norm(tangential),
+            float(self.gradient @ d),
+            projector.multipliers(self.gradient + curved),
+            hit,
+            bent,
+            products,
+        )
+
+    def _descend(self, force: Array, radius: float) -> tuple[Array, Array, bool, bool, int]:
+        """Conjugate gradients that J does not see, preconditioned by the metric (Steihaug's), with the change of the gradient."""
+        metric, project = self.metric, self.projector.project
+        total, change = np.zeros_like(force), np.zeros_like(force)
+        r = force
+        g = project(r)
+        p, left = -g, r @ g
+        first = left
+        for count in range(1, MOST_PRODUCTS + 1):
+            if not left > LEAST_LEFT**2 * first or not first > 0:
+                return total, change, False, False, count - 1
+            Hp, Dp = self.times(p), metric.times(p)
+            bend, size, along = p @ Hp, p @ Dp, total @ Dp
+            room = radius**2 - total @ metric.times(total)
+            farthest = (-along + np.sqrt(np.maximum(along**2 + size * room, 0.0))) / size
+            bent = bool(bend <= FLAT * size)
+            if bent or left / bend > farthest:
+                return total + farthest * p, change + farthest * Hp, True, bent, count
+            share = left / bend
+            total, change, r = total + share * p, change + share * Hp, r + share * Hp
+            g = project(r)
+            before, left = left, r @ g
+            p = -g + left / before * p
+        return total, change, False, False, MOST_PRODUCTS

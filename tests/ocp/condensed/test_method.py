@@ -1,0 +1,112 @@
+"""The condensed Newton method: the optimum of Variational by IPOPT, on any structure that it takes; and what it does not take."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ocp
+import tenscasadi as tc
+from ocp.condensed.method import applies
+from tests.ocp.condensed.test_reduced import EVERY, LIMITS, ON_THE_WAY, PUSH, RISE, driven
+
+BALL = tc.shapes.six_bar_ball()
+PRISM = tc.shapes.prism()
+D_BAR = tc.shapes.d_bar(pinned=[0])
+
+
+def lifted(t):
+    return [(0.0, 0.0, 0.05 * t**2)]
+
+
+CASES = {
+    "prism": (ocp.Problem(driven(PRISM), goals=RISE, bounds=[LIMITS], costs=[ocp.Effort()]), ocp.Variational(20)),
+    "ball": (
+        ocp.Problem(driven(BALL), goals=[ocp.StringLengths({0: 1.05 * BALL.string_lengths[0]}), ocp.AtRest()], bounds=[LIMITS], costs=[ocp.Effort()]),
+        ocp.Variational(20),
+    ),
+    "planar, pinned, no limits": (
+        ocp.Problem(driven(D_BAR), goals=[ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()], costs=[ocp.Effort()]),
+        ocp.Variational(10),
+    ),
+    "free duration, waypoint, all costs": (
+        ocp.Problem(driven(PRISM), (0.5, 1.5), goals=[*RISE, ON_THE_WAY], bounds=[LIMITS], costs=EVERY),
+        ocp.Variational(15),
+    ),
+    "linear profile, groups": (
+        ocp.Problem(driven(PRISM), (0.5, 1.5), goals=[*RISE, ON_THE_WAY], bounds=[LIMITS], costs=EVERY),
+        ocp.Variational(15, control=ocp.PiecewiseLinear(groups=[(0, 1, 2)])),
+    ),
+    "few changes": (
+        ocp.Problem(driven(PRISM), goals=RISE, bounds=[LIMITS], costs=[ocp.Effort(), ocp.Smoothness(0.01)]),
+        ocp.Variational(20, control=ocp.PiecewiseConstant(changes=5)),
+    ),
+    "pins of axes, loads that change": (
+        ocp.Problem(
+            driven(tc.shapes.prism(pinned={0: "xyz", 1: "z", 2: "z"}), gravity=tc.Gravity((0, 0, -3.0)), forces=PUSH),
+            (0.5, 1.5),
+            goals=[ocp.NodePositions({5: (None, None, 1.02)})],
+            costs=[ocp.Effort()],
+        ),
+        ocp.Variational(20),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_finds_what_ipopt_finds(case):
+    problem, transcription = CASES[case]
+    assert applies(problem) == ""
+    plan = ocp.solve(problem, transcription, ocp.CondensedNewton())
+    known = ocp.solve(problem, transcription, ocp.Ipopt())
+    assert plan.success, plan.message
+    assert plan.objective == pytest.approx(known.objective, rel=5e-3)
+    # what is found is a motion of the same rows: IPOPT started there has no goal and no row of the motion to mend
+    again = ocp.solve(problem, transcription, ocp.Ipopt(), guess=plan)
+    assert again.objective == pytest.approx(plan.objective, rel=5e-3)
+    assert np.abs(again.trajectory.states - plan.trajectory.states).max() < 0.05
+
+
+def test_multipliers_are_what_costs_change_by():
+    def plan_for(length, solver):
+        goals = [ocp.StringLengths({6: length}), ocp.AtRest()]
+        return ocp.solve(ocp.Problem(driven(PRISM), goals=goals, bounds=[LIMITS], costs=[ocp.Effort()]), ocp.Variational(15), solver)
+
+    found = plan_for(0.95, ocp.CondensedNewton())
+    e = 1e-3
+    longer, shorter = (plan_for(0.95 + sign * e, ocp.Ipopt()).objective for sign in (1, -1))
+    assert found.duals is not None
+    assert -(longer - shorter) / (2 * e) == pytest.approx(float(found.duals["StringLengths: string 6"].sum()), rel=0.05)
+    assert found.duals["force density of string 0"].shape == (15,)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"bounds": [ocp.TensionLimits(upper=50.0)]}, "it has TensionLimits"),
+        ({"costs": [ocp.Work()]}, "it has the cost Work"),
+        ({"start": ocp.FreeStart()}, "its start is free"),
+        ({"model": tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), ground=tc.Ground()))}, "its scene has a ground"),
+    ],
+)
+def test_what_it_does_not_take_is_said(change, words):
+    problem = ocp.Problem(**{"model": driven(PRISM), "goals": RISE, "costs": [ocp.Effort()], **change})
+    assert words in applies(problem)
+    with pytest.raises(ValueError, match=rf"solver is CondensedNewton, which does not take this problem: {words}.*: give|; give ocp.Ipopt"):
+        ocp.solve(problem, ocp.Variational(8), ocp.CondensedNewton())
+
+
+def test_limits_of_iterations_and_time_are_kept():
+    problem, transcription = CASES["ball"]
+    few = ocp.solve(problem, transcription, ocp.CondensedNewton(max_iterations=2))
+    assert (few.success, few.iterations) == (False, 2)
+    assert "stopped at the iteration limit: raise max_iterations" in few.message
+    late = ocp.solve(problem, transcription, ocp.CondensedNewton(), seconds=1e-3)
+    assert not late.success
+    assert "stopped at the time limit" in late.message
+
+
+def test_goes_with_variational_alone():
+    problem, _ = CASES["prism"]
+    with pytest.raises(ValueError, match=r"solver is CondensedNewton, and transcription is MultipleShooting: give ocp.Variational"):
+        ocp.solve(problem, ocp.MultipleShooting(8), ocp.CondensedNewton())
