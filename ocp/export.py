@@ -68,7 +68,9 @@ def export_program(problem: Problem, transcription: Transcription, folder: str |
     p = ca.MX.sym("p", 0)
     values = [ca.Function(f"nlp_{name}", [w, p], [program.problem[name]], ["x", "p"], [name]) for name in "fg"]
     sizes = f"{len(program.w_names)} unknowns (unknowns.csv), {len(program.names)} rows (rows.csv), costs = {program.objective!r} f"
-    written = _generate(target, "program", [*values, *program.derivatives().values()], [f"minimise f(w) subject to limits of g(w) and w: {sizes}."])
+    written = _generate(
+        target, "program", [*values, *program.parts.unrolled().derivatives.values()], [f"minimise f(w) subject to limits of g(w) and w: {sizes}."]
+    )
     unknowns = zip(program.w_names, program.w_scale, program.w_lower, program.w_upper, program.first, strict=True)
     rows = zip(program.names, program.scale, program.lower, program.upper, strict=True)
     return [

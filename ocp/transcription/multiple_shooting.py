@@ -10,12 +10,14 @@ import numpy as np
 
 from ocp.transcription.assemble import Defects
 from ocp.transcription.base import Transcription, unrolled
-from ocp.transcription.sparse_nlp import Block, split_symbol
+from ocp.transcription.sparse_nlp import Block, Derivatives, split_symbol
+from ocp.transcription.step_derivatives import StepDerivatives
 from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta, RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import projection
+from tenscasadi.util.casadi_tools import ArrayCallback
 from tenscasadi.util.validate import Array, whole_number
 
 MOST_SUBSTEPS = 10_000  # in an interval
@@ -106,7 +108,34 @@ class MultipleShooting(Transcription):
         gap = unrolled(model, ca.Function("gap", [z], [(after - end) / ca.DM(v.scales.state)]))
         index = np.hstack([v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share])
         names = interval_names(v.count, state_names(model))
-        return Defects([Block(gap, index, names, scale=v.scales.state, closes=v.states[1:])])
+        derivatives = self._derivatives(v) if isinstance(self.scheme, ExplicitRungeKutta) and not model.mechanism.large else None
+        return Defects([Block(gap, index, names, scale=v.scales.state, closes=v.states[1:], derivatives=derivatives)])
+
+    def _derivatives(self, v: Variables) -> Derivatives:
+        """Return those of the gaps, from the stages of their steps."""
+        nx, m, count = v.model.nx, v.interval_controls.shape[1], v.count
+        inner = StepDerivatives(v.model, v.group_matrix, self.scheme.tableau, self.substeps, self.control.linear, v.free_time, count)
+        ends = np.cumsum([nx, m, nx, 1])
+        varied = np.concatenate([np.arange(nx + m), np.arange(ends[2], ends[2] + v.free_time)])
+        scale = v.scales.state
+
+        def jacobian(z: Array) -> Array:
+            x, c, _, duration, share = np.split(z, ends, axis=1)
+            moved = inner.jacobian(x, c, duration, share) / -scale
+            return np.hstack([moved.reshape(count, -1), np.tile(1 / scale, (count, 1))])
+
+        def hessian(z: Array, weights: Array) -> Array:
+            x, c, _, duration, share = np.split(z, ends, axis=1)
+            return inner.hessian(x, c, duration, share, weights / -scale)
+
+        shape = (nx + m + nx + 2, count)
+        return Derivatives(
+            ArrayCallback("gap_jacobian", jacobian, [shape], (nx * (inner.size + 1), count)),
+            np.tile(np.arange(nx), inner.size + 1),
+            np.concatenate([np.repeat(varied, nx), np.arange(ends[1], ends[2])]),
+            ArrayCallback("gap_hessian", hessian, [shape, (nx, count)], (inner.size**2, count)),
+            varied,
+        )
 
 
 def shooting_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:

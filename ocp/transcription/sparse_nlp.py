@@ -7,10 +7,10 @@ No colouring of large graphs, no derivative of a graph of many calls: building a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -51,6 +51,20 @@ class Unknowns:
         return replace(self, names=tuple(self.names[k] for k in order), **columns)
 
 
+class Derivatives(NamedTuple):
+    """Derivatives of a block's function that are not those of its expression, of all its instances at once.
+
+    jacobian: Function z (nz, count) → values (n, count), which stand at `rows` and `columns` (n,) of the Jacobian of each instance.
+    hessian: (z, weights (m, count)) → values (s·s, count) of the symmetric matrix of the entries `varied` (s,) of z.
+    """
+
+    jacobian: ca.Function
+    rows: Indices
+    columns: Indices
+    hessian: ca.Function
+    varied: Indices
+
+
 @dataclass(frozen=True, eq=False)
 class Block:
     """Rows lower ≤ function(z_k) ≤ upper of `count` instances k; z_k are the entries `index[k]` of unknowns and constants.
@@ -58,7 +72,7 @@ class Block:
     function: z (nz) → rows (m); index (count, nz); lower, upper, scale (count, m) or broadcast to it; names: count·m, instance by instance.
     scale: what one stands for, in the unit of what is limited. closes: None, or for each row of an instance the unknown x⁺ of which it is
     x⁺ − F(…), in the same scale. combination: None, or a dense matrix (m, rows of function) with which the function's rows are multiplied.
-    kind: what the rows are of, by which others find them.
+    kind: what the rows are of, by which others find them. derivatives: None, or what takes the place of CasADi's.
     """
 
     function: ca.Function
@@ -70,6 +84,7 @@ class Block:
     closes: Indices | None = None
     combination: Array | None = None
     kind: Kind = "defect"
+    derivatives: Derivatives | None = None
 
     @property
     def count(self) -> int:
@@ -124,6 +139,10 @@ class Separable:
         """The Functions nlp_grad_f, nlp_jac_g and nlp_hess_l with the inputs and outputs that CasADi's solvers expect."""
         return {function.name(): function for function in (self.gradient(), self.jacobian(), self.hessian())}
 
+    def unrolled(self) -> Separable:
+        """Return the same with all derivatives as expressions, of which C can be generated."""
+        return Separable(self.unknowns, [replace(block, derivatives=None) for block in self.rows], self.costs, self._weight)
+
     def gradient(self) -> ca.Function:
         """Return the Function nlp_grad_f: (w, p) → f and its gradient."""
         matrix = _SparseMatrix(self.unknowns)
@@ -138,7 +157,7 @@ class Separable:
         for block, z, rows in zip(self.rows, self._row_inputs, self.slices, strict=True):
             matrix.add_jacobian(block, z, first_row=rows.start)
         J = matrix.assembled(self.g.shape[0], self.unknowns.count)
-        return ca.Function("nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"])
+        return self._keeping(ca.Function("nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"]))
 
     def hessian(self) -> ca.Function:
         """Return the Function nlp_hess_l: (w, p, λ_f, λ_g) → the upper triangle of the sparse Hessian of λ_f f + λ_gᵀ g."""
@@ -150,7 +169,12 @@ class Separable:
             matrix.add_hessian(block, z, ca.repmat(lam_f * self._weight, 1, block.count))
         H = matrix.assembled(self.unknowns.count, self.unknowns.count)
         inputs = [self.w, self._p, lam_f, lam_g]
-        return ca.Function("nlp_hess_l", inputs, [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])
+        return self._keeping(ca.Function("nlp_hess_l", inputs, [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]))
+
+    def _keeping(self, function: ca.Function) -> ca.Function:
+        """Return the Function with what it calls back in Python, which CasADi does not keep."""
+        function.called = [block.derivatives for block in self.rows]
+        return function
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,50 +279,65 @@ class _SparseMatrix:
 
     def add_jacobian(self, block: Block, z: Any, factor: float = 1.0, first_row: int = 0, transposed: bool = False) -> None:
         """Add the Jacobian of all instances of a block."""
-        derivative, local_row, local_column = self._derivative(block)
+        values, local_row, local_column = self._derivative(block, z)
         if not len(local_row):
             return
         column = block.index[:, local_column].ravel()
         row = (first_row + block.rows * np.arange(block.count)[:, None] + local_row).ravel()
         kept = np.flatnonzero(column < self._unknowns.count)
         places = (column, np.zeros_like(column)) if transposed else (row, column)
-        self._keep(derivative.map(block.count)(z), kept, factor * self._unknowns.scale[column[kept]], [place[kept] for place in places])
+        self._keep(values, kept, factor * self._unknowns.scale[column[kept]], [place[kept] for place in places])
 
     def add_hessian(self, block: Block, z: Any, multipliers: Any) -> None:
         """Add the upper triangle of the Hessian of Σ multipliers · rows of all instances."""
-        s = symbol_kind(block.function).sym("z", block.function.size1_in(0))
-        weight = type(s).sym("weight", block.function.size1_out(0))
         if block.combination is not None:
             multipliers = ca.mtimes(ca.DM(block.combination.T), multipliers)
-        varied, places = self._varied(block, s)
-        H = ca.hessian(ca.dot(weight, block.function(s)), varied)[0]
-        local_row, local_column = (places[np.array(entries, dtype=np.intp)] for entries in H.sparsity().get_triplet())
-        if not len(local_row):
+        second, local_row, local_column = self._second(block)
+        size = len(local_row)
+        if not size:
             return
         row, column = (block.index[:, local].ravel() for local in (local_row, local_column))
         # where one unknown has several places in z, both halves of the block fall on the diagonal: they are both wanted
         kept = np.flatnonzero((row <= column) & (column < self._unknowns.count))
-        needed = np.zeros(H.nnz(), dtype=bool)
-        needed[kept % H.nnz()] = True
+        needed = np.zeros(size, dtype=bool)
+        needed[kept % size] = True
         chosen = np.flatnonzero(needed)
         if not chosen.size:
             return
-        values = ca.Function("second", [s, weight], [_nonzeros(H)[chosen.tolist()]]).map(block.count)(z, multipliers)
+        values = second(z, multipliers, chosen)
         rank, scale = np.cumsum(needed) - 1, self._unknowns.scale
-        position = (kept // H.nnz()) * chosen.size + rank[kept % H.nnz()]
+        position = (kept // size) * chosen.size + rank[kept % size]
         row, column = row[kept], column[kept]
         self._keep(values, position, scale[row] * scale[column], [row, column])
 
-    def _derivative(self, block: Block) -> tuple[ca.Function, Indices, Indices]:
-        """Return the Function z → non-zeros of the Jacobian, and the row and the entry of z of each."""
-        z: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
-        varied, places = self._varied(block, z)
-        J = ca.jacobian(block.function(z), varied)
+    def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices]:
+        """Return the non-zeros (n, count) of the Jacobian at z, and the row and the entry of z of each."""
+        if block.derivatives is not None:
+            return block.derivatives.jacobian(z), block.derivatives.rows, block.derivatives.columns
+        s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
+        varied, places = self._varied(block, s)
+        J = ca.jacobian(block.function(s), varied)
         if block.combination is not None:
-            own, z = ca.Function("own", [z], [J]), ca.MX.sym("z", z.shape[0])
-            J = ca.mtimes(ca.DM(block.combination), own(z))
+            own, s = ca.Function("own", [s], [J]), ca.MX.sym("z", s.shape[0])
+            J = ca.mtimes(ca.DM(block.combination), own(s))
         row, column = (np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet())
-        return ca.Function("derivative", [z], [_nonzeros(J)]), row, places[column]
+        return ca.Function("derivative", [s], [_nonzeros(J)]).map(block.count)(z), row, places[column]
+
+    def _second(self, block: Block) -> tuple[Callable[[Any, Any, Indices], Any], Indices, Indices]:
+        """Return what makes the chosen non-zeros (n, count) of the Hessian, from z and multipliers; and the entries of z of each non-zero."""
+        if (given := block.derivatives) is not None:
+            size, chosen_values = len(given.varied), lambda z, weights, chosen: given.hessian(z, weights)[chosen.tolist(), :]
+            return chosen_values, np.tile(given.varied, size), np.repeat(given.varied, size)
+        s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
+        weight = type(s).sym("weight", block.function.size1_out(0))
+        varied, places = self._varied(block, s)
+        H = ca.hessian(ca.dot(weight, block.function(s)), varied)[0]
+        row, column = (places[np.array(entries, dtype=np.intp)] for entries in H.sparsity().get_triplet())
+
+        def values(z: Any, weights: Any, chosen: Indices) -> Any:
+            return ca.Function("second", [s, weight], [_nonzeros(H)[chosen.tolist()]]).map(block.count)(z, weights)
+
+        return values, row, column
 
     def _varied(self, block: Block, z: Any) -> tuple[Any, Indices]:
         """Return the entries of z that are unknowns in some instance, and their places.

@@ -116,9 +116,14 @@ class Variables:
         names = control_names(self.group_matrix, begins)
         return self.entries.unknowns(names, first, self.strength, lower, upper, begins[:, None])[span]
 
+    @property
+    def free_time(self) -> bool:
+        """Whether the duration is an unknown."""
+        return self.problem.shortest != self.problem.longest
+
     def _duration(self) -> Indices:
         shortest, longest = self.problem.shortest, self.problem.longest
-        if shortest == longest:
+        if not self.free_time:
             return self.entries.constants([longest])
         return self.entries.unknowns(["duration"], [self.guess.duration], self.scales.time, shortest, longest, np.inf)
 

@@ -47,6 +47,18 @@ def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode:
     return A, lam, Omega
 
 
+def lifted_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, solution: Any) -> tuple[Any, Any, Any]:
+    """Return N̈ (3×n) as `forward_dynamics` does, from a given solution of the multipliers' linear system, and that system: matrix, right-hand side.
+
+    solution (`Mechanism.system_size`, 1): the matrix times it is the right-hand side. With a symbol in its place no linear system is unrolled.
+    """
+    mech = space.weighted(u)
+    F, B, r, *system = _unconstrained(space, forces.FREE, mech, N, V, u, time)
+    A, _, _ = _constrained(space, mech, F, B, r, solution, time)
+    matrix, right = system or (ca.DM(0, 0), ca.DM(0, 1))
+    return A, matrix, right
+
+
 def _unconstrained(space: StateSpace, mode: forces.Mode, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
     """F, B, the residuals r that forces alone leave along the bars, and the linear system of the multipliers where there is one."""
     F, moved = applied_forces(space, N, V, u, time, mode, mech)  # 3×n, Eq. 67

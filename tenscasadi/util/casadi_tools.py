@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import matmul
 from typing import Any
@@ -208,3 +208,42 @@ class ArrayFunction:
     def stats(self) -> dict[str, Any]:
         """Return what a solver says of its last call."""
         return dict(self._buffer.stats())
+
+
+class ArrayCallback(ca.Callback):
+    """A Function that NumPy evaluates; it lives as long as this object, which whoever uses it in expressions must keep.
+
+    evaluate gets an array (columns, rows) for each of the inputs, whose shapes (rows, columns) are given, and returns one for the output.
+    """
+
+    def __init__(self, name: str, evaluate: Callable[..., Array], inputs: list[tuple[int, int]], output: tuple[int, int]) -> None:
+        super().__init__()
+        self._evaluate, self._inputs, self._output = evaluate, inputs, output
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        """Return how many inputs there are."""
+        return len(self._inputs)
+
+    def get_n_out(self) -> int:
+        """Return 1."""
+        return 1
+
+    def get_sparsity_in(self, k: int) -> ca.Sparsity:
+        """Return the shape of an input."""
+        return ca.Sparsity.dense(*self._inputs[k])
+
+    def get_sparsity_out(self, _: int) -> ca.Sparsity:
+        """Return the shape of the output."""
+        return ca.Sparsity.dense(*self._output)
+
+    def has_eval_buffer(self) -> bool:
+        """Return that numbers are read and written in place."""
+        return True
+
+    def eval_buffer(self, arguments: Sequence[Any], results: Sequence[Any]) -> int:
+        """Evaluate in CasADi's memory; what is not finite goes to the solver without a warning."""
+        arrays = [np.frombuffer(value).reshape(columns, rows) for value, (rows, columns) in zip(arguments, self._inputs, strict=True)]
+        with np.errstate(all="ignore"):
+            np.frombuffer(results[0])[:] = np.ravel(self._evaluate(*arrays))
+        return 0
