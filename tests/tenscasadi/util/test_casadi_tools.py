@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tenscasadi.util.casadi_tools import (
+    ArrayCallback,
     ArrayFunction,
     block_inverse,
     call_as_sx,
@@ -85,3 +86,11 @@ def test_inverses_by_blocks_leave_out_what_is_held():
     assert not inverse[3].any()
     assert not inverse[:, 3].any()
     assert block_inverse(M, [False] * 4).nnz == 0
+
+
+def test_numpy_evaluates_a_function():
+    """Columns come as rows of arrays; what is not finite comes without a warning."""
+    divided = ArrayCallback("divided", lambda x, y: x[:, :1] / y, [(2, 3), (1, 3)], (1, 3))
+    x, y = ca.MX.sym("x", 2, 3), ca.MX.sym("y", 1, 3)
+    function = ca.Function("f", [x, y], [2 * divided(x, y)])
+    assert function(ca.DM([[1, 2, 3], [4, 5, 6]]), ca.DM([[1, 2, 0]])).full() == pytest.approx(np.array([[2.0, 2.0, np.inf]]))
