@@ -50,6 +50,7 @@ class _Sensitivity(NamedTuple):
         width = self.moved.shape[2]
         count, _, columns = matrix.shape
         half = (matrix.shape[1] - len(rest)) // 2
+        result: Array
         if width:
             result = np.matmul(self.moved, matrix[:, 2 * half - width : 2 * half])
         else:
@@ -179,7 +180,8 @@ class StepDerivatives:
         z = 2 * self._nq
         stage.state.add_times(S, stage.state.through(half[:, :, :z], stage.rest))  # (L D)ᵀ D
         S[:, z:, z:] += np.matmul(np.matmul(stage.rest.T, half[:, z:, z:]), stage.rest)
-        return np.matmul(stage.slopes.jacobian[:, :z], weights[:, :, None])[:, :, 0]
+        gradient: Array = np.matmul(stage.slopes.jacobian[:, :z], weights[:, :, None])[:, :, 0]
+        return gradient
 
     def _held(self, controls: Array, passed: float) -> Array:
         share = passed / self._substeps
