@@ -9,8 +9,6 @@ from ocp.boundary.row_reduction import RANK
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices
 
-CLEAR = 1e-2  # of what moves nodes by the structure's size: distances that change by less do not feel a direction
-
 
 def all_pairs(count: int) -> Indices:
     """Return all pairs (m, 2) of so many nodes."""
@@ -39,12 +37,12 @@ def feel(nodes: Array, moves: sp.csr_array, directions: Array, pairs: Indices) -
     moved = (moves @ directions).reshape(len(nodes), 3, -1)
     every = all_pairs(len(nodes))
     apart, weights = _felt(nodes, moved, pairs)
-    if len(pairs) < len(every) and np.linalg.matrix_rank(weights, CLEAR) < len(weights):
+    if len(pairs) < len(every) and _rank(weights) < len(weights):
         more, others = _felt(nodes, moved, every)
-        if np.linalg.matrix_rank(weights, CLEAR) < np.linalg.matrix_rank(others, CLEAR):
+        if _rank(weights) < _rank(others):
             pairs, apart, weights = every, more, others
     norms = np.linalg.norm(weights, axis=1, keepdims=True)
-    weights = (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK]
+    weights = (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK * norms.max()]
     ends = sp.csr_array((np.tile([1.0, -1.0], len(pairs)), (np.repeat(np.arange(len(pairs)), 2), pairs.ravel())), shape=(len(pairs), len(nodes)))
     forces = np.stack([(ends.T @ (weights * along).T).T for along in apart.T], axis=2)
     return weights, (moves.T @ forces.reshape(len(weights), -1).T).T, pairs
@@ -54,3 +52,8 @@ def _felt(nodes: Array, moved: Array, pairs: Indices) -> tuple[Array, Array]:
     """Return twice the vectors (m, 3) between pairs of nodes, and how fast their squared distances change in each direction (k, m)."""
     apart = 2 * (nodes[pairs[:, 0]] - nodes[pairs[:, 1]])
     return apart, np.einsum("ma,mak->km", apart, moved[pairs[:, 0]] - moved[pairs[:, 1]])
+
+
+def _rank(weights: Array) -> int:
+    values = np.linalg.svd(weights, compute_uv=False)
+    return int(np.sum(values > RANK * values[0]))
