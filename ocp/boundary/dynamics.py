@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -66,6 +67,15 @@ class Dynamics:
         self._inverse_mass = block_inverse(model.mechanism.free_mass, np.ones(nq, bool))
         parts = separate_parts(self._inverse_mass.toarray())
         self._blocks = [(index, self._inverse_mass[index][:, index].toarray()) for index, _ in parts] if len(parts) <= FEW else []
+
+    @staticmethod
+    def of(model: Model) -> Dynamics:
+        """Return the dynamics of a model, which keeps them for each thread: their buffers serve one call at a time."""
+        key = "dynamics", threading.get_ident()
+        if key not in model.functions:
+            model.functions[key] = Dynamics(model)
+        known: Dynamics = model.functions[key]
+        return known
 
     def linearise(self, states: Array, controls: Array) -> Linearised:
         """Return what moves at states (P, nx) under controls (P, nu)."""

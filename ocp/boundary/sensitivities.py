@@ -97,9 +97,9 @@ class Reach:
         self._evened = self._grouping / self._grouping.sum(axis=0) @ self._grouping.T
         self._spans = None if spans is None or spans[-1] + 1 == len(spans) else spans
 
-    @cached_property
+    @property
     def _dynamics(self) -> Dynamics:
-        return Dynamics(self._model)
+        return Dynamics.of(self._model)
 
     @cached_property
     def _rate(self) -> ArrayFunction:
@@ -141,7 +141,8 @@ class Reach:
     def _surely_controlled(self, last: Array, motion: Linearised, length: float, least: float) -> bool:
         """Tell whether the controls of the last intervals alone move all rows by more than their share of the size of the whole gradient.
 
-        That size is estimated from a few random combinations of the rows: E |wᵀ S|² = |S|² for w of independent unit variance.
+        That size is estimated from a few random combinations of the rows, as E |wᵀ S|² = |S|² for w of independent unit variance: the strongest
+        direction grows with it.
         """
         if len(last) < FEW:
             return False
@@ -152,7 +153,8 @@ class Reach:
             gathered += by_control @ by_control.T
             if count == compared:
                 compared *= 2
-                if np.linalg.eigvalsh(gathered)[0] > (SURELY * least) ** 2 * size:
+                squares = np.linalg.eigvalsh(gathered)
+                if squares[0] > (SURELY * least) ** 2 * squares[-1] * max(1.0, size / squares.sum()):
                     return True
         return False
 

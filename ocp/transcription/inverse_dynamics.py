@@ -28,7 +28,7 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
     wanted = np.diff(model.split(states)[1], axis=0) / interval
     lower, upper = problem.force_density_limits
     count = len(middle)
-    dynamics = Dynamics(model)
+    dynamics = Dynamics.of(model)
     at_none = dynamics.linearise(middle, np.zeros((count, model.nu)))
     free = model.split(at_none.rates)[1]
     A = np.array([dynamics.by_control(at_none, k) for k in range(count)])
