@@ -11,7 +11,6 @@ from ocp.control.closed_loop import ClosedLoop, run
 from ocp.control.lqr import Tracker, track
 from ocp.control.mpc import Mpc
 from ocp.control.mppi import Mppi
-from ocp.control.spline_noise import SplineNoise
 from ocp.export import export_mpc, export_program
 from ocp.plan.actuation import reachable, replay_wound
 from ocp.plan.plan import Plan
@@ -31,6 +30,8 @@ from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.string_bounds import ForceDensityLimits, ForceDensityRateLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
 from ocp.problem.tracking import Tracking
 from ocp.problem.waypoints import Waypoint
+from ocp.sampling.solver import Sampling
+from ocp.sampling.spline_noise import SplineNoise
 from ocp.solve import solve
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
@@ -88,6 +89,7 @@ __all__ = [
     "Ipopt",
     "CondensedNewton",
     "Fatrop",
+    "Sampling",
     "Progress",
     "solve",
     # where it starts

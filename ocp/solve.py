@@ -15,6 +15,8 @@ from ocp.plan.plan import Plan
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.program import prepare, solve_program
+from ocp.sampling.method import default_intervals, solve_sampled
+from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Outcome, Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
@@ -34,7 +36,7 @@ RELIABLE = 1e-2  # of the structure's size (and of it per duration): what a repl
 def solve(
     problem: Problem,
     transcription: Transcription | None = None,
-    solver: Solver | CondensedNewton | None = None,
+    solver: Solver | CondensedNewton | Sampling | None = None,
     guess: InitialGuess | None = None,
     tolerance: float | None = None,
     *,
@@ -48,8 +50,9 @@ def solve(
         What is asked.
     transcription : MultipleShooting, Collocation, ImplicitMidpoint or Variational, optional
         How the motion becomes a program. Default: `MultipleShooting()`.
-    solver : Ipopt, CondensedNewton or Fatrop, optional
-        What solves the program. Default: `Ipopt()`.
+    solver : Ipopt, CondensedNewton, Fatrop or Sampling, optional
+        What solves the program, or samples motions instead. Default: `Ipopt()`; `Sampling()` where the scene has a ground and the problem neither
+        phases nor a free start, and no transcription is given.
     guess : InverseDynamics, Equilibrium, Arrays or Plan, optional
         Where the solver starts. From a plan of the same mesh and constraints it starts exactly, with its multipliers (see `Ipopt.warm`).
         Default: `InverseDynamics()`.
@@ -89,15 +92,21 @@ def solve(
     True
     """
     instance("problem", problem, Problem, "an ocp.Problem")
+    if solver is None:
+        solver = Sampling() if transcription is None and problem.model.scene.grounds and not problem.phases and not problem.free_start else Ipopt()
     if transcription is None:
-        transcription = Variational(PHASE_INTERVALS) if problem.phases else MultipleShooting()
-    solver = Ipopt() if solver is None else solver
+        sampled = isinstance(solver, Sampling) and not problem.phases
+        transcription = (
+            Variational(PHASE_INTERVALS) if problem.phases else MultipleShooting(default_intervals(problem)) if sampled else MultipleShooting()
+        )
     instance("transcription", transcription, Transcription, "a transcription, such as ocp.MultipleShooting()")
-    instance("solver", solver, (Ipopt, Fatrop, CondensedNewton), "an ocp.Ipopt, ocp.CondensedNewton or ocp.Fatrop")
+    instance("solver", solver, (Ipopt, Fatrop, CondensedNewton, Sampling), "an ocp.Ipopt, ocp.CondensedNewton, ocp.Fatrop or ocp.Sampling")
     limit = RELIABLE * Scales.of(problem).length if tolerance is None else positive_number("tolerance", tolerance)
     began = time.perf_counter()
     deadline = None if seconds is None else began + positive_number("seconds", seconds)
     if problem.phases:
+        if isinstance(solver, Sampling):
+            raise ValueError("solver is Sampling, and Problem.phases say when nodes stand: leave one of them out")
         outcome, target = solve_phased(problem, transcription, solver, guess, deadline, limit)
     else:
         target, scales = prepare(problem, transcription)
@@ -115,17 +124,20 @@ def _find(
     target: Target,
     scales: Scales,
     guess: InitialGuess | None,
-    solver: Solver | CondensedNewton,
+    solver: Solver | CondensedNewton | Sampling,
     deadline: float | None,
 ) -> Outcome:
     """Return what the method finds that fits the solver."""
+    if isinstance(solver, Sampling):
+        known = None if guess is None else evaluate_guess(guess, problem, target, transcription.count)
+        return solve_sampled(problem, transcription, known, solver, deadline)
     first = evaluate_guess(guess, problem, target, transcription.count)
     if isinstance(solver, CondensedNewton):
         return solve_condensed(problem, transcription, target, scales, first, solver, deadline)
     return solve_program(problem, transcription, target, scales, first, solver, deadline, guess.duals if isinstance(guess, Plan) else None)
 
 
-def _plan(problem: Problem, transcription: Transcription, solver: Solver | CondensedNewton, found: Outcome, seconds: float) -> Plan:
+def _plan(problem: Problem, transcription: Transcription, solver: Solver | CondensedNewton | Sampling, found: Outcome, seconds: float) -> Plan:
     """Return the plan that was found, not yet replayed."""
     mesh = found.duration * np.append(0.0, np.cumsum(transcription.fractions)) if found.time is None else found.time.copy()
     mesh[-1] = found.duration
@@ -190,7 +202,7 @@ def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:
     metres, speeds = ([amount for amount, _ in rows] for rows in missed)
     if not metres:
         metres = np.linalg.norm(replayed.nodes[-1] - plan.trajectory.nodes[-1], axis=1).tolist()
-    if not speeds and plan.problem is not None and plan.problem.phases and target.instants:
+    if not speeds and plan.problem is not None and plan.problem.model.scene.grounds and any(part.names for _, part, _ in target.instants):
         speeds = [0.0]  # on a ground that gives way nodes vibrate: what has no goal is not measured
     if not speeds:
         speeds = np.linalg.norm(replayed.velocities[-1] - plan.trajectory.velocities[-1], axis=1).tolist()

@@ -19,7 +19,17 @@ ROOT = Path(__file__).resolve().parents[1]
 # From left to right; names in one set do not import each other.
 _MODEL = ("util", "structure", "scene", "dynamics", "integrators", "simulation")
 TENSCASADI = (*_MODEL, {"design", "ensemble", "files"}, {"plots", "envs"}, "analysis", "viewer", "cli")
-OCP = ("problem", "boundary", "transcription", {"solvers", "presolve"}, "plan", {"program", "phases", "condensed"}, {"control", "solve"}, "export")
+OCP = (
+    "problem",
+    "boundary",
+    "transcription",
+    {"solvers", "presolve"},
+    "sampling",
+    "plan",
+    {"program", "phases", "condensed"},
+    {"control", "solve"},
+    "export",
+)
 
 OPEN_TO_OCP = {*_MODEL, "design", "ensemble"}
 ENTRANCES = {"tenscasadi.__main__", "tenscasadi.animation"}  # documented paths that only lead into a room

@@ -169,7 +169,7 @@ class Reach:
             result[:, (end - back) * groups : (end - back + 1) * groups] = by_control
             result[:, count * groups :] += by_length[:, None] / count
         by_span = self._summed(result[:, : count * groups].reshape(len(last), count, groups))
-        return np.column_stack([by_span.reshape(len(last), -1), result[:, count * groups :]])
+        return np.column_stack([by_span.reshape(len(last), np.prod(by_span.shape[1:], dtype=int)), result[:, count * groups :]])
 
     def _linearised(self, rows: ca.Function, weights: Array, start: Array, controls: Array, length: float) -> tuple[Array, Linearised | None]:
         """Return the gradient (m, nx) of the rows at the end of the motion under even controls, and the motion; None where it diverges."""

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.control.mppi_costs import horizon_costs
-from ocp.control.spline_noise import SplineNoise
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.sampling.horizon_costs import horizon_costs
+from ocp.sampling.spline_noise import SplineNoise
 from ocp.transcription.inverse_dynamics import inverse_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.kernel import build_kernel

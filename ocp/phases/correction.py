@@ -9,11 +9,11 @@ import numpy as np
 
 from ocp.boundary.target import Target
 from ocp.phases.program import PhasedProgram
-from ocp.plan.contact_rate import CONTACT_STEP, contact_rate
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import Ipopt
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.stability import contact_step
 from tenscasadi.simulation.control_input import ControlProfile
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.util.validate import Array
@@ -66,7 +66,7 @@ def correct(
 def _replayed(model: Model, time: Array, states: Array, gamma: Array, targets: Sequence[Target]) -> tuple[float, Array]:
     """Return how far the replay misses all goals, m, and the rows of the goals at the ends of the phases."""
     count = len(gamma) // len(targets)
-    step = min(np.diff(time).max() / 10, CONTACT_STEP / contact_rate(model)) if model.scene.grounds else np.diff(time).max() / 10
+    step = min(np.diff(time).max() / 10, contact_step(model))
     motion = simulate(model, float(time[-1]), step, RungeKutta4(), states[0], ControlProfile(time, gamma, 1), compiled=False)
     if not motion.success:
         return np.inf, np.zeros(0)

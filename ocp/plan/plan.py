@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ocp.boundary.target import Target
-from ocp.plan.contact_rate import CONTACT_STEP, contact_rate
 from ocp.plan.many_replays import measure_robustness
 from ocp.plan.mesh_refinement import refine_mesh
 from ocp.plan.planned_forces import PlannedForces
@@ -20,6 +19,7 @@ from ocp.plan.robustness import Robustness
 from ocp.plan.serialize import FORMAT, plan_arrays, plan_fields, rebuilt
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
+from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
@@ -30,6 +30,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.serialize import find_differences
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
+from tenscasadi.integrators.stability import contact_step
 from tenscasadi.simulation.control_input import ControlProfile
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
@@ -102,7 +103,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
     duals: Duals | None = None
     problem: Problem | None = None
     transcription: Transcription | None = None
-    solver: Solver | CondensedNewton | None = None
+    solver: Solver | CondensedNewton | Sampling | None = None
     unknown: str = "it was made by hand"
 
     _track: ClassVar[Callable[..., Any]]  # ocp.control.lqr.track, likewise
@@ -144,7 +145,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
         scheme : Scheme, optional
             Integration scheme. Default: `RungeKutta4()`.
         step : float, optional
-            Longest step, s. Default: a tenth of an interval, less where a node on the ground would vibrate too fast for it.
+            Longest step, s. Default: a tenth of an interval, less where nodes on a ground ask for it.
 
         Returns
         -------
@@ -160,7 +161,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
         check_scheme(scheme)
         size = None if step is None else positive_number("step", step)
         if size is None and model.scene.grounds:
-            size = min(np.diff(self.time).max() / REPLAY_STEPS, CONTACT_STEP / contact_rate(model))
+            size = min(np.diff(self.time).max() / REPLAY_STEPS, contact_step(model))
         start, intervals, end, control = self.trajectory.states[0], np.diff(self.time), float(self.time[-1]), self.force_density
         if self.linear or np.ptp(intervals) > 1e-9 * end:
             profile = ControlProfile(self.time, control, REPLAY_STEPS if size is None else 1)

@@ -15,6 +15,7 @@ from ocp.problem.periodic import Periodic
 from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.tracking import Tracking
+from ocp.sampling.solver import Sampling
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
@@ -42,11 +43,11 @@ _TABLE = (
     *(costs.Effort, costs.Smoothness, costs.Prestress, Tracking, costs.Duration, costs.Work),
     *(expressions.Constraint, expressions.Integral, expressions.AtEnd),  # for the name of what no file holds: their functions
     *(MultipleShooting, ImplicitMidpoint, Variational, Collocation, PiecewiseConstant, PiecewiseLinear),
-    *(RungeKutta4, DormandPrince54, DormandPrince853, Ipopt, Fatrop, CondensedNewton),
+    *(RungeKutta4, DormandPrince54, DormandPrince853, Ipopt, Fatrop, CondensedNewton, Sampling),
 )
 _CLASSES: dict[str, type] = {**{cls.__name__: cls for cls in _TABLE}, "Collocation (scheme)": collocation.Collocation}
 _NAMES = {cls: name for name, cls in _CLASSES.items()}
-_PARTS: dict[str, tuple[type, ...]] = {"problem": (Problem,), "transcription": (Transcription,), "solver": (Ipopt, Fatrop, CondensedNewton)}
+_PARTS: dict[str, tuple[type, ...]] = {"problem": (Problem,), "transcription": (Transcription,), "solver": (Ipopt, Fatrop, CondensedNewton, Sampling)}
 _ASKED = ("duration", "start", "goals", "bounds", "costs", "phases")  # the fields of a problem but for its model
 
 
@@ -146,7 +147,7 @@ def _told(parts: Mapping[str, Any]) -> dict[str, Array]:
                 raise _NotStored(parts["unknown"])
             if isinstance(part, Problem):
                 part = {field: getattr(part, field) for field in _ASKED}
-            texts[name] = _tell(replace(part, watch=None) if isinstance(part, Ipopt) else part, name.capitalize())
+            texts[name] = _tell(replace(part, watch=None) if isinstance(part, (Ipopt, Sampling)) else part, name.capitalize())
         except _NotStored as error:
             texts[name] = {"unknown": str(error)}
     return {"solved": np.asarray(json.dumps(texts))}

@@ -18,6 +18,7 @@ from tenscasadi.util.validate import finite_array, instance, positive_number
 DENSE = 400  # states up to which all eigenvalues are computed
 _PROBES = 4  # products with the Jacobian of a large model that give a first idea of its fastest rate
 _PROBED = 3.0  # factor on that idea, which is too low
+_BOUNCE, _SLIP = 0.25, 0.5  # radians of a node that bounces on a ground in a step; share of a slip that friction stops in it
 _ROUNDED = 1e-9  # growth of a mode in a step that may be rounding
 _HALF_DISC = np.append(1j * np.linspace(0, 1, 101), np.exp(1j * np.linspace(np.pi / 2, np.pi, 100)))  # edge of its upper half
 
@@ -83,6 +84,33 @@ def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = Run
     if np.isnan(limit):
         warnings.warn("stable_step is NaN: the equations have no finite derivative at x, as where a bar has no length", UserWarning, stacklevel=2)
     return limit
+
+
+def contact_rate(model: Model) -> float:
+    """Compute how fast, rad/s, the lightest node bounces on the grounds of the scene, or is damped by them; 0 without one."""
+    m = lightest_mass(model)
+    return max((max(float(np.sqrt(g.stiffness / m)), float(g.damping) / m) for g in model.scene.grounds), default=0.0)
+
+
+def contact_step(model: Model) -> float:
+    """Compute the step, s, that follows what happens where nodes touch the grounds of the scene; infinite without one.
+
+    It resolves bouncing and damping, and how fast friction of a third of the weight stops a node that slips, up to a tenth of the step that
+    the former need.
+    """
+    rate = contact_rate(model)
+    if not rate:
+        return float("inf")
+    g = model.scene.gravity
+    push = 0.0 if g is None else float(model.mechanism.M.sum()) * float(ca.norm_2(g.at(0.0))) / 3
+    m = lightest_mass(model)
+    stop = max((float(one.friction) * push / (m * float(one.slip_speed)) for one in model.scene.grounds if one.friction is not None), default=0.0)
+    return float(min(_BOUNCE / rate, max(_SLIP / max(stop, 1e-300), _BOUNCE / (10 * rate))))
+
+
+def lightest_mass(model: Model) -> float:
+    """Compute the least mass, kg, that a force on one free node moves, were it not for bars: 1/max diag M⁻¹."""
+    return float(1 / np.linalg.inv(np.asarray(model.mechanism.free_mass.toarray())).diagonal().max())
 
 
 def log_growth(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignored: float, bound: float, parameters: Any = None) -> float:

@@ -202,6 +202,11 @@ def planning_calls() -> dict[str, Call]:
         "Ipopt": (ocp.Ipopt, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}, "seconds": 1.0, "watch": None, "warm": False}),
         "CondensedNewton": (ocp.CondensedNewton, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False}),
         "Fatrop": (ocp.Fatrop, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}}),
+        "Sampling": (
+            ocp.Sampling,
+            {"groups": [(0, 1), (2, 3)], "knots": 4, "samples": 8, "seed": 1, "rounds": 2, "iterations": 1, "attempts": 1, "threads": 1}
+            | {"verbose": False, "watch": None},
+        ),
         "InverseDynamics": (ocp.InverseDynamics, {"path": np.array([m.structure.nodes] * 2)}),
         "Arrays": (ocp.Arrays, {"states": np.array([x] * 4), "force_density": np.array([u] * 3), "duration": 1.0}),
         "reachable": (ocp.reachable, {"plan": plan(), "stiffness": 1000.0, "shortest": np.full(9, 0.01)}),

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.stability import fastest_rate, stable_step
+from tenscasadi.integrators.stability import contact_rate, contact_step, fastest_rate, lightest_mass, stable_step
+from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.simulate import simulate
@@ -56,3 +57,19 @@ def test_the_limit_is_where_runs_break() -> None:
 def test_mistakes_about_the_step_are_named(argument: str, value: Any) -> None:
     with pytest.raises((TypeError, ValueError), match=argument):
         stable_step(**({"model": prism()} | {argument: value}))
+
+
+def test_steps_in_contact_follow_the_lightest_node() -> None:
+    masses = Structure([[0, 0, 1.0], [1.0, 0, 1.0]], strings=[(0, 1)], node_mass=[0.5, 2.0], stiffness=50.0)
+    free = Model(Scene(masses))
+    assert lightest_mass(free) == pytest.approx(0.5)
+    assert lightest_mass(Model(Scene(shapes.prism(bar_mass=0.3)))) == pytest.approx(0.3 / 4)  # an end of a rod
+    assert contact_rate(free) == 0.0
+    assert contact_step(free) == np.inf
+    soft, damped = (Model(Scene(masses, ground=Ground(stiffness=200.0, damping=damping))) for damping in (0.0, 30.0))
+    assert contact_rate(soft) == pytest.approx(20.0)
+    assert contact_rate(damped) == pytest.approx(60.0)
+    assert contact_step(soft) == pytest.approx(0.25 / 20.0)
+    rough = [Model(Scene(masses, gravity=Gravity(), ground=Ground(stiffness=200.0, friction=0.5, slip_speed=slip))) for slip in (0.1, 1e-9)]
+    assert contact_step(rough[0]) == pytest.approx(0.5 / (0.5 * 2.5 * 9.81 / 3 / (0.5 * 0.1)))
+    assert contact_step(rough[1]) == pytest.approx(0.1 * contact_step(soft))

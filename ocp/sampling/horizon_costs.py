@@ -40,18 +40,22 @@ def horizon_costs(problem: Problem, scales: Scales, period: float, intervals: in
     """
     now, given = _instant(problem)
     length = period * intervals
-    limits = scaled_rows(problem, PathBound, scales, strength)
-    stage = sum((cost.rate(now) for cost in problem.costs if isinstance(cost, RunningCost)), ca.DM(0))
-    along, last = ([rows for rows in limits if (rows.ends == ("last",)) is ending] for ending in (False, True))
-    stage += OVERSTEP / length * sum((_excess(rows, *now.symbols) for rows in along), ca.DM(0))
     final = sum((cost.final(now) for cost in problem.costs if isinstance(cost, FinalCost)), ca.DM(0))
+    last = [rows for rows in scaled_rows(problem, PathBound, scales, strength) if rows.ends == ("last",)]
     final += OVERSTEP * sum((_excess(rows, *now.symbols) for rows in last), ca.DM(0))
     misses = _misses(problem, now, {"m": place, "m/s": 10 * place / scales.time})
-    stage, final = stage + misses / length, final + misses
-    running, ending = (
-        ca.Function(name, [now.state, given], [ca.densify(value)], ["x", "w"], ["cost"]) for name, value in (("stage", stage), ("final", final))
-    )
-    return HorizonCosts(running, ending, _control_cost(problem, period, intervals), _rate_cost(problem, scales, period, intervals, strength))
+    stage = ca.Function("stage", [now.state, given], [running_cost(problem, scales, length, strength)(now.state, given) + misses / length])
+    ending = ca.Function("final", [now.state, given], [ca.densify(final + misses)], ["x", "w"], ["cost"])
+    return HorizonCosts(stage, ending, control_cost(problem, period, intervals), rate_cost(problem, scales, period, intervals, strength))
+
+
+def running_cost(problem: Problem, scales: Scales, length: float, strength: float, weight: float = 1.0) -> ca.Function:
+    """Return the Function (x, w) → cost per second of running costs times `weight`, and of limits overstepped within `length`, s."""
+    now, given = _instant(problem)
+    stage = weight * sum((cost.rate(now) for cost in problem.costs if isinstance(cost, RunningCost)), ca.DM(0))
+    along = [rows for rows in scaled_rows(problem, PathBound, scales, strength) if rows.ends != ("last",)]
+    stage += OVERSTEP / length * sum((_excess(rows, *now.symbols) for rows in along), ca.DM(0))
+    return ca.Function("stage", [now.state, given], [ca.densify(stage)], ["x", "w"], ["cost"])
 
 
 def _instant(problem: Problem) -> tuple[Instant, Any]:
@@ -79,14 +83,16 @@ def _excess(rows: ScaledRows, *given: Any) -> Any:
     return ca.sum1(ca.fmax(ca.fmax(value - ca.DM(rows.upper), ca.DM(rows.lower) - value), 0))
 
 
-def _control_cost(problem: Problem, period: float, intervals: int) -> ca.Function | None:
+def control_cost(problem: Problem, period: float, intervals: int) -> ca.Function | None:
+    """Return the Function γ (α, K) → costs of force densities alone; None where there are none."""
     costs = [cost for cost in problem.costs if isinstance(cost, ControlCost)]
     gamma = ca.SX.sym("u", problem.model.nu, intervals)
     total = sum((ca.SX(cost.expression(gamma, period)) for cost in costs), ca.SX(0))
     return ca.Function("control", [gamma], [ca.densify(total)]) if costs else None
 
 
-def _rate_cost(problem: Problem, scales: Scales, period: float, intervals: int, strength: float) -> ca.Function | None:
+def rate_cost(problem: Problem, scales: Scales, period: float, intervals: int, strength: float) -> ca.Function | None:
+    """Return the Function (x, γ, x⁺, γ⁺) → cost of rates overstepped from one period to the next; None where nothing is limited."""
     limits = scaled_rows(problem, RateBound, scales, strength)
     symbols = [ca.MX.sym(name, size) for name, size in (("x", problem.model.nx), ("u", problem.model.nu)) * 2]
     total = sum((_excess(rows, *symbols, period) for rows in limits), ca.DM(0))

@@ -1,0 +1,177 @@
+"""The method of `Sampling`: search, Gauss-Newton, and what came of it."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
+from ocp.sampling.defaults import Usual, alike, usual
+from ocp.sampling.descent import Descent, Point
+from ocp.sampling.elastic_law import elastic_law
+from ocp.sampling.motions import Motions
+from ocp.sampling.search import Search
+from ocp.sampling.solver import Sampling
+from ocp.sampling.spline_noise import SplineNoise
+from ocp.solvers.base import Outcome
+from ocp.transcription.base import Transcription
+from ocp.transcription.initial_guess import Guess
+from ocp.transcription.mesh import held_values
+from tenscasadi.integrators.stability import contact_rate, contact_step
+from tenscasadi.util.validate import Array
+
+COARSE = 0.5  # radians of the fastest swing in a step of the search
+MOST_STEPS = 2000  # of an interval
+FAST = 10.0  # times their tolerance that speeds may be off by at first in Gauss-Newton
+FINER = 2  # times the steps that contact needs: whether the motion is theirs
+HOPELESS = 30.0  # tolerances, beyond which finer steps are not tried
+CERTAIN = 0.5  # of the tolerance: plans that miss by more are tried again
+POLISHED = 2  # lineages of a search that are
+
+
+class _Stopped(NamedTuple):
+    """Why a search was stopped; "": it was not."""
+
+    why: str
+
+
+def default_intervals(problem: Problem) -> int:
+    """Return how many intervals a plan by sampling gets where no transcription says so."""
+    return usual(problem).intervals(problem)
+
+
+def check_sampling(problem: Problem, transcription: Transcription, solver: Sampling) -> None:
+    """Raise ValueError, saying the cure, for what no sampled motion does."""
+    if problem.free_start:
+        raise ValueError("Problem.start is free, and sampled motions begin somewhere: give Problem(start=...), or another solver than Sampling")
+    if transcription.control.linear:
+        name = type(transcription).__name__
+        raise ValueError(f"{name}.control is PiecewiseLinear, and Sampling holds force densities in intervals: give PiecewiseConstant()")
+    for string in (string for group in solver.groups or () for string in group):
+        if string >= problem.model.nu:
+            raise ValueError(f"Sampling.groups names string {string}: strings run from 0 to {problem.model.nu - 1}")
+
+
+def solve_sampled(problem: Problem, transcription: Transcription, guess: Guess | None, solver: Sampling, deadline: float | None = None) -> Outcome:
+    """Return what sampling finds; by the deadline (of `time.perf_counter`, s), or after Ctrl-C, the best so far.
+
+    transcription: its intervals, and which strings share a force density. guess: where Gauss-Newton begins, in place of a search.
+    """
+    check_sampling(problem, transcription, solver)
+    return _Method(problem, transcription, solver, deadline).run(guess)
+
+
+class _Method:
+    """One run."""
+
+    def __init__(self, problem: Problem, transcription: Transcription, solver: Sampling, deadline: float | None) -> None:
+        self._problem, self._solver, self._deadline = problem, solver, deadline
+        self._usual, scales = usual(problem), Scales.of(problem)
+        self._shared = transcription.control.groups
+        interval = problem.longest * float(transcription.fractions.max())
+        rate = max(contact_rate(problem.model), _swing(self._usual, problem))
+        steps = int(np.clip(np.ceil(interval * rate / COARSE), 1, MOST_STEPS))
+        self._finer = max(1, int(np.ceil(min(interval / steps / contact_step(problem.model), 20.0))))
+        place = solver.tolerance * scales.length
+        self._motions = Motions(problem, scales, transcription.fractions, transcription.control, steps, self._usual.strength, place, solver.threads)
+        self._law = elastic_law(problem, self._usual.strength, self._usual.mass, interval)
+        self._best: Point | None = None
+        self._stopped = ""
+        self._iterations = 0
+
+    def run(self, guess: Guess | None) -> Outcome:
+        """Search, and go on from the best, until the goals are met."""
+        try:
+            if guess is not None:
+                self._polish(held_values(guess.force_density, len(self._motions.fractions)), guess.duration, self._levels()[-1])
+            else:
+                self._motions.law = self._law
+                self._try_all()
+        except KeyboardInterrupt:
+            self._stopped = "stopped from the keyboard, with the best so far"
+        return self._outcome()
+
+    def _try_all(self) -> None:
+        """Search for groups of strings, then for each string, with other samples each time."""
+        for attempt in range(self._solver.attempts):
+            random = np.random.default_rng([self._solver.seed, attempt])
+            for directions in self._levels():
+                motions, solver = self._motions, self._solver
+                seconds = self._problem.longest / len(motions.legs)
+                knots = self._usual.knots(seconds) if solver.knots is None else solver.knots
+                search = Search(motions, self._usual.force_density, directions, knots, solver.samples, solver.rounds, random)
+                for one in search.run(self._over)[:POLISHED]:
+                    self._polish(one.whole, one.duration, directions)
+                    if self._stopped or (self._best is not None and self._best.worst <= CERTAIN):
+                        return
+
+    def _polish(self, wanted: Array, duration: float, directions: Array) -> None:
+        """Remove the last misses: in coarse steps with fast ends, then in fine ones with all that is asked."""
+        for finer, speed in ((1, FAST), (self._finer, 1.0), (FINER * self._finer, 1.0)):
+            descent = Descent(self._motions, directions, finer)
+            point, iterations = descent.run(wanted, duration, speed, self._solver.iterations, self._over)
+            self._iterations += iterations
+            wanted, duration = point.wanted, point.duration
+            if not point.worst < HOPELESS:
+                break
+        if self._best is None or point.worst < self._best.worst:
+            self._best = point
+
+    def _levels(self) -> list[Array]:
+        """Return the directions (g, α) in which γ is changed: those of groups, and those of each string."""
+        count, spread = self._problem.model.nu, self._usual.spread
+        alone = tuple((string,) for string in range(count) if not any(string in group for group in self._shared)) + self._shared
+        given = self._solver.groups
+        levels = [given] if given is not None else [alike(self._problem), alone] if not self._shared else [alone]
+        return [SplineNoise(spread, groups=groups).directions(count) for groups in levels]
+
+    def _over(self, line: str) -> bool:
+        """Tell how it goes, and whether to stop."""
+        if self._solver.verbose:
+            sys.stdout.write(line + "\n")
+        if self._solver.watch is not None and self._solver.watch(line) is False:
+            self._stopped = "stopped on request, by Sampling(watch=...), with the best so far"
+        if self._deadline is not None and time.perf_counter() > self._deadline:
+            self._stopped = "stopped at the time limit, with the best so far: give more seconds"
+        return bool(self._stopped)
+
+    def _outcome(self) -> Outcome:
+        motions, best, solver = self._motions, self._best, self._solver
+        if best is None or not np.isfinite(best.merit):
+            best = motions_at_rest(motions, self._usual)
+        success = best.worst <= 1.0 and not self._stopped
+        lanes = f"{motions.kernel.lanes} at once" if motions.kernel.lanes else f"one by one, {motions.kernel.note}"
+        why = ""
+        if not success:
+            cure = "give a longer duration, wider limits, more samples, other groups or another seed"
+            why = f"no plan: {self._stopped or cure}; {motions.worst(best.states, best.force_density, best.duration)}"
+        return Outcome(
+            states=best.states,
+            force_density=best.force_density,
+            duration=best.duration,
+            objective=motions.objective(best.states, best.force_density, best.duration),
+            success=success,
+            status=f"sampled {motions.count} motions, {lanes}",
+            iterations=self._iterations,
+            why=why,
+            imposed=f"seed {solver.seed}",
+        )
+
+
+def motions_at_rest(motions: Motions, given: Usual) -> Point:
+    """Return what comes of force densities to begin with, where nothing better is known."""
+    problem = motions.problem
+    wanted = np.tile(given.force_density, (len(motions.fractions), 1))
+    gamma, states, _ = motions.roll(problem.first_state[None], wanted[None], problem.longest)
+    return Point(wanted, problem.longest, gamma[0], states[0], np.full(1, np.inf))
+
+
+def _swing(given: Usual, problem: Problem) -> float:
+    """Return how fast strings let nodes swing, rad/s, under the largest force densities that are tried."""
+    structure = problem.model.scene.structure
+    ends = max(1.0, 2 * len(structure.strings) / len(structure.nodes))
+    return float(np.sqrt(ends * (given.strength + 2 * given.spread.mean()) / given.mass))
