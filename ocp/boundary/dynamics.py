@@ -72,9 +72,10 @@ class Dynamics:
     def of(model: Model) -> Dynamics:
         """Return the dynamics of a model, which keeps them for each thread: their buffers serve one call at a time."""
         key = "dynamics", threading.get_ident()
-        if key not in model.functions:
-            model.functions[key] = Dynamics(model)
-        known: Dynamics = model.functions[key]
+        kept: dict[Any, Any] = model.functions
+        if key not in kept:
+            kept[key] = Dynamics(model)
+        known: Dynamics = kept[key]
         return known
 
     def linearise(self, states: Array, controls: Array) -> Linearised:

@@ -74,7 +74,7 @@ class StateSpace:
         self.nu = scene.nu
         self.parameters = scene.layout
         self.np = len(self.parameters)
-        self.functions: dict[tuple[Any, ...], Any] = {}  # of this model, built by other modules that need the same several times
+        self.functions: dict[tuple[Any, ...], ca.Function] = {}  # of this model, built by other modules that need the same several times
         self.redundancy = find_redundancy(self.mechanism)
         if self.redundancy:
             warnings.warn(self.redundancy, RedundantConstraints, stacklevel=2)
