@@ -16,6 +16,7 @@ from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stabili
 from tenscasadi.util.validate import finite_array, instance, positive_number
 
 DENSE = 400  # states up to which all eigenvalues are computed
+_QUICK = 100  # states up to which the Jacobian is built for a bound
 _PROBES = 4  # products with the Jacobian of a large model that give a first idea of its fastest rate
 _PROBED = 3.0  # factor on that idea, which is too low
 _BOUNCE, _SLIP = 0.25, 0.5  # radians of a node that bounces on a ground in a step; share of a slip that friction stops in it
@@ -139,8 +140,8 @@ def _largest_log(scheme: Scheme, z: NDArray[Any]) -> float:
 def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
     """Return a bound on ω_max, rad/s, that costs little: from λ² q = (λ C + K) q; for large models an estimate that is rather too high."""
     w = model.held(u, parameters)
-    if model.nx > DENSE:
-        along, v, size = _linearisation(model), np.random.default_rng(0).normal(size=model.nx), 1.0
+    if model.nx > _QUICK:
+        along, v, size = _directional(model), np.random.default_rng(0).normal(size=model.nx), 1.0
         sizes = []
         for _ in range(_PROBES):
             v = along(x, w, v / size if size else v).full().ravel()
@@ -148,7 +149,7 @@ def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
             sizes.append(size)
         pairs = np.sqrt(np.multiply(sizes[1:], sizes[:-1]))  # positions and velocities by turns
         return _PROBED * float(pairs[-1])
-    jacobian, n = _linearisation(model)(x, w).full(), model.nq
+    jacobian, n = _jacobian(model)(x, w).full(), model.nq
     K, C = (
         min(abs(block).sum(axis=0).max(initial=0.0), abs(block).sum(axis=1).max(initial=0.0))
         for block in (jacobian[n : 2 * n, :n], jacobian[n : 2 * n, n : 2 * n])
@@ -156,16 +157,24 @@ def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
     return float(C + np.sqrt(C * C + 4 * K)) / 2
 
 
-def _linearisation(model: Model) -> ca.Function:
-    """Return (x, w) -> ∂ode/∂x, or its product with a vector, (x, w, v) -> ∂ode/∂x v, where the model is large."""
+def _jacobian(model: Model) -> ca.Function:
+    """Return (x, w) -> ∂ode/∂x."""
     key = ("linearisation",)
     if key not in model.functions:
-        X, W, V, ode = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw), ca.MX.sym("v", model.nx), model.stacked(model.ode)
-        if model.nx > DENSE:
-            model.functions[key] = ca.Function("along", [X, W, V], [ca.jtimes(ode(X, W), X, V)])
-        else:
-            model.functions[key] = ca.Function("jacobian", [X, W], [ca.jacobian(ode(X, W), X)])
-    return model.functions[key]
+        X, W = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
+        model.functions[key] = ca.Function("jacobian", [X, W], [ca.jacobian(model.stacked(model.ode)(X, W), X)])
+    function: ca.Function = model.functions[key]
+    return function
+
+
+def _directional(model: Model) -> ca.Function:
+    """Return (x, w, v) -> ∂ode/∂x v."""
+    key = ("linearisation along",)
+    if key not in model.functions:
+        X, W, V = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw), ca.MX.sym("v", model.nx)
+        model.functions[key] = ca.Function("along", [X, W, V], [ca.jtimes(model.stacked(model.ode)(X, W), X, V)])
+    function: ca.Function = model.functions[key]
+    return function
 
 
 def step_limit(scheme: Scheme, rates: Complex) -> float:
@@ -185,7 +194,7 @@ def _rates(model: Model, x: Any, u: Any, parameters: Any) -> Complex:
     if model.nx == 0:
         return np.zeros(0, dtype=complex)
     if model.nx <= DENSE:
-        return _eigenvalues(_linearisation(model)(state, control).full())
+        return _eigenvalues(_jacobian(model)(state, control).full())
     return _largest_eigenvalues(model, state, control)
 
 
@@ -196,7 +205,7 @@ def _eigenvalues(matrix: Any) -> Complex:
 
 
 def _largest_eigenvalues(model: Model, state: ca.DM, control: ca.DM) -> Complex:
-    along = _linearisation(model)
+    along = _directional(model)
     start = np.random.default_rng(0).normal(size=model.nx)  # fixed: the same answer every time
     if not np.all(np.isfinite(along(state, control, start).full())):
         return np.array([complex(np.nan)])
@@ -210,6 +219,5 @@ def _largest_eigenvalues(model: Model, state: ca.DM, control: ca.DM) -> Complex:
     if len(found):
         return np.asarray(found, dtype=complex)
     # Undamped motion has |eigenvalue|² at most ‖A²‖: a bound, on the safe side.
-    X, W = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
-    jacobian = ca.Function("jacobian", [X, W], [ca.jacobian(model.stacked(model.ode)(X, W), X)])(state, control).sparse()
+    jacobian = _jacobian(model)(state, control).sparse()
     return np.array([1j * np.sqrt(abs(jacobian @ jacobian).sum(axis=1).max())])
