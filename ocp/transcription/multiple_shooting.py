@@ -124,8 +124,11 @@ class MultipleShooting(Transcription):
 
         def jacobian(z: Array) -> Array:
             x, c, _, duration, share = np.split(z, ends, axis=1)
-            moved = inner.jacobian(x, c, duration, share) / -scale
-            return np.hstack([moved.reshape(count, -1), np.tile(1 / scale, (count, 1))])
+            rows = np.empty((count, inner.size + 1, nx))  # of what the interval starts from, and what is behind it
+            inner.jacobian(x, c, duration, share, rows[:, :-1])
+            rows[:, :-1] *= -1 / scale
+            rows[:, -1] = 1 / scale
+            return rows
 
         def hessian(z: Array, weights: Array) -> Array:
             x, c, _, duration, share = np.split(z, ends, axis=1)

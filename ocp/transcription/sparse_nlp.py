@@ -171,10 +171,11 @@ class Separable:
         inputs = [self.w, self._p, lam_f, lam_g]
         return self._keeping(ca.Function("nlp_hess_l", inputs, [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]))
 
-    def _keeping(self, function: Any) -> Any:
+    def _keeping(self, function: Any) -> ca.Function:
         """Return the Function with what it calls back in Python, which CasADi does not keep."""
         function.called = [block.derivatives for block in self.rows]
-        return function
+        kept: ca.Function = function
+        return kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,6 +84,7 @@ class Curve:
         self._first = _mapped(count, [inputs, s], dense)
         if self._solved:
             self._system = _mapped(count, [inputs], [S, b])
+            self._inverse = _diagonal_inverse if S.sparsity().is_diag() else _semidefinite_inverse
         weights, others = ca.SX.sym("weights", f.shape[0]), ca.SX.sym("others", self._solved)
         H = ca.hessian(ca.dot(weights, f) + ca.dot(others, rest), ca.vertcat(y, s))[0]
         z, r, after = places.z.stop, places.size, H.shape[0]
@@ -97,7 +98,7 @@ class Curve:
             value, slopes, _, _ = self._first(inputs, np.zeros((len(inputs), 0)))
             return Slopes(value[:, 0], slopes, (inputs, np.zeros((len(inputs), 0)), None, None, None))
         S, b = self._system(inputs)
-        inverse = _semidefinite_inverse(S)
+        inverse = self._inverse(S)
         s = np.matmul(b, inverse)[:, 0]
         value, slopes, by_s, rest = self._first(inputs, s)
         moved = -np.matmul(rest, inverse)  # ∂s/∂y, transposed
@@ -137,7 +138,7 @@ class Chain:
 def stage_curve(model: Model, groups: Array, places: Places, count: int) -> Curve:
     """Return α = h² a(q, ν/h, t, w), the accelerations of the free coordinates under force densities groups · w."""
     inputs, q, nu, t, w, h = places.symbols()
-    s = ca.SX.sym("s", model.mechanism.system_size)
+    s = ca.SX.sym("s", model.mechanism.system_size or model.mechanism.bars)
     N, V, time = model.unpack(ca.vertcat(q, nu / h, t))
     A, S, b = lifted_dynamics(model, N, V, ca.mtimes(sparse(groups), w), time, s)
     return Curve(count, places, inputs, h**2 * model.split(model.pack(V, A, 1))[1], s, S, b)
@@ -187,6 +188,12 @@ def _folded(half: Array, z: int) -> Array:
 
 def _triangle(matrix: Any) -> Any:
     return ca.tril(matrix, False) + ca.diag(ca.diag(matrix)) / 2
+
+
+def _diagonal_inverse(S: Array) -> Array:
+    """Return the inverse of diagonal matrices (K, n, n)."""
+    result: Array = np.eye(S.shape[1]) / np.einsum("kii->ki", S)[:, None]
+    return result
 
 
 def _semidefinite_inverse(S: Array) -> Array:

@@ -36,47 +36,34 @@ class Nystrom(NamedTuple):
         return cls(a.sum(axis=1), a, a @ a, b, b @ a)
 
 
-class _Sensitivity(NamedTuple):
-    """Derivatives of z = (q, ν) by p, transposed: `plain` of q and ν at the start in closed form, and `moved` (K, np, ·) by the α before.
-
-    moved: of the last entries of z alone where the first ones do not depend on an α. passed: steps since the start.
-    """
-
-    moved: Array
-    passed: float
-
-    def through(self, matrix: Array, rest: Array) -> Array:
-        """Return Dᵀ matrix (K, np, n), D (ny, np) the derivatives of y, of a matrix (K, ny, n); rest (nr, ·): D of what follows z in y."""
-        width = self.moved.shape[2]
-        count, _, columns = matrix.shape
-        half = (matrix.shape[1] - len(rest)) // 2
-        result: Array
-        if width:
-            result = np.matmul(self.moved, matrix[:, 2 * half - width : 2 * half])
-        else:
-            result = np.zeros((count, 2 * half + rest.shape[1], columns))
-        result[:, :half] += matrix[:, :half]
-        result[:, half : 2 * half] += matrix[:, half : 2 * half]
-        result[:, half : 2 * half] += self.passed * matrix[:, :half]
-        result[:, 2 * half :] += np.matmul(rest.T, matrix[:, 2 * half :])
-        return result
-
-    def add_times(self, S: Array, factor: Array) -> None:
-        """Add factor (K, np, 2nq) times D's rows of z to S (K, np, np)."""
-        width, half = self.moved.shape[2], factor.shape[2] // 2
-        if width:
-            S += np.matmul(factor[:, :, 2 * half - width :], self.moved.transpose(0, 2, 1))
-        S[:, :, : 2 * half] += factor
-        S[:, :, half : 2 * half] += self.passed * factor[:, :, :half]
-
-
 @dataclass(eq=False)
 class _Stage:
-    """One stage of one step: its state's sensitivity, its α's slopes; `rest`: see `_Sensitivity.through`."""
+    """A function of y = (z, …), z = (q, ν), at one stage, or at the end.
 
-    state: _Sensitivity
+    sensitivity: ∂z/∂p (K, np, 2nq), transposed; None at the start, where z is the head of p. rest (ny − 2nq, np − 2nq): ∂y/∂p of all that
+    follows z in y, by all that follows z in p.
+    """
+
+    sensitivity: Array | None
     rest: Array
     slopes: Slopes
+
+    def through(self, matrix: Array, out: Array | None = None) -> Array:
+        """Return Dᵀ matrix (K, np, n) of a matrix (K, ny, n), with D = ∂y/∂p."""
+        z = matrix.shape[1] - len(self.rest)
+        if self.sensitivity is None:
+            result = np.zeros((len(matrix), z + self.rest.shape[1], matrix.shape[2]))
+            result[:, :z] = matrix[:, :z]
+        else:
+            result = np.matmul(self.sensitivity, matrix[:, :z], out=out)
+        result[:, z:] += np.matmul(self.rest.T, matrix[:, z:])
+        return result
+
+    def gradient(self, weights: Array) -> Array:
+        """Return the derivatives (K, 2nq) by z of the sum of weights times the function."""
+        z = self.slopes.jacobian.shape[1] - len(self.rest)
+        result: Array = np.matmul(self.slopes.jacobian[:, :z], weights[:, :, None])[:, :, 0]
+        return result
 
 
 @dataclass(eq=False)
@@ -104,12 +91,15 @@ class StepDerivatives:
         self._stage, self._end = stage_curve(model, groups, places, count), end_curve(model, places, count)
         # p = (q, ν, t, c, h), in which and in the α all states are linear
         self.size = model.nx + self._controls * (1 + linear) + free_time
+        # room for ∂z/∂p in the states of each step behind its first stage, which stands where the step before ends; and for half of H times it
+        self._room = np.empty((substeps, count, self.size, len(self._method.b), 2 * model.nq))
+        self._products = np.empty(self._room.shape[1:])
         self._last: tuple[tuple[Array, ...], _Motion] | None = None
 
-    def jacobian(self, x: Array, controls: Array, duration: Array, share: Array) -> Array:
+    def jacobian(self, x: Array, controls: Array, duration: Array, share: Array, out: Array | None = None) -> Array:
         """Return the Jacobian of the end by (x, c[, T]), transposed (K, size, nx), at x (K, nx), c (K, ·), T and its share (K, 1)."""
         now = self._linearised(x, controls, duration, share)
-        J = now.end.state.through(now.end.slopes.jacobian, now.end.rest)
+        J = now.end.through(now.end.slopes.jacobian, out)
         self._by_velocity(J, now, share)
         return J
 
@@ -117,9 +107,15 @@ class StepDerivatives:
         """Return the Hessian (K, size, size) of the sums of weights (K, nx) times the end."""
         now, nq = self._linearised(x, controls, duration, share), self._nq
         S = np.zeros((self._count, self.size, self.size))  # half of the matrix
-        gradient = self._pulled(now.end, weights, self._end.half(now.end.slopes, weights), S)
-        for stages in reversed(now.steps):
-            gradient = self._backwards(gradient, stages, S)
+        gradient, stage, half = now.end.gradient(weights), now.end, self._end.half(now.end.slopes, weights)
+        for stages, room in zip(reversed(now.steps), self._room[::-1], strict=True):
+            self._add_rest(S, stage, half)
+            stage.through(half[:, :, : 2 * nq], self._products[:, :, -1])
+            gradient, half = self._backwards(gradient, stages, S)
+            stage, wide = stages[0], (self._count, self.size, -1)
+            S += np.matmul(self._products.reshape(wide), room.reshape(wide).transpose(0, 2, 1))
+        self._add_rest(S, stage, half)
+        S[:, :, : 2 * nq] += stage.through(half[:, :, : 2 * nq])
         H = S + S.transpose(0, 2, 1)
         self._by_velocity(H, now, share)
         self._by_velocity(H.transpose(0, 2, 1), now, share)
@@ -137,51 +133,48 @@ class StepDerivatives:
         return self._last[1]
 
     def _forwards(self, x: Array, controls: Array, duration: Array, share: Array) -> _Motion:
-        method, nq, count = self._method, self._nq, self._count
-        stages = len(method.b)
+        method, nq = self._method, self._nq
         h = duration * share / self._substeps
         q, nu, t = x[:, :nq], h * x[:, nq : 2 * nq], x[:, 2 * nq :]
-        moved = np.zeros((count, self.size, 0))
+        before: Array | None = None
         steps = []
-        for step in range(self._substeps):
-            alphas, values = np.empty((count, self.size, stages * nq)), np.empty((count, stages * nq))
+        for step, room in enumerate(self._room):
+            alphas, values = np.empty((self._count, self.size, len(method.b) * nq)), np.empty((self._count, len(method.b) * nq))
             own: list[_Stage] = []
-            for i in range(stages):
-                passed = step + method.c[i]
-                state = _Sensitivity(_advanced(moved, alphas, method.c[i], method.a_bar[i, :i], method.a[i, :i], nq), passed)
-                q_i = q + method.c[i] * nu + _sum(values, method.a_bar[i, :i], nq)
-                nu_i = nu + _sum(values, method.a[i, :i], nq)
-                slopes = self._stage.at(np.hstack([q_i, nu_i, t + method.c[i] * h, self._held(controls, passed), h]))
-                own.append(_Stage(state, self._rest(passed), slopes))
-                alphas[:, :, i * nq : (i + 1) * nq] = state.through(slopes.jacobian, own[-1].rest)
+            for i, c in enumerate(method.c):
+                passed = step + c
+                D = before if i == 0 else _advanced(before, alphas, c, method.a_bar[i, :i], method.a[i, :i], room[:, :, i - 1])
+                q_i, nu_i = q + c * nu + _sum(values, method.a_bar[i, :i], nq), nu + _sum(values, method.a[i, :i], nq)
+                slopes = self._stage.at(np.hstack([q_i, nu_i, t + c * h, self._held(controls, passed), h]))
+                own.append(_Stage(D, self._rest(passed), slopes))
+                alphas[:, :, i * nq : (i + 1) * nq] = own[-1].through(slopes.jacobian)
                 values[:, i * nq : (i + 1) * nq] = slopes.value
             steps.append(own)
-            moved = _advanced(moved, alphas, 1.0, method.b_bar, method.b, nq)
+            before = _advanced(before, alphas, 1.0, method.b_bar, method.b, room[:, :, -1])
             q, nu, t = q + nu + _sum(values, method.b_bar, nq), nu + _sum(values, method.b, nq), t + h
-        passed = float(self._substeps)
-        slopes = self._end.at(np.hstack([q, nu, t, self._held(controls, passed), h]))
-        return _Motion(h, x[:, nq : 2 * nq], steps, _Stage(_Sensitivity(moved, passed), self._rest(passed), slopes))
+        slopes = self._end.at(np.hstack([q, nu, t, self._held(controls, self._substeps), h]))
+        return _Motion(h, x[:, nq : 2 * nq], steps, _Stage(before, self._rest(self._substeps), slopes))
 
-    def _backwards(self, after: Array, stages: list[_Stage], S: Array) -> Array:
-        """Return the gradient by z before a step from that by z after it, and add half of the Hessians of the stages to S."""
+    def _backwards(self, after: Array, stages: list[_Stage], S: Array) -> tuple[Array, Array]:
+        """Return the gradient by z before a step from that by z after it, and half of the first stage's Hessian; the others' go to `products`."""
         method, nq = self._method, self._nq
-        pulled: list[Array] = [after] * len(stages)
+        pulled, half = [after] * len(stages), after
         for i in reversed(range(len(stages))):
             adjoint = method.b_bar[i] * after[:, :nq] + method.b[i] * after[:, nq:]
             for k in range(i + 1, len(stages)):
                 adjoint = adjoint + method.a_bar[k, i] * pulled[k][:, :nq] + method.a[k, i] * pulled[k][:, nq:]
-            pulled[i] = self._pulled(stages[i], adjoint, self._stage.half(stages[i].slopes, adjoint), S)
+            pulled[i], half = stages[i].gradient(adjoint), self._stage.half(stages[i].slopes, adjoint)
+            if i:
+                self._add_rest(S, stages[i], half)
+                stages[i].through(half[:, :, : 2 * nq], self._products[:, :, i - 1])
         gradient = after + sum(pulled)
         gradient[:, nq:] += after[:, :nq] + sum(c * own[:, :nq] for c, own in zip(method.c, pulled, strict=True))
-        return gradient
+        return gradient, half
 
-    def _pulled(self, stage: _Stage, weights: Array, half: Array, S: Array) -> Array:
-        """Return the gradient (K, 2nq) by z of weights times a stage's function, and add DᵀLD to S."""
+    def _add_rest(self, S: Array, stage: _Stage, half: Array) -> None:
+        """Add half of the Hessian by all that follows z."""
         z = 2 * self._nq
-        stage.state.add_times(S, stage.state.through(half[:, :, :z], stage.rest))  # (L D)ᵀ D
         S[:, z:, z:] += np.matmul(np.matmul(stage.rest.T, half[:, z:, z:]), stage.rest)
-        gradient: Array = np.matmul(stage.slopes.jacobian[:, :z], weights[:, :, None])[:, :, 0]
-        return gradient
 
     def _held(self, controls: Array, passed: float) -> Array:
         share = passed / self._substeps
@@ -209,19 +202,20 @@ class StepDerivatives:
         own *= now.h[:, :, None]
 
 
-def _advanced(moved: Array, alphas: Array, passed: float, to_q: Array, to_v: Array, nq: int) -> Array:
-    """Return the part of ∂z/∂p by the α at a later stage or step, as `_Sensitivity.moved` has it."""
-    if not (to_v.any() or moved.shape[2]):
-        return moved
-    if not (to_q.any() or moved.shape[2]):
-        return _sum(alphas, to_v, nq)
-    result = np.empty((*alphas.shape[:2], 2 * nq))
-    result[:, :, :nq], result[:, :, nq:] = _sum(alphas, to_q, nq), _sum(alphas, to_v, nq)
-    width = moved.shape[2]
-    if width:
-        result[:, :, 2 * nq - width :] += moved
-        result[:, :, :nq] += passed * moved[:, :, width - nq :]
-    return result
+def _advanced(before: Array | None, alphas: Array, passed: float, to_q: Array, to_v: Array, out: Array) -> Array:
+    """Write ∂z/∂p at a later stage or step to out (K, np, 2nq): z advances by the α, q by what `passed` and ν make too."""
+    nq = out.shape[2] // 2
+    q, v = out[:, :, :nq], out[:, :, nq:]
+    q[:], v[:] = _sum(alphas, to_q, nq), _sum(alphas, to_v, nq)
+    if before is None:
+        k = np.arange(nq)
+        out[:, k, k] += 1.0
+        out[:, nq + k, k] += passed
+        out[:, nq + k, nq + k] += 1.0
+    else:
+        out += before
+        q += passed * before[:, :, nq:]
+    return out
 
 
 def _sum(values: Array, weights: Array, nq: int) -> Array:

@@ -64,7 +64,7 @@ def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
     """Return the symmetric system of the multipliers that are not eliminated and its right-hand side (Eq. 103, or (BᵀB) ∘ G)."""
     if not mech.joints:
         return _reduced_matrix(mech, B), -r.T
-    h = _bar_scale(mech, B)
+    h = bar_scale(mech, B)
     rhs = mech.along_held(ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(mech.K.T)) - R)  # 3×c
     matrix = _joint_matrix(mech, B / ca.repmat(ca.sqrt(h), 3, 1))
     if mech.frames is None:
@@ -77,8 +77,8 @@ def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple
     """Return λ (1×β) and Ω (3×c) from the solution of `assemble_system`, or bar by bar where nothing had to be solved (Eq. 87)."""
     if mech.joints:
         Omega = ca.reshape(solution if mech.frames is None else ca.mtimes(mech.held_directions, solution), 3, mech.joints)
-        return -(r + ca.sum1(B * ca.mtimes(Omega, sparse(mech.K)))) / _bar_scale(mech, B), Omega
-    lam = solution.T if mech.system_size else -r / _bar_scale(mech, B)
+        return -(r + ca.sum1(B * ca.mtimes(Omega, sparse(mech.K)))) / bar_scale(mech, B), Omega
+    lam = solution.T if mech.system_size else -r / bar_scale(mech, B)
     return lam, ca.DM.zeros(3, 0)
 
 
@@ -123,7 +123,7 @@ def stretch_bars(mech: Mechanism, N: Any, B: Any, nu: Any) -> Any:
     return N + mech.with_inverse(nodal_forces(mech, B, nu / diagonal_row(mech.G[0])))
 
 
-def _bar_scale(mech: Mechanism, B: Any) -> Any:
+def bar_scale(mech: Mechanism, B: Any) -> Any:
     """Return h = bᵀb G_ii (1×β) of bars that stand alone; l² G_ii with the paper's constant length."""
     squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
     return squared * diagonal_row(mech.G[0])

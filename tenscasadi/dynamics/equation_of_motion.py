@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.constraint_forces import assemble_system, call_weighted, nodal_forces, recover_multipliers
+from tenscasadi.dynamics.constraint_forces import assemble_system, bar_scale, call_weighted, nodal_forces, recover_multipliers
 from tenscasadi.dynamics.mechanism import Mechanism, scene_mechanism
 from tenscasadi.dynamics.state_space import StateSpace
 from tenscasadi.util.casadi_tools import solve_semidefinite, sparse
@@ -48,15 +48,18 @@ def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode:
 
 
 def lifted_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, solution: Any) -> tuple[Any, Any, Any]:
-    """Return N̈ (3×n) as `forward_dynamics` does, from a given solution of the multipliers' linear system, and that system: matrix, right-hand side.
+    """Return N̈ (3×n) as `forward_dynamics` does, from the solution of the multipliers' linear system, and that system: matrix, right-hand side.
 
-    solution (`Mechanism.system_size`, 1): the matrix times it is the right-hand side. With a symbol in its place no linear system is unrolled.
+    solution: of `assemble_system`, or λ (β, 1) of bars that stand alone. The matrix times it is the right-hand side. With a symbol in its
+    place no linear system is unrolled.
     """
     mech = space.weighted(u)
     F, B, r, *system = _unconstrained(space, forces.FREE, mech, N, V, u, time)
-    A, _, _ = _constrained(space, mech, F, B, r, solution, time)
-    matrix, right = system or (ca.DM(0, 0), ca.DM(0, 1))
-    return A, matrix, right
+    if system:
+        lam, Omega = recover_multipliers(mech, B, r, solution)
+    else:
+        lam, Omega, system = solution.T, ca.DM.zeros(3, 0), [ca.diag(bar_scale(mech, B).T), -r.T]
+    return _accelerations(space, mech, F, B, lam, Omega, time), system[0], system[1]
 
 
 def _unconstrained(space: StateSpace, mode: forces.Mode, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
@@ -74,8 +77,12 @@ def _unconstrained(space: StateSpace, mode: forces.Mode, mech: Mechanism, N: Any
 def _constrained(space: StateSpace, mech: Mechanism, F: Any, B: Any, r: Any, solution: Any, time: Any) -> tuple[Any, ...]:
     """N̈, λ and Ω from the solution of the linear system."""
     lam, Omega = recover_multipliers(mech, B, r, solution)  # 1×β, Eq. 87; 3×c, Eq. 103
-    A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + space.support_accelerations(time)  # 3×n, Eqs. 85-86
-    return A, lam, Omega
+    return _accelerations(space, mech, F, B, lam, Omega, time), lam, Omega
+
+
+def _accelerations(space: StateSpace, mech: Mechanism, F: Any, B: Any, lam: Any, Omega: Any, time: Any) -> Any:
+    """N̈ (3×n), Eqs. 85-86."""
+    return mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + space.support_accelerations(time)
 
 
 def applied_forces(
