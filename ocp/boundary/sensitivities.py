@@ -37,6 +37,7 @@ class Motion:
         end = x + h * sum((b * k for b, k in zip(CLASSICAL.b, stages, strict=True)), start=ca.MX(0))
         one = ca.Function("step", [x, u, h], [end, ca.horzcat(*points)])
         self._run = one.mapaccum(count * substeps)
+        self._restarted = one.mapaccum(substeps).map(count)
         kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
         sx, su = kind.sym("x", model.nx), kind.sym("u", model.nu)
         rate = model.ode(sx, su)
@@ -52,6 +53,12 @@ class Motion:
         n = self._substeps
         ends, points = (np.asarray(value.full()) for value in self._run(start, np.repeat(controls, n, axis=0).T, length / n))
         return np.column_stack([start, ends[:, n - 1 :: n]]).T, points.T.reshape(-1, 4, self.model.nx)
+
+    def points(self, states: Array, controls: Array, length: float) -> Array:
+        """Return the points of `states` (count · substeps, 4, nx) for a motion that starts anew at given states (count, nx) in each interval."""
+        n = self._substeps
+        _, points = self._restarted(states.T, np.repeat(controls, n, axis=0).T, length / n)
+        return np.asarray(points.full()).T.reshape(-1, 4, self.model.nx)
 
     def derivatives(self, points: Array, controls: Array, length: float) -> tuple[Array, Array]:
         """Return ∂x⁺/∂x (count, nx, nx) and ∂x⁺/∂u (count, nx, nu) of each interval, exact for the steps taken."""

@@ -3,30 +3,48 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
 
-from ocp.boundary.invariants import invariants
 from ocp.boundary.sensitivities import Motion
+from ocp.boundary.tangents import Tangents
+from ocp.control.closed_loop import run
 from ocp.control.departures import departures
+from ocp.control.holding import Rest, find_rest, stationary_cost
 from ocp.plan.plan import Plan
 from ocp.problem.string_bounds import ForceDensityLimits
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.feedback import Feedback
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.stability import fastest_rate
+from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number
 
 MOST = 10_000  # decisions: each has a gain
+LEAST_SUBSTEPS, MOST_SUBSTEPS = 2, 50  # of a decision, for its derivatives: one for each radian of the fastest vibration
+BETWEEN = 4  # steps from a node of the plan to a decision after it
+STEPS = 10  # of a replay for each decision
+
+
+class Hold(NamedTuple):
+    """What a tracker does after its plan: γ = force_density − gains (x − state) within limits; state (nx,), force_density (α,), gains (α, nx)."""
+
+    state: Array
+    force_density: Array
+    gains: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Tracker:
     """Time-varying LQR about a plan, γ = γ_plan − G (x − x_plan) within limits; a controller for `run`, made by `track`.
 
-    After the plan its last gain holds its last state.
+    After a plan that ends at rest it holds that state: under the least force densities of equilibrium, with the gains of a stationary regulator
+    about it. `message` says where it cannot; its last gain then goes on to hold the last state.
 
     Attributes
     ----------
@@ -42,6 +60,10 @@ class Tracker:
         Gains G.
     lower, upper : ndarray, shape (α,)
         Limits of the force densities, N/m.
+    hold : Hold or None
+        What holds the end of the plan: `state` (nx,), `force_density` (α,) and `gains` (α, nx); None where nothing does.
+    message : str
+        Whether the end of the plan is held, and why not.
 
     Examples
     --------
@@ -64,6 +86,8 @@ class Tracker:
     gains: Array
     lower: Array
     upper: Array
+    hold: Hold | None = None
+    message: str = ""
 
     def __repr__(self) -> str:
         return f"Tracker({len(self.gains)} decisions, {self.force_density.shape[1]} strings, {self.time[-1]:g} s)"
@@ -76,7 +100,12 @@ class Tracker:
     @property
     def feedback(self) -> Feedback:
         """The same regulator as `tenscasadi.rollouts` takes it: for thousands of motions at once."""
-        return Feedback(self.time, self.force_density, self.states, self.gains, self.lower, self.upper)
+        if self.hold is None:
+            return Feedback(self.time, self.force_density, self.states, self.gains, self.lower, self.upper)
+        time = np.append(self.time, self.time[-1] + self.period)
+        controls, gains = np.vstack([self.force_density, self.hold.force_density]), np.concatenate([self.gains, self.hold.gains[None]])
+        states = np.vstack([self.states[:-1], self.hold.state, self.hold.state])
+        return Feedback(time, controls, states, gains, self.lower, self.upper)
 
     def control(self, time: float, state: Array) -> Array:
         """Decide the force densities until the next decision.
@@ -96,9 +125,13 @@ class Tracker:
         time, state = positive_number("time", time, zero=True), finite_array("state", state, (self.model.nx,))
         k = min(int(time / self.period + 1e-9), len(self.gains) - 1)
         after = time > self.time[-1] - 1e-9
-        away = state - self.states[-1 if after else k]
+        if after and self.hold is not None:
+            wanted, gamma, gain = self.hold
+        else:
+            wanted, gamma, gain = self.states[-1 if after else k], self.force_density[k], self.gains[k]
+        away = state - wanted
         self.model.split(away)[2][:] = 0.0
-        return np.asarray(np.clip(self.force_density[k] - self.gains[k] @ away, self.lower, self.upper))
+        return np.asarray(np.clip(gamma - gain @ away, self.lower, self.upper))
 
 
 def track(
@@ -164,52 +197,71 @@ def track(
     known = (0.0, np.inf) if plan.problem is None else plan.problem.force_density_limits
     limits = ForceDensityLimits(known[0] if lower is None else lower, known[1] if upper is None else upper)
     limits.check(model.scene.structure)
+    own = limits.limits(model.scene.structure)
     time = np.linspace(0.0, T, count + 1)
     gamma = profile_at(plan.force_density, plan.time, (time[:-1] + time[1:]) / 2)
-    motion = Motion(model, count, 2)
-    states, points = motion.states(plan.trajectory.states[0], gamma, T / count)
-    if not np.all(np.abs(states) <= LARGEST):
-        raise ValueError(f"decisions is {count}: steps of {T / count / 2:g} s diverge along the plan, give more decisions")
-    A, B = motion.derivatives(points, gamma, T / count)
-    kept = departures(model, size, 10 * size / T)
-    tangents = Tangents(model, states[0])
-    Z = [tangents(x) for x in states]
-    C = [np.asarray(kept(x)[1].full()) @ basis for x, basis in zip(states, Z, strict=True)]
+    states = _planned(plan, model, time)
+    rest = find_rest(model, plan.trajectory.states[-1], *own, size / T)
     try:
         with np.errstate(all="ignore"):  # what overflows is told
-            gains = _gains(A, B, Z, C, force**-2)
+            gains = _regulate(model, states, gamma, rest, T / count, departures(model, size, 10 * size / T), force**-2)
     except (scipy.linalg.LinAlgError, ValueError):
         told = f"departures along the motion{'' if plan.success else ' of a plan that failed'} grow too fast for gains to be found"
         raise ValueError(f"decisions is {count}: {told}, give more decisions") from None
-    return Tracker(model, time, states, gamma, gains, *limits.limits(model.scene.structure))
+    hold = Hold(rest.state, rest.force_density, gains[count]) if rest.state is not None else None
+    return Tracker(model, time, states, gamma, gains[:count], *own, hold, rest.message)
+
+
+def replay_tracked(plan: Plan) -> Trajectory:
+    """Return the motion of a plan's model from its start under `track`. Raises ValueError where no gains are found, or the model is not known."""
+    return run(track(plan), float(plan.time[-1]), steps=STEPS, state=plan.trajectory.states[0]).trajectory
 
 
 Plan._track = staticmethod(track)
+Plan._replay_tracked = staticmethod(replay_tracked)
 
 
-class Tangents:
-    """Orthonormal bases of the small changes of a state that bars and joints allow, of places and velocities together."""
-
-    def __init__(self, model: Model, start: Array) -> None:
-        x = ca.SX.sym("x", model.nx)
-        rigid = [group.value for group in invariants(model, start, x, 0) if group.kind in ("bar", "joint", "clock")]
-        self._jacobian = ca.Function("jacobian", [x], [ca.densify(ca.jacobian(ca.vertcat(ca.SX(0, 1), *rigid), x))])
-        self._size = model.nx
-
-    def __call__(self, state: Array) -> Array:
-        """Return the basis (nx, d) at a state (nx,)."""
-        J = np.asarray(self._jacobian(state).full())
-        if not J.shape[0]:
-            return np.eye(self._size)
-        _, values, right = np.linalg.svd(J)
-        return np.asarray(right[int(np.sum(values > 1e-9 * values.max(initial=0.0))) :].T)
+def _planned(plan: Plan, model: Model, time: Array) -> Array:
+    """Return the planned states (count + 1, nx) at times: from the node before each, in steps of RK4, so that errors do not add up."""
+    nodes = plan.time
+    k = np.clip(np.searchsorted(nodes, time + 1e-9 * nodes[-1], side="right") - 1, 0, len(nodes) - 2)
+    since = np.where(np.isclose(time, nodes[k], rtol=0, atol=1e-9 * nodes[-1]), 0.0, time - nodes[k])
+    advance = RungeKutta4().step(model.ode).map(len(time))
+    x = ca.DM(plan.trajectory.states[k].T)
+    for part in range(BETWEEN):
+        x = advance(x, profile_at(plan.force_density, nodes, nodes[k] + (part + 0.5) / BETWEEN * since).T, since[None] / BETWEEN)
+    states = np.asarray(x.full()).T
+    states[-1] = plan.trajectory.states[-1]
+    if not np.all(np.abs(states) <= LARGEST):
+        raise ValueError("plan has states that are not finite, or lead to such: give a plan that was found, with more intervals")
+    return states
 
 
-def _gains(A: Array, B: Array, Z: list[Array], C: list[Array], effort: float) -> Array:
-    """Feedback (K, α, nx) by Riccati's recursion in the reduced coordinates Zᵀ δx, from the end."""
-    gains = np.zeros((len(A), B.shape[2], A.shape[1]))
-    P = C[-1].T @ C[-1]
+def _regulate(model: Model, states: Array, gamma: Array, rest: Rest, period: float, kept: ca.Function, effort: float) -> Array:
+    """Gains (K, α, nx) along states (K + 1, nx) under γ (K, α); where the end is held one more (K + 1, α, nx), that of holding it."""
+    ends = states
+    if rest.state is not None:
+        states, gamma, ends = np.vstack([states[:-1], rest.state]), np.vstack([gamma, rest.force_density]), np.vstack([states, rest.state])
+    else:
+        states = states[:-1]
+    looked_at = sorted({0, len(gamma) // 2, len(gamma) - 1})
+    rate = max(fastest_rate(model, states[k], gamma[k]) for k in looked_at)
+    motion = Motion(model, len(gamma), int(np.clip(np.ceil(rate * period), LEAST_SUBSTEPS, MOST_SUBSTEPS)) if np.isfinite(rate) else MOST_SUBSTEPS)
+    A, B = motion.derivatives(motion.points(states, gamma, period), gamma, period)
+    tangents = Tangents(model, states[0])
+    Z = [tangents(x) for x in ends]
+    C = [np.asarray(kept(x)[1].full()) @ basis for x, basis in zip(ends, Z, strict=True)]
     R = effort * np.eye(B.shape[2])
+    P = C[-1].T @ C[-1]
+    if rest.state is not None:
+        P = stationary_cost(Z[-1].T @ A[-1] @ Z[-1], Z[-1].T @ B[-1], P, R)
+        Z[-2] = Z[-1]  # the end of the plan, but for its rounding
+    return _gains(A, B, Z, C, P, R)
+
+
+def _gains(A: Array, B: Array, Z: list[Array], C: list[Array], P: Array, R: Array) -> Array:
+    """Feedback (K, α, nx) by Riccati's recursion in the reduced coordinates Zᵀ δx, from the cost P of the end."""
+    gains = np.zeros((len(A), B.shape[2], A.shape[1]))
     for k in reversed(range(len(A))):
         a, b = Z[k + 1].T @ A[k] @ Z[k], Z[k + 1].T @ B[k]
         L = scipy.linalg.solve(R + b.T @ P @ b, b.T @ P @ a, assume_a="pos")

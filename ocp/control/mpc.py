@@ -11,6 +11,7 @@ import numpy as np
 
 from ocp.boundary.find_target import find_target
 from ocp.control.departures import departures
+from ocp.control.holding import find_rest
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
 from ocp.plan.plan import Plan
 from ocp.problem.periodic import Periodic
@@ -28,6 +29,7 @@ from tenscasadi.util.validate import Array, finite_array, instance, positive_num
 
 OVERSTEP = 1e5  # what oversteps limits of the path costs, in scaled units, against 1 for a departure of a `place`
 MOST = 1000  # intervals, steps of each, improvements of a decision
+ROUNDED = 1e-3  # of the structure's size in the duration: slower goals are at rest
 NOTHING = 1e-6  # of force densities that move the structure: fewer are rounding, as where nothing has to be held
 
 
@@ -117,7 +119,7 @@ class Mpc:
         scales = Scales.of(problem)
         size = 0.01 * scales.length if place is None else positive_number("place", place)
         self._departures = departures(self.model, size, 10 * size / scales.time)
-        self._reference, strength = _reference(problem, scales, plan, self._departures, self.intervals, self.period)
+        self._reference, strength = _reference(problem, scales, plan, self._departures, self.intervals, self.period, size)
         self._effort = strength if effort is None else positive_number("effort", effort)
         self._lower, self._upper = (np.tile(limit, self.intervals) for limit in problem.force_density_limits)
         self._limits = HorizonLimits(problem, scales, strength, self.period)
@@ -299,10 +301,13 @@ def _sensitive_step(slopes: ca.Function, x: Any, u: Any, effect: Any, h: float) 
     return end, turned
 
 
-def _reference(problem: Problem, scales: Scales, plan: Plan | None, output: ca.Function, count: int, period: float) -> tuple[ca.Function, float]:
+def _reference(
+    problem: Problem, scales: Scales, plan: Plan | None, output: ca.Function, count: int, period: float, place: float
+) -> tuple[ca.Function, float]:
     """Return the Function time → departures (·, count) at the ends of the next intervals and γ (α, count) in them as they should be; a typical γ.
 
-    plan: followed over time, and held at its end; None: the state of the goals is held. Raises ValueError for goals that ask for a motion
+    plan: followed over time, and held at its end, by force densities of equilibrium where it is at rest; None: the state of the goals is held,
+    likewise. Raises ValueError for goals that ask for a motion
     without a plan, UnreachableGoal.
     """
     time = ca.MX.sym("time")
@@ -310,10 +315,14 @@ def _reference(problem: Problem, scales: Scales, plan: Plan | None, output: ca.F
         state, gamma = _goal(problem, scales)
         wanted, held = (ca.repmat(ca.DM(value), 1, count) for value in (output(state)[0], gamma))
     else:
-        gamma = plan.force_density
-        ends = [ca.fmin(time + period * k, float(plan.time[-1])) for k in range(count + 1)]
-        wanted = ca.horzcat(*(output(_along(plan.trajectory.states, plan.time, end))[0] for end in ends[1:]))
-        held = ca.horzcat(*(_along(gamma, plan.time, (a + b) / 2) for a, b in pairwise(ends)))
+        gamma, end = plan.force_density, float(plan.time[-1])
+        rest = find_rest(problem.model, plan.trajectory.states[-1], *problem.force_density_limits, place / scales.time)
+        times = [time + period * k for k in range(count + 1)]
+        wanted = ca.horzcat(*(output(_along(plan.trajectory.states, plan.time, ca.fmin(now, end)))[0] for now in times[1:]))
+        columns = [_along(gamma, plan.time, (ca.fmin(a, end) + ca.fmin(b, end)) / 2) for a, b in pairwise(times)]
+        if rest.state is not None:
+            columns = [ca.if_else((a + b) / 2 < end, own, ca.DM(rest.force_density)) for own, (a, b) in zip(columns, pairwise(times), strict=True)]
+        held = ca.horzcat(*columns)
     strength, moving = float(gamma.mean()), scales.mass / scales.time**2  # moving: moves the mass by the structure's size within the duration
     return ca.Function("reference", [time], [ca.densify(wanted), ca.densify(held)]), strength if strength > NOTHING * moving else moving
 
@@ -325,6 +334,9 @@ def _goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
         raise ValueError(f"problem has {asked[0]}, which asks for a motion, not for one state to be held: plan first, then Mpc(problem, plan=plan)")
     target = find_target(problem, scales)
     state = target.start if target.state is None else target.state
+    rest = find_rest(problem.model, state, *problem.force_density_limits, ROUNDED * scales.length / scales.time)
+    if rest.state is not None:
+        return rest.state, rest.force_density
     return state, np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0])
 
 

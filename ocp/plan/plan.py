@@ -107,6 +107,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
     unknown: str = "it was made by hand"
 
     _track: ClassVar[Callable[..., Any]]  # ocp.control.lqr.track, likewise
+    _replay_tracked: ClassVar[Callable[..., Trajectory]]  # ocp.control.lqr.replay_tracked
     _solve: ClassVar[Callable[..., Plan]]  # ocp.solve.solve, which names itself here: it makes plans, and refining makes another
 
     def __post_init__(self) -> None:

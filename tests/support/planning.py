@@ -60,3 +60,15 @@ def integrated(plan, share=1.0):
             rate = lambda t, x, gamma=gamma: model.ode(x, gamma).full().ravel()  # noqa: E731
             state = solve_ivp(rate, (begin, end), state, "DOP853", rtol=1e-10, atol=1e-10).y[:, -1]
     return state
+
+
+def leaning_arm(bars, lean, weight=False, duration=1.0):
+    """Bars of 1 m on top of each other, hinged on the ground and to each other, each held by four strings: at first straight, its tip moves aside."""
+    joints = [(0.0, 0.0, float(level)) for level in range(bars + 1)]
+    around = [(x, y, float(level)) for level in range(bars) for x, y in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))]
+    strings = [(level + 1, bars + 1 + 4 * level + side) for level in range(bars) for side in range(4)]
+    pinned = [0, *range(bars + 1, bars + 1 + 4 * bars)]
+    structure = tc.Structure([*joints, *around], [(k, k + 1) for k in range(bars)], strings, pinned=pinned)
+    goals = [ocp.NodePositions({bars: (lean, 0.1, None)}), ocp.AtRest()]
+    model = driven(structure, gravity=tc.Gravity() if weight else None)
+    return ocp.Problem(model, duration, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 300.0)], costs=[ocp.Effort()])

@@ -1,0 +1,93 @@
+"""What holds a structure where it is: force densities of equilibrium, and the stationary regulator about it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.util.validate import Array
+
+BALANCE = 1e6  # what an acceleration weighs against the size of force densities, both in units of order one
+UNBALANCED = 1e-4  # of the accelerations that force densities bring about: what is left below is rounding
+DOUBLINGS = 10  # of the horizon of the stationary regulator: 1024 decisions
+
+
+class Equilibrium(NamedTuple):
+    """Force densities (α,), N/m, that hold a state at rest, and the largest acceleration that they leave, m/s²; coordinate: which has it."""
+
+    force_density: Array
+    left: float
+    coordinate: str
+    exact: bool
+
+
+def equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equilibrium:
+    """Find the least force densities (α,) within limits under which a state (nx,) at rest stays, with weights and all loads at its time.
+
+    Where none does, they leave the least accelerations.
+    """
+    count = model.nu
+    still = at_rest(model, state)
+    trials = np.column_stack([np.zeros(count), np.eye(count)])
+    free, *pulled = model.split(np.asarray(model.ode.map(count + 1)(still, trials).full()).T)[1]  # accelerations are linear in γ
+    A = np.array(pulled).T - free[:, None]
+    size = float(np.linalg.norm(A, 2)) or 1.0
+    strength = max(float(np.linalg.norm(np.linalg.lstsq(A, free)[0])), float(np.abs(lower).max(initial=0.0))) or 1.0
+    rows = np.concatenate([BALANCE * A / size, np.eye(count)])
+    wanted = np.concatenate([-BALANCE * free / size, np.zeros(count)]) / strength
+    gamma, loose = np.array(lower, dtype=float), lower < upper
+    if loose.any():
+        room = lower[loose] / strength, upper[loose] / strength
+        gamma[loose] = strength * scipy.optimize.lsq_linear(rows[:, loose], wanted - rows @ np.where(loose, 0.0, lower / strength), room, "bvls").x
+    left = np.abs(free + A @ gamma)
+    worst = int(np.argmax(left))
+    pull = max(float(np.abs(free).max()), float(np.abs(A).max(initial=0.0)) * strength)
+    return Equilibrium(np.clip(gamma, lower, upper), float(left[worst]), model.mechanism.coordinate_names[worst], bool(left[worst] <= UNBALANCED * pull))
+
+
+class Rest(NamedTuple):
+    """A state (nx,) at rest and force densities (α,) that hold it, or None and none; message: which, and why."""
+
+    state: Array | None
+    force_density: Array
+    message: str
+
+
+def find_rest(model: Model, end: Array, lower: Array, upper: Array, slow: float) -> Rest:
+    """Tell what holds a state (nx,) at which a motion ends. slow: speed of coordinates, m/s, that counts as rest."""
+    fastest = float(np.abs(model.split(end)[1]).max(initial=0.0))
+    if fastest > slow:
+        return Rest(None, np.zeros(0), f"the end is not held: it moves at {fastest:.2g} m/s")
+    found = equilibrium(model, end, lower, upper)
+    if not found.exact:
+        told = f"no force densities within their limits do: {found.coordinate} accelerates by {found.left:.2g} m/s² at best"
+        return Rest(None, np.zeros(0), f"the end is not held, as {told}")
+    return Rest(at_rest(model, end), found.force_density, f"the end is held by force densities up to {found.force_density.max(initial=0.0):.3g} N/m")
+
+
+def at_rest(model: Model, state: Array) -> Array:
+    """Return the state (nx,) without its velocities."""
+    still = np.array(state, dtype=float)
+    model.split(still)[1][:] = 0.0
+    return still
+
+
+def stationary_cost(a: Array, b: Array, Q: Array, R: Array) -> Array:
+    """Return P (d, d) of the cost δᵀ P δ of holding δ⁺ = a δ + b u for a long time, at Q and R for each decision.
+
+    The horizon doubles each time (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes which nothing sees or moves are no obstacle.
+    """
+    A, G, H = a, b @ scipy.linalg.solve(R, b.T, assume_a="pos"), Q
+    eye = np.eye(len(a))
+    for _ in range(DOUBLINGS):
+        inner = np.linalg.solve(eye + G @ H, np.column_stack([A, G]))
+        forward, spread = inner[:, : len(a)], inner[:, len(a) :]
+        G = G + A @ spread @ A.T
+        H = H + A.T @ H @ forward
+        A = A @ forward
+        G, H = (G + G.T) / 2, (H + H.T) / 2
+    return H
