@@ -10,7 +10,6 @@ import numpy as np
 from ocp.boundary.target import Target
 from ocp.condensed.method import solve_condensed
 from ocp.phases.method import solve_phased
-from ocp.plan.diagnosis import long_steps, measure_misses
 from ocp.plan.plan import Plan
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -23,11 +22,11 @@ from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess, evaluate_guess
-from ocp.transcription.mesh import held_values
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
+from ocp.verdict import judged
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
-from tenscasadi.util.validate import Array, instance, positive_number
+from tenscasadi.util.validate import Array, flag, instance, positive_number
 
 PHASE_INTERVALS = 20  # of each phase
 RELIABLE = 1e-2  # of the structure's size (and of it per duration): what a replay may miss by, unless a tolerance is stated
@@ -41,6 +40,7 @@ def solve(
     tolerance: float | None = None,
     *,
     seconds: float | None = None,
+    tracked: bool = False,
 ) -> Plan:
     """Find a plan of force densities for a problem.
 
@@ -62,6 +62,8 @@ def solve(
     seconds : float, optional
         Wall time, s, that all of it may take: building, solving, replaying. When it is over, the plan is the best so far, without success. By
         default there is no limit.
+    tracked : bool
+        Whether the replay that decides on success is under `track`, in closed loop: for motions along which errors grow.
 
     Returns
     -------
@@ -92,6 +94,7 @@ def solve(
     True
     """
     instance("problem", problem, Problem, "an ocp.Problem")
+    flag("tracked", tracked)
     if solver is None:
         solver = Sampling() if transcription is None and problem.model.scene.grounds and not problem.phases and not problem.free_start else Ipopt()
     if transcription is None:
@@ -112,7 +115,7 @@ def solve(
         target, scales = prepare(problem, transcription)
         outcome = _find(problem, transcription, target, scales, guess, solver, deadline)
     plan = _plan(problem, transcription, solver, outcome, time.perf_counter() - began)
-    return _judged(plan, target, outcome, limit)
+    return judged(replace(plan, tracked=tracked), target, outcome, limit)
 
 
 Plan._solve = staticmethod(solve)
@@ -161,52 +164,6 @@ def _plan(problem: Problem, transcription: Transcription, solver: Solver | Conde
         solver=solver,
         unknown="",
     )
-
-
-def _judged(plan: Plan, target: Target, found: Outcome, tolerance: float) -> Plan:
-    """Return the plan with the errors of its replay, whether it is a success, and what is to be said of it."""
-    error, speed_error = _replay_errors(plan, target.begin_at(found.states[0]))
-    plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
-    success, verdict = _verdict(plan, found, tolerance)
-    ends = f"its replay ends {error:.2g} m and {speed_error:.2g} m/s from the goal" if np.isfinite(error) else "its replay diverges"
-    return replace(plan, success=success, message="; ".join(part for part in (verdict, found.imposed, ends) if part))
-
-
-def _verdict(plan: Plan, found: Outcome, tolerance: float) -> tuple[bool, str]:
-    """Tell whether the plan is a success, and what is to be said of it."""
-    if not found.success:
-        return False, found.why
-    if plan.worst_error <= tolerance:
-        return True, f"found after {found.iterations} iterations"
-    model, transcription = plan.known_model("solve"), plan.transcription
-    too_long = ""
-    if found.time is None and transcription is not None:
-        step = transcription.longest_step(found.duration)
-        too_long = long_steps(model, found.states, held_values(found.force_density, transcription.count), step, found.duration)
-    cure = too_long or "give more intervals, or substeps"
-    if plan.problem is not None and plan.problem.phases:
-        cure = "give a harder ground, more damping of it, or longer phases"
-    beyond = f"its replay misses the goal by more than {tolerance:.2g} m (or {tolerance:.2g} m per duration)"
-    return False, f"too coarse: a plan was found after {found.iterations} iterations, but {beyond}: {cure}, or plan.refine({tolerance:.2g})"
-
-
-def _replay_errors(plan: Plan, target: Target) -> tuple[float, float]:
-    """Measure how far the replay ends from the goals; without goals for the place (or speed) from the plan. NaN where it does not get there."""
-    if not np.all(np.isfinite(plan.force_density)) or not plan.time[-1] > 0:
-        return np.nan, np.nan
-    replayed = plan.replay()
-    if not replayed.success:
-        return np.nan, np.nan
-    times = replayed.time / replayed.time[-1]
-    missed = measure_misses(target, lambda share: np.array([np.interp(share, times, column) for column in replayed.states.T]))
-    metres, speeds = ([amount for amount, _ in rows] for rows in missed)
-    if not metres:
-        metres = np.linalg.norm(replayed.nodes[-1] - plan.trajectory.nodes[-1], axis=1).tolist()
-    if not speeds and plan.problem is not None and plan.problem.model.scene.grounds and any(part.names for _, part, _ in target.instants):
-        speeds = [0.0]  # on a ground that gives way nodes vibrate: what has no goal is not measured
-    if not speeds:
-        speeds = np.linalg.norm(replayed.velocities[-1] - plan.trajectory.velocities[-1], axis=1).tolist()
-    return float(max(metres)), float(max(speeds))
 
 
 def _trajectory(problem: Problem, mesh: Array, found: Outcome) -> Trajectory:

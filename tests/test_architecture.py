@@ -26,7 +26,7 @@ OCP = (
     {"solvers", "presolve"},
     "sampling",
     "plan",
-    {"program", "phases", "condensed"},
+    {"program", "phases", "condensed", "verdict"},
     {"control", "solve"},
     "export",
 )

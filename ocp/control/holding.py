@@ -46,7 +46,9 @@ def equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equil
     left = np.abs(free + A @ gamma)
     worst = int(np.argmax(left))
     pull = max(float(np.abs(free).max()), float(np.abs(A).max(initial=0.0)) * strength)
-    return Equilibrium(np.clip(gamma, lower, upper), float(left[worst]), model.mechanism.coordinate_names[worst], bool(left[worst] <= UNBALANCED * pull))
+    return Equilibrium(
+        np.clip(gamma, lower, upper), float(left[worst]), model.mechanism.coordinate_names[worst], bool(left[worst] <= UNBALANCED * pull)
+    )
 
 
 class Rest(NamedTuple):
@@ -57,12 +59,19 @@ class Rest(NamedTuple):
     message: str
 
 
-def find_rest(model: Model, end: Array, lower: Array, upper: Array, slow: float) -> Rest:
-    """Tell what holds a state (nx,) at which a motion ends. slow: speed of coordinates, m/s, that counts as rest."""
+def find_rest(model: Model, end: Array, lower: Array, upper: Array, slow: float, margin: float = 0.0) -> Rest:
+    """Tell what holds a state (nx,) at which a motion ends. slow: speed of coordinates, m/s, that counts as rest.
+
+    margin: distance from the limits, N/m, that force densities keep where they can. A regulator about strings at their limits could only
+    tighten them: with half of what it counts on it is hardly stable.
+    """
     fastest = float(np.abs(model.split(end)[1]).max(initial=0.0))
     if fastest > slow:
         return Rest(None, np.zeros(0), f"the end is not held: it moves at {fastest:.2g} m/s")
-    found = equilibrium(model, end, lower, upper)
+    room = np.minimum(margin, (upper - lower) / 2)
+    found = equilibrium(model, end, lower + room, upper - room)
+    if margin and not found.exact:
+        found = equilibrium(model, end, lower, upper)
     if not found.exact:
         told = f"no force densities within their limits do: {found.coordinate} accelerates by {found.left:.2g} m/s² at best"
         return Rest(None, np.zeros(0), f"the end is not held, as {told}")

@@ -201,7 +201,7 @@ def track(
     time = np.linspace(0.0, T, count + 1)
     gamma = profile_at(plan.force_density, plan.time, (time[:-1] + time[1:]) / 2)
     states = _planned(plan, model, time)
-    rest = find_rest(model, plan.trajectory.states[-1], *own, size / T)
+    rest = find_rest(model, plan.trajectory.states[-1], *own, size / T, force)
     try:
         with np.errstate(all="ignore"):  # what overflows is told
             gains = _regulate(model, states, gamma, rest, T / count, departures(model, size, 10 * size / T), force**-2)

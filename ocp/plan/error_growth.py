@@ -10,7 +10,7 @@ from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
-UNSTABLE = 1e4  # errors that grow more are told: vibrations and drift multiply them by a hundred or so
+UNSTABLE = 1e3  # errors that grow more are told: vibrations and drift multiply them by ten or so
 MOST_WORK = 2e10  # products of numbers, about a second: beyond, several intervals share a linearisation
 
 
@@ -30,7 +30,7 @@ def grown_errors(model: Model, time: Array, states: Array, force_density: Array)
     middle = _middle(model, states[nodes], lengths)
     T, eye = float(time[-1] - time[0]), np.eye(model.nx)
     scale = np.concatenate([np.ones(model.nq), np.full(model.nq, T), np.ones(model.nx - 2 * model.nq)])
-    dynamics = Dynamics(model)
+    dynamics = Dynamics.of(model)
     Q, _ = np.linalg.qr(scale[:, None] * Tangents(model, states[0])(states[0]))
     with np.errstate(all="ignore"):
         at = dynamics.linearise(middle, gamma)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ocp.boundary.target import Target
+from ocp.plan.error_growth import grown_errors
 from ocp.plan.many_replays import measure_robustness
 from ocp.plan.mesh_refinement import refine_mesh
 from ocp.plan.planned_forces import PlannedForces
@@ -76,6 +78,8 @@ class Plan(PlannedForces, ReadOnlyArrays):
         What was asked, how it was made a program, and what solved it; None where a file does not hold it, and `unknown` says why.
     unknown : str
         See above.
+    tracked : bool
+        Whether the replay of these errors is under `track`.
 
     Examples
     --------
@@ -105,6 +109,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
     transcription: Transcription | None = None
     solver: Solver | CondensedNewton | Sampling | None = None
     unknown: str = "it was made by hand"
+    tracked: bool = False
 
     _track: ClassVar[Callable[..., Any]]  # ocp.control.lqr.track, likewise
     _replay_tracked: ClassVar[Callable[..., Trajectory]]  # ocp.control.lqr.replay_tracked
@@ -138,8 +143,19 @@ class Plan(PlannedForces, ReadOnlyArrays):
             f"replay        ends {self.replay_error:.2g} m and {self.replay_speed_error:.2g} m/s from the goal"
         )
 
-    def replay(self, scheme: Scheme | None = None, step: float | None = None) -> Trajectory:
-        """Simulate the motion under the planned force densities, from the plan's start, without corrections.
+    @cached_property
+    def error_growth(self) -> float:
+        """How many times larger small errors of the start can be at the end of the open-loop motion, in m, and m per duration of speed.
+
+        The largest singular value of the motion's state transition: a few for calm motions, thousands where it is unstable. inf where it
+        overflows; NaN where it is not known, as of plans with phases, whose impacts have no derivative.
+        """
+        if self.problem is not None and self.problem.phases:
+            return np.nan
+        return grown_errors(self.known_model("error_growth"), self.time, self.trajectory.states, self.force_density)
+
+    def replay(self, scheme: Scheme | None = None, step: float | None = None, *, tracked: bool = False) -> Trajectory:
+        """Simulate the motion under the planned force densities, from the plan's start, without corrections or under `track`.
 
         Parameters
         ----------
@@ -147,6 +163,8 @@ class Plan(PlannedForces, ReadOnlyArrays):
             Integration scheme. Default: `RungeKutta4()`.
         step : float, optional
             Longest step, s. Default: a tenth of an interval, less where nodes on a ground ask for it.
+        tracked : bool
+            Whether `track` keeps to the plan, in steps of its own: of `RungeKutta4`, a tenth of an interval long.
 
         Returns
         -------
@@ -158,6 +176,11 @@ class Plan(PlannedForces, ReadOnlyArrays):
         TypeError, ValueError
             An argument is wrong, or the model is not known: a loaded plan whose scene has functions of time.
         """
+        flag("tracked", tracked)
+        if tracked:
+            if scheme is not None or step is not None:
+                raise ValueError("scheme and step are given, and tracked is True, which has steps of its own: leave them out")
+            return self._replay_tracked(self)
         model, scheme = self.known_model("replay"), RungeKutta4() if scheme is None else scheme
         check_scheme(scheme)
         size = None if step is None else positive_number("step", step)

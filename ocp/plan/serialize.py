@@ -61,12 +61,15 @@ _VALUES = {  # in NumPy's letters what they are
     "seconds": "f",
     "replay_error": "f",
     "replay_speed_error": "f",
+    "tracked": "b",
 }
+_ADDED = {"tracked": False}  # what older files do not hold
 
 
 def plan_arrays(plan: Mapping[str, Any]) -> dict[str, Array]:
     """Return a plan's fields as arrays by name."""
     model, duals, motion = plan["model"], plan["duals"], plan["trajectory"]
+    plan = {**_ADDED, **plan}
     content = {name: np.asarray(plan[name]) for name in (*_VALUES, "time", "force_density")}
     content |= {f"trajectory.{field.name}": np.asarray(getattr(motion, field.name)) for field in fields(Trajectory)}
     content |= structure_to_arrays(plan["structure"]) if model is None else model_to_arrays(model, motion.states[:, -1])
@@ -77,7 +80,7 @@ def plan_arrays(plan: Mapping[str, Any]) -> dict[str, Array]:
 
 def plan_fields(content: Fields) -> dict[str, Any]:
     """Return the fields of a plan that `plan_arrays` told, but for how it was solved. Raises ValueError."""
-    values = {name: content.array(name, kind, 0).item() for name, kind in _VALUES.items()}
+    values = {name: content.array(name, kind, 0).item() if name in content or name not in _ADDED else _ADDED[name] for name, kind in _VALUES.items()}
     trajectory = Trajectory.from_arrays(content.within("trajectory."))
     _check_segments(content, trajectory.nodes.shape[1])
     model = model_from_arrays(content)

@@ -96,10 +96,12 @@ def planning_calls() -> dict[str, Call]:
                 "solver": ocp.Ipopt(max_iterations=3),
                 "guess": ocp.Equilibrium(),
                 "tolerance": 0.1,
+                "tracked": True,
             },
         ),
         "replay_wound": (ocp.replay_wound, {"plan": short_plan(), "stiffness": np.full(2, 1000.0), "damping": 0.0, "updates": 1}),
         "Plan.replay": (short_plan().replay, {"scheme": tc.RungeKutta4(), "step": 0.05}),
+        "Plan.replay, tracked": (short_plan().replay, {"tracked": True}),
         "Plan.refine": (short_plan().refine, {"tolerance": 0.1, "attempts": 1}),
         "Mpc": (
             ocp.Mpc,

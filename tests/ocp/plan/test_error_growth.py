@@ -74,11 +74,11 @@ def test_a_replay_that_errors_grow_along_is_not_called_too_coarse():
 
 
 def test_success_in_closed_loop(arm):
-    loose = ocp.solve(leaning_arm(3, 0.8), ocp.Variational(20), tolerance=1e-3, tracked=True)
+    loose = ocp.solve(leaning_arm(3, 0.8), ocp.Variational(20), tolerance=3e-3, tracked=True)
     assert loose.success, loose.message
     assert "under ocp.track" in loose.message
     kept = loose.replay(tracked=True)
-    assert abs(kept.nodes[-1, 3, :2] - [0.8, 0.1]).max() <= 1e-3
+    assert abs(kept.nodes[-1, 3, :2] - [0.8, 0.1]).max() <= 3e-3
     assert loose.replay_error == pytest.approx(abs(kept.nodes[-1, 3, :2] - [0.8, 0.1]).max(), abs=1e-9)
     alone = loose.replay()
     assert abs(alone.nodes[-1, 3, :2] - [0.8, 0.1]).max() > 1e-2

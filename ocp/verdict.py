@@ -1,0 +1,85 @@
+"""Whether a plan is a success: its replay against the goals, and what is to be said of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ocp.boundary.target import Target
+from ocp.plan.diagnosis import long_steps, measure_misses
+from ocp.plan.error_growth import UNSTABLE
+from ocp.plan.plan import Plan
+from ocp.solvers.base import Outcome
+from ocp.transcription.mesh import held_values
+
+_KEEP = "keep to it by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
+
+
+def judged(plan: Plan, target: Target, found: Outcome, tolerance: float) -> Plan:
+    """Return the plan with the errors of its replay, whether it is a success, and what is to be said of it."""
+    error, speed_error, why = _replay_errors(plan, target.begin_at(found.states[0]))
+    plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
+    success, verdict = _verdict(plan, found, tolerance)
+    how = "its replay under ocp.track" if plan.tracked else "its replay"
+    ends = f"{how} ends {error:.2g} m and {speed_error:.2g} m/s from the goal" if np.isfinite(error) else why or f"{how} diverges"
+    return replace(plan, success=success, message="; ".join(part for part in (verdict, found.imposed, ends) if part))
+
+
+def _verdict(plan: Plan, found: Outcome, tolerance: float) -> tuple[bool, str]:
+    """Tell whether the plan is a success, and what is to be said of it."""
+    growth = "" if np.isnan(found.states).any() else _told_growth(plan)
+    if not found.success:
+        return False, f"{found.why}; {growth}" if growth and plan.duals is not None else found.why
+    if plan.worst_error <= tolerance:
+        return True, f"found after {found.iterations} iterations" + (f"; {growth}: {_KEEP}" if growth else "")
+    beyond = f"its replay misses the goal by more than {tolerance:.2g} m (or {tolerance:.2g} m per duration)"
+    told = f"a plan was found after {found.iterations} iterations, but {beyond}"
+    if growth and not plan.tracked:
+        return False, f"{growth}: {told}: {_KEEP}, and judge it so by solve(..., tracked=True), or give plan.refine({tolerance:.2g})"
+    return False, f"too coarse: {told}: {_finer(plan, found)}, or plan.refine({tolerance:.2g})"
+
+
+def _told_growth(plan: Plan) -> str:
+    if plan.known_model("solve").scene.grounds:
+        return ""  # contact begins and ends a little sooner or later: no derivative tells
+    growth = plan.error_growth
+    return f"open-loop unstable: errors grow {growth:.2g}-fold" if growth > UNSTABLE else ""
+
+
+def _finer(plan: Plan, found: Outcome) -> str:
+    """Tell what makes a replay miss less."""
+    if plan.problem is not None and plan.problem.phases:
+        return "give a harder ground, more damping of it, or longer phases"
+    too_long = ""
+    if found.time is None and plan.transcription is not None:
+        held, step = held_values(found.force_density, plan.transcription.count), plan.transcription.longest_step(found.duration)
+        too_long = long_steps(plan.known_model("solve"), found.states, held, step, found.duration)
+    return too_long or "give more intervals, or substeps"
+
+
+def _replay_errors(plan: Plan, target: Target) -> tuple[float, float, str]:
+    """Measure how far the replay ends from the goals; without goals for the place (or speed) from the plan.
+
+    NaN where it does not get there, and why, where that is known.
+    """
+    if not np.all(np.isfinite(plan.force_density)) or not plan.time[-1] > 0:
+        return np.nan, np.nan, ""
+    try:
+        replayed = plan.replay(tracked=plan.tracked)
+    except ValueError as error:
+        if not plan.tracked:
+            raise
+        return np.nan, np.nan, f"ocp.track does not keep to it: {error}"
+    if not replayed.success:
+        return np.nan, np.nan, ""
+    times = replayed.time / replayed.time[-1]
+    missed = measure_misses(target, lambda share: np.array([np.interp(share, times, column) for column in replayed.states.T]))
+    metres, speeds = ([amount for amount, _ in rows] for rows in missed)
+    if not metres:
+        metres = np.linalg.norm(replayed.nodes[-1] - plan.trajectory.nodes[-1], axis=1).tolist()
+    if not speeds and plan.problem is not None and plan.problem.model.scene.grounds and any(part.names for _, part, _ in target.instants):
+        speeds = [0.0]  # on a ground that gives way nodes vibrate: what has no goal is not measured
+    if not speeds:
+        speeds = np.linalg.norm(replayed.velocities[-1] - plan.trajectory.velocities[-1], axis=1).tolist()
+    return float(max(metres)), float(max(speeds)), ""
