@@ -1,4 +1,4 @@
-"""What holds a structure where it is: force densities of equilibrium, and the stationary regulator about it."""
+"""Holding a structure where it is: force densities of equilibrium, and the stationary regulator about it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from tenscasadi.util.validate import Array
 
 BALANCE = 1e6  # what an acceleration weighs against the size of force densities, both in units of order one
 UNBALANCED = 1e-4  # of the accelerations that force densities bring about: what is left below is rounding
+RUINOUS = 1e9  # times the cost of one decision: what nothing steadies costs more
 DOUBLINGS = 10  # of the horizon of the stationary regulator: 1024 decisions
 
 
@@ -88,15 +89,18 @@ def at_rest(model: Model, state: Array) -> Array:
 def stationary_cost(a: Array, b: Array, Q: Array, R: Array) -> Array:
     """Return P (d, d) of the cost δᵀ P δ of holding δ⁺ = a δ + b u for a long time, at Q and R for each decision.
 
-    The horizon doubles each time (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes which nothing sees or moves are no obstacle.
+    The horizon doubles each time (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes which nothing sees or moves are no obstacle; it ends
+    where the cost of those that nothing steadies leaves no digits for others.
     """
     A, G, H = a, b @ scipy.linalg.solve(R, b.T, assume_a="pos"), Q
     eye = np.eye(len(a))
     for _ in range(DOUBLINGS):
         inner = np.linalg.solve(eye + G @ H, np.column_stack([A, G]))
         forward, spread = inner[:, : len(a)], inner[:, len(a) :]
-        G = G + A @ spread @ A.T
-        H = H + A.T @ H @ forward
+        longer = H + A.T @ H @ forward
+        if not np.abs(longer).max(initial=0.0) <= RUINOUS * np.abs(Q).max(initial=0.0):
+            break
+        G, H = G + A @ spread @ A.T, longer
         A = A @ forward
         G, H = (G + G.T) / 2, (H + H.T) / 2
     return H

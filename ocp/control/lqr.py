@@ -32,7 +32,7 @@ STEPS = 10  # of a replay for each decision
 
 
 class Hold(NamedTuple):
-    """What a tracker does after its plan: γ = force_density − gains (x − state) within limits; state (nx,), force_density (α,), gains (α, nx)."""
+    """How a tracker goes on after its plan: γ = force_density − gains (x − state) within limits; state (nx,), force_density (α,), gains (α, nx)."""
 
     state: Array
     force_density: Array

@@ -26,7 +26,7 @@ class Solution(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a method found for a problem, before it is replayed; where there is no plan, its best.
+    """The result of a method for a problem, before it is replayed; where there is no plan, its best.
 
     states (K + 1, nx), force_density (K or K + 1, α) and duration, s; objective: sum of the costs; success, status, iterations: the method's own
     word; duals: multipliers, None where no optimum was found; gap: m, how far states are from those of fine steps where an accuracy was asked

@@ -48,6 +48,14 @@ def test_the_cost_of_holding_is_that_of_the_algebraic_equation():
     np.testing.assert_allclose(stationary_cost(a, b, Q, R), scipy.linalg.solve_discrete_are(a, b, Q, R), rtol=1e-8)
 
 
+def test_what_nothing_steadies_does_not_spoil_the_rest():
+    """A mode that grows and that no control moves, beside one that is controlled."""
+    a, b = np.diag([1.0, 3.0]), np.array([[1.0], [0.0]])
+    P = stationary_cost(a, b, np.eye(2), np.eye(1))
+    assert P[0, 0] == pytest.approx((1 + np.sqrt(5)) / 2)  # P = 1 + P / (1 + P)
+    assert P[0, 1] == 0.0
+
+
 @pytest.fixture(scope="module")
 def arm():
     """Three hinged bars on top of each other, at first straight: unstable."""
