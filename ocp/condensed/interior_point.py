@@ -102,16 +102,15 @@ class Search:
         w = self.limits.inside(w, 0.05, 0.05)
         point, expansion = point_at(of, w, motion), of.about(w, motion)
         drift = expansion.change(expansion.follow(None, point.left.rows))
-        first = self._projector(expansion, 0.0, np.zeros_like(w))[1].shortest(point.left.goals + drift)
+        first = self._projector(expansion, np.zeros_like(w)).shortest(point.left.goals + drift)
         inside = self.limits.inside(w, float(np.sqrt(np.mean(first**2))), 0.2)
         if of.free_duration:
             inside[-1] = w[-1]
         return inside
 
-    def _projector(self, expansion: Expansion, more: float, stiffness: Array) -> tuple[Metric, Projector]:
-        diagonal = self.base + stiffness + more
-        metric = Metric(np.where(self.limits.free, diagonal, 1e300), self.coupling)
-        return metric, Projector(expansion.jacobian * self.limits.free, metric, DAMPING)
+    def _projector(self, expansion: Expansion, stiffness: Array) -> Projector:
+        metric = Metric(np.where(self.limits.free, self.base + stiffness, 1e300), self.coupling)
+        return Projector(expansion.jacobian, metric, DAMPING)
 
     def _stand(self, point: Point) -> None:
         """Move to a point."""
@@ -120,8 +119,10 @@ class Search:
         self.slope = self.of.slope(point.w) * self.limits.free
         self.gradient = self.slope + self.mu * self.limits.barrier_slope(point.w)
         self.history.append((point.cost, point.worst))
+        self.stiffness = self.duals.stiffness(point.w) * self.limits.free
+        self.projector = self._projector(self.expansion, self.stiffness)
         if self.iterations:
-            nearest = self._projector(self.expansion, 0.0, self.duals.stiffness(point.w))[1].multipliers(self.gradient)
+            nearest = self.projector.multipliers(self.gradient)
             if self.iterations < 3 or np.abs(nearest).max(initial=0.0) < 3 * np.abs(self.multipliers).max(initial=0.0):
                 self.multipliers = nearest
 
@@ -155,16 +156,17 @@ class Search:
         if max(self.error(self.mu), CENTRED * self.point.worst) < CENTRED * self.mu / self.unit or self._still(2, SETTLED):
             self.mu = max(LEAST_BARRIER * self.unit, FEWER * self.mu)
             self.gradient = self.slope + self.mu * self.limits.barrier_slope(self.point.w)
-        stiffness, more = self.duals.stiffness(self.point.w) * self.limits.free, 0.0
+        stiffness, more = self.stiffness, self.stiffened / 3 if self.stiffened > 0.1 * self.unit else 0.0
+        self.stiffened = more
         exact = self.iterations > 0
         if exact:
             self.expansion.weigh(self.multipliers)
         while more <= GIVEN_UP * self.unit:
-            metric, projector = self._projector(self.expansion, more, stiffness)
-            model = Model(self.expansion, stiffness + more, metric, projector, self.gradient, exact)
+            projector = self._projector(self.expansion, stiffness + more) if more else self.projector
+            model = Model(self.expansion, stiffness + more, projector, self.gradient, exact)
             step = model.step(*self.point.left, self.radius)
             if step.bent and more < STIFFENING * self.unit:
-                more = 4 * more if more else max(self.stiffened / 3, 0.05 * self.unit)
+                more = max(4 * more, 0.05 * self.unit)
                 self.stiffened = more
                 continue
             reached = self._tried(step, projector)
@@ -254,7 +256,7 @@ def polish(of: ReducedProblem, point: Point, tolerance: float, most: int = 12) -
         expansion = of.about(point.w, point.motion)
         low, high = limits.gaps(point.w)
         room = np.minimum(np.minimum(low, high), 0.5) + 1e-9
-        projector = Projector(expansion.jacobian * limits.free, Metric(np.where(limits.free, 1 / room, 1e300), None), DAMPING)
+        projector = Projector(expansion.jacobian, Metric(np.where(limits.free, 1 / room, 1e300), None), DAMPING)
         drift = expansion.change(expansion.follow(None, point.left.rows))
         d = limits.cut(point.w, -projector.shortest(point.left.goals + drift), 0.999, 0.0)
         step = expansion.follow(d, point.left.rows)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from ocp.condensed.chain import Chain, Motion, Rows
 from tenscasadi.util.validate import Array
@@ -108,9 +109,9 @@ class LinearChain:
         """Return the derivatives (K + X, α, r) of Σ μᵀ rows by T²σγ at the stations, of multipliers μ (K + X, 3n, r)."""
         chain = self.chain
         count, columns = len(impulses), impulses.shape[2]
-        spread = chain.C_s @ impulses.reshape(count, chain.nodes, 3 * columns).transpose(1, 0, 2).reshape(chain.nodes, -1)
-        spread = spread.reshape(-1, count, 3, columns)
-        return np.asarray(np.einsum("sica,isc->isa", spread, self.S, optimize=True))
+        if columns == 1:
+            return np.asarray((chain.across(chain.C_s, impulses.reshape(count, -1, 3)) * self.S).sum(axis=2)[:, :, None])
+        return np.matmul(member_directions(chain.C_sT, self.S).transpose(0, 2, 1), impulses)
 
     def of_strings(self, strings: Array) -> Array:
         """Return what changes (K + X, α) of T²σγ push: M⁻ times impulses (K + X, 3n)."""
@@ -139,6 +140,10 @@ class LinearChain:
 
 def bar_directions(chain: Chain, places: Array) -> Array:
     """Return C_bᵀ ∘ b (P, 3n, β) of places (P, n, 3): where each bar pushes the nodes."""
-    C_T, vectors = chain.C_bT.toarray(), chain.across(chain.C_b, places)
-    product: Any = C_T[None, :, None, :] * vectors.transpose(0, 2, 1)[:, None]
-    return np.asarray(product.reshape(len(vectors), -1, chain.bars))
+    return member_directions(chain.C_bT, chain.across(chain.C_b, places))
+
+
+def member_directions(C_T: sp.csr_array, vectors: Array) -> Array:
+    """Return Cᵀ ∘ s (P, 3n, m) of members' vectors (P, m, 3)."""
+    product: Any = C_T.toarray()[None, :, None, :] * vectors.transpose(0, 2, 1)[:, None]
+    return np.asarray(product.reshape(len(vectors), -1, C_T.shape[1]))

@@ -62,8 +62,13 @@ class Projector:
 
     def __init__(self, jacobian: Array, metric: Metric, damping: float) -> None:
         self.jacobian, self.metric = jacobian, metric
-        self.spread = np.ascontiguousarray(metric.solve(jacobian.T).T)  # J D⁻¹
-        matrix = self.spread @ jacobian.T
+        if metric.coupling is None:
+            half = jacobian / np.sqrt(metric.diagonal)
+            matrix = scipy.linalg.blas.dsyrk(1.0, half.T, trans=1, lower=1)  # the lower half
+            self.spread = half / np.sqrt(metric.diagonal)  # J D⁻¹
+        else:
+            self.spread = np.ascontiguousarray(metric.solve(jacobian.T).T)
+            matrix = self.spread @ jacobian.T
         count = len(matrix)
         matrix[range(count), range(count)] += damping * max(np.trace(matrix) / max(count, 1), 1e-300)
         self._factor = scipy.linalg.cho_factor(matrix, lower=True, check_finite=False) if count else None

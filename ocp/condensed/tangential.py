@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp.condensed.chain import Rows
-from ocp.condensed.metric import Metric, Projector
+from ocp.condensed.metric import Projector
 from ocp.condensed.reduced import Expansion
 from tenscasadi.util.validate import Array
 
@@ -36,8 +36,8 @@ class Step(NamedTuple):
 class Model:
     """The quadratic model of costs and barriers about a point: exact, or, without multipliers, its metric alone."""
 
-    def __init__(self, expansion: Expansion, stiffness: Array, metric: Metric, projector: Projector, gradient: Array, exact: bool) -> None:
-        self.expansion, self.stiffness, self.metric, self.projector = expansion, stiffness, metric, projector
+    def __init__(self, expansion: Expansion, stiffness: Array, projector: Projector, gradient: Array, exact: bool) -> None:
+        self.expansion, self.stiffness, self.metric, self.projector = expansion, stiffness, projector.metric, projector
         self.gradient, self.exact = gradient, exact
 
     def times(self, step: Array, rows: Rows | None = None) -> Array:
