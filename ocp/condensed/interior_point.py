@@ -17,6 +17,7 @@ from ocp.condensed.tangential import Model, Step
 from tenscasadi.util.validate import Array
 
 DAMPING = 1e-12  # of J D⁻¹ Jᵀ, relative to its mean diagonal: rows that nothing moves stay harmless
+ROOM, UNEVEN = 0.3, 0.1  # of the first step: distance of the start from limits; of that: noise on it
 NEAR_LIMIT = 0.99  # the share of the way to a limit that a step may take
 LEAST_ROOM = 1e-2  # before limits, times μ in units of the costs' curvature
 SPREAD = 100.0  # how far multipliers of limits may be from μ over the distance
@@ -24,6 +25,7 @@ FEWER = 0.2  # factor of μ from one barrier problem to the next
 LEAST_BARRIER = 1e-5  # μ, in units of the costs' curvature
 CENTRED = 10.0  # times μ: a smaller error ends a barrier problem
 CORRECTIONS = 3  # of a trial point, towards goals and motion
+WIDE = 0.1  # of order-one rows: the funnel's width while barriers are high
 NEARLY_MET = 1e-3  # of order-one rows: is not corrected further
 STIFFENING = 100.0  # most that is added to the metric against negative curvature, in units of the costs' curvature
 GIVEN_UP = 1e4  # the same where no step is accepted
@@ -97,13 +99,18 @@ class Search:
         self.last: Step | None = None
 
     def _start(self, w: Array, motion: Motion) -> Array:
-        """Return w as far inside the limits as the first step towards the goals is long: from near limits, steps are short."""
+        """Return w as far inside the limits as the first step towards the goals is long: from near limits, steps are short.
+
+        Noise takes symmetries from it, always in the same way: what a symmetric start leads to is often no minimum, but a saddle.
+        """
         of = self.of
         w = self.limits.inside(w, 0.05, 0.05)
         point, expansion = point_at(of, w, motion), of.about(w, motion)
         drift = expansion.change(expansion.follow(None, point.left.rows))
         first = self._projector(expansion, np.zeros_like(w)).shortest(point.left.goals + drift)
-        inside = self.limits.inside(w, float(np.sqrt(np.mean(first**2))), 0.2)
+        level = ROOM * float(np.sqrt(np.mean(first**2)))
+        inside = self.limits.inside(w, level, 0.2)
+        inside = self.limits.inside(inside + UNEVEN * level * np.random.default_rng(0).uniform(size=len(w)), 0.05, 0.05)
         if of.free_duration:
             inside[-1] = w[-1]
         return inside
@@ -210,7 +217,7 @@ class Search:
         return LEAST_ROOM * self.mu / self.unit
 
     def _close(self, point: Point) -> bool:
-        nearly = min(NEARLY_MET, max(1e-6, 1e-2 * self.mu / self.unit))
+        nearly = min(NEARLY_MET, max(1e-6, 0.1 * self.mu / self.unit))
         return point.worst < nearly or (point.theta < 0.5 * self.point.theta and self.point.worst > 10 * nearly)
 
     def _better(self, point: Point, step: Step, share: float) -> bool:
@@ -220,7 +227,7 @@ class Search:
         if (step.slope < 0 and self.point.worst < 0.1 * self.funnel) or self.point.worst < 1e-7:
             before, after = (one.cost + self.mu * self.limits.barrier(one.w) for one in (self.point, point))
             return bool(after <= before + 1e-4 * share * step.slope + 1e-10 * abs(before))
-        return point.theta <= 0.9 * self.point.theta or point.worst < 0.5 * self.point.worst
+        return point.theta <= (1 - 0.1 * share) * self.point.theta
 
     def _move(self, step: Step, point: Point, share: float) -> None:
         before = self.point
@@ -229,7 +236,7 @@ class Search:
         elif share < 0.3 and (step.tangential > 0.5 * step.normal or step.hit):
             self.radius = max(2 * share * step.tangential, 1e-3 * float(np.sqrt(len(point.w) * self.unit)))
         if point.worst < 0.9 * before.worst or point.worst < 0.1 * self.funnel:
-            least = min(1e-2, 10 * self.mu / self.unit)
+            least = min(WIDE, self.mu / self.unit)
             self.funnel = min(self.funnel, max(0.5 * self.funnel, 10 * point.worst, least))
         self.duals.follow(before.w, point.w, step.d, self.mu, self._most(), SPREAD)
         self.multipliers = self.multipliers + share * (step.multipliers - self.multipliers)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ocp.boundary.sensitivities import find_controlled
 from ocp.boundary.target import Target
+from ocp.condensed.correction import Corrected, correct
 from ocp.condensed.interior_point import Found, Point, polish, solve
 from ocp.condensed.motions import first_motion, states_of
 from ocp.condensed.objective import foreign_costs
@@ -21,13 +22,15 @@ from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess
-from ocp.transcription.mesh import group_matrix, node_values, spans
+from ocp.transcription.mesh import node_values
 from ocp.transcription.variables import control_names
 from ocp.transcription.variational import Variational
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import Array
 
 MET = 1e-9  # in order-one rows: the motion and the goals that are imposed are met
 POLISHED = 1e-11  # what is aimed at
+SOLVED = ("optimal", "settled")
+TOO_COARSE = "too coarse: corrections end {:.2g} m from fine steps, not {:.2g} m: give more intervals"
 _PASSES = "give a goal that the motion passes"
 WHY = {
     "iterations": "stopped at the iteration limit: raise max_iterations of the solver",
@@ -73,32 +76,27 @@ def solve_condensed(
         reduced, w, imposed = _reduced(problem, transcription, target, scales, guess)
         motion = first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states)
         found = solve(reduced, w, motion, solver.tolerance, solver.max_iterations, deadline, solver.verbose)
-        point = polish(reduced, found.point, POLISHED)
-        return _outcome(problem, transcription, target, imposed, reduced, found, point)
+        corrected = Corrected(polish(reduced, found.point, POLISHED), None, 0.0)
+        if transcription.accuracy is not None and corrected.point.worst <= MET and found.status in SOLVED:
+            corrected = correct(reduced, corrected.point, transcription.control.linear, transcription.accuracy, MET, deadline)
+        return _outcome(problem, transcription, (target, imposed), reduced, found, corrected)
 
 
 def _reduced(problem: Problem, transcription: Transcription, target: Target, scales: Scales, guess: Guess) -> tuple[ReducedProblem, Array, Target]:
     """Return the problem in force densities, where these start, and the target without rows that they do not move there."""
-    linear, together = transcription.control.linear, group_matrix(transcription.control, problem.model.nu)
-    gamma = node_values(guess.force_density, transcription.fractions) if linear else guess.force_density
-    begins, span = _held(transcription)
-    gamma = np.add.reduceat(gamma, begins) / np.bincount(span)[:, None]
+    gamma = node_values(guess.force_density, transcription.fractions) if transcription.control.linear else guess.force_density
     strength = max(float(np.sqrt(np.mean(guess.force_density**2))), scales.mass / scales.time**2)
     cost = typical_cost(problem, strength, guess.states, guess.force_density, guess.duration)
     reduced = ReducedProblem(problem, transcription, target, scales, strength, cost)
-    w = np.clip(reduced.joined(gamma @ (together / together.sum(axis=0)), guess.duration) / reduced.units, reduced.lower, reduced.upper)
+    gamma = np.add.reduceat(gamma, reduced.begins) / np.bincount(reduced.span)[:, None]
+    w = np.clip(
+        reduced.joined(gamma @ (reduced.together / reduced.together.sum(axis=0)), guess.duration) / reduced.units, reduced.lower, reduced.upper
+    )
     jacobian = reduced.about(w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states)).jacobian
     imposed = _controlled(target, jacobian)
     if imposed is not target:
         reduced = ReducedProblem(problem, transcription, imposed, scales, strength, cost)
     return reduced, w, imposed
-
-
-def _held(transcription: Transcription) -> tuple[Indices, Indices]:
-    """Return where each of the force densities begins that are unknowns, and which of them each interval (of linear profiles, each node) has."""
-    linear = transcription.control.linear
-    span = np.arange(transcription.count + 1) if linear else spans(transcription.control, transcription.fractions)
-    return np.unique(span, return_index=True)[1], span
 
 
 def _controlled(target: Target, jacobian: Array) -> Target:
@@ -115,25 +113,33 @@ def _controlled(target: Target, jacobian: Array) -> Target:
 
 
 def _outcome(
-    problem: Problem, transcription: Transcription, target: Target, imposed: Target, reduced: ReducedProblem, found: Found, point: Point
+    problem: Problem,
+    transcription: Transcription,
+    targets: tuple[Target, Target],
+    reduced: ReducedProblem,
+    found: Found,
+    corrected: Corrected,
 ) -> Outcome:
-    """Return what was found, and why where it is no plan."""
-    chain = reduced.chain
+    """Return what was found, and why where it is no plan. targets: all that was asked, and what was imposed."""
+    (target, imposed), (point, states, gap), chain = targets, corrected, reduced.chain
     c, duration = reduced.split(point.w)
-    together = group_matrix(transcription.control, problem.model.nu)
     clock = (chain.clock + duration * chain.time[:, None])[:, : problem.model.nx - 2 * problem.model.nq]
-    states = states_of(chain, duration**2 * chain.controls.before_nodes(c), duration, point.motion, clock)
+    if states is None:
+        states = states_of(chain, duration**2 * chain.controls.before_nodes(c), duration, point.motion, clock)
     lower, upper = problem.force_density_limits
     why = _why(target, found, point, state_function(problem.model, states, duration, transcription.fractions))
+    if not why and transcription.accuracy is not None and gap > transcription.accuracy:
+        why = TOO_COARSE.format(gap, transcription.accuracy)
     return Outcome(
         states=states,
-        force_density=np.clip(c[_held(transcription)[1]] @ together.T, lower, upper),
+        force_density=np.clip(reduced.force_densities(point.w), lower, upper),
         duration=float(np.clip(duration, problem.shortest, problem.longest)),
         objective=reduced.cost(point.w) * reduced.cost_scale,
         success=not why,
         status=found.status,
         iterations=found.iterations,
-        duals=_duals(reduced, imposed, transcription, found, point) if not why else None,
+        duals=_duals(reduced, imposed, found, point) if not why else None,
+        gap=gap,
         why=why,
         imposed=imposed.describe(),
     )
@@ -142,7 +148,7 @@ def _outcome(
 def _why(target: Target, found: Found, point: Point, state_at: StateAt) -> str:
     """Tell why what was found is no plan; "" where it is one."""
     missed = measure_misses(target, state_at)
-    if point.worst <= MET and found.status in ("optimal", "settled"):
+    if point.worst <= MET and found.status in SOLVED:
         return "" if goals_met(target, state_at) else f"no plan: {missed.worst()}, and no string moves it there to first order: {_PASSES}"
     parts = [f"no plan: {WHY.get(found.status, WHY['stuck'])}"]
     if point.worst <= MET:
@@ -152,7 +158,7 @@ def _why(target: Target, found: Found, point: Point, state_at: StateAt) -> str:
     return "; ".join(parts)
 
 
-def _duals(reduced: ReducedProblem, imposed: Target, transcription: Transcription, found: Found, point: Point) -> Duals:
+def _duals(reduced: ReducedProblem, imposed: Target, found: Found, point: Point) -> Duals:
     """Return the multipliers of goals and limits by name, in physical units, as `named_duals` does."""
     names, values, start = [], [], 0
     for part in [*(one.target for one in imposed.waypoints), imposed]:
@@ -162,7 +168,7 @@ def _duals(reduced: ReducedProblem, imposed: Target, transcription: Transcriptio
             label = next((one.label for one in imposed.waypoints if one.target is part), "")
             names += [f"{label}{name}" for name in part.reduction.names]
             values.append(part.reduction.combinations.T @ own / part.reduction.sizes)
-    unknowns = control_names(group_matrix(transcription.control, reduced.problem.model.nu), _held(transcription)[0])
+    unknowns = control_names(reduced.together, reduced.begins)
     limits = (found.duals.upper - found.duals.lower) * reduced.cost_scale / reduced.units
     w_names = (*unknowns, *["duration"] * reduced.free_duration)
     return Duals((*names, *w_names), np.concatenate([*values, limits]), point.w * reduced.units)

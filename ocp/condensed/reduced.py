@@ -14,7 +14,7 @@ from ocp.condensed.objective import Objective
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.transcription.base import Transcription
-from ocp.transcription.mesh import group_matrix
+from ocp.transcription.mesh import group_matrix, spans
 from tenscasadi.util.validate import Array
 
 
@@ -37,19 +37,27 @@ class ReducedProblem:
         self.shape = self.chain.controls.shape
         self.free_duration = problem.shortest < problem.longest
         self.duration = problem.longest
-        members = [np.flatnonzero(column) for column in group_matrix(profile, problem.model.nu).T]
+        self.together = group_matrix(profile, problem.model.nu)
+        self.span = np.arange(len(fractions) + 1) if profile.linear else spans(profile, fractions)
+        self.begins = np.unique(self.span, return_index=True)[1]  # where each of the force densities begins that are unknowns
+        members = [np.flatnonzero(column) for column in self.together.T]
         least, most = problem.force_density_limits
         lower, upper = (np.array([pick(limit[own]) for own in members]) for pick, limit in ((np.max, least), (np.min, most)))
         ends = [(np.tile(limit, self.shape[0]), bound) for limit, bound in ((lower, problem.shortest), (upper, problem.longest))]
         self.units = np.append(np.full(self.shape[0] * self.shape[1], strength), [scales.time] * self.free_duration)
         self.lower, self.upper = (np.append(limit, [bound] * self.free_duration) / self.units for limit, bound in ends)
         self.size = len(self.units)
+        self.shift: Rows | None = None  # what rows of the motion are to leave, where they are corrected
 
     def split(self, w: Array) -> tuple[Array, float]:
         """Return force densities (Kc, m), N/m, and the duration, s."""
         own = w * self.units
         count = self.shape[0] * self.shape[1]
         return own[:count].reshape(self.shape), float(own[-1]) if self.free_duration else self.duration
+
+    def force_densities(self, w: Array) -> Array:
+        """Return γ of all strings (K, α), of linear profiles at the nodes of the mesh (K + 1, α), N/m."""
+        return np.asarray(self.split(w)[0][self.span] @ self.together.T)
 
     def joined(self, c: Array, duration: Array | float) -> Array:
         """Return what belongs to each unknown: (n,) or (n, r) of (Kc, m) or (Kc, m, r) and what belongs to the duration."""
@@ -84,7 +92,10 @@ class ReducedProblem:
     def leftover(self, w: Array, motion: Motion) -> Leftover:
         """Return what is not met."""
         T = self.split(w)[1]
-        return Leftover(self.goals.value(motion, T), self.chain.rows(self.strings(w), T, motion))
+        rows = self.chain.rows(self.strings(w), T, motion)
+        if self.shift is not None:
+            rows = Rows(rows.impulses - self.shift.impulses, rows.lengths - self.shift.lengths)
+        return Leftover(self.goals.value(motion, T), rows)
 
     def size_of(self, left: Leftover) -> tuple[float, float]:
         """Return the sum and the largest of what is not met, all of order one."""

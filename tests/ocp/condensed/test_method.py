@@ -110,3 +110,40 @@ def test_goes_with_variational_alone():
     problem, _ = CASES["prism"]
     with pytest.raises(ValueError, match=r"solver is CondensedNewton, and transcription is MultipleShooting: give ocp.Variational"):
         ocp.solve(problem, ocp.MultipleShooting(8), ocp.CondensedNewton())
+
+
+def test_corrections_make_the_motion_that_of_fine_steps():
+    problem, _ = CASES["ball"]
+    plain, fine = (ocp.solve(problem, ocp.Variational(15, accuracy=accuracy), ocp.CondensedNewton()) for accuracy in (None, 1e-6))
+    assert fine.success, fine.message
+    assert plain.replay_error > 1e-5
+    assert fine.replay_error < 2e-6
+    assert fine.objective == pytest.approx(ocp.solve(problem, ocp.Variational(15, accuracy=1e-6)).objective, rel=5e-3)
+
+
+def test_corrections_that_do_not_get_there_are_said():
+    problem, _ = CASES["ball"]
+    plan = ocp.solve(problem, ocp.Variational(3, accuracy=1e-9), ocp.CondensedNewton())
+    assert not plan.success
+    assert "give more intervals" in plan.message
+
+
+def test_a_symmetric_guess_does_not_end_in_a_saddle():
+    """Two prisms on each other: the motion that keeps their symmetry costs 5 % more than the best."""
+    low, high = (stacked(height) for height in (0.8, 0.88))
+    goals = [ocp.StringLengths(high.string_lengths), ocp.AtRest()]
+    problem = ocp.Problem(driven(low), goals=goals, bounds=[LIMITS], costs=[ocp.Effort()])
+    plan = ocp.solve(problem, ocp.Variational(30), ocp.CondensedNewton())
+    assert plan.success, plan.message
+    assert plan.objective < 1.01 * ocp.solve(problem, ocp.Variational(30), ocp.Ipopt()).objective
+
+
+def stacked(height):
+    """Two three-bar prisms with bars of 1.4 m that share a ring of nodes, one turned the other way."""
+    radius = np.sqrt(1.4**2 - height**2) / (2 * np.sin(5 * np.pi / 12))
+    angles = np.array([0.0, np.pi / 6, 0.0])[:, None] + 2 * np.pi * np.arange(3) / 3
+    nodes = [(radius * np.cos(a), radius * np.sin(a), j * height) for j in range(3) for a in angles[j]]
+    rings = [(3 * j + i, 3 * j + (i + 1) % 3) for j in range(3) for i in range(3)]
+    upright = [(3 * j + i, 3 * j + 3 + i) for j in range(2) for i in range(3)]
+    bars = [(3 * j + i, 3 * j + 3 + (i + (1, -1)[j]) % 3) for j in range(2) for i in range(3)]
+    return tc.Structure(nodes, bars, rings + upright)
