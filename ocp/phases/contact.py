@@ -13,15 +13,19 @@ from tenscasadi.scene.ground import Surface
 from tenscasadi.util.validate import Indices
 
 SIDES = 8  # of the pyramid inside the cone: its rows are linear, and have gradients also where nothing pushes
-SHARE = 0.95  # of the friction there is: with all of it nodes creep on a ground whose friction is smooth in the speed
+SHARE = 0.8  # of the friction there is: with all of it nodes creep on a ground whose friction is smooth in the speed
 
 
 def cone_blocks(motion: PhaseMotion, ground: Surface) -> list[Block]:
     """Return the rows that keep reactions, and the impulses of an impact, in the cone of friction about the ground's normal."""
     nodes = motion.stands
     place = motion.v.states[0, motion.held].reshape(-1, 3)
-    cone, blocks = friction_cone(ground), []
-    for what, pushes, size in (("reaction", motion.reactions, motion.weight), ("impulse", motion.impulses, motion.weight * motion.v.scales.time)):
+    time, blocks = motion.v.scales.time, []
+    for what, pushes, size, least in (
+        ("reaction", motion.reactions, motion.weight, motion.least_push),
+        ("impulse", motion.impulses, motion.weight * time, 0.0),
+    ):
+        cone = friction_cone(ground, least)
         pushed = pushes.reshape(-1, len(nodes), 3)
         index = np.concatenate([np.broadcast_to(place, pushed.shape), pushed], axis=2).reshape(-1, 6)
         names = [f"{what} on node {node} within the cone of friction, side {side}" for node in nodes for side in range(SIDES)]
@@ -51,8 +55,11 @@ def height_blocks(motion: PhaseMotion, grounds: Sequence[Surface], landing: Sequ
     return blocks
 
 
-def friction_cone(ground: Surface) -> ca.Function:
-    """Return the Function (place, push) → rows (SIDES,), positive in a pyramid inside the cone: friction · normal part − part along a side."""
+def friction_cone(ground: Surface, least: float = 0.0) -> ca.Function:
+    """Return the Function (place, push) → rows (SIDES,), positive in a pyramid inside the cone: friction · normal part − part along a side.
+
+    least: N, the push at the pyramid's tip.
+    """
     z, (place, push) = split_symbol(ca.SX, 3, 3)
     outward = ca.densify(ground.contact(place).outward)
     normal = outward / ca.norm_2(outward)
@@ -63,7 +70,7 @@ def friction_cone(ground: Surface) -> ca.Function:
     angles = (2 * np.pi * np.arange(SIDES) / SIDES).tolist()
     along = [np.cos(angle) * ca.dot(first, push) + np.sin(angle) * ca.dot(second, push) for angle in angles]
     steepest = SHARE * np.cos(np.pi / SIDES) * float(ground.friction or 0.0)
-    return ca.Function("cone", [z], [steepest * ca.dot(normal, push) - ca.vertcat(*along)])
+    return ca.Function("cone", [z], [steepest * (ca.dot(normal, push) - least) - ca.vertcat(*along)])
 
 
 def _places(motion: PhaseMotion, k: int, nodes: Sequence[int]) -> Indices:

@@ -16,6 +16,8 @@ from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
 
+PRESSED = 0.1  # of its share of the weight: less holds no node that stands where the ground gives way a little
+
 
 class PhaseMotion:
     """The unknowns and rows of a phase, in which some nodes stand.
@@ -24,7 +26,8 @@ class PhaseMotion:
     row has to hold them. What holds it are reactions of the ground, unknowns in the equations of motion, as the forces of the bars are.
 
     reactions (K + 1, 3s): of the ground on the s nodes that stand, N; impulses (3s,): of the impact in which they land, N·s, where they do.
-    begins: entries of the start that are those of the end before, which `ends` returns in the same order. weight: a typical reaction, N.
+    least_push: what every reaction has along the normal at least, N; weight: a typical reaction, N. begins: entries of the start that are those of
+    the end before, which `ends` returns in the same order.
     """
 
     def __init__(self, v: Variables, stands: tuple[int, ...], lands: bool, bar_force: float, reactions: Array) -> None:
@@ -33,6 +36,7 @@ class PhaseMotion:
         self.coordinates = node_coordinates(v.model)
         self.held = self.coordinates[list(stands)].ravel()
         self.weight = v.scales.mass * v.scales.length / v.scales.time**2
+        self.least_push = PRESSED * float(np.linalg.norm(reactions[:3]))
         self._row_scale = self.weight / v.count
         self._hold()
         self.lam = self._add(np.full(self.bars, bar_force), bar_names(self.bars, "force density"), v.strength)

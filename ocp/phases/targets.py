@@ -15,7 +15,7 @@ from ocp.boundary.unreachable import UnreachableGoal
 from ocp.phases.motion import node_coordinates
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.scaling import Scales
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import Array
 
 
 def phase_problems(problem: Problem, air: Problem) -> list[Problem]:
@@ -30,13 +30,14 @@ def phase_problems(problem: Problem, air: Problem) -> list[Problem]:
 
 def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> list[Target]:
     """Return the target of each phase, near that of the one before. Raises `UnreachableGoal`, naming the phase."""
-    targets, near = [], problem.first_state
+    targets, near, since_start = [], problem.first_state, set(problem.phases[0].stands)
     for k, (phase, part) in enumerate(zip(problem.phases, parts, strict=True)):
         try:
             target = find_target(replace(part, start=FreeStart(near)), scales)
         except UnreachableGoal as error:
             raise UnreachableGoal(f"phase {k}: {error}") from None
-        targets.append(_without_standing(target, part, node_coordinates(part.model)[list(phase.stands)].ravel(), scales))
+        since_start &= set(phase.stands)
+        targets.append(_without_standing(target, part, phase.stands, sorted(since_start), scales))
         if target.state is not None:
             near = target.state.copy()
             near[part.model.nq :] = 0.0
@@ -51,16 +52,19 @@ def whole_target(targets: Sequence[Target], ends: Array) -> Target:
     return replace(targets[-1], start=start, free_start=None, waypoints=tuple(one for one in on_the_way if one.target.names))
 
 
-def _without_standing(target: Target, part: Problem, held: Indices, scales: Scales) -> Target:
-    """Return the target without the combinations of its rows that nodes which stand keep together with the bars."""
-    if not target.count or not held.size or target.state is None:
+def _without_standing(target: Target, part: Problem, stands: Sequence[int], since_start: Sequence[int], scales: Scales) -> Target:
+    """Return the target without the combinations of its rows that nodes which stand keep, together with the bars.
+
+    These are velocities of all nodes that stand, and places of those that have stood since the start: where others land, their goals decide.
+    """
+    if not target.count or not stands or target.state is None:
         return target
-    model = part.model
+    model, places = part.model, node_coordinates(part.model)
     x = ca.SX.sym("x", model.nx)
     kept = model.constraints(x)
     gradients = ca.Function("gradients", [x], [ca.jacobian(value, x) for value in (target.single(x), ca.vertcat(kept.bars, kept.bar_rates))])
     goal, bars = (np.asarray(J.full()) * scales.state for J in gradients(target.state))
-    standing = np.zeros((2 * len(held), model.nx))
-    standing[np.arange(2 * len(held)), np.concatenate([held, model.nq + held])] = 1.0
+    held = np.concatenate([places[list(since_start)].ravel(), model.nq + places[list(stands)].ravel()]).astype(np.intp)
+    standing = np.eye(model.nx)[held]
     reduction = reduce_rows(target.weights @ goal, [("bar", bars), ("standing", standing)])
     return target.keep(reduction.combinations, "standing")

@@ -26,6 +26,12 @@ def test_pushes_well_within_the_cone_pass_and_those_outside_do_not(normal):
         assert np.asarray(cone(np.concatenate([np.zeros(3), -size * n])).full()).max() < 0  # the ground does not pull
 
 
+def test_the_tip_of_the_cone_is_at_the_least_push():
+    cone = friction_cone(tc.Ground(friction=MU), least=2.0)
+    for push, inside in ((1.9, False), (2.1, True)):
+        assert (np.asarray(cone([0, 0, 0, 0, 0, push]).full()).min() > 0) == inside
+
+
 def test_the_cone_of_a_terrain_is_about_its_slope():
     x = np.linspace(-1, 1, 21)
     slope = tc.Terrain(np.tile(0.5 * x[:, None], (1, 21)), lower=(-1, -1), upper=(1, 1), friction=MU)

@@ -179,6 +179,19 @@ def test_other_ways_to_solve_are_refused_by_name():
         ocp.solve(jumping(push(), flight(0.1)), PLAN, guess=plan)
 
 
+def test_a_shape_is_a_goal_of_nodes_that_land():
+    """Lengths between nodes that land are not kept from where they come from: they decide where it is."""
+    wanted = low_prism().string_lengths
+    air, stance = ocp.Phase((0.05, 0.6)), push(duration=(0.1, 0.6), goals=[ocp.StringLengths({0: 0.9 * wanted[0]})])
+    nodes = low_prism().nodes + [0, 0, 0.1]
+    task = link_problem(jumping(air, stance, start=nodes), PLAN)
+    solution = ocp.Ipopt().solve(task.linked.program)
+    assert solution.success
+    end = task.parts[0].model.nodes(task.linked.values(solution.w)[-1].states[-1])
+    a, b = low_prism().strings[0]
+    assert np.linalg.norm(end[a] - end[b]) == pytest.approx(0.9 * wanted[0], abs=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [1e4, 1e5])
 @pytest.mark.parametrize("rise", [0.1, 0.2, 0.3, 0.4])
@@ -196,3 +209,40 @@ def test_a_prism_jumps_and_lands_at_rest():
     assert np.abs(replay.velocities[-1]).max() < 0.1
     assert np.abs(replay.nodes[-1] - plan.trajectory.nodes[-1]).max() < 0.05
     assert np.abs(replay.nodes[-1, list(FEET), 2]).max() < 0.01
+
+
+@pytest.mark.slow
+def test_a_prism_crawls_three_cycles():
+    """Foot after foot steps 5 cm ahead while the others stand, three times."""
+    ahead, phases = 0.05, [push(duration=(0.05, 0.5))]
+    for cycle in range(1, 4):
+        for foot in (2, 0, 1):
+            place = (low_prism().nodes[foot, 0] + cycle * ahead, None, None)
+            phases.append(ocp.Phase((0.03, 0.4), [other for other in FEET if other != foot], [ocp.NodePositions({foot: place})]))
+            phases.append(push(duration=(0.05, 0.5)))
+    plan = ocp.solve(jumping(*phases, goals=[ocp.AtRest()]), PLAN, tolerance=0.05)
+    assert plan.success, plan.message
+    moved = plan.replay().nodes[-1, list(FEET), 0] - low_prism().nodes[list(FEET), 0]
+    assert np.allclose(moved, 3 * ahead, atol=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slope", [0.0, -10.0])
+def test_a_ball_tips_onto_its_next_face(slope):
+    """It pivots on an edge of the face it stands on, and lands on a node beyond."""
+    behind, edge, beyond = 11, (3, 7), 1
+    ball = tc.shapes.six_bar_ball(stiffness=1000.0, prestress=100.0)
+    down, ahead = ball.nodes[[behind, *edge]].sum(axis=0), ball.nodes[list(edge)].mean(axis=0) - ball.nodes[behind]
+    x, z = ahead / np.linalg.norm(ahead), -down / np.linalg.norm(down)
+    nodes = ball.nodes @ np.array([x, np.cross(z, x), z]).T
+    a = np.radians(slope)
+    turn = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+    ball = ball.replace(nodes=(nodes - [0, 0, nodes[:, 2].min()]) @ turn.T)
+    ground = tc.Ground(stiffness=1e5, damping=400.0, friction=0.8, slip_speed=1e-2, normal=turn[:, 2])
+    model = tc.Model(tc.Scene(ball, control=tc.ForceDensity(), gravity=tc.Gravity(), ground=ground))
+    phases = [push(stands=(behind, *edge)), push(duration=(0.05, 0.6), stands=edge), push(stands=(*edge, beyond), goals=[ocp.AtRest()])]
+    plan = ocp.solve(jumping(*phases, model=model, bounds=[ocp.ForceDensityLimits(10.0, 500.0)]), tolerance=0.05)
+    assert plan.success, plan.message
+    heights = plan.replay().nodes[-1] @ turn[:, 2]
+    assert np.abs(heights[[*edge, beyond]]).max() < 0.01
+    assert heights[behind] > 0.2
