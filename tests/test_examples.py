@@ -31,6 +31,14 @@ def plan_prism(plan: Any) -> None:
     assert plan.replay_error < 1e-3
 
 
+def plan_landing(plan: Any) -> None:
+    assert plan.success, plan.message
+    replay = plan.replay()
+    assert abs(replay.nodes[:, :, 2].mean(axis=1).max() - 0.6) < 0.02  # it has risen 0.3 m
+    assert np.abs(replay.nodes[-1] - plan.trajectory.nodes[-1]).max() < 0.05
+    assert np.abs(replay.velocities[-1]).max() < 0.1
+
+
 def ball_rolls(result: Any) -> None:
     plan, after = result
     assert plan.success, plan.message
@@ -132,6 +140,7 @@ CLAIMS = (
     simulate_ball,
     double_pendulum,
     plan_prism,
+    plan_landing,
     ball_rolls,
     ball_on_terrain,
     ball_travels,

@@ -246,3 +246,9 @@ def test_a_ball_tips_onto_its_next_face(slope):
     heights = plan.replay().nodes[-1] @ turn[:, 2]
     assert np.abs(heights[[*edge, beyond]]).max() < 0.01
     assert heights[behind] > 0.2
+
+
+def test_time_that_is_over_is_told():
+    plan = ocp.solve(jumping(push(), flight(0.3)), PLAN, seconds=1e-3)
+    assert not plan.success
+    assert "stopped at the time limit" in plan.message
