@@ -8,6 +8,7 @@ import scipy.optimize
 
 from ocp.boundary.target import Target
 from ocp.problem.bounds import PathBound
+from ocp.problem.control import control_name, winds
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.transcription.base import Transcription
@@ -17,22 +18,23 @@ CLEAR = 1e-3  # of a limit: contradictions that are smaller are left to the solv
 
 
 def check_groups(problem: Problem, profile: Profile) -> None:
-    """Raise ValueError, naming the strings, where the limits of a group's strings leave no force density for all of them."""
-    lower, upper = problem.force_density_limits
+    """Raise ValueError, naming the strings, where the limits of a group's strings leave nothing for all of them."""
+    lower, upper = problem.control_limits
+    what, unit = control_name(problem.model), "m" if winds(problem.model) else "N/m"
     for together in group_matrix(profile, len(lower)).T > 0:
         strings = np.flatnonzero(together)
         low, high = strings[np.argmax(lower[strings])], strings[np.argmin(upper[strings])]
         if lower[low] > upper[high]:
             raise ValueError(
-                f"{type(profile).__name__}.groups: strings {', '.join(map(str, strings))} share a force density, and Problem.bounds keep "
-                f"that of string {low} at {lower[low]:g} N/m or more and that of string {high} at {upper[high]:g} N/m or less: "
+                f"{type(profile).__name__}.groups: strings {', '.join(map(str, strings))} share a {what}, and Problem.bounds keep "
+                f"that of string {low} at {lower[low]:g} {unit} or more and that of string {high} at {upper[high]:g} {unit} or less: "
                 "widen one, or take the group apart"
             )
 
 
 def check_start(problem: Problem) -> None:
     """Raise ValueError, naming the limit that is missed most, where no force densities meet all limits that are linear in them at the start."""
-    lower, upper = problem.force_density_limits
+    lower, upper = problem.control_limits
     slopes, room, rows = [np.zeros((0, len(lower)))], [np.zeros(0)], []
     for limited in path_constraints(problem, PathBound):
         if limited.ends == ("last",):
@@ -69,8 +71,9 @@ def check_start(problem: Problem) -> None:
 
 def check_freedom(problem: Problem, target: Target, transcription: Transcription) -> None:
     """Raise ValueError where goals have more rows than there are force densities before them, which has no solution."""
-    lower, upper = problem.force_density_limits
+    lower, upper = problem.control_limits
     free = int(np.sum(lower < upper))
+    what = "rest lengths" if winds(problem.model) else "force densities"
     held = spans(transcription.control, transcription.fractions)
     each = len(held) == held[-1] + 1
     name = f"{type(transcription).__name__}.intervals is {transcription.count}" if each else f"PiecewiseConstant.changes is {held[-1]}"
@@ -79,6 +82,6 @@ def check_freedom(problem: Problem, target: Target, transcription: Transcription
         if part.count > there * free:
             least = int(np.ceil(np.ceil(part.count / free) / share)) if free else 0
             cure = f"give at least {least} intervals" if each else f"allow at least {least - 1}"
-            needed = cure if free else "allow some more force densities"
+            needed = cure if free else f"allow some more {what}"
             where = "each" if share == 1.0 and each else f"each of the {there} up to there"
-            raise ValueError(f"{name}: {label}{free} force densities in {where} cannot meet {part.count} rows of goals, {needed}")
+            raise ValueError(f"{name}: {label}{free} {what} in {where} cannot meet {part.count} rows of goals, {needed}")

@@ -15,9 +15,11 @@ from ocp.boundary.sensitivities import HARDLY_REACHED, Reach
 from ocp.boundary.target import Target
 from ocp.plan.diagnosis import StateAt, explain_failure, goals_met, long_steps, measure_misses, state_function
 from ocp.presolve import check_freedom, check_groups, check_start
+from ocp.problem.control import stretched, winds
+from ocp.problem.instant import forces_of
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
-from ocp.problem.scaling import Scales
+from ocp.problem.scaling import Scales, control_scale
 from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.deferred_correction import check_correctable, solve_corrected
 from ocp.solvers.fatrop import Fatrop
@@ -27,8 +29,11 @@ from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
 from ocp.transcription.mesh import group_matrix, held_values, spans
 from ocp.transcription.sparse_nlp import Program
+from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.util.validate import instance
 
+GENTLE = 1.0  # radians of the fastest vibration in a step that tells how far rest lengths move the goals' rows
+MOST_SUBSTEPS = 50
 LOOSENING = 0.3  # of the strongest force density: disturbs a guess along which some rows are out of control
 
 
@@ -67,6 +72,7 @@ def solve_program(
 
     duals: multipliers to start from, where they are known. deadline: of `time.perf_counter`, s; None: no limit.
     """
+    problem = _smooth(problem)
     check_correctable(transcription, solver)
     if isinstance(solver, Fatrop) and transcription.control.changes is not None:
         raise ValueError(f"PiecewiseConstant.changes is {transcription.control.changes}, and Fatrop finds no plan of few changes: give ocp.Ipopt()")
@@ -99,10 +105,17 @@ def program_of(problem: Problem, transcription: Transcription, guess: InitialGue
     refuse_phases(problem.phases, "export_program")
     instance("transcription", transcription, Transcription, "a transcription, such as ocp.MultipleShooting()")
     target, scales = prepare(problem, transcription)
+    problem = _smooth(problem)
     _check(problem, transcription, target)
     first = evaluate_guess(guess, problem, target, transcription.count)
     imposed = controlled(target, _reach(problem, transcription), first.force_density, first.duration)
     return transcription.program(problem, imposed, scales, first)
+
+
+def _smooth(problem: Problem) -> Problem:
+    """Return the problem whose strings do not go slack; see `stretched`."""
+    model = stretched(problem.model)
+    return problem if model is problem.model else replace(problem, model=model)
 
 
 def _check(problem: Problem, transcription: Transcription, target: Target) -> None:
@@ -114,7 +127,12 @@ def _reach(problem: Problem, transcription: Transcription) -> Reach:
     together = group_matrix(transcription.control, problem.model.nu)
     equal = np.full(transcription.count, 1 / transcription.count)  # as intervals of guesses are
     held = spans(transcription.control, equal)
-    return Reach(problem.model, problem.shortest < problem.longest, grouping=together, spans=held)
+    substeps = 1
+    if winds(problem.model):  # elastic strings vibrate, also where they do not move along the guess
+        model = problem.model
+        rate = fastest_rate(model, problem.first_state, model.initial_control)
+        substeps = int(np.clip(np.ceil(rate * problem.longest / transcription.count / GENTLE), 1, MOST_SUBSTEPS))
+    return Reach(problem.model, problem.shortest < problem.longest, substeps, together, held)
 
 
 def _late(deadline: float | None) -> bool:
@@ -123,10 +141,12 @@ def _late(deadline: float | None) -> bool:
 
 def _loosened(problem: Problem, guess: Guess) -> Guess:
     """Return the guess with force densities that differ from string to string and from interval to interval, always in the same way."""
-    lower, upper = problem.force_density_limits
+    lower, upper = problem.control_limits
     change = np.random.default_rng(0).uniform(size=guess.force_density.shape)
-    strength = float(np.abs(guess.force_density).max()) or 1.0
-    return replace(guess, force_density=np.clip(guess.force_density + LOOSENING * strength * change, lower, upper))
+    size = control_scale(problem, float(np.abs(forces_of(problem.model, guess.states[:-1], guess.force_density)).max()) or 1.0)
+    if winds(problem.model):
+        size = -size  # shorter is stronger
+    return replace(guess, force_density=np.clip(guess.force_density + LOOSENING * size * change, lower, upper))
 
 
 def _attempt(task: _Task, imposed: Target, guess: Guess, deadline: float | None, duals: Duals | None = None) -> _Found:
@@ -140,7 +160,7 @@ def _attempt(task: _Task, imposed: Target, guess: Guess, deadline: float | None,
     else:
         solution, states, gap = solve_corrected(known, solver, problem.model, transcription.fractions, transcription.accuracy, deadline)
     planned, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
-    lower, upper = problem.force_density_limits
+    lower, upper = problem.control_limits
     # Interior-point methods overstep limits by their tolerance.
     duration = np.clip(duration.squeeze(), problem.shortest, problem.longest)
     says = Guess(planned.T if states is None else states, np.clip(controls.T, lower, upper), float(duration))

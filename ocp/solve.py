@@ -11,6 +11,8 @@ from ocp.boundary.target import Target
 from ocp.condensed.method import solve_condensed
 from ocp.phases.method import solve_phased
 from ocp.plan.plan import Plan
+from ocp.problem.control import winds
+from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.program import prepare, solve_program
@@ -144,6 +146,9 @@ def _plan(problem: Problem, transcription: Transcription, solver: Solver | Conde
     """Return the plan that was found, not yet replayed."""
     mesh = found.duration * np.append(0.0, np.cumsum(transcription.fractions)) if found.time is None else found.time.copy()
     mesh[-1] = found.duration
+    motion = _trajectory(problem, mesh, found)
+    wound = found.force_density if winds(problem.model) else None
+    forces = found.force_density if wound is None else forces_of(problem.model, motion.states[: len(wound)], wound)
     return Plan(
         success=False,
         status=found.status,
@@ -152,8 +157,8 @@ def _plan(problem: Problem, transcription: Transcription, solver: Solver | Conde
         iterations=found.iterations,
         seconds=seconds,
         time=mesh,
-        force_density=found.force_density,
-        trajectory=_trajectory(problem, mesh, found),
+        force_density=forces,
+        trajectory=motion,
         replay_error=np.nan,
         replay_speed_error=np.nan,
         structure=problem.model.scene.structure,
@@ -163,6 +168,7 @@ def _plan(problem: Problem, transcription: Transcription, solver: Solver | Conde
         transcription=transcription,
         solver=solver,
         unknown="",
+        rest_length=wound,
     )
 
 

@@ -17,6 +17,7 @@ from ocp.boundary.row_reduction import RANK, Reduction, RowFunction, reduce_rows
 from ocp.boundary.shape import all_pairs, feel, neighbours, squared_distances
 from ocp.boundary.target import Target, WaypointTarget
 from ocp.boundary.unreachable import UnreachableGoal
+from ocp.problem.control import pulled
 from ocp.problem.problem import Problem
 from ocp.problem.rows import stack
 from ocp.problem.scaling import Scales
@@ -70,7 +71,7 @@ def _check_time(problem: Problem, target: Target, seconds: float) -> None:
         return
     nu = model.nu
     pulls = np.column_stack([np.zeros(nu), np.eye(nu)])
-    free, *slopes = model.split(np.asarray(model.ode.map(nu + 1)(start, pulls).full()).T)[1]  # accelerations are linear in γ
+    free, *slopes = model.split(np.asarray(pulled(model).ode.map(nu + 1)(start, pulls).full()).T)[1]  # accelerations are linear in γ
     fastest = np.max(np.abs(free) + sum(np.abs(slope - free) * limit for slope, limit in zip(slopes, most, strict=True)))
     reach = (np.abs(model.split(start)[1]).max() + fastest * seconds) * seconds
     away = np.abs(model.split(target.state - start)[0])

@@ -14,6 +14,7 @@ from ocp.condensed.motions import first_motion, states_of
 from ocp.condensed.objective import foreign_costs
 from ocp.condensed.reduced import ReducedProblem
 from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function
+from ocp.problem.control import winds
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, typical_cost
 from ocp.problem.string_bounds import ForceDensityLimits
@@ -44,6 +45,8 @@ def applies(problem: Problem) -> str:
     model, scene = problem.model, problem.model.scene
     if problem.phases:
         return "it has phases"
+    if winds(model):
+        return "rest lengths are decided"
     if scene.ground is not None:
         return "its scene has a ground"
     if scene.pressure is not None:

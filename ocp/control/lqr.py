@@ -16,7 +16,8 @@ from ocp.control.closed_loop import run
 from ocp.control.departures import departures
 from ocp.control.holding import Rest, find_rest, stationary_cost
 from ocp.plan.plan import Plan
-from ocp.problem.string_bounds import ForceDensityLimits
+from ocp.problem.control import pulled, winds
+from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.feedback import Feedback
@@ -155,9 +156,11 @@ def track(
         Departure of a coordinate, m, that counts as much as `effort`; of velocities 10 of it in the duration. Default: 1 % of the
         structure's size.
     effort : float, optional
-        Departure of a force density, N/m. Default: a tenth of the plan's mean force density.
+        Departure of a force density, N/m, or of a rest length, m, where these are decided. Default: a tenth of the plan's mean force density, or
+        what changes it so.
     lower, upper : array_like, scalar or shape (α,), optional
-        Limits of the force densities, N/m, as in `ForceDensityLimits`. Default: those of the plan's problem; 0 and none where it is not known.
+        Limits of the force densities, N/m, as in `ForceDensityLimits`, or of the rest lengths, m. Default: those of the plan's problem; 0 and
+        none where it is not known.
 
     Returns
     -------
@@ -193,15 +196,18 @@ def track(
     model, T = plan.known_model("track"), float(plan.time[-1])
     count = len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, MOST)
     size = 0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) if place is None else positive_number("place", place)
-    force = 0.1 * float(plan.force_density.mean()) or 1.0 if effort is None else positive_number("effort", effort)
-    known = (0.0, np.inf) if plan.problem is None else plan.problem.force_density_limits
-    limits = ForceDensityLimits(known[0] if lower is None else lower, known[1] if upper is None else upper)
+    usual = 0.1 * float(plan.force_density.mean()) or 1.0
+    if winds(model):  # by as much as changes the force densities so
+        usual *= float(np.mean(model.scene.structure.string_lengths / model.scene.structure.stiffness))
+    force = usual if effort is None else positive_number("effort", effort)
+    known = (0.0, np.inf) if plan.problem is None else plan.problem.control_limits
+    limits = (RestLengthLimits if winds(model) else ForceDensityLimits)(known[0] if lower is None else lower, known[1] if upper is None else upper)
     limits.check(model.scene.structure)
     own = limits.limits(model.scene.structure)
     time = np.linspace(0.0, T, count + 1)
-    gamma = profile_at(plan.force_density, plan.time, (time[:-1] + time[1:]) / 2)
+    gamma = profile_at(plan.control, plan.time, (time[:-1] + time[1:]) / 2)
     states = _planned(plan, model, time)
-    rest = find_rest(model, plan.trajectory.states[-1], *own, size / T, force)
+    rest = _rest(plan, model, own, size / T, force)
     try:
         with np.errstate(all="ignore"):  # what overflows is told
             gains = _regulate(model, states, gamma, rest, T / count, departures(model, size, 10 * size / T), force**-2)
@@ -210,6 +216,20 @@ def track(
         raise ValueError(f"decisions is {count}: {told}, give more decisions") from None
     hold = Hold(rest.state, rest.force_density, gains[count]) if rest.state is not None else None
     return Tracker(model, time, states, gamma, gains[:count], *own, hold, rest.message)
+
+
+def _rest(plan: Plan, model: Model, limits: tuple[Array, Array], slow: float, margin: float) -> Rest:
+    """Tell what holds the end of a plan: force densities, or the rest lengths at which elastic strings pull so."""
+    end = plan.trajectory.states[-1]
+    if not winds(model):
+        return find_rest(model, end, *limits, slow, margin)
+    structure = model.scene.structure
+    pulls = np.zeros(model.nu), np.full(model.nu, np.inf)
+    found = find_rest(pulled(model), end, *(pulls if plan.problem is None else plan.problem.force_density_limits), slow)
+    if found.state is None:
+        return found
+    lengths = plan.lengths()[-1]
+    return found._replace(force_density=np.clip(lengths * (1 - found.force_density / structure.stiffness), *limits))
 
 
 def replay_tracked(plan: Plan) -> Trajectory:

@@ -14,6 +14,7 @@ from ocp.control.departures import departures
 from ocp.control.holding import find_rest
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
 from ocp.plan.plan import Plan
+from ocp.problem.control import refuse_wound
 from ocp.problem.periodic import Periodic
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import FreeStart, Problem
@@ -107,6 +108,7 @@ class Mpc:
     ) -> None:
         instance("problem", problem, Problem, "an ocp.Problem")
         refuse_phases(problem.phases, "Mpc")
+        refuse_wound(problem.model, "Mpc")
         if plan is not None:
             instance("plan", plan, Plan, "an ocp.Plan or None")
             if (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (problem.model.nx, problem.model.nu):

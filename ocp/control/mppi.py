@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ocp.problem.control import refuse_wound
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -115,6 +116,7 @@ class Mppi:
     ) -> None:
         instance("problem", problem, Problem, "an ocp.Problem")
         refuse_phases(problem.phases, "Mppi")
+        refuse_wound(problem.model, "Mppi")
         self.model: Model = problem.model
         self.period = positive_number("period", period)
         ratio = positive_number("horizon", horizon) / self.period

@@ -53,6 +53,7 @@ def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLik
     True
     """
     instance("plan", plan, Plan, "an ocp.Plan")
+    _check_pulled(plan)
     count = plan.force_density.shape[1]
     given = plan.structure.stiffness if stiffness is None else stiffness
     k = nonnegative("stiffness", per_item("stiffness", given, count), "string")
@@ -101,6 +102,7 @@ def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayL
     True
     """
     instance("plan", plan, Plan, "an ocp.Plan")
+    _check_pulled(plan)
     whole_number("updates", updates, 1, MOST_UPDATES)
     plan.rest_lengths(stiffness)  # names the string that is too soft
     planned = plan.known_model("replay_wound")
@@ -111,3 +113,8 @@ def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayL
     wound = ControlProfile(time, rest, WOUND_STEPS)
     end = float(plan.time[-1])
     return simulate(model, end, end, state=plan.trajectory.states[0], control=wound, compiled=False)
+
+
+def _check_pulled(plan: Plan) -> None:
+    if plan.rest_length is not None:
+        raise ValueError("plan has decided rest lengths: Plan.rest_lengths tells them, and Plan.replay winds to them")

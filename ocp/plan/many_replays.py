@@ -11,6 +11,7 @@ import numpy as np
 from ocp.boundary.find_target import find_target
 from ocp.plan.robustness import STRINGS, Robustness, check_spreads, check_start, draw_starts, share_variance, vary_model
 from ocp.plan.winding import wind
+from ocp.problem.control import refuse_wound
 from ocp.problem.phase import refuse_phases
 from ocp.problem.scaling import Scales
 from tenscasadi.ensemble.feedback import Feedback
@@ -38,6 +39,7 @@ def measure_robustness(
         raise ValueError("parameters is empty and start is 0: give something that varies, such as {'bar_mass': 0.05}")
     names = tuple(spreads)
     planned = plan.known_model("robustness")
+    refuse_wound(planned, "robustness")
     wound = any(name in STRINGS for name in names)
     model = vary_model(planned, names, RestLength() if wound else planned.scene.control)
     tracker = None if track is None else track(plan, decisions=(UPDATES if wound else 1) * (len(plan.time) - 1))

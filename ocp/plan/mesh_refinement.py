@@ -30,8 +30,8 @@ class Refinable(Protocol):
         """Nodes of the mesh (K + 1,), s."""
 
     @property
-    def force_density(self) -> Array:
-        """γ (K, α) or (K + 1, α), N/m."""
+    def control(self) -> Array:
+        """γ, N/m, or rest lengths, m, as decided (K, α) or (K + 1, α)."""
 
     @property
     def trajectory(self) -> Trajectory:
@@ -60,7 +60,7 @@ def refine_mesh(plan: P, model: Model, again: Callable[[Array, P], P], tolerance
         if plan.duals is None or error <= tolerance:
             return plan, ""
         times_too_large = error / tolerance if np.isfinite(error) else LOST
-        finest = again(finer(model, plan.time, plan.trajectory.states, plan.force_density, times_too_large), plan)
+        finest = again(finer(model, plan.time, plan.trajectory.states, plan.control, times_too_large), plan)
         if finest.duals is not None and not finest.worst_error <= max(tolerance, error / 2):
             why = f"and {len(finest.time) - 1} intervals in place of {len(plan.time) - 1} do not halve the error: give a larger tolerance"
             plan = min(plan, finest, key=lambda one: one.worst_error)

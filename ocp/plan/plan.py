@@ -76,10 +76,10 @@ class Plan(PlannedForces, ReadOnlyArrays):
         Multipliers of the constraints; None where no optimum was found.
     problem, transcription, solver : Problem, transcription and solver, or None
         What was asked, how it was made a program, and what solved it; None where a file does not hold it, and `unknown` says why.
-    unknown : str
-        See above.
-    tracked : bool
-        Whether the replay of these errors is under `track`.
+    unknown, tracked : str, bool
+        See above; whether the replay of these errors is under `track`.
+    rest_length : ndarray, shape (K, α) or (K + 1, α), or None
+        Rest lengths, m, where these were decided (``control=RestLength()``), and not force densities: those are then what follows at the same times.
 
     Examples
     --------
@@ -110,13 +110,14 @@ class Plan(PlannedForces, ReadOnlyArrays):
     solver: Solver | CondensedNewton | Sampling | None = None
     unknown: str = "it was made by hand"
     tracked: bool = False
+    rest_length: Array | None = None
 
     _track: ClassVar[Callable[..., Any]]  # ocp.control.lqr.track, likewise
     _replay_tracked: ClassVar[Callable[..., Trajectory]]  # ocp.control.lqr.replay_tracked
     _solve: ClassVar[Callable[..., Plan]]  # ocp.solve.solve, which names itself here: it makes plans, and refining makes another
 
     def __post_init__(self) -> None:
-        for name in ("time", "force_density"):
+        for name in ("time", "force_density", *(["rest_length"] if self.rest_length is not None else [])):
             view = getattr(self, name).view()
             view.flags.writeable = False
             object.__setattr__(self, name, view)
@@ -152,10 +153,10 @@ class Plan(PlannedForces, ReadOnlyArrays):
         """
         if self.problem is not None and self.problem.phases:
             return np.nan
-        return grown_errors(self.known_model("error_growth"), self.time, self.trajectory.states, self.force_density)
+        return grown_errors(self.known_model("error_growth"), self.time, self.trajectory.states, self.control)
 
     def replay(self, scheme: Scheme | None = None, step: float | None = None, *, tracked: bool = False) -> Trajectory:
-        """Simulate the motion under the planned force densities, from the plan's start, without corrections or under `track`.
+        """Simulate the motion under the planned force densities, or rest lengths, from the plan's start, without corrections or under `track`.
 
         Parameters
         ----------
@@ -186,7 +187,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
         size = None if step is None else positive_number("step", step)
         if size is None and model.scene.grounds:
             size = min(np.diff(self.time).max() / REPLAY_STEPS, contact_step(model))
-        start, intervals, end, control = self.trajectory.states[0], np.diff(self.time), float(self.time[-1]), self.force_density
+        start, intervals, end, control = self.trajectory.states[0], np.diff(self.time), float(self.time[-1]), self.control
         if self.linear or np.ptp(intervals) > 1e-9 * end:
             profile = ControlProfile(self.time, control, REPLAY_STEPS if size is None else 1)
             return simulate(model, end, end if size is None else size, scheme, start, profile, compiled=False)
@@ -240,7 +241,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
         if self.trajectory.states.shape[1] != problem.model.nx or self.force_density.shape[1] != problem.model.nu:
             raise ValueError("guess is a plan for another structure: give one whose model has the same nodes and strings")
         shares = self.time / self.time[-1]
-        return resampled(problem, target, self.trajectory.states, shares, self.force_density, shares, intervals, float(self.time[-1]))
+        return resampled(problem, target, self.trajectory.states, shares, self.control, shares, intervals, float(self.time[-1]))
 
     def report(self) -> Report:
         """Report the limits that hold the plan back, with what they cost, and those that it or its replay breaks.
@@ -257,7 +258,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
         """
         if self.problem is None:
             raise ValueError(f"report needs the problem, which the plan does not hold ({self.unknown}): give Plan.load(path, problem=...)")
-        return report_of(self.problem, self.time, self.trajectory.states, self.force_density, self.replay(), self.duals)
+        return report_of(self.problem, self.time, self.trajectory.states, self.control, self.replay(), self.duals)
 
     def refine(self, tolerance: float, attempts: int = 5) -> Plan:
         """Solve again on a finer mesh, from what was found, until the replay ends near enough to the goals or that no longer halves its error.
@@ -391,9 +392,8 @@ class Plan(PlannedForces, ReadOnlyArrays):
             instance("problem", problem, Problem, "an ocp.Problem or None")
         given, content = archive.load(path, FORMAT, "plan", lambda content: (plan_fields(content), content))
         if problem is not None:
-            wrong = find_differences(content, problem.model)
-            if not wrong and given["trajectory"].states.shape[1] != problem.model.nx:
-                wrong.append("Model.nx")  # older files hold less
+            others = given["trajectory"].states.shape[1] != problem.model.nx
+            wrong = find_differences(content, problem.model) or ["Model.nx"] * others  # older files hold less
             if wrong:
                 raise ValueError(f"problem.model is not the plan's, other in {', '.join(wrong[:4])}: give the problem that the plan was made for")
             given["model"] = problem.model

@@ -17,12 +17,18 @@ class PlannedForces:
 
     time: Array
     force_density: Array
+    rest_length: Array | None
     trajectory: Trajectory
     structure: Structure
 
     def known_model(self, user: str) -> Model:
         """Return the model, which `user` needs. Raises ValueError where it is not known."""
         raise NotImplementedError
+
+    @property
+    def control(self) -> Array:
+        """Rest lengths, m, or force densities, N/m, as decided (K, α) or (K + 1, α)."""
+        return self.force_density if self.rest_length is None else self.rest_length
 
     @property
     def linear(self) -> bool:
@@ -76,7 +82,7 @@ class PlannedForces:
         return np.asarray(np.asarray(lam.full()).T * np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2))
 
     def rest_lengths(self, stiffness: ArrayLike | None = None) -> Array:
-        """Return the rest lengths of elastic strings that pull as planned, s (1 − γ/k) (Eq. 99, without damping).
+        """Return the rest lengths that were decided, or those of elastic strings that pull as planned, s (1 − γ/k) (Eq. 99, without damping).
 
         Parameters
         ----------
@@ -93,6 +99,8 @@ class PlannedForces:
         ValueError
             The force density of a string reaches its stiffness; the message names it.
         """
+        if self.rest_length is not None and stiffness is None:
+            return np.asarray(self.rest_length)
         k = per_item("stiffness", self.structure.stiffness if stiffness is None else stiffness, self.force_density.shape[1])
         nonnegative("stiffness", k, "string")
         largest = self.force_density.max(axis=0)

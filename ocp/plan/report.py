@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds import PathBound, PathConstraint, RateBound
+from ocp.problem.control import control_name, winds
 from ocp.problem.costs import CostAt
 from ocp.problem.goals import SoftGoal
 from ocp.problem.path_constraints import path_constraints
@@ -198,10 +199,10 @@ class _Course(NamedTuple):
 
 
 def _at_instants(problem: Problem, time: Array, states: Array, controls: Array) -> list[_Course]:
-    """Force densities and what bounds limit of instants."""
-    lower, upper = problem.force_density_limits
-    names = tuple(f"force density of string {k}" for k in range(len(lower)))
-    own = _Course(PathConstraint(None, lower, upper, names, "N/m", (), ()), time, controls)
+    """Return what is decided, and what bounds limit of instants."""
+    lower, upper = problem.control_limits
+    names = tuple(f"{control_name(problem.model)} of string {k}" for k in range(len(lower)))
+    own = _Course(PathConstraint(None, lower, upper, names, "m" if winds(problem.model) else "N/m", (), ()), time, controls)
     courses = [own]
     for one in path_constraints(problem, PathBound):
         when = slice(-1, None) if one.ends == ("last",) else slice(None)

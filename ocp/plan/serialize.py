@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ocp.problem import bar_bounds, costs, expressions, geometric_bounds, goals, node_goals, string_bounds, waypoints
+from ocp.problem.control import winds
 from ocp.problem.ground_bounds import AboveSurface
 from ocp.problem.periodic import Periodic
 from ocp.problem.phase import Phase
@@ -73,6 +74,8 @@ def plan_arrays(plan: Mapping[str, Any]) -> dict[str, Array]:
     content = {name: np.asarray(plan[name]) for name in (*_VALUES, "time", "force_density")}
     content |= {f"trajectory.{field.name}": np.asarray(getattr(motion, field.name)) for field in fields(Trajectory)}
     content |= structure_to_arrays(plan["structure"]) if model is None else model_to_arrays(model, motion.states[:, -1])
+    if plan.get("rest_length") is not None:
+        content["rest_length"] = np.asarray(plan["rest_length"])
     if duals is not None:
         content |= {f"duals.{field.name}": np.asarray(getattr(duals, field.name)) for field in fields(Duals)}
     return content | _told(plan)
@@ -90,7 +93,10 @@ def plan_fields(content: Fields) -> dict[str, Any]:
     intervals, strings = len(trajectory.time) - 1, len(structure.strings)
     time, gamma = content.array("time", "f", 1), content.array("force_density", "f", 2)
     rows = intervals + (len(gamma) == intervals + 1)
-    for name, value, shape in (("time", time, (intervals + 1,)), ("force_density", gamma, (rows, strings))):
+    wound = content.array("rest_length", "f", 2) if "rest_length" in content else None
+    shapes = [("time", time, (intervals + 1,)), ("force_density", gamma, (rows, strings))]
+    shapes += [] if wound is None else [("rest_length", wound, (rows, strings))]
+    for name, value, shape in shapes:
         if value.shape != shape:
             raise ValueError(f"field {name!r} has shape {value.shape}, not {shape}")
         if values["success"] and not np.all(np.abs(value) <= LARGEST):
@@ -101,6 +107,9 @@ def plan_fields(content: Fields) -> dict[str, Any]:
         duals = Duals(tuple(content.array("duals.names", "U", 1).tolist()), *(content.array(f"duals.{name}", "f", 1) for name in ("values", "point")))
         if len(duals.values) != len(duals.names):
             raise ValueError(f"field 'duals.values' has {len(duals.values)} entries, not {len(duals.names)} as 'duals.names'")
+    if model is not None and winds(model) is (wound is None):
+        raise ValueError("field 'rest_length' does not fit the model's control")
+    values |= {"rest_length": wound}
     return {**values, "time": time, "force_density": gamma, "trajectory": trajectory, "structure": structure, "model": model, "duals": duals}
 
 

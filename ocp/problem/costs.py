@@ -21,7 +21,7 @@ class Cost:
 
 
 class ControlCost(Cost):
-    """A cost of the force densities alone."""
+    """A cost of the force densities alone; where rest lengths are decided, it is integrated as a `RunningCost` of those that follow."""
 
     def expression(self, force_density: Any, interval: Any) -> Any:
         """Return the cost of force densities (α×intervals, N/m) held for `interval` (s) each, as a CasADi scalar."""
@@ -111,7 +111,7 @@ class Effort(ControlCost):
 
 @dataclass(frozen=True)
 class Smoothness(ControlCost):
-    """The cost weight · Σ (γ⁺ − γ)²/h over neighbouring intervals, which stands for ∫ Σ γ̇² dt.
+    """The cost weight · Σ (γ⁺ − γ)²/h over neighbouring intervals, which stands for ∫ Σ γ̇² dt; of rest lengths where these are decided.
 
     h is the time from the middle of one interval to that of the next; where force densities are linear in each interval, its length.
 
@@ -127,7 +127,7 @@ class Smoothness(ControlCost):
 
     Notes
     -----
-    Its unit is N²/(m²·s).
+    Its unit is N²/(m²·s); of rest lengths m²/s.
 
     Examples
     --------
@@ -318,7 +318,7 @@ class Work(RunningCost):
         casadi.SX or casadi.MX
             weight · Σ max(0, −γ s ṡ), rounded off, a scalar.
         """
-        power = -now.control * now.lengths * now.rates
+        power = -now.force_density * now.lengths * now.rates
         return self.weight * ca.sum1(power + ca.sqrt(power**2 + self.smoothing**2) - self.smoothing) / 2
 
 

@@ -301,7 +301,7 @@ def _label(item: Any) -> str:
 def _column(item: Any, now: Instant) -> Any:
     """Return the entries of an own expression, whose faults are told by its name."""
     nodes, strings = now.model.scene.structure.nodes, now.model.scene.structure.strings
-    hint = f"an instant has nodes and velocities 3×{len(nodes)}, lengths, rates and control ({len(strings)},), tension, bar_force, state, time"
+    hint = f"an instant has nodes and velocities 3×{len(nodes)}, lengths, rates, control ({len(strings)},), tension, bar_force, state, time"
     value = call_user_function(_label(item), item.expression, now, hint)
     if not isinstance(value, (ca.SX, ca.MX)) or value.is_empty():
         raise TypeError(

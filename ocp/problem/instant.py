@@ -8,8 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ocp.problem.control import winds
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import nonnegative, per_item
+from tenscasadi.util.validate import Array, nonnegative, per_item
 
 
 class Instant:
@@ -24,7 +25,7 @@ class Instant:
     state : casadi.SX or casadi.MX, shape (nx,)
         State of the model.
     control : casadi.SX or casadi.MX, shape (α,)
-        Force densities γ, N/m.
+        What is decided: force densities γ, N/m, or rest lengths, m, of a model with ``control=RestLength()``.
     time : casadi.SX or casadi.MX
         Time since the start, s.
 
@@ -70,6 +71,14 @@ class Instant:
         return ca.sum1(self._across(self.nodes, strings) * self._across(self.velocities, strings)).T / self.lengths
 
     @cached_property
+    def force_density(self) -> Any:
+        """Force densities γ (α,), N/m: the control, or what the law of the strings makes of rest lengths."""
+        if not winds(self.model):
+            return self.control
+        mean = self._gather(self.model.structure.string_fraction)  # of the tensions of segments, which are alike but for their masses
+        return ca.mtimes(mean, self.tension) / self.lengths
+
+    @cached_property
     def tension(self) -> Any:
         """Tensions of the modelled strings, N: one for each segment, in the order of `model.structure.strings`."""
         return self.model.tension(self.state, self.control)
@@ -81,7 +90,7 @@ class Instant:
         return self.model.multiplier_function(self.state, self.control)[0] * norms(b)
 
     def rest_lengths(self, stiffness: Any) -> Any:
-        """Return the rest lengths ρ = s (1 − γ/k) that give the force densities, summed over the segments of a string.
+        """Return the rest lengths ρ = s (1 − γ/k) that give the force densities, summed over the segments of a string; or those decided.
 
         Parameters
         ----------
@@ -98,13 +107,19 @@ class Instant:
         TypeError, ValueError
             The stiffness is not one number greater than 0 for each string.
         """
+        if winds(self.model):
+            return self.control
         s = self.model.structure
         along = norms(self._across(self.model.nodes(self.state), s.strings))
         given = per_item("stiffness", stiffness, len(self.model.scene.structure.strings))
         whole = ca.DM(nonnegative("stiffness", given, "string", strict=True)[s.string_parent] / s.string_fraction)
         parts = along - self.tension / whole  # s (1 − γ/k)
-        gather = ca.DM((np.arange(len(self.model.scene.structure.strings))[:, None] == s.string_parent[None]).astype(float))
-        return ca.mtimes(ca.sparsify(gather), parts)
+        return ca.mtimes(self._gather(np.ones(len(s.strings))), parts)
+
+    def _gather(self, weights: Array) -> ca.DM:
+        """Return what sums over the segments of each string, with weights (modelled strings,)."""
+        parent, count = self.model.structure.string_parent, len(self.model.scene.structure.strings)
+        return ca.sparsify(ca.DM((np.arange(count)[:, None] == parent[None]) * weights[None]))
 
     def _across(self, columns: Any, pairs: Any) -> Any:
         return columns[:, pairs[:, 1].tolist()] - columns[:, pairs[:, 0].tolist()]
@@ -113,6 +128,15 @@ class Instant:
 def norms(vectors: Any) -> Any:
     """Return the lengths (m,) of the columns of a 3×m expression."""
     return ca.sqrt(ca.sum1(vectors * vectors)).T
+
+
+def forces_of(model: Model, states: Array, controls: Array) -> Array:
+    """Return the force densities (K, α), N/m, of states (K, nx) under what is decided there (K, α)."""
+    if not winds(model):
+        return controls
+    now = symbolic(model)
+    follow = ca.Function("follow", [now.state, now.control], [ca.densify(now.force_density)]).map(len(states))
+    return np.asarray(follow(states.T, controls.T).full()).T
 
 
 def symbolic(model: Model) -> Instant:

@@ -9,8 +9,11 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds import PathBound, PathConstraint, RateBound
+from ocp.problem.control import winds
+from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits
 from tenscasadi.util.validate import Array
 
 
@@ -20,13 +23,24 @@ def path_constraints(problem: Problem, kind: type[PathBound] | type[RateBound]) 
     What several of them limit, such as the way of a bar round two obstacles, is called "obstacle clear of bar 0 (bounds[2])", after the
     bound's place in Problem.bounds.
     """
-    found = {k: bound.constraint(problem.model) for k, bound in enumerate(problem.bounds) if isinstance(bound, kind)}
+    decided = RestLengthLimits if winds(problem.model) else ForceDensityLimits  # which limit the unknowns themselves
+    found = {
+        k: bound.constraint(problem.model) for k, bound in enumerate(problem.bounds) if isinstance(bound, kind) and not isinstance(bound, decided)
+    }
     times = Counter(name for one in found.values() for name in set(one.names))
 
     def told_apart(k: int, one: PathConstraint) -> PathConstraint:
         return replace(one, names=tuple(f"{name} (bounds[{k}])" if times[name] > 1 else name for name in one.names))
 
-    return [told_apart(k, one) for k, one in found.items() if one.names]
+    own = [_pulling(problem)] if kind is PathBound and winds(problem.model) else []
+    return [*own, *(told_apart(k, one) for k, one in found.items() if one.names)]
+
+
+def _pulling(problem: Problem) -> PathConstraint:
+    """Return the limits of the force densities that follow from rest lengths: at least 0, as strings do not push."""
+    now, (lower, upper) = symbolic(problem.model), problem.force_density_limits
+    names = tuple(f"force density of string {k}" for k in range(len(lower)))
+    return PathConstraint(now.force_density, lower, upper, names, "N/m", now.symbols, PathBound.ends)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,17 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.bounds import Bound
+from ocp.problem.control import check_control, refuse_wound, winds
 from ocp.problem.costs import Cost, CostAt, Effort
 from ocp.problem.expressions import check_expressions
 from ocp.problem.goals import BAR_TOLERANCE, Goal, SoftGoal, check_bar_lengths
 from ocp.problem.periodic import Periodic
 from ocp.problem.phase import Phase, check_phases, read_duration, read_items
-from ocp.problem.string_bounds import ForceDensityLimits, StringLimits, TensionLimits
+from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits, StringLimits, TensionLimits
 from ocp.problem.waypoints import INSTANT, Waypoint
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.util.validate import Array, finite_array, instance, nesting, shown
+
+SHORTEST = 1e-3  # of a string's length: the least rest length
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,8 @@ class Problem:
     Parameters
     ----------
     model : Model
-        The model, of a scene with ``control=ForceDensity()``.
+        The model, of a scene with ``control=ForceDensity()``; or with ``control=RestLength()``: then the plan decides the rest lengths of
+        elastic strings, which may go slack, and their force densities follow.
     duration : float or (float, float), optional
         Seconds, or (shortest, longest) to let the solver choose.
     start : array_like of shape (n, 3) or (nx,), or FreeStart, optional
@@ -122,10 +125,7 @@ class Problem:
     def __post_init__(self) -> None:
         instance("Problem.model", self.model, Model, "a tenscasadi.Model")
         self.__dict__.update(model=self.model.fixed(self.parameters), parameters=None)
-        if not isinstance(self.model.scene.control, ForceDensity):
-            raise ValueError(f"Problem.model has the control {self.model.scene.control}: give a model of Scene(..., control=ForceDensity())")
-        if self.model.nu == 0:
-            raise ValueError("Problem.model has no strings: there is nothing to plan")
+        check_control(self.model)
         if self.model.nq == 0:
             raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
         own = self.__dict__
@@ -156,6 +156,7 @@ class Problem:
         own["costs"] += wishes
         check_expressions(self.model, own["bounds"], own["costs"], begin)
         if own["phases"]:
+            refuse_wound(self.model, "Problem.phases")
             if self.free_start:
                 raise ValueError("Problem.start is free, and phases begin where nodes stand: give the start")
             check_phases(self.model, self.first_state, own["phases"], own["goals"], own["bounds"], own["costs"])
@@ -252,6 +253,14 @@ class Problem:
         lower, upper = self.limits(ForceDensityLimits)
         return np.maximum(lower, 0.0), upper
 
+    @property
+    def control_limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits (α,) of what is decided: γ, N/m, or rest lengths, m, which are greater than 0."""
+        if not winds(self.model):
+            return self.force_density_limits
+        lower, upper = self.limits(RestLengthLimits)
+        return np.maximum(lower, SHORTEST * self.model.scene.structure.string_lengths), upper
+
     def _state(self, field: str, given: ArrayLike | None) -> Array:
         """Read the state (nx,) that is given as nodes or as a state, on the constraints."""
         if given is None:
@@ -293,7 +302,7 @@ class Problem:
         return tuple(met), tuple(wished)
 
     def _check_limits(self) -> None:
-        for kind in (ForceDensityLimits, TensionLimits):
+        for kind in (ForceDensityLimits, TensionLimits, RestLengthLimits):
             lower, upper = self.limits(kind)
             crossed = np.flatnonzero(lower > upper)
             if crossed.size:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ocp.problem.costs import ControlCost, CostAt, FinalCost, RunningCost
+from ocp.problem.control import winds
+from ocp.problem.costs import ControlCost, CostAt, FinalCost, RunningCost, Smoothness
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
 from tenscasadi.util.validate import Array
@@ -38,8 +39,16 @@ class Scales:
         return {"m": self.length, "m/s": speed, "m²/s": self.length * speed, "s": self.time}
 
 
+def control_scale(problem: Problem, strength: float) -> Array:
+    """Return the size (α,) of changes of what is decided: a typical γ, N/m; or the rest lengths, m, that elastic strings give it by."""
+    structure = problem.model.scene.structure
+    if not winds(problem.model):
+        return np.full(len(structure.strings), strength)
+    return np.asarray(structure.string_lengths * np.minimum(strength / structure.stiffness, 1.0))
+
+
 def typical_cost(problem: Problem, strength: float, states: Array, force_density: Array, duration: float) -> float:
-    """Return the costs of states (K + 1, nx) and force densities (K, α) that swing once about `strength`: what makes the objective of order one.
+    """Return the costs of states (K + 1, nx) and controls (K, α) that swing once about `strength`, N/m: what makes the objective of order one.
 
     Were they to alternate from interval to interval, costs of their rates would grow with the square of the intervals, and the objective
     become small beside the solver's tolerance.
@@ -47,17 +56,20 @@ def typical_cost(problem: Problem, strength: float, states: Array, force_density
     count = len(force_density)
     string, interval = np.indices(force_density.T.shape)
     pattern = strength * (1 + np.sqrt(0.5) * (-1.0) ** string * np.sin(2 * np.pi * (interval + 0.5) / count))
+    decided = force_density.T if winds(problem.model) else pattern
     total, x = 0.0, states.T
     for cost in problem.costs:
         now = symbolic(problem.model)
-        if isinstance(cost, ControlCost):
+        if isinstance(cost, Smoothness):
+            total += float(ca.DM(cost.expression(ca.DM(np.diag(control_scale(problem, strength) / strength) @ pattern), duration / count)))
+        elif isinstance(cost, ControlCost):
             total += float(ca.DM(cost.expression(ca.DM(pattern), duration / count)))
         elif isinstance(cost, RunningCost):
             rate = ca.Function("rate", now.symbols, [cost.rate(now)]).map(count)
-            total += duration / count * float(ca.sum2(rate(x[:, 1:], pattern, np.linspace(0.0, duration, count + 1)[None, 1:])))
+            total += duration / count * float(ca.sum2(rate(x[:, 1:], decided, np.linspace(0.0, duration, count + 1)[None, 1:])))
         elif isinstance(cost, (FinalCost, CostAt)):
             share, of_end = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
             k = round(share * count)
             final = ca.Function("final", now.symbols, [of_end.final(now)])
-            total += float(final(x[:, k], pattern[:, max(k - 1, 0)], share * duration))
+            total += float(final(x[:, k], decided[:, max(k - 1, 0)], share * duration))
     return abs(total) if np.isfinite(total) and total else 1.0

@@ -50,8 +50,8 @@ class StringLimits(Bound):
 class ForceDensityLimits(StringLimits):
     """Limits of the force density γ of each string.
 
-    They are limits of the solver's unknowns: they hold exactly, at every time. Strings do not push, so that γ ≥ 0 also holds for a problem
-    without them.
+    They are limits of the solver's unknowns: they hold exactly, at every time; where rest lengths are decided, at both ends of every interval.
+    Strings do not push, so that γ ≥ 0 also holds for a problem without them.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ class ForceDensityRateLimits(RateBound):
         rate = broadcast_limits("ForceDensityRateLimits.rate", self.rate, len(model.scene.structure.strings), np.inf)
         names = tuple(f"force density rate of string {i}" for i in range(len(rate)))
         symbols = (before.state, before.control, after.state, after.control, interval)
-        value = (after.control - before.control) / interval
+        value = (after.force_density - before.force_density) / interval
         return PathConstraint(value, -rate, rate, names, "N/(m s)", symbols, self.ends).drop_open()
 
 
@@ -200,7 +200,8 @@ class TensionLimits(StringLimits, PathBound):
 class RestLengthLimits(StringLimits, PathBound):
     """Limits of the rest length ρ = s (1 − γ/k) of each string, at both ends of every interval.
 
-    ``RestLengthLimits(0)`` says that every force density can be reached by winding a string of that stiffness.
+    ``RestLengthLimits(0)`` says that every force density can be reached by winding a string of that stiffness. Where rest lengths are decided
+    (``control=RestLength()``), they are limits of the solver's unknowns, which are greater than 0 without them, too.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ocp.problem.control import refuse_wound
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.sampling.defaults import Usual, alike, usual
@@ -46,6 +47,7 @@ def default_intervals(problem: Problem) -> int:
 
 def check_sampling(problem: Problem, transcription: Transcription, solver: Sampling) -> None:
     """Raise ValueError, saying the cure, for what no sampled motion does."""
+    refuse_wound(problem.model, "Sampling")
     if problem.free_start:
         raise ValueError("Problem.start is free, and sampled motions begin somewhere: give Problem(start=...), or another solver than Sampling")
     if transcription.control.linear:

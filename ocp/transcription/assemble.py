@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds import PathBound, RateBound
+from ocp.problem.control import winds
 from ocp.problem.costs import ControlCost, Cost, CostAt, FinalCost, RunningCost, Smoothness
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
@@ -151,12 +152,14 @@ def _between(v: Variables, rows: ScaledRows) -> Block:
 def _cost(v: Variables, cost: Cost) -> Block:
     if isinstance(cost, Smoothness):
         z, value, index = _differences(v, cost)
+    elif isinstance(cost, ControlCost) and winds(v.model):
+        z, value, index = _simpson(v, lambda now: cost.expression(now.force_density, 1.0))
     elif isinstance(cost, ControlCost):
         z = ca.SX.sym("z", v.interval_controls.shape[1] + 2)
         value = _integral(v, cost, z[:-2], z[-2] * z[-1])
         index = np.hstack([v.interval_controls, v.repeated(v.duration), v.share])
     elif isinstance(cost, RunningCost):
-        z, value, index = _simpson(v, cost)
+        z, value, index = _simpson(v, cost.rate)
     elif isinstance(cost, CostAt):
         z, value, index = _passing(v, cost)
     elif isinstance(cost, FinalCost):
@@ -196,10 +199,10 @@ def _integral(v: Variables, cost: ControlCost, local: Any, interval: Any) -> Any
     return cost.expression(points, interval / 2)
 
 
-def _simpson(v: Variables, cost: RunningCost) -> tuple[Any, Any, Indices]:
+def _simpson(v: Variables, expression: Callable[[Instant], Any]) -> tuple[Any, Any, Indices]:
     """By Simpson's rule, the middle on the cubic between the ends: what swings within intervals would be hidden from the ends alone."""
     now = symbolic(v.model)
-    rate = ca.Function("rate", now.symbols, [cost.rate(now)])
+    rate = ca.Function("rate", now.symbols, [expression(now)])
     nx = v.model.nx
     z, (x, y, c, T, part, start, end) = split_symbol(symbol_kind(rate), nx, nx, v.interval_controls.shape[1], 1, 1, 1, 1)
     ends = rate(x, v.gamma(c, 0.0), T * start) + rate(y, v.gamma(c, 1.0), T * end)

@@ -243,7 +243,7 @@ def resampled(
     if lost.any():
         share = shares[int(np.argmax(lost))]
         raise ValueError(f"guess has states at {share:.3g} of the duration that are no motion, such as bars without a length: give others")
-    lower, upper = problem.force_density_limits
+    lower, upper = problem.control_limits
     held = np.clip(profile_at(gamma, gamma_shares, (shares[:-1] + shares[1:]) / 2), lower, upper)
     return Guess(moved, held, float(np.clip(duration, problem.shortest, problem.longest)))
 

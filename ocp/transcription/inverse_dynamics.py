@@ -7,6 +7,8 @@ import numpy as np
 import scipy.optimize
 
 from ocp.boundary.dynamics import Dynamics
+from ocp.problem.control import pulled, winds
+from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.scene.loads import Gravity
@@ -14,16 +16,19 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
 MOST_ROUNDS = 20  # of an active-set method, which mostly needs five
+TAUT = 0.02  # of the greatest force density: the least that a guess of rest lengths pulls by
 REFERENCE_WEIGHT = 1e-3  # how much the reference force densities weigh against following the path, both in scaled units
 
 
 def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
-    """Return γ (K, α) within its limits whose accelerations come nearest to those of states (K + 1, nx) that are `interval` s apart.
+    """Return γ (K, α) within its limits, or the rest lengths for it, whose accelerations come nearest to those of states (K + 1, nx).
+
+    These are `interval` s apart.
 
     Accelerations are linear in γ: a small least-squares problem with bounds for every interval. What it leaves open (self-stress) follows the
     equilibrium force densities of the first and the last state.
     """
-    model = problem.model
+    model = pulled(problem.model)
     middle = (states[:-1] + states[1:]) / 2
     wanted = np.diff(model.split(states)[1], axis=0) / interval
     lower, upper = problem.force_density_limits
@@ -35,7 +40,20 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
     size = np.sqrt(np.maximum(np.linalg.eigvalsh(A.transpose(0, 2, 1) @ A)[:, -1:], 1e-300))
     A = np.concatenate([A / size[:, None], np.broadcast_to(np.sqrt(REFERENCE_WEIGHT) * np.eye(model.nu), (count, model.nu, model.nu))], axis=1)
     b = np.concatenate([(wanted - free) / size, np.sqrt(REFERENCE_WEIGHT) * _reference(problem, states)], axis=1)
-    return _bounded_least_squares(A, b, lower, upper)
+    found = _bounded_least_squares(A, b, lower, upper)
+    return _wound(problem, middle, found) if winds(problem.model) else found
+
+
+def _wound(problem: Problem, states: Array, force_density: Array) -> Array:
+    """Return the rest lengths (K, α), within their limits, by which elastic strings pull so at states (K, nx): s − (s γ − c ṡ)/k.
+
+    Strings are held a little more than slack: just slack ones would not feel that they are wound.
+    """
+    structure, now = problem.model.scene.structure, symbolic(problem.model)
+    measure = ca.Function("measure", [now.state], [ca.densify(now.lengths), ca.densify(now.rates)]).map(len(states))
+    lengths, rates = (np.asarray(value.full()).T for value in measure(states.T))
+    taut = np.maximum(force_density, TAUT * force_density.max(initial=0.0)) * lengths
+    return np.clip(lengths - (taut - structure.damping * rates) / structure.stiffness, *problem.control_limits)
 
 
 def _reference(problem: Problem, states: Array) -> Array:

@@ -10,8 +10,10 @@ import casadi as ca
 import numpy as np
 
 from ocp.boundary.target import Target
+from ocp.problem.control import control_name
+from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
-from ocp.problem.scaling import Scales, typical_cost
+from ocp.problem.scaling import Scales, control_scale, typical_cost
 from ocp.transcription.initial_guess import Guess, on_mesh
 from ocp.transcription.mesh import Profile, group_matrix, spans
 from ocp.transcription.sparse_nlp import Block, Unknowns, invertible
@@ -82,7 +84,7 @@ class Variables:
         self.problem, self.target, self.fractions, self.profile = problem, target, fractions, profile
         self.scales = replace(scales, state=invertible(scales.state))
         self.model, self.count = problem.model, len(fractions)
-        self.strength = _strength(scales, guess)
+        self.strength = _strength(scales, forces_of(self.model, (guess.states[:-1] + guess.states[1:]) / 2, guess.force_density))
         self.objective = typical_cost(problem, self.strength, guess.states, guess.force_density, guess.duration)
         self.guess = on_mesh(self.model, guess, fractions, profile)
         self.group_matrix = group_matrix(profile, self.model.nu)
@@ -107,14 +109,15 @@ class Variables:
     def _controls(self) -> Indices:
         """Add force densities of intervals, or, where they are piecewise linear, at the nodes of the mesh."""
         members = [np.flatnonzero(column) for column in self.group_matrix.T]
-        least, most = self.problem.force_density_limits
+        least, most = self.problem.control_limits
         lower, upper = (np.array([choose(limit[own]) for own in members]) for choose, limit in ((np.max, least), (np.min, most)))
         first = self.guess.force_density @ (self.group_matrix / self.group_matrix.sum(axis=0))
         span = np.arange(len(first)) if self.profile.linear else spans(self.profile, self.fractions)
         begins = np.unique(span, return_index=True)[1]
         first = np.add.reduceat(first, begins) / np.bincount(span)[:, None]
-        names = control_names(self.group_matrix, begins)
-        return self.entries.unknowns(names, first, self.strength, lower, upper, begins[:, None])[span]
+        names = control_names(self.group_matrix, begins, control_name(self.model))
+        scale = np.array([np.max(control_scale(self.problem, self.strength)[own]) for own in members])
+        return self.entries.unknowns(names, first, scale, lower, upper, begins[:, None])[span]
 
     @property
     def free_time(self) -> bool:
@@ -143,10 +146,10 @@ class Variables:
         return np.tile(index, (self.count if count is None else count, 1))
 
 
-def control_names(group_matrix: Array, begins: Indices) -> list[str]:
-    """Return the names of the force densities that are held from the start of these intervals on, those of one interval after the other."""
+def control_names(group_matrix: Array, begins: Indices, what: str = "force density") -> list[str]:
+    """Return the names of what is decided and held from the start of these intervals on, those of one interval after the other."""
     members = [np.flatnonzero(column) for column in group_matrix.T]
-    own = [f"force density of string{'s' * (len(strings) > 1)} {', '.join(map(str, strings))}" for strings in members]
+    own = [f"{what} of string{'s' * (len(strings) > 1)} {', '.join(map(str, strings))}" for strings in members]
     return [f"{name}, interval {k}" for k in begins for name in own]
 
 
@@ -161,6 +164,6 @@ def interval_names(count: int, rows: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"dynamics of interval {k}, {name}" for k in range(count) for name in rows)
 
 
-def _strength(scales: Scales, guess: Guess) -> float:
+def _strength(scales: Scales, force_density: Array) -> float:
     """Return a typical force density, N/m: of the guess, or what moves the structure's mass by its size within the duration."""
-    return max(float(np.sqrt(np.mean(guess.force_density**2))), scales.mass / scales.time**2)
+    return max(float(np.sqrt(np.mean(force_density**2))), scales.mass / scales.time**2)

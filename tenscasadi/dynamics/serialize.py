@@ -16,7 +16,7 @@ from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.over_time import OverTime, read_sample
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip, ForceDensity, Linear, Slack, Smooth
+from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Slack, Smooth
 from tenscasadi.structure.class_one import Layout
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.archive import Fields
@@ -34,6 +34,7 @@ _TEXTS = dict.fromkeys(["ends", "functions", "slack.laws", "parameters"], "U")
 _KINDS = dict.fromkeys([*_INDICES.split(), *_MORE_INDICES], "i") | {"fixed": "b"} | _TEXTS  # NumPy's letters; others: real numbers
 _DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layout.tied": 0}
 _LATER = ("grounds", "slack.laws", "gravity.times", "pressure.times", "forces.bars", "parameters")  # of a scene: not in files of version 0.1
+_CONTROLS = {type(control).__name__: control for control in (ForceDensity(), RestLength(), None)}
 _NOTHING = np.zeros(0)  # stands for None
 
 
@@ -74,7 +75,7 @@ def structure_from_arrays(content: Content) -> Structure:
 
 
 def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
-    """Return all that the motion under force densities depends on, by name; of functions of time their values at `times` (K,), s."""
+    """Return all that the motion under force densities or rest lengths depends on, by name; of functions of time their values at `times` (K,), s."""
     scene = model.scene
     gravity, pressure, forces, supports = scene.gravity, scene.pressure, scene.forces, scene.supports
     nodes = len(scene.structure.nodes)
@@ -105,11 +106,12 @@ def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
     }
     told = {f"scene.{name}": _NOTHING if value is None else np.asarray(value) for name, value in content.items()}
     own = {"model.coordinates": model.coordinates, "model.bar_length": "constant" if model.mechanism.constant_length else "current"}
+    own |= {"model.control": type(scene.control).__name__}
     return structure_to_arrays(scene.structure) | told | {name: np.asarray(value) for name, value in own.items()}
 
 
 def model_from_arrays(content: Content) -> Model | None:
-    """Return the model under force densities of `model_to_arrays`, None where it has functions of time or is not there.
+    """Return the model of `model_to_arrays`, under force densities in files of older versions, None where it has functions of time or is not there.
 
     Raises ValueError.
     """
@@ -122,9 +124,12 @@ def model_from_arrays(content: Content) -> Model | None:
     def some(name: str, build: Callable[[Any], Any]) -> Any:
         return build(told[name]) if (name not in _LATER or name in told) and told[name].size else None
 
+    control = str(content.get("model.control", "ForceDensity"))
+    if control not in _CONTROLS:
+        raise ValueError(f"field 'model.control' is {control!r}")
     scene = Scene(
         structure_from_arrays(content),
-        control=ForceDensity(),
+        control=_CONTROLS[control],
         segments=told["segments"].tolist(),
         ends=told["ends"].item(),
         fractions=some("fractions", np.ndarray.tolist),

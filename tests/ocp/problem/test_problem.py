@@ -47,7 +47,6 @@ def followed(place):
 BAD = {
     "model is no model": (lambda: ocp.Problem(FORCED), TypeError, "Problem.model"),
     "control is none": (lambda: ocp.Problem(tc.Model(tc.Scene(PRISM))), ValueError, "Problem.model has the control None"),
-    "control is rest length": (lambda: ocp.Problem(tc.Model(tc.Scene(PRISM, control=tc.RestLength()))), ValueError, "ForceDensity"),
     "no strings": (lambda: ocp.Problem(tc.Model(tc.Scene(tc.shapes.pendulum(), control=tc.ForceDensity()))), ValueError, "no strings"),
     "no free node": (
         lambda: ocp.Problem(tc.Model(tc.Scene(PRISM.replace(pinned=range(6)), control=tc.ForceDensity()))),
