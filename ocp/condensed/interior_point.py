@@ -29,6 +29,8 @@ WIDE = 0.1  # of order-one rows: the funnel's width while barriers are high
 NEARLY_MET = 1e-3  # of order-one rows: is not corrected further
 STIFFENING = 100.0  # most that is added to the metric against negative curvature, in units of the costs' curvature
 GIVEN_UP = 1e4  # the same where no step is accepted
+NEARLY_SETTLED, NEARLY_WITHIN = 1e-2, 5  # the same where no step is found any more
+LEAST_POLISHED = 1e-5  # distance from limits
 SETTLED_BARRIER, SETTLED, WITHIN = 1e-4, 1e-4, 3  # μ, relative change of costs, iterations: then costs are settled
 
 
@@ -45,7 +47,7 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where the method ended: a point, multipliers of goals and limits, iterations, and how: "optimal", "settled", or why not."""
+    """Where the method ended: a point, multipliers of goals and limits, iterations, and how: "optimal", "settled", "nearly settled", or why not."""
 
     point: Point
     multipliers: Array
@@ -72,7 +74,7 @@ def solve(of: ReducedProblem, w: Array, motion: Motion, tolerance: float, most: 
         elif search.converged():
             status = search.converged()
         elif not search.advance():
-            status = "stuck"
+            status = "nearly settled" if search.still(NEARLY_WITHIN, NEARLY_SETTLED) else "stuck"
         if verbose and not status:
             sys.stdout.write(search.line() + "\n")
     return Found(search.point, search.multipliers, search.duals, search.iterations, status, search.error(0.0))
@@ -144,9 +146,9 @@ class Search:
         """Return "optimal", or "settled" where costs no longer fall, or ""."""
         if self.error(0.0) < self.tolerance and self.point.worst < self.tolerance:
             return "optimal"
-        return "settled" if self._still(WITHIN, SETTLED) and (self.mu <= SETTLED_BARRIER * self.unit or not self.of.objective.given) else ""
+        return "settled" if self.still(WITHIN, SETTLED) and (self.mu <= SETTLED_BARRIER * self.unit or not self.of.objective.given) else ""
 
-    def _still(self, most: int, share: float) -> bool:
+    def still(self, most: int, share: float) -> bool:
         """Tell whether costs have not changed by more than a share in the last iterations, all of them near the goals."""
         recent = self.history[-most:]
         costs = [cost for cost, worst in recent if worst < 2 * NEARLY_MET]
@@ -160,7 +162,7 @@ class Search:
             return False
 
     def _advance(self) -> bool:
-        if max(self.error(self.mu), CENTRED * self.point.worst) < CENTRED * self.mu / self.unit or self._still(2, SETTLED):
+        if max(self.error(self.mu), CENTRED * self.point.worst) < CENTRED * self.mu / self.unit or self.still(2, SETTLED):
             self.mu = max(LEAST_BARRIER * self.unit, FEWER * self.mu)
             self.gradient = self.slope + self.mu * self.limits.barrier_slope(self.point.w)
         stiffness, more = self.stiffness, self.stiffened / 3 if self.stiffened > 0.1 * self.unit else 0.0
@@ -189,14 +191,14 @@ class Search:
         rows = self.point.left.rows
         for _ in range(10):
             d = self.limits.cut(self.point.w, share * step.d, self._most(), self._room())
-            point = self._moved(self.point, d, Rows(share * rows.impulses, share * rows.lengths))
+            point = moved_point(self.of, self.expansion, self.point, d, Rows(share * rows.impulses, share * rows.lengths))
             for _ in range(CORRECTIONS):
                 if (self._better(point, step, share) and self._close(point)) or not point.theta < 10 * max(self.point.theta, 100.0):
                     break
                 left = point.left
                 drift = self.expansion.change(self.expansion.follow(None, left.rows))
                 back = self.limits.cut(point.w, -projector.shortest(left.goals + drift), self._most(), self._room())
-                corrected = self._moved(point, back, left.rows)
+                corrected = moved_point(self.of, self.expansion, point, back, left.rows)
                 if not corrected.theta < point.theta:
                     break
                 point = corrected
@@ -204,11 +206,6 @@ class Search:
                 return point, share
             share /= 2
         return None
-
-    def _moved(self, point: Point, d: Array, rows: Rows) -> Point:
-        step = self.expansion.follow(d, rows)
-        shaped = Motion(*(one.reshape(other.shape) for one, other in zip(step, point.motion, strict=True)))
-        return point_at(self.of, point.w + d, point.motion.moved(shaped))
 
     def _most(self) -> float:
         return max(NEAR_LIMIT, 1 - self.mu / self.unit)
@@ -260,16 +257,24 @@ def polish(of: ReducedProblem, point: Point, tolerance: float, most: int = 12) -
     for _ in range(most):
         if not point.worst > tolerance:
             break
-        expansion = of.about(point.w, point.motion)
+        expansion, rows = of.about(point.w, point.motion), point.left.rows
         low, high = limits.gaps(point.w)
-        room = np.minimum(np.minimum(low, high), 0.5) + 1e-9
+        room = np.clip(np.minimum(low, high), LEAST_POLISHED, 0.5)
         projector = Projector(expansion.jacobian, Metric(np.where(limits.free, 1 / room, 1e300), None), DAMPING)
-        drift = expansion.change(expansion.follow(None, point.left.rows))
-        d = limits.cut(point.w, -projector.shortest(point.left.goals + drift), 0.999, 0.0)
-        step = expansion.follow(d, point.left.rows)
-        shaped = Motion(*(one.reshape(other.shape) for one, other in zip(step, point.motion, strict=True)))
-        moved = point_at(of, point.w + d, point.motion.moved(shaped))
-        if not moved.theta < point.theta:
+        whole = -projector.shortest(point.left.goals + expansion.change(expansion.follow(None, rows)))
+        for share in (1.0, 0.5, 0.25, 0.1):
+            d = limits.cut(point.w, share * whole, 0.999, 0.0)
+            moved = moved_point(of, expansion, point, d, Rows(share * rows.impulses, share * rows.lengths))
+            if moved.theta < point.theta or moved.worst < point.worst:
+                break
+        else:
             break
         point = moved
     return point
+
+
+def moved_point(of: ReducedProblem, expansion: Expansion, point: Point, d: Array, rows: Rows) -> Point:
+    """Return the point after a step d of w, which the motion follows, by the expansion, while it takes away rows."""
+    step = expansion.follow(d, rows)
+    shaped = Motion(*(one.reshape(other.shape) for one, other in zip(step, point.motion, strict=True)))
+    return point_at(of, point.w + d, point.motion.moved(shaped))

@@ -111,7 +111,7 @@ class LinearChain:
         count, columns = len(impulses), impulses.shape[2]
         if columns == 1:
             return np.asarray((chain.across(chain.C_s, impulses.reshape(count, -1, 3)) * self.S).sum(axis=2)[:, :, None])
-        return np.matmul(member_directions(chain.C_sT, self.S).transpose(0, 2, 1), impulses)
+        return np.asarray(np.matmul(member_directions(chain.C_sT, self.S).transpose(0, 2, 1), impulses))
 
     def of_strings(self, strings: Array) -> Array:
         """Return what changes (K + X, α) of T²σγ push: M⁻ times impulses (K + X, 3n)."""

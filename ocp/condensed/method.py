@@ -30,7 +30,7 @@ from tenscasadi.util.validate import Array
 
 MET = 1e-9  # in order-one rows: the motion and the goals that are imposed are met
 POLISHED = 1e-11  # what is aimed at
-SOLVED = ("optimal", "settled")
+SOLVED = ("optimal", "settled", "nearly settled")
 TOO_COARSE = "too coarse: corrections end {:.2g} m from fine steps, not {:.2g} m: give more intervals"
 _PASSES = "give a goal that the motion passes"
 WHY = {
@@ -130,9 +130,10 @@ def _outcome(
     if states is None:
         states = states_of(chain, duration**2 * chain.controls.before_nodes(c), duration, point.motion, clock)
     lower, upper = problem.force_density_limits
-    why = _why(target, found, point, state_function(problem.model, states, duration, transcription.fractions))
-    if not why and transcription.accuracy is not None and gap > transcription.accuracy:
+    if transcription.accuracy is not None and gap > transcription.accuracy:
         why = TOO_COARSE.format(gap, transcription.accuracy)
+    else:
+        why = _why(target, found, point, state_function(problem.model, states, duration, transcription.fractions))
     return Outcome(
         states=states,
         force_density=np.clip(reduced.force_densities(point.w), lower, upper),

@@ -16,7 +16,8 @@ D_BAR = tc.shapes.d_bar(pinned=[0])
 
 
 def lifted(t):
-    return [(0.0, 0.0, 0.05 * t**2)]
+    x, y, z = PRISM.nodes[0]
+    return (x, y, z + 0.05 * t**2)
 
 
 CASES = {
@@ -65,6 +66,16 @@ def test_finds_what_ipopt_finds(case):
     again = ocp.solve(problem, transcription, ocp.Ipopt(), guess=plan)
     assert again.objective == pytest.approx(plan.objective, rel=5e-3)
     assert np.abs(again.trajectory.states - plan.trajectory.states).max() < 0.05
+
+
+def test_supports_may_be_moved():
+    """As multiple shooting knows them, in the limit of short intervals."""
+    scene = tc.Scene(tc.shapes.prism(pinned=[0, 1, 2]), control=tc.ForceDensity(), supports=tc.SupportMotion({0: lifted}))
+    goals = [ocp.NodePositions({5: (None, None, 1.03)})]
+    problem = ocp.Problem(tc.Model(scene), goals=goals, bounds=[LIMITS], costs=[ocp.Effort()])
+    plan = ocp.solve(problem, ocp.Variational(20), ocp.CondensedNewton())
+    assert plan.success, plan.message
+    assert plan.objective == pytest.approx(ocp.solve(problem, ocp.MultipleShooting(20)).objective, rel=5e-3)
 
 
 def test_multipliers_are_what_costs_change_by():

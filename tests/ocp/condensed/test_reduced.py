@@ -53,6 +53,14 @@ CASES = {
         ),
         ocp.Variational(8),
     ),
+    "a roller": (
+        ocp.Problem(
+            driven(tc.shapes.prism(pinned=[0], rollers={1: (0, 0.6, 0.8)})),
+            goals=[ocp.NodePositions({5: (None, None, 1.03)})],
+            costs=[ocp.Effort()],
+        ),
+        ocp.Variational(8),
+    ),
     "segments with masses": (
         ocp.Problem(
             tc.Model(tc.Scene(tc.shapes.prism(string_mass=0.05), control=tc.ForceDensity(), segments=2)),
