@@ -15,6 +15,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import REFINEMENTS, REGULARISATION, ArrayFunction, block_inverse
 from tenscasadi.util.validate import Array
 
+REDUNDANT = 1e8  # entry of an inverse beyond which constraints repeat each other
 FEW = 6  # parts of a mass matrix that are inverted as dense blocks: all bars hang together
 
 
@@ -128,13 +129,15 @@ def _times(matrices: Array, vectors: Array) -> Array:
 
 
 def _inverted(S: Array) -> Array:
-    """Return the inverses of symmetric positive semidefinite S (P, c, c); of those that are singular, as `solve_semidefinite` takes them."""
+    """Return the inverses of symmetric positive semidefinite S (P, c, c); of those that are singular, as constraints repeat, pseudoinverses."""
     diagonal = np.diagonal(S, axis1=1, axis2=2)
     scale = 1 / np.sqrt(diagonal + 1e-14 * diagonal.sum(axis=1, keepdims=True))
     scales = scale[:, :, None] * scale[:, None, :]
     eye = np.eye(S.shape[1])
-    rough = np.linalg.inv(S * scales + REGULARISATION * eye)
-    inverse = rough
+    inverse = np.linalg.inv(S * scales + REGULARISATION * eye)
+    regular = ~(np.diagonal(inverse, axis1=1, axis2=2).max(axis=1) >= REDUNDANT)  # also where nothing is a number
+    rough = inverse[regular]
     for _ in range(REFINEMENTS):
-        inverse = inverse + rough @ (eye - (S * scales) @ inverse)
+        inverse[regular] += rough @ (eye - (S * scales)[regular] @ inverse[regular])
+    inverse[~regular] = np.linalg.pinv((S * scales)[~regular], rcond=REGULARISATION, hermitian=True)
     return np.asarray(inverse * scales)

@@ -18,6 +18,7 @@ from tenscasadi.util.validate import Array, Indices
 REACHED = 1e-5  # of the strongest direction: below it a row of the goal is not controlled to first order, or by errors of the scheme only
 HARDLY_REACHED = 1e-9  # the same, for a second attempt
 SURELY = 3.0  # times the share above: rows that the last intervals move by more need no further look
+LARGEST = 1e20  # state beyond which a motion has diverged
 FEW = 50  # rows that are looked at as a whole
 PROBES = 8  # random combinations of rows from which the size of a gradient is estimated
 FIRST_COMPARED = 4  # intervals from the end after which it is compared for the first time, then after twice as many
@@ -158,7 +159,7 @@ class Reach:
         gathered, compared = np.zeros((len(last), len(last))), FIRST_COMPARED
         for count, (by_control, _) in enumerate(self._backwards(last, motion, length), 1):
             gathered += by_control @ by_control.T
-            if count == compared:
+            if count == compared and np.all(np.isfinite(gathered)):
                 compared *= 2
                 squares = np.linalg.eigvalsh(gathered)
                 if squares[0] > (SURELY * least) ** 2 * squares[-1] * max(1.0, size / squares.sum()):
@@ -181,7 +182,7 @@ class Reach:
     def _linearised(self, rows: ca.Function, weights: Array, start: Array, controls: Array, length: float) -> tuple[Array, Linearised | None]:
         """Return the gradient (m, nx) of the rows at the end of the motion under even controls, and the motion; None where it diverges."""
         states, points = self._rolled(start, controls, length)
-        if not np.all(np.isfinite(states)):
+        if not np.all(np.abs(states) <= LARGEST):
             return np.zeros((len(weights), len(start))), None
         return weights @ _slope(rows, states[-1]), self._dynamics.linearise(points, np.repeat(controls, 4 * self._substeps, axis=0))
 

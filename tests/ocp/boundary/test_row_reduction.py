@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+import pytest
 from planning import driven
 
 import ocp
 import tenscasadi as tc
 from ocp.boundary.find_target import find_target
 from ocp.boundary.invariants import invariants
-from ocp.boundary.row_reduction import RowFunction, soft_directions
+from ocp.boundary.row_reduction import RowFunction, null_space, separate_parts, soft_directions
 from ocp.problem.scaling import Scales
 
 PRISM = tc.shapes.prism()
@@ -60,3 +61,37 @@ def goal_misfit(goal, x, value):
 def rotation(angle):
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+
+
+def test_curvatures_are_second_derivatives():
+    y = ca.SX.sym("y", 5)
+    groups = [ca.vertcat(y[0] * y[1] + y[2] ** 3, 3 * y[4]), ca.sin(y[0] * y[3])]
+    scale = np.array([1.0, 2.0, 0.5, 3.0, 1.0])
+    rows = RowFunction(y, groups, np.array([2.0, 1.0, 0.5]), scale)
+    rng = np.random.default_rng(1)
+    at, weights, basis = rng.normal(size=5), rng.normal(size=(3, 2)), rng.normal(size=(5, 4))
+    found = rows.curvatures(at, weights, basis)
+    for w, form in zip(weights.T, found, strict=True):
+        H = ca.Function("H", [y], [ca.hessian(ca.dot(ca.DM(w / [2.0, 1.0, 0.5]), ca.vertcat(*groups)), y)[0]])(at).full()
+        assert form == pytest.approx(basis.T @ (H * np.outer(scale, scale)) @ basis)
+    one = rows.select(slice(0, 2)).curvatures(at, weights[:2], basis)
+    both = rows.curvatures(at, np.vstack([weights[:2], np.zeros((1, 2))]), basis)
+    assert one == pytest.approx(both)
+
+
+def test_parts_that_share_nothing_are_taken_apart():
+    rng = np.random.default_rng(0)
+    A = np.zeros((80, 90))
+    parts = [(slice(0, 30), slice(0, 40)), (slice(30, 70), slice(40, 60))]
+    for rows, columns in parts:
+        A[rows, columns] = rng.normal(size=A[rows, columns].shape)
+    A[2] = A[1]
+    A[40] = 0.0
+    rows, columns = rng.permutation(80), rng.permutation(90)
+    A = A[rows][:, columns]
+    assert [(len(own), len(other)) for own, other in sorted(separate_parts(A), key=lambda part: -len(part[1]))] == [(30, 40), (39, 20)]
+    free = null_space(A)
+    rank = np.linalg.matrix_rank(A)
+    assert free.shape == (90, 90 - rank)
+    assert free.T @ free == pytest.approx(np.eye(90 - rank), abs=1e-12)
+    assert np.abs(A @ free).max() < 1e-12

@@ -8,7 +8,7 @@ import pytest
 from planning import driven
 
 import tenscasadi as tc
-from ocp.boundary.sensitivities import Motion, Reach
+from ocp.boundary.sensitivities import FEW, Motion, Reach, find_controlled
 
 PRISM = tc.shapes.prism()
 
@@ -48,3 +48,25 @@ def test_derivatives_of_the_motion_are_exact():
         step = np.eye(9)[4] * eps
         slope = (own.states(states[k], u[k : k + 1] + step, 0.05)[0][1] - own.states(states[k], u[k : k + 1] - step, 0.05)[0][1]) / (2 * eps)
         assert B[k][:, 4] == pytest.approx(slope, abs=1e-7)
+
+
+@pytest.mark.parametrize("conserved", [0, 1])
+def test_many_rows_are_judged_as_by_their_whole_gradient(conserved):
+    """Places and speeds of nodes about their mean can be moved, each of them; with the speed of the centre of mass among them, one cannot."""
+    structure = tc.shapes.prism(10)
+    model = driven(structure)
+    x = ca.SX.sym("x", model.nx)
+    V = model.velocities(x)
+    places = model.nodes(x)
+    bars = structure.bars
+    middles = (places[:, bars[:, 0].tolist()] + places[:, bars[:, 1].tolist()]) / 2
+    speeds = (V[:, bars[:, 0].tolist()] + V[:, bars[:, 1].tolist()]) / 2
+    about = [ca.vec(part[:, :-1] - part[:, 1:]) for part in (middles, speeds)]
+    rows = ca.Function("rows", [x], [ca.vertcat(*about, *[ca.sum2(V)[0]] * conserved)])
+    count = rows.size1_out(0)
+    assert count >= FEW
+    reach = Reach(model, free_duration=False)
+    controls = np.random.default_rng(2).uniform(1, 5, (30, model.nu))
+    given = rows, np.eye(count), model.initial_state, controls, 1.0
+    kept = reach.controlled(*given)
+    assert len(kept) == count - conserved == len(find_controlled(reach.of_rows(*given)))
