@@ -115,7 +115,7 @@ def solve(
         outcome, target = solve_phased(problem, transcription, solver, guess, deadline, limit)
     else:
         target, scales = prepare(problem, transcription)
-        outcome = _find(problem, transcription, target, scales, guess, solver, deadline)
+        outcome = _find(problem, transcription, target, scales, guess, solver, deadline, limit)
     plan = _plan(problem, transcription, solver, outcome, time.perf_counter() - began)
     return judged(replace(plan, tracked=tracked), target, outcome, limit)
 
@@ -131,11 +131,12 @@ def _find(
     guess: InitialGuess | None,
     solver: Solver | CondensedNewton | Sampling,
     deadline: float | None,
+    tolerance: float,
 ) -> Outcome:
     """Return what the method finds that fits the solver."""
     if isinstance(solver, Sampling):
         known = None if guess is None else evaluate_guess(guess, problem, target, transcription.count)
-        return solve_sampled(problem, transcription, known, solver, deadline)
+        return solve_sampled(problem, transcription, known, solver, deadline, tolerance)
     first = evaluate_guess(guess, problem, target, transcription.count)
     if isinstance(solver, CondensedNewton):
         return solve_condensed(problem, transcription, target, scales, first, solver, deadline)

@@ -63,6 +63,11 @@ def ball_travels(rows: Any) -> None:
         assert row.motion.nodes[:, :, 2].mean(axis=1).min() > 0.2  # it has not collapsed
 
 
+def contact_problems(plans: Any) -> None:
+    for name, plan in plans.items():
+        assert plan.success, f"{name}: {plan.message}"
+
+
 def learn_to_travel(learned: Any) -> None:
     medians = np.median(learned.distance, axis=1)
     assert medians[-1] > medians[0] + 0.05
@@ -144,6 +149,7 @@ CLAIMS = (
     ball_rolls,
     ball_on_terrain,
     ball_travels,
+    contact_problems,
     learn_to_travel,
     prism_gait,
     benchmark_rhs,

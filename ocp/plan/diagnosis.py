@@ -45,6 +45,7 @@ _STOPS = {
     TIME_UP: "stopped at the time limit, with the best so far: raise seconds",
     STOPPED: "stopped on request, by Ipopt(watch=...) or from the keyboard, with the best so far",
 }
+_CONTACT = "through contact with a ground derivatives mislead the solver: try solver=ocp.Sampling(), or phases"
 _STEPS = f"the solver could not go on: {_ROOM}, or more intervals"
 
 
@@ -119,6 +120,8 @@ def explain_failure(missed: Misses, imposed: Target, reach: Reach | None, progra
         parts.append("largest violation: " + (missed.worst() if name.startswith("goal") else f"{name}, by {amount}"))
     else:
         parts.append("all constraints are met, but the cost is not settled: a plan of another transcription may be a better guess")
+    if program.contact:
+        parts.append(_CONTACT)
     if held:
         often, _ = Counter(name.split(",")[0] for name in held).most_common(1)[0]
         parts.append(f"upper limits hold {len(held)} times, most often the {often}")

@@ -1,4 +1,4 @@
-"""What sampling takes where nothing is said: groups of strings, force densities to begin with, intervals, knots, steps."""
+"""Defaults of sampling: groups of strings, force densities to begin with, intervals, knots, steps."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ ALIKE = 1e-3  # of the structure's size: lengths and heights that differ by less
 HOLDING = 2.0  # times the weight per length of a bar: the mean of force densities that hold a structure
 RANGE, TIMES = 0.2, 5.0  # of the limits' range, and of the mean to begin with: the spread is the smaller
 SWING = 0.6  # radians in an interval of what force densities to begin with let a node swing by
-KNOTS = 4.0  # of splines in the time √(size/g) of a fall
+KNOTS = 3.0  # of splines in the time √(size/g) of a fall
 LEAST_INTERVALS, MOST_INTERVALS, LEAST_KNOTS, MOST_KNOTS = 20, 400, 6, 24
 
 
 class Usual(NamedTuple):
-    """What a motion begins with: γ (α,) and how far it is changed (α,), N/m, the mass, kg, that a node moves with, and the time of a fall, s."""
+    """Beginnings of a motion: γ (α,) and how far it is changed (α,), N/m, the mass, kg, that a node moves with, and the time of a fall, s."""
 
     force_density: Array
     spread: Array
@@ -47,7 +47,7 @@ class Usual(NamedTuple):
 
 
 def usual(problem: Problem) -> Usual:
-    """Return what motions of a problem begin with."""
+    """Return the beginnings of the motions of a problem."""
     model, (lower, upper) = problem.model, problem.force_density_limits
     structure = model.scene.structure
     size = float(structure.bar_lengths.mean()) if len(structure.bars) else float(np.linalg.norm(np.ptp(structure.nodes, axis=0)))

@@ -64,6 +64,15 @@ class Descent:
             point = min(point, best, key=lambda one: one.merit)
         return point, iterations
 
+    def again(self, point: Point, finer: int) -> float:
+        """Return the largest miss of the same force densities in other steps."""
+        motions = self._motions
+        law, motions.law = motions.law, None
+        states = motions.roll(motions.problem.first_state[None], point.force_density[None], point.duration, finer=finer)[1]
+        motions.law = law
+        missed = motions.misses(states, point.duration)
+        return float(np.abs(missed).max(initial=0.0)) if np.all(np.isfinite(missed)) else np.inf
+
     def _points(self, wanted: Array, durations: list[float]) -> list[Point]:
         """Return what comes of each γ that is wanted (n, K, α), all for one duration or each for its own."""
         if len(set(durations)) > 1:

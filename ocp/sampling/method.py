@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,15 +28,10 @@ COARSE = 0.5  # radians of the fastest swing in a step of the search
 MOST_STEPS = 2000  # of an interval
 FAST = 10.0  # times their tolerance that speeds may be off by at first in Gauss-Newton
 FINER = 2  # times the steps that contact needs: whether the motion is theirs
-HOPELESS = 30.0  # tolerances, beyond which finer steps are not tried
+FAR = 10.0  # tolerances, beyond which a search has not found the way
+HOPELESS, NEARLY = 30.0, 2.0  # tolerances, beyond which the steps that contact needs, and finer ones, are not tried
 CERTAIN = 0.5  # of the tolerance: plans that miss by more are tried again
 POLISHED = 2  # lineages of a search that are
-
-
-class _Stopped(NamedTuple):
-    """Why a search was stopped; "": it was not."""
-
-    why: str
 
 
 def default_intervals(problem: Problem) -> int:
@@ -58,19 +52,22 @@ def check_sampling(problem: Problem, transcription: Transcription, solver: Sampl
             raise ValueError(f"Sampling.groups names string {string}: strings run from 0 to {problem.model.nu - 1}")
 
 
-def solve_sampled(problem: Problem, transcription: Transcription, guess: Guess | None, solver: Sampling, deadline: float | None = None) -> Outcome:
+def solve_sampled(
+    problem: Problem, transcription: Transcription, guess: Guess | None, solver: Sampling, deadline: float | None, tolerance: float
+) -> Outcome:
     """Return what sampling finds; by the deadline (of `time.perf_counter`, s), or after Ctrl-C, the best so far.
 
     transcription: its intervals, and which strings share a force density. guess: where Gauss-Newton begins, in place of a search.
+    tolerance: m, what goals may be missed by, and in m per duration speeds.
     """
     check_sampling(problem, transcription, solver)
-    return _Method(problem, transcription, solver, deadline).run(guess)
+    return _Method(problem, transcription, solver, deadline, tolerance).run(guess)
 
 
 class _Method:
     """One run."""
 
-    def __init__(self, problem: Problem, transcription: Transcription, solver: Sampling, deadline: float | None) -> None:
+    def __init__(self, problem: Problem, transcription: Transcription, solver: Sampling, deadline: float | None, tolerance: float) -> None:
         self._problem, self._solver, self._deadline = problem, solver, deadline
         self._usual, scales = usual(problem), Scales.of(problem)
         self._shared = transcription.control.groups
@@ -78,10 +75,12 @@ class _Method:
         rate = max(contact_rate(problem.model), _swing(self._usual, problem))
         steps = int(np.clip(np.ceil(interval * rate / COARSE), 1, MOST_STEPS))
         self._finer = max(1, int(np.ceil(min(interval / steps / contact_step(problem.model), 20.0))))
-        place = solver.tolerance * scales.length
-        self._motions = Motions(problem, scales, transcription.fractions, transcription.control, steps, self._usual.strength, place, solver.threads)
+        self._motions = Motions(
+            problem, scales, transcription.fractions, transcription.control, steps, self._usual.strength, tolerance, solver.threads
+        )
         self._law = elastic_law(problem, self._usual.strength, self._usual.mass, interval)
         self._best: Point | None = None
+        self._miss = np.inf  # of the best, in tolerances
         self._stopped = ""
         self._iterations = 0
 
@@ -99,29 +98,36 @@ class _Method:
 
     def _try_all(self) -> None:
         """Search for groups of strings, then for each string, with other samples each time."""
-        for attempt in range(self._solver.attempts):
-            random = np.random.default_rng([self._solver.seed, attempt])
-            for directions in self._levels():
-                motions, solver = self._motions, self._solver
-                seconds = self._problem.longest / len(motions.legs)
-                knots = self._usual.knots(seconds) if solver.knots is None else solver.knots
+        motions, solver, levels = self._motions, self._solver, self._levels()
+        knots = self._usual.knots(self._problem.longest / len(motions.legs)) if solver.knots is None else solver.knots
+        for attempt in range(solver.attempts):
+            random = np.random.default_rng([solver.seed, attempt])
+            for directions in list(levels):
                 search = Search(motions, self._usual.force_density, directions, knots, solver.samples, solver.rounds, random)
-                for one in search.run(self._over)[:POLISHED]:
+                found = search.run(self._over)
+                if found[0].miss > FAR and len(levels) > 1 and not self._stopped:
+                    levels.pop(0)  # these groups do not lead there
+                    continue
+                for one in found[:POLISHED]:
                     self._polish(one.whole, one.duration, directions)
-                    if self._stopped or (self._best is not None and self._best.worst <= CERTAIN):
+                    if self._stopped or self._miss <= CERTAIN:
                         return
 
     def _polish(self, wanted: Array, duration: float, directions: Array) -> None:
-        """Remove the last misses: in coarse steps with fast ends, then in fine ones with all that is asked."""
+        """Remove the last misses: in coarse steps with fast ends, in the steps that contact needs, and in finer ones."""
+        misses = []
         for finer, speed in ((1, FAST), (self._finer, 1.0), (FINER * self._finer, 1.0)):
             descent = Descent(self._motions, directions, finer)
             point, iterations = descent.run(wanted, duration, speed, self._solver.iterations, self._over)
             self._iterations += iterations
             wanted, duration = point.wanted, point.duration
-            if not point.worst < HOPELESS:
+            misses.append(point.worst)
+            if not point.worst < (HOPELESS if len(misses) == 1 else NEARLY):
                 break
-        if self._best is None or point.worst < self._best.worst:
-            self._best = point
+        # Where errors of steps grow along the motion, steps of another length end elsewhere.
+        miss = max(point.worst, descent.again(point, self._finer) if len(misses) == 3 else np.inf)
+        if self._best is None or (miss, point.worst) < (self._miss, self._best.worst):
+            self._best, self._miss = point, miss
 
     def _levels(self) -> list[Array]:
         """Return the directions (g, α) in which γ is changed: those of groups, and those of each string."""
@@ -145,12 +151,13 @@ class _Method:
         motions, best, solver = self._motions, self._best, self._solver
         if best is None or not np.isfinite(best.merit):
             best = motions_at_rest(motions, self._usual)
-        success = best.worst <= 1.0 and not self._stopped
+        success = self._miss <= 1.0
         lanes = f"{motions.kernel.lanes} at once" if motions.kernel.lanes else f"one by one, {motions.kernel.note}"
         why = ""
         if not success:
             cure = "give a longer duration, wider limits, more samples, other groups or another seed"
-            why = f"no plan: {self._stopped or cure}; {motions.worst(best.states, best.force_density, best.duration)}"
+            unsteady = best.worst <= 1.0 and "the motion is so unstable that steps of another length end elsewhere"
+            why = f"no plan: {self._stopped or cure}; {unsteady or motions.worst(best.states, best.force_density, best.duration)}"
         return Outcome(
             states=best.states,
             force_density=best.force_density,

@@ -14,6 +14,7 @@ from tenscasadi.util.validate import Array
 Watcher = Callable[[str], bool]  # told how it goes, says whether to stop
 
 SPEED = 50.0  # times their tolerance by which speeds may be off while places are looked for
+CALM = 3.0  # tolerances squared that changes as large as the spread cost: of motions that meet the goals the calmer are better
 LIMITS = 3.0  # tolerances of a goal that a limit of the end overstepped by its scale counts
 LINEAGES = 4  # searches side by side, of which the worse half ends half-way
 DECAY = 0.05  # of the spread, in the last round
@@ -51,6 +52,7 @@ class Search:
         self, motions: Motions, nominal: Array, directions: Array, knots: int, samples: int, rounds: int, random: np.random.Generator
     ) -> None:
         self._motions, self._nominal, self._directions, self._random = motions, nominal, directions, random
+        self._room = float((directions**2).sum() / directions.shape[1])
         self._knots, self._samples, self._rounds = knots, max(4, samples // LINEAGES), rounds
 
     def run(self, over: Watcher) -> list[Lineage]:
@@ -91,7 +93,8 @@ class Search:
         missed = self._motions.misses(states, one.duration, first, SPEED)
         if first + wanted.shape[1] == len(self._motions.fractions):
             missed = np.concatenate([missed, LIMITS * self._motions.excess(states, gamma, one.duration, last_only=True)], axis=1)
-        costs = np.nan_to_num(costs + (missed**2).sum(axis=1), nan=np.inf)
+        change = ((wanted - self._nominal) ** 2).mean(axis=(1, 2)) / self._room
+        costs = np.nan_to_num(costs + (missed**2).sum(axis=1) + CALM * change, nan=np.inf)
         k = int(np.argmin(costs))
         if not costs[k] < one.cost:
             return one

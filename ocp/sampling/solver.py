@@ -75,12 +75,10 @@ class Sampling:
     seed: int = 0
     rounds: int = 40
     iterations: int = 40
-    attempts: int = 3
+    attempts: int = 5
     threads: int | None = None
     verbose: bool = False
     watch: Callable[[str], Any] | None = None
-
-    tolerance = 1e-2  # of the structure's size: what goals may be missed by
 
     def __post_init__(self) -> None:
         if self.groups is not None:

@@ -64,7 +64,8 @@ Watcher = Callable[[Progress], Any]
 class Ipopt:
     """The interior-point solver IPOPT, with exact derivatives.
 
-    However it is stopped, also from the keyboard, the result is the best iterate. MUMPS runs without its own scaling, which triples its
+    However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch a ground its derivatives mislead, and it
+    hardly finds a motion, whatever the guess: see `Sampling` and `Phase`. MUMPS runs without its own scaling, which triples its
     speed on these problems.
 
     Parameters

@@ -19,7 +19,7 @@ DENSE = 400  # states up to which all eigenvalues are computed
 _QUICK = 100  # states up to which the Jacobian is built for a bound
 _PROBES = 4  # products with the Jacobian of a large model that give a first idea of its fastest rate
 _PROBED = 3.0  # factor on that idea, which is too low
-_BOUNCE, _SLIP = 0.25, 0.5  # radians of a node that bounces on a ground in a step; share of a slip that friction stops in it
+_BOUNCE, _SLIP = 0.1, 0.25  # radians of a node that bounces on a ground in a step; share of a slip that friction stops in it
 _ROUNDED = 1e-9  # growth of a mode in a step that may be rounding
 _HALF_DISC = np.append(1j * np.linspace(0, 1, 101), np.exp(1j * np.linspace(np.pi / 2, np.pi, 100)))  # edge of its upper half
 

@@ -170,3 +170,33 @@ def test_intervals_follow_the_duration():
     counts = [method.default_intervals(contact_problems.prism_jumps(0.2, duration=duration)) for duration in (0.1, 0.6, 1.2)]
     assert counts[0] >= 20
     assert counts[2] == pytest.approx(2 * counts[1], abs=2)
+
+
+def test_ipopt_says_what_contact_does_to_it():
+    plan = ocp.solve(contact_problems.prism_jumps(0.3), ocp.Variational(10), ocp.Ipopt(max_iterations=3))
+    assert not plan.success
+    assert "through contact with a ground derivatives mislead the solver: try solver=ocp.Sampling()" in plan.message
+
+
+LONG = [name for name in contact_problems.PROBLEMS if not name.startswith("prism jumps 0")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LONG)
+def test_it_is_found_by_default(name):
+    asked = contact_problems.PROBLEMS[name]
+    problem = asked.build()
+    plan = ocp.solve(problem, tolerance=asked.tolerance)
+    assert plan.success, plan.message
+    motion = plan.replay(step=5e-5)
+    structure = problem.model.scene.structure
+    end, velocities, x = ca.SX.sym("N", 3, len(structure.nodes)), ca.SX.sym("V", 3, len(structure.nodes)), []
+    for goal in problem.final_goals:
+        rows = goal.rows(structure, end, velocities)
+        x.append((ca.Function("rows", [end, velocities], [rows.value])(motion.nodes[-1].T, motion.velocities[-1].T).full().ravel(), rows.units))
+    size = np.linalg.norm(np.ptp(structure.nodes, axis=0))
+    limit = 2 * (asked.tolerance or 0.01 * size)
+    for missed, units in x:
+        places = np.array([unit == "m" for unit in units])
+        assert np.abs(missed[places]).max(initial=0.0) < limit
+        assert np.abs(missed[~places]).max(initial=0.0) < limit / motion.time[-1]
