@@ -14,10 +14,10 @@ from ocp.transcription.sparse_nlp import Block, Derivatives, split_symbol
 from ocp.transcription.step_derivatives import StepDerivatives
 from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta, RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.integrators.tableaux import Tableau
 from tenscasadi.util.casadi_tools import ArrayCallback
 from tenscasadi.util.validate import Array, whole_number
 
@@ -110,14 +110,14 @@ class MultipleShooting(Transcription):
         index = np.hstack([v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share])
         names = interval_names(v.count, state_names(model))
         derivatives = None
-        if isinstance(self.scheme, ExplicitRungeKutta) and not model.mechanism.large:
-            derivatives = self._derivatives(v, self.scheme.tableau)
+        if isinstance(self.scheme, ExplicitRungeKutta | Collocation) and not model.mechanism.large:
+            derivatives = self._derivatives(v, self.scheme)
         return Defects([Block(gap, index, names, scale=v.scales.state, closes=v.states[1:], derivatives=derivatives)])
 
-    def _derivatives(self, v: Variables, tableau: Tableau) -> Derivatives:
+    def _derivatives(self, v: Variables, scheme: ExplicitRungeKutta | Collocation) -> Derivatives:
         """Return those of the gaps, from the stages of their steps."""
         nx, m, count = v.model.nx, v.interval_controls.shape[1], v.count
-        inner = StepDerivatives(v.model, v.group_matrix, tableau, self.substeps, self.control.linear, v.free_time, count)
+        inner = StepDerivatives(v.model, v.group_matrix, scheme, self.substeps, self.control.linear, v.free_time, count)
         ends = np.cumsum([nx, m, nx, 1])
         varied = np.concatenate([np.arange(nx + m), np.arange(ends[2], ends[2] + v.free_time)])
         scale = v.scales.state

@@ -244,6 +244,10 @@ class ArrayCallback(ca.Callback):
     def eval_buffer(self, arguments: Sequence[Any], results: Sequence[Any]) -> int:
         """Evaluate in CasADi's memory; what is not finite goes to the solver without a warning."""
         arrays = [np.frombuffer(value).reshape(columns, rows) for value, (rows, columns) in zip(arguments, self._inputs, strict=True)]
-        with np.errstate(all="ignore"):
-            np.frombuffer(results[0])[:] = np.ravel(self._evaluate(*arrays))
+        result = np.frombuffer(results[0])
+        try:
+            with np.errstate(all="ignore"):
+                result[:] = np.ravel(self._evaluate(*arrays))
+        except np.linalg.LinAlgError:  # a matrix is singular
+            result[:] = np.nan
         return 0

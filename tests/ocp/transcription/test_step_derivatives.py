@@ -79,13 +79,15 @@ def close(one, other, tolerance):
         ("a ground", RK4, 1, False),
         ("bars that meet", tc.DormandPrince54(), TWICE, True),
         ("full coordinates", RK4, 1, False),
+        ("bars that meet", tc.Collocation(2), TWICE, True),
+        ("a clock", tc.Collocation(2, "radau"), 1, False),
     ],
 )
 def test_derivatives_are_those_of_the_whole_step(make, scheme, substeps, linear, free_time):
     model = MODELS[make]()
     groups = np.eye(model.nu)
     point = Point(model, scheme, substeps, linear, groups)
-    parts = StepDerivatives(model, groups, scheme.tableau, substeps, linear, free_time, COUNT)
+    parts = StepDerivatives(model, groups, scheme, substeps, linear, free_time, COUNT)
     J, H = point.whole()
     own = parts.jacobian(*point.inputs()).transpose(0, 2, 1)
     assert close(own, J[:, :, : parts.size], 1e-11)
@@ -96,7 +98,7 @@ def test_derivatives_are_differences():
     """Of a step that runs as a plan does, with groups of strings and ramps."""
     model, groups = driven(prism(1.0, stiffness=500.0), gravity=tc.Gravity()), group_matrix(ocp.PiecewiseLinear(GROUPS), 9)
     point = Point(model, RK4, TWICE, True, groups)
-    parts = StepDerivatives(model, groups, RK4.tableau, TWICE, True, True, COUNT)
+    parts = StepDerivatives(model, groups, RK4, TWICE, True, True, COUNT)
     J, H = parts.jacobian(*point.inputs()), parts.hessian(*point.inputs(), point.weights)
     step = 1e-6
     for k in range(parts.size):
@@ -112,8 +114,8 @@ def test_a_point_is_seen_anew():
     model = driven(prism(1.0))
     groups = np.eye(9)
     point = Point(model, RK4, 1, False, groups)
-    parts = StepDerivatives(model, groups, RK4.tableau, 1, False, False, COUNT)
-    fresh = StepDerivatives(model, groups, RK4.tableau, 1, False, False, COUNT)
+    parts = StepDerivatives(model, groups, RK4, 1, False, False, COUNT)
+    fresh = StepDerivatives(model, groups, RK4, 1, False, False, COUNT)
     inputs = point.inputs()
     parts.jacobian(*inputs)
     inputs[0][:] += 0.01

@@ -94,3 +94,5 @@ def test_numpy_evaluates_a_function():
     x, y = ca.MX.sym("x", 2, 3), ca.MX.sym("y", 1, 3)
     function = ca.Function("f", [x, y], [2 * divided(x, y)])
     assert function(ca.DM([[1, 2, 3], [4, 5, 6]]), ca.DM([[1, 2, 0]])).full() == pytest.approx(np.array([[2.0, 2.0, np.inf]]))
+    singular = ArrayCallback("singular", lambda x: np.linalg.inv(x), [(2, 2)], (2, 2))
+    assert np.isnan(singular(ca.DM.zeros(2, 2)).full()).all()
