@@ -7,7 +7,7 @@ With D_i the derivatives of stage i's state by what the interval starts from, an
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -215,7 +215,7 @@ class StepDerivatives:
             for j in range(count):
                 for i, own in enumerate(slopes):
                     by_alpha[:, j, :, i] = method.a_bar[i, j] * own.jacobian[:, :nq] + method.a[i, j] * own.jacobian[:, nq : 2 * nq]
-            inverse: Array = np.linalg.inv(np.eye(count * nq) - by_alpha.reshape(self._count, count * nq, count * nq))
+            inverse: Any = np.linalg.inv(np.eye(count * nq) - by_alpha.reshape(self._count, count * nq, count * nq))
             change = np.matmul((np.hstack([own.value for own in slopes]) - values)[:, None], inverse)[:, 0]
             if not np.abs(change).max() > ROUNDING * np.abs(values).max():
                 break
