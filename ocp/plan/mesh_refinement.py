@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -38,6 +38,10 @@ class Refinable(Protocol):
         """The motion at the nodes of the mesh."""
 
     @property
+    def transcription(self) -> Any:
+        """How it was made a program."""
+
+    @property
     def duals(self) -> Duals | None:
         """Multipliers; None where no optimum was found."""
 
@@ -54,13 +58,26 @@ def refine_mesh(plan: P, model: Model, again: Callable[[Array, P], P], tolerance
 
     again: (relative lengths of intervals, plan) → the plan on these intervals, solved from that plan. A plan without optimum is returned as it is.
     """
+
+    def cut(coarse: P, too_large: float) -> Array:
+        return finer(model, coarse.time, coarse.trajectory.states, coarse.control, too_large)
+
+    return _refine(plan, cut, again, tolerance, attempts)
+
+
+def refine_phases(plan: P, model: Model, again: Callable[[Array, P], P], tolerance: float, attempts: int) -> tuple[P, str]:
+    """As `refine_mesh`, of a plan whose phases have the same relative lengths of intervals: each is cut in two."""
+    return _refine(plan, lambda coarse, _: np.repeat(coarse.transcription.fractions, 2), again, tolerance, attempts)
+
+
+def _refine(plan: P, cut: Callable[[P, float], Array], again: Callable[[Array, P], P], tolerance: float, attempts: int) -> tuple[P, str]:
     why = f"in {attempts} attempts: give more, or substeps"
     for _ in range(attempts):
         error = plan.worst_error
         if plan.duals is None or error <= tolerance:
             return plan, ""
         times_too_large = error / tolerance if np.isfinite(error) else LOST
-        finest = again(finer(model, plan.time, plan.trajectory.states, plan.control, times_too_large), plan)
+        finest = again(cut(plan, times_too_large), plan)
         if finest.duals is not None and not finest.worst_error <= max(tolerance, error / 2):
             why = f"and {len(finest.time) - 1} intervals in place of {len(plan.time) - 1} do not halve the error: give a larger tolerance"
             plan = min(plan, finest, key=lambda one: one.worst_error)

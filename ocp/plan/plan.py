@@ -14,12 +14,11 @@ import numpy as np
 from ocp.boundary.target import Target
 from ocp.plan.error_growth import grown_errors
 from ocp.plan.many_replays import measure_robustness
-from ocp.plan.mesh_refinement import refine_mesh
+from ocp.plan.mesh_refinement import refine_mesh, refine_phases
 from ocp.plan.planned_forces import PlannedForces
 from ocp.plan.report import Report, report_of
 from ocp.plan.robustness import Robustness
 from ocp.plan.serialize import FORMAT, plan_arrays, plan_fields, rebuilt
-from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Solver
@@ -285,13 +284,13 @@ class Plan(PlannedForces, ReadOnlyArrays):
         model, transcription = self.known_model("refine"), self.transcription
         if self.problem is None or transcription is None or self.solver is None:
             raise ValueError(f"refine needs to know how the plan was solved ({self.unknown}): refine solve(problem, ..., guess=plan)")
-        refuse_phases(self.problem.phases, "refine")
+        refining = refine_phases if self.problem.phases else refine_mesh
         solver = replace(self.solver, warm=True) if isinstance(self.solver, Ipopt) else self.solver
 
         def again(intervals: Array, plan: Plan) -> Plan:
             return self._solve(self.problem, replace(transcription, intervals=tuple(intervals.tolist())), solver, plan, limit)
 
-        found, missed = refine_mesh(self, model, again, limit, attempts)
+        found, missed = refining(self, model, again, limit, attempts)
         return replace(found, success=False, message=f"{found.message}; the tolerance of {limit:g} m was not met {missed}") if missed else found
 
     def robustness(

@@ -163,6 +163,14 @@ def test_what_is_found_is_a_guess_and_is_kept_in_files(tmp_path):
     assert np.allclose(loaded.replay().nodes[-1], plan.replay().nodes[-1])
 
 
+def test_a_plan_in_phases_refines():
+    coarse = ocp.solve(jumping(push(), flight(0.1)), ocp.Variational(5), tolerance=1.0)
+    fine = coarse.refine(coarse.replay_error / 5)
+    assert fine.success, fine.message
+    assert fine.replay_error <= coarse.replay_error / 5
+    assert len(fine.problem.phases) == 2
+
+
 def test_other_ways_to_solve_are_refused_by_name():
     problem = jumping(push())
     for given, named in (
@@ -173,8 +181,6 @@ def test_other_ways_to_solve_are_refused_by_name():
         with pytest.raises((TypeError, ValueError), match=named):
             ocp.solve(problem, **given)
     plan = ocp.solve(problem, PLAN)
-    with pytest.raises(ValueError, match="refine takes no problem with phases"):
-        plan.refine(1e-4)
     with pytest.raises(ValueError, match="guess is Plan"):
         ocp.solve(jumping(push(), flight(0.1)), PLAN, guess=plan)
 
