@@ -27,7 +27,7 @@ from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
-from ocp.transcription.mesh import group_matrix, held_values, spans
+from ocp.transcription.mesh import Profile, group_matrix, held_values, spans
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.util.validate import instance
@@ -89,9 +89,9 @@ def solve_program(
     return _outcome(task, found)
 
 
-def prepare(problem: Problem, transcription: Transcription) -> tuple[Target, Scales]:
+def prepare(problem: Problem, control: Profile) -> tuple[Target, Scales]:
     """Return where the goals lead, and scales; refuse what has no solution."""
-    check_groups(problem, transcription.control)
+    check_groups(problem, control)
     scales = Scales.of(problem)
     target = find_target(problem, scales)
     if not problem.free_start:
@@ -104,7 +104,7 @@ def program_of(problem: Problem, transcription: Transcription, guess: InitialGue
     instance("problem", problem, Problem, "an ocp.Problem")
     refuse_phases(problem.phases, "export_program")
     instance("transcription", transcription, Transcription, "a transcription, such as ocp.MultipleShooting()")
-    target, scales = prepare(problem, transcription)
+    target, scales = prepare(problem, transcription.control)
     problem = _smooth(problem)
     _check(problem, transcription, target)
     first = evaluate_guess(guess, problem, target, transcription.count)

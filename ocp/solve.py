@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ocp.boundary.target import Target
+from ocp.choice import Choice, Method, choose, matching
 from ocp.condensed.method import solve_condensed
 from ocp.phases.method import solve_phased
 from ocp.plan.plan import Plan
@@ -16,15 +18,15 @@ from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.program import prepare, solve_program
-from ocp.sampling.method import default_intervals, solve_sampled
+from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
-from ocp.solvers.base import Outcome, Solver
+from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess, evaluate_guess
-from ocp.transcription.multiple_shooting import MultipleShooting
+from ocp.transcription.mesh import PiecewiseConstant
 from ocp.transcription.variational import Variational
 from ocp.verdict import judged
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
@@ -37,7 +39,7 @@ RELIABLE = 1e-2  # of the structure's size (and of it per duration): what a repl
 def solve(
     problem: Problem,
     transcription: Transcription | None = None,
-    solver: Solver | CondensedNewton | Sampling | None = None,
+    solver: Method | None = None,
     guess: InitialGuess | None = None,
     tolerance: float | None = None,
     *,
@@ -51,10 +53,10 @@ def solve(
     problem : Problem
         What is asked.
     transcription : MultipleShooting, Collocation, ImplicitMidpoint or Variational, optional
-        How the motion becomes a program. Default: `MultipleShooting()`.
+        How the motion becomes a program. Default, with a solver: `MultipleShooting()`, `Variational()` for `CondensedNewton`; without, what suits
+        the problem (see Notes).
     solver : Ipopt, CondensedNewton, Fatrop or Sampling, optional
-        What solves the program, or samples motions instead. Default: `Ipopt()`; `Sampling()` where the scene has a ground and the problem neither
-        phases nor a free start, and no transcription is given.
+        What solves the program, or samples motions instead. Default, with a transcription: `Ipopt()`; without, what suits the problem.
     guess : InverseDynamics, Equilibrium, Arrays or Plan, optional
         Where the solver starts. From a plan of the same mesh and constraints it starts exactly, with its multipliers (see `Ipopt.warm`).
         Default: `InverseDynamics()`.
@@ -83,6 +85,13 @@ def solve(
     --------
     Plan.refine : Solve again on a finer mesh.
 
+    Notes
+    -----
+    Where neither transcription nor solver is given, both are chosen, and the number of intervals: three for each radian of the fastest vibration,
+    30 at least. Where the scene has a ground, `Sampling`; else `Variational`, corrected to a third of the tolerance, from six bars on with
+    `CondensedNewton`, where it takes the limits and costs, or with `Ipopt`; in full coordinates and on moved supports `MultipleShooting`. Where
+    the first fails, or its replay misses, the next one follows, from its plan. The message says which were tried.
+
     Examples
     --------
     The two bars of a planar cross turn against each other within a second, at the least effort:
@@ -95,56 +104,93 @@ def solve(
     >>> plan.success
     True
     """
+    began = time.perf_counter()
     instance("problem", problem, Problem, "an ocp.Problem")
     flag("tracked", tracked)
-    if solver is None:
-        solver = Sampling() if transcription is None and problem.model.scene.grounds and not problem.phases and not problem.free_start else Ipopt()
+    limit = RELIABLE * Scales.of(problem).length if tolerance is None else positive_number("tolerance", tolerance)
+    deadline = None if seconds is None else began + positive_number("seconds", seconds)
+    asked = _Asked(problem, guess, limit, tracked, began, deadline)
+    if transcription is None and solver is None and not problem.phases:
+        return _by_choice(asked)
     if transcription is None:
-        sampled = isinstance(solver, Sampling) and not problem.phases
-        transcription = (
-            Variational(PHASE_INTERVALS) if problem.phases else MultipleShooting(default_intervals(problem)) if sampled else MultipleShooting()
-        )
+        transcription = Variational(PHASE_INTERVALS) if problem.phases else matching(solver, problem)
+    solver = Ipopt() if solver is None else solver
     instance("transcription", transcription, Transcription, "a transcription, such as ocp.MultipleShooting()")
     instance("solver", solver, (Ipopt, Fatrop, CondensedNewton, Sampling), "an ocp.Ipopt, ocp.CondensedNewton, ocp.Fatrop or ocp.Sampling")
-    limit = RELIABLE * Scales.of(problem).length if tolerance is None else positive_number("tolerance", tolerance)
-    began = time.perf_counter()
-    deadline = None if seconds is None else began + positive_number("seconds", seconds)
     if problem.phases:
         if isinstance(solver, Sampling):
             raise ValueError("solver is Sampling, and Problem.phases say when nodes stand: leave one of them out")
         outcome, target = solve_phased(problem, transcription, solver, guess, deadline, limit)
-    else:
-        target, scales = prepare(problem, transcription)
-        outcome = _find(problem, transcription, target, scales, guess, solver, deadline, limit)
-    plan = _plan(problem, transcription, solver, outcome, time.perf_counter() - began)
-    return judged(replace(plan, tracked=tracked), target, outcome, limit)
+        return judged(_plan(asked, transcription, solver, outcome), target, outcome, limit)
+    return _by_method(asked, Choice(transcription, solver), *prepare(problem, transcription.control))
 
 
 Plan._solve = staticmethod(solve)
 
 
-def _find(
-    problem: Problem,
-    transcription: Transcription,
-    target: Target,
-    scales: Scales,
-    guess: InitialGuess | None,
-    solver: Solver | CondensedNewton | Sampling,
-    deadline: float | None,
-    tolerance: float,
-) -> Outcome:
-    """Return what the method finds that fits the solver."""
+class _Asked(NamedTuple):
+    """What is asked of `solve`. limit: m, that the replay may end from the goals; began, deadline: of `time.perf_counter`, s."""
+
+    problem: Problem
+    guess: InitialGuess | None
+    limit: float
+    tracked: bool
+    began: float
+    deadline: float | None
+
+    def late(self) -> bool:
+        """Tell whether the time is over."""
+        return self.deadline is not None and time.perf_counter() >= self.deadline
+
+
+def _by_choice(asked: _Asked) -> Plan:
+    """Return the plan of the first choice that finds one; else the best of all, which says what was tried."""
+    problem = asked.problem
+    target, scales = prepare(problem, PiecewiseConstant())
+    plans: list[Plan] = []
+    tried: list[str] = []
+    for choice in choose(problem, target, asked.guess, asked.limit):
+        best = max(plans, key=_worth, default=None)
+        optimal = best is not None and best.duals is not None
+        if best is not None and (asked.late() or (choice.finer and not optimal)):
+            continue
+        plans.append(_by_method(asked._replace(guess=best if optimal else asked.guess), choice, target, scales))
+        tried.append(choice.describe())
+        if plans[-1].success:
+            break
+    best = max(plans, key=_worth)
+    said = f"chosen: {tried[-1]}" + (f", after {', '.join(tried[:-1])}" if tried[:-1] else "")
+    return replace(
+        best,
+        message=f"{best.message}; {said if best.success else 'tried: ' + ', '.join(tried)}",
+        iterations=sum(plan.iterations for plan in plans),
+        seconds=time.perf_counter() - asked.began,
+    )
+
+
+def _worth(plan: Plan) -> tuple[bool, bool, float]:
+    return plan.success, plan.duals is not None, -plan.worst_error
+
+
+def _by_method(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Plan:
+    """Return the plan that the method finds which fits the solver."""
+    problem, guess, (transcription, solver, _) = asked.problem, asked.guess, way
     if isinstance(solver, Sampling):
         known = None if guess is None else evaluate_guess(guess, problem, target, transcription.count)
-        return solve_sampled(problem, transcription, known, solver, deadline, tolerance)
-    first = evaluate_guess(guess, problem, target, transcription.count)
-    if isinstance(solver, CondensedNewton):
-        return solve_condensed(problem, transcription, target, scales, first, solver, deadline)
-    return solve_program(problem, transcription, target, scales, first, solver, deadline, guess.duals if isinstance(guess, Plan) else None)
+        outcome = solve_sampled(problem, transcription, known, solver, asked.deadline, asked.limit)
+    else:
+        first = evaluate_guess(guess, problem, target, transcription.count)
+        if isinstance(solver, CondensedNewton):
+            outcome = solve_condensed(problem, transcription, target, scales, first, solver, asked.deadline)
+        else:
+            duals = guess.duals if isinstance(guess, Plan) else None
+            outcome = solve_program(problem, transcription, target, scales, first, solver, asked.deadline, duals)
+    return judged(_plan(asked, transcription, solver, outcome), target, outcome, asked.limit)
 
 
-def _plan(problem: Problem, transcription: Transcription, solver: Solver | CondensedNewton | Sampling, found: Outcome, seconds: float) -> Plan:
+def _plan(asked: _Asked, transcription: Transcription, solver: Method, found: Outcome) -> Plan:
     """Return the plan that was found, not yet replayed."""
+    problem = asked.problem
     mesh = found.duration * np.append(0.0, np.cumsum(transcription.fractions)) if found.time is None else found.time.copy()
     mesh[-1] = found.duration
     motion = _trajectory(problem, mesh, found)
@@ -156,7 +202,7 @@ def _plan(problem: Problem, transcription: Transcription, solver: Solver | Conde
         message="",
         objective=found.objective,
         iterations=found.iterations,
-        seconds=seconds,
+        seconds=time.perf_counter() - asked.began,
         time=mesh,
         force_density=forces,
         trajectory=motion,
@@ -170,6 +216,7 @@ def _plan(problem: Problem, transcription: Transcription, solver: Solver | Conde
         solver=solver,
         unknown="",
         rest_length=wound,
+        tracked=asked.tracked,
     )
 
 

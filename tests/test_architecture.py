@@ -27,6 +27,7 @@ OCP = (
     "sampling",
     "plan",
     {"program", "phases", "condensed", "verdict"},
+    "choice",
     {"control", "solve"},
     "export",
 )

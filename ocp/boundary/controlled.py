@@ -16,6 +16,8 @@ def controlled(target: Target, reach: Reach, force_density: Array, duration: flo
     intervals = len(force_density)
 
     def reduced(part: Target, share: float) -> Target:
+        if not part.count:
+            return part
         end = max(1, round(share * intervals))
         kept = reach.controlled(part.single, part.weights, target.start, force_density, duration, end, least)
         return part if len(kept) == part.count else part.keep(kept, "out of control")

@@ -74,6 +74,13 @@ class Transcription:
 
     def check_model(self, model: Model) -> None:
         """Raise ValueError for a model that the transcription cannot take."""
+        refused = self.refusal(model)
+        if refused:
+            raise ValueError(refused)
+
+    def refusal(self, model: Model) -> str:  # any will do
+        """Return why the transcription cannot take a model, and what can; "" where it can."""
+        return ""
 
     def defects(self, variables: Variables, used: Array) -> Defects:
         """Add further unknowns, and return the rows that vanish on a motion; used tells which entries costs, bounds and goals depend on."""
@@ -83,13 +90,12 @@ class Transcription:
 class ReducedOnly(Transcription):
     """Transcriptions that keep bars by rows of their own."""
 
-    def check_model(self, model: Model) -> None:
-        """Raise ValueError unless bars are all that is to be kept: reduced coordinates, supports that stand still."""
+    def refusal(self, model: Model) -> str:
+        """Return why not, unless bars are all that is to be kept: reduced coordinates, supports that stand still."""
         name = type(self).__name__
         if model.mechanism.joints:
-            raise ValueError(f'{name} keeps bars, not joints: give a problem with Model(scene, coordinates="reduced"), or MultipleShooting')
-        if model.scene.supports is not None:
-            raise ValueError(f"{name} does not know moved supports (Scene.supports): use MultipleShooting")
+            return f'{name} keeps bars, not joints: give a problem with Model(scene, coordinates="reduced"), or MultipleShooting'
+        return f"{name} does not know moved supports (Scene.supports): use MultipleShooting" if model.scene.supports is not None else ""
 
 
 def unrolled(model: Model, function: ca.Function) -> ca.Function:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -10,12 +10,13 @@ import scipy.interpolate
 from numpy.typing import ArrayLike
 
 from ocp.boundary.target import Target
+from ocp.problem.control import winds
 from ocp.problem.problem import Problem
 from ocp.transcription.inverse_dynamics import inverse_dynamics
 from ocp.transcription.mesh import Profile, node_values, profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.util.validate import Array, finite_array, positive_number, shown
+from tenscasadi.util.validate import Array, finite_array, positive_number, shown, whole_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +47,17 @@ class InverseDynamics:
     path : array_like, shape (P, n, 3), optional
         Nodes, m, at equal times from the start to the end; they are projected onto bars and joints. By default they move from the start
         to the goals along a smooth line, which is what `solve` starts from by itself.
+    noise : float
+        Most that is added to the force density of a string, relative to the strongest of all: a share of it that is drawn for each string. A
+        guess that is as symmetric as its structure is often next to a saddle, which a solver takes several times as many iterations to leave.
+        0 for none; rest lengths get none.
+    seed : int
+        Seed of the draw.
 
     Raises
     ------
     TypeError, ValueError
-        If the path is no array of at least two instants.
+        If the path is no array of at least two instants, the noise no number of 0 or more, or the seed no whole number of 0 or more.
 
     Examples
     --------
@@ -66,8 +73,12 @@ class InverseDynamics:
     """
 
     path: ArrayLike | None = None
+    noise: float = 0.3
+    seed: int = 0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "noise", positive_number("InverseDynamics.noise", self.noise, zero=True))
+        whole_number("InverseDynamics.seed", self.seed, 0)
         if self.path is not None:
             array = finite_array("InverseDynamics.path", self.path, (None, None, 3))
             if len(array) < 2:
@@ -96,10 +107,18 @@ class InverseDynamics:
         ValueError
             If the path has another number of nodes.
         """
-        if self.path is None:
-            return make_guess(problem, target, intervals)
+        guess = make_guess(problem, target, intervals) if self.path is None else self._along_path(problem, target, intervals, self.path)
+        if winds(problem.model):  # rest lengths: a share of them is far from any that hold the structure
+            return guess
+        lower, upper = problem.force_density_limits
+        change = np.random.default_rng(self.seed).uniform(size=len(lower))
+        strength = float(np.abs(guess.force_density).max()) or 1.0
+        return replace(guess, force_density=np.clip(guess.force_density + self.noise * strength * change, lower, upper))
+
+    @staticmethod
+    def _along_path(problem: Problem, target: Target, intervals: int, given: ArrayLike) -> Guess:
         model, duration = problem.model, (problem.shortest + problem.longest) / 2
-        path = finite_array("InverseDynamics.path", self.path, (None, len(model.structure.nodes), 3))
+        path = finite_array("InverseDynamics.path", given, (None, len(model.structure.nodes), 3))
         before = np.linspace(0.0, 1.0, len(path))
         degree = min(3, len(path) - 1)
         columns = path.reshape(len(path), -1, 3)[:, model.mechanism.physical].reshape(len(path), -1)
@@ -224,8 +243,7 @@ class Arrays:
 
 def evaluate_guess(value: InitialGuess | None, problem: Problem, target: Target, intervals: int) -> Guess:
     """Return the guess that a value stands for. Raises TypeError, ValueError, also for states that no projection puts onto bars and joints."""
-    if value is None:
-        return make_guess(problem, target, intervals)
+    value = InverseDynamics() if value is None else value
     if isinstance(value, type) or not isinstance(value, InitialGuess):
         raise TypeError(f"guess is {shown(value)}: give ocp.InverseDynamics(), ocp.Equilibrium(), ocp.Arrays(states, force_density) or an ocp.Plan")
     return value.guess(problem, target, intervals)
@@ -262,7 +280,7 @@ def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> G
 
 
 def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
-    """Return the default guess: nodes from start to target by a quintic in time, put onto bars and joints, and γ by inverse dynamics."""
+    """Return nodes from start to target by a quintic in time, put onto bars and joints, and γ by inverse dynamics, without noise."""
     duration = (problem.shortest + problem.longest) / 2
     return follow(problem, target, _line(target, problem.model, intervals, duration), duration)
 

@@ -207,7 +207,7 @@ def planning_calls() -> dict[str, Call]:
             {"groups": [(0, 1), (2, 3)], "knots": 4, "samples": 8, "seed": 1, "rounds": 2, "iterations": 1, "attempts": 1, "threads": 1}
             | {"verbose": False, "watch": None},
         ),
-        "InverseDynamics": (ocp.InverseDynamics, {"path": np.array([m.structure.nodes] * 2)}),
+        "InverseDynamics": (ocp.InverseDynamics, {"path": np.array([m.structure.nodes] * 2), "noise": 0.3, "seed": 0}),
         "Arrays": (ocp.Arrays, {"states": np.array([x] * 4), "force_density": np.array([u] * 3), "duration": 1.0}),
         "reachable": (ocp.reachable, {"plan": plan(), "stiffness": 1000.0, "shortest": np.full(9, 0.01)}),
         "Plan.rest_lengths": (plan().rest_lengths, {"stiffness": np.full(9, 1000.0)}),

@@ -84,7 +84,7 @@ def test_long_intervals_are_no_lack_of_control():
 @pytest.mark.parametrize("name", FAILED)
 def test_what_cannot_be_solved_is_explained(name):
     make, words = FAILED[name]
-    limit = 1 if name == "too few iterations" else 100
+    limit = 1 if name == "too few iterations" else 300
     plan = ocp.solve(make(), ocp.MultipleShooting(8), ocp.Ipopt(max_iterations=limit))
     assert not plan.success
     assert plan.message.startswith("no plan: ")

@@ -21,7 +21,7 @@ from ocp.transcription.variables import interval_names, state_names
 def test_all_find_the_same_plan(make):
     """On one grid the planned force densities differ by the methods' errors only."""
     problem = raising()
-    found = ocp.solve(problem, make(24))
+    found = ocp.solve(problem, make(24), ocp.Ipopt(tolerance=1e-10))
     assert found.success
     assert found.objective == pytest.approx(375.07, abs=0.002)
     assert found.replay_error < (1e-4 if make in (ocp.ImplicitMidpoint, ocp.Variational) else 2e-6)

@@ -30,6 +30,21 @@ def test_the_guess_keeps_bars_and_limits_and_follows_the_path():
     assert guess.duration == 0.4
 
 
+def test_noise_parts_what_symmetry_makes_equal_in_the_same_way_for_any_number_of_intervals():
+    problem = growing()
+    target = find_target(problem, Scales.of(problem))
+    even, coarse, fine = (ocp.InverseDynamics(noise=noise).guess(problem, target, count) for noise, count in ((0.0, 8), (0.3, 8), (0.3, 16)))
+    lower, upper = problem.force_density_limits
+    assert np.ptp(even.force_density[:, :3], axis=1) == pytest.approx(0.0, abs=1e-6)  # the strings of a ring
+    assert np.ptp(coarse.force_density[:, :3], axis=1).min() > 0.02 * even.force_density.max()
+    assert np.all((lower <= coarse.force_density) & (coarse.force_density <= upper))
+    added = coarse.force_density - even.force_density
+    assert added.max() <= 0.3 * even.force_density.max()
+    assert fine.force_density[0] == pytest.approx(coarse.force_density[0], rel=0.02)
+    other = ocp.InverseDynamics(seed=1).guess(problem, target, 8)
+    assert np.abs(other.force_density - coarse.force_density).max() > 0.02 * even.force_density.max()
+
+
 def growing():
     return raising(goals=[ocp.Shape(prism(1.15).nodes), ocp.AtRest()])
 
@@ -55,6 +70,8 @@ def test_all_guesses_lead_to_the_same_plan():
 BAD = {
     "no guess": (lambda: 1.0, TypeError, "guess is 1.0"),
     "path of one instant": (lambda: ocp.InverseDynamics(np.zeros((1, 6, 3))), ValueError, "InverseDynamics.path has 1"),
+    "noise below 0": (lambda: ocp.InverseDynamics(noise=-0.1), ValueError, "InverseDynamics.noise"),
+    "seed of half a number": (lambda: ocp.InverseDynamics(seed=0.5), TypeError, "InverseDynamics.seed"),
     "path of other nodes": (lambda: ocp.InverseDynamics(np.zeros((3, 5, 3))), ValueError, "InverseDynamics.path"),
     "states of other size": (lambda: ocp.Arrays(np.zeros((3, 5)), np.zeros((2, 9))), ValueError, "Arrays.states"),
     "forces of other size": (lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 8))), ValueError, "Arrays.force_density"),

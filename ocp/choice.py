@@ -1,0 +1,84 @@
+"""Which transcription, intervals and solver suit a problem: the first choice, and what follows where it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp.boundary.target import Target
+from ocp.condensed.method import applies
+from ocp.problem.control import winds
+from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
+from ocp.sampling.method import default_intervals
+from ocp.sampling.solver import Sampling
+from ocp.solvers.base import Solver
+from ocp.solvers.condensed_newton import CondensedNewton
+from ocp.solvers.ipopt import Ipopt
+from ocp.transcription.base import Transcription
+from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
+from ocp.transcription.multiple_shooting import MultipleShooting
+from ocp.transcription.variational import Variational
+from tenscasadi.integrators.runge_kutta import DormandPrince853
+from tenscasadi.integrators.stability import fastest_rate
+
+FEWEST, MOST = 30, 400  # intervals to begin with
+FOR_A_RADIAN = 3.0  # intervals for each radian of the fastest vibration
+EXACT = 0.3  # of the tolerance: how near motions come to those of fine steps,
+MISSED = 1e-4  # and of the structure's size, at most: plans that end further from their goals than thrice this count as missing them
+CONDENSED_BARS = 6  # from here on the condensed method is the faster one
+LARGE_BARS = 15  # from here on factoring a whole program takes long
+
+Method = Solver | CondensedNewton | Sampling
+
+
+class Choice(NamedTuple):
+    """A transcription and a solver. finer: whether it is for plans that were found, whose replay misses."""
+
+    transcription: Transcription
+    solver: Method
+    finer: bool = False
+
+    def describe(self) -> str:
+        """Return such as "Variational of 30 intervals by Ipopt"."""
+        return f"{type(self.transcription).__name__} of {self.transcription.count} intervals by {type(self.solver).__name__}"
+
+
+def choose(problem: Problem, target: Target, guess: InitialGuess | None, tolerance: float) -> Iterator[Choice]:
+    """Yield what suits a problem without phases best, then what may do where that has failed.
+
+    tolerance: how far replays may end from the goals, m.
+    """
+    model = problem.model
+    if model.scene.grounds and not problem.free_start and not winds(model):
+        yield Choice(matching(Sampling(), problem), Sampling())
+    count, ipopt = choose_intervals(problem, evaluate_guess(guess, problem, target, FEWEST)), Ipopt()
+    bars = model.mechanism.bars
+    accuracy = min(EXACT * tolerance, MISSED * Scales.of(problem).length)
+    corrected, finer = Variational(count, accuracy=accuracy), Variational(2 * count, accuracy=accuracy)
+    if bars >= CONDENSED_BARS and not applies(problem):
+        yield Choice(corrected, CondensedNewton())
+        if bars >= LARGE_BARS:
+            yield Choice(finer, CondensedNewton(), finer=True)
+    if not corrected.refusal(model):
+        yield Choice(corrected, ipopt)
+        yield Choice(finer, ipopt, finer=True)
+    yield Choice(MultipleShooting(count), ipopt)
+    yield Choice(MultipleShooting(count, scheme=DormandPrince853(), substeps=2), ipopt, finer=True)
+
+
+def matching(solver: Method | None, problem: Problem) -> Transcription:
+    """Return the transcription that goes with a solver where none is given."""
+    if isinstance(solver, Sampling):
+        return MultipleShooting(default_intervals(problem))
+    return Variational() if isinstance(solver, CondensedNewton) else MultipleShooting()
+
+
+def choose_intervals(problem: Problem, guess: Guess) -> int:
+    """Return how many intervals follow the fastest vibration under the guess."""
+    middle = len(guess.force_density) // 2
+    rate = fastest_rate(problem.model, guess.states[middle], guess.force_density[middle])
+    wanted = np.ceil(FOR_A_RADIAN * rate * guess.duration) if np.isfinite(rate) else FEWEST
+    return int(np.clip(wanted, FEWEST, MOST))

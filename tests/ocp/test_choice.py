@@ -1,0 +1,88 @@
+"""What is chosen where neither transcription nor solver is given, and what follows where it fails."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from planning import driven, folding, prism, raising
+
+import ocp
+import tenscasadi as tc
+from ocp.choice import choose_intervals
+from ocp.transcription.initial_guess import Guess
+
+
+def in_full_coordinates(problem):
+    model = tc.Model(problem.model.scene, coordinates="full")
+    return ocp.Problem(model, problem.duration, goals=problem.goals, bounds=problem.bounds, costs=problem.costs)
+
+
+def leaning():
+    """A bar on a hinge between two strings leans over."""
+    structure = tc.Structure([(0, 0, 0), (0, 0, 1), (-1, 0, 0), (1, 0, 0)], [(0, 1)], [(1, 2), (1, 3)], pinned=[0, 2, 3])
+    return ocp.Problem(driven(structure), goals=[ocp.NodePositions({1: (0.3, None, None)}), ocp.AtRest()], costs=[ocp.Effort()])
+
+
+def widening(*bounds):
+    """The ball grows: every bar keeps its direction and moves away from the middle."""
+    ball = tc.shapes.six_bar_ball()
+    nodes = ball.nodes.copy()
+    middle = nodes[ball.bars].mean(axis=1)
+    for bar, (a, b) in enumerate(ball.bars):
+        nodes[[a, b]] += 0.05 * middle[bar]
+    limits = [ocp.ForceDensityLimits(1.0, 200.0), *bounds]
+    return ocp.Problem(driven(ball), goals=[ocp.Shape(nodes), ocp.AtRest()], bounds=limits, costs=[ocp.Effort()])
+
+
+CHOICES = {
+    "three bars": (raising, "chosen: Variational of 30 intervals by Ipopt"),
+    "six bars": (widening, "chosen: Variational of 30 intervals by CondensedNewton"),
+    "one bar": (leaning, "chosen: Variational of 30 intervals by Ipopt"),
+    "limits that the condensed method does not take": (
+        lambda: widening(ocp.TensionLimits(upper=60.0)),
+        "chosen: Variational of 30 intervals by Ipopt",
+    ),
+    "full coordinates": (lambda: in_full_coordinates(folding()), "chosen: MultipleShooting of 30 intervals by Ipopt"),
+}
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_what_suits_the_problem_is_chosen_and_said(name):
+    make, said = CHOICES[name]
+    problem = make()
+    plan = ocp.solve(problem)
+    assert plan.success, plan.message
+    assert said in plan.message
+    known = ocp.solve(problem, ocp.MultipleShooting(30), tolerance=1.0)
+    assert plan.objective == pytest.approx(known.objective, rel=2e-3)
+
+
+def test_what_misses_a_tolerance_is_followed_by_what_meets_it():
+    plan = ocp.solve(raising(), tolerance=1e-8)
+    assert plan.success, plan.message
+    assert plan.worst_error <= 1e-8
+    assert "chosen: Variational of " in plan.message
+    exact = plan.replay(tc.DormandPrince853(), step=plan.time[1] / 4)
+    assert exact.nodes[-1] == pytest.approx(plan.replay().nodes[-1], abs=1e-8)
+
+
+def test_what_was_tried_is_said_where_no_plan_is_found():
+    """A tenth of a second is too short for limits as low as these."""
+    problem = ocp.Problem(
+        driven(prism(1.0)), 0.1, goals=[ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest()], bounds=[ocp.ForceDensityLimits(1, 2)]
+    )
+    plan = ocp.solve(problem)
+    assert not plan.success
+    assert "; tried: Variational of 30 intervals by " in plan.message
+    assert "MultipleShooting of 30 intervals by Ipopt" in plan.message
+    assert plan.iterations > 0
+
+
+@pytest.mark.parametrize(("mass", "expected"), [(1.0, 30), (1e-4, 67)])
+def test_intervals_follow_the_fastest_vibration(mass, expected):
+    """A knot between two strings of γ = 0.025 N/m swings at √(2 γ/m)."""
+    structure = tc.Structure([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [], [(0, 1), (1, 2)], node_mass=[0, mass, 0], pinned=[0, 2])
+    problem = ocp.Problem(driven(structure), goals=[ocp.AtRest()], costs=[ocp.Effort()])
+    guess = Guess(np.repeat(problem.first_state[None], 5, axis=0), np.full((4, 2), 0.025), 1.0)
+    assert choose_intervals(problem, guess) == pytest.approx(expected, abs=1)
+    assert expected == max(30, round(3 * np.sqrt(2 * 0.025 / mass)))
