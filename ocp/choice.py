@@ -28,7 +28,7 @@ FEWEST, MOST = 30, 400  # intervals to begin with
 FOR_A_RADIAN = 3.0  # intervals for each radian of the fastest vibration
 EXACT = 0.3  # of the tolerance: how near motions come to those of fine steps,
 MISSED = 1e-4  # and of the structure's size, at most: plans that end further from their goals than thrice this count as missing them
-CONDENSED_BARS = 6  # from here on the condensed method is the faster one
+CONDENSED_BARS = 5  # from here on the condensed method is the faster one
 LARGE_BARS = 15  # from here on factoring a whole program takes long
 
 Method = Solver | CondensedNewton | Sampling

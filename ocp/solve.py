@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,15 +25,17 @@ from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
+from ocp.starts import seeded, solve_each
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess, evaluate_guess
 from ocp.transcription.mesh import PiecewiseConstant
 from ocp.transcription.variational import Variational
 from ocp.verdict import judged
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
-from tenscasadi.util.validate import Array, flag, instance, positive_number
+from tenscasadi.util.validate import Array, flag, instance, positive_number, whole_number
 
 PHASE_INTERVALS = 20  # of each phase
+MOST_STARTS = 1000
 RELIABLE = 1e-2  # of the structure's size (and of it per duration): what a replay may miss by, unless a tolerance is stated
 
 
@@ -44,6 +47,8 @@ def solve(
     tolerance: float | None = None,
     *,
     seconds: float | None = None,
+    starts: int = 1,
+    executor: Executor | None = None,
     tracked: bool = False,
 ) -> Plan:
     """Find a plan of force densities for a problem.
@@ -66,6 +71,11 @@ def solve(
     seconds : float, optional
         Wall time, s, that all of it may take: building, solving, replaying. When it is over, the plan is the best so far, without success. By
         default there is no limit.
+    starts : int
+        From how many guesses it is solved, which differ by their seeds (see `InverseDynamics`; with `Sampling` its own). The plan is the best of
+        all, and `Plan.starts` the objectives of all.
+    executor : concurrent.futures.Executor, optional
+        What solves the starts at once, such as a ``ProcessPoolExecutor``. Default: one after the other.
     tracked : bool
         Whether the replay that decides on success is under `track`, in closed loop: for motions along which errors grow.
 
@@ -88,7 +98,7 @@ def solve(
     Notes
     -----
     Where neither transcription nor solver is given, both are chosen, and the number of intervals: three for each radian of the fastest vibration,
-    30 at least. Where the scene has a ground, `Sampling`; else `Variational`, corrected to a third of the tolerance, from six bars on with
+    30 at least. Where the scene has a ground, `Sampling`; else `Variational`, corrected to a third of the tolerance, from five bars on with
     `CondensedNewton`, where it takes the limits and costs, or with `Ipopt`; in full coordinates and on moved supports `MultipleShooting`. Where
     the first fails, or its replay misses, the next one follows, from its plan. The message says which were tried.
 
@@ -107,8 +117,16 @@ def solve(
     began = time.perf_counter()
     instance("problem", problem, Problem, "an ocp.Problem")
     flag("tracked", tracked)
+    count = whole_number("starts", starts, 1, MOST_STARTS)
+    if executor is not None:
+        instance("executor", executor, Executor, "a concurrent.futures.Executor, or None")
     limit = RELIABLE * Scales.of(problem).length if tolerance is None else positive_number("tolerance", tolerance)
     deadline = None if seconds is None else began + positive_number("seconds", seconds)
+    if count > 1:
+        each = seeded(problem, guess, solver, transcription is None and solver is None, count)
+        same = {"problem": problem, "transcription": transcription, "tolerance": tolerance, "tracked": tracked}
+        best = solve_each(solve, [{**same, **one} for one in each], executor, deadline)
+        return replace(best, seconds=time.perf_counter() - began)
     asked = _Asked(problem, guess, limit, tracked, began, deadline)
     if transcription is None and solver is None and not problem.phases:
         return _by_choice(asked)

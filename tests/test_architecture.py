@@ -27,7 +27,7 @@ OCP = (
     "sampling",
     "plan",
     {"program", "phases", "condensed", "verdict"},
-    "choice",
+    {"choice", "starts"},
     {"control", "solve"},
     "export",
 )

@@ -67,14 +67,14 @@ class Plan(PlannedForces, ReadOnlyArrays):
         The planned motion at the nodes of the mesh.
     replay_error, replay_speed_error : float
         How far the motion that `replay` computes ends from the goals, m, and in velocities, m/s; NaN where it diverges.
-    structure : Structure
-        The structure that was planned for.
-    model : Model or None
-        Its model; None for a loaded plan whose scene has functions of time (moved supports, nodal forces).
+    structure, model : Structure, and Model or None
+        What was planned for, and its model; None for a loaded plan whose scene has functions of time (moved supports, nodal forces).
     duals : Duals or None
         Multipliers of the constraints; None where no optimum was found.
     problem, transcription, solver : Problem, transcription and solver, or None
         What was asked, how it was made a program, and what solved it; None where a file does not hold it, and `unknown` says why.
+    starts : ndarray, shape (n,), or None
+        Objectives of the plans from several starts, of which this is the best; NaN where none was found. None: there was one start.
     unknown, tracked : str, bool
         See above; whether the replay of these errors is under `track`.
     rest_length : ndarray, shape (K, α) or (K + 1, α), or None
@@ -110,6 +110,7 @@ class Plan(PlannedForces, ReadOnlyArrays):
     unknown: str = "it was made by hand"
     tracked: bool = False
     rest_length: Array | None = None
+    starts: Array | None = None
 
     _track: ClassVar[Callable[..., Any]]  # ocp.control.lqr.track, likewise
     _replay_tracked: ClassVar[Callable[..., Trajectory]]  # ocp.control.lqr.replay_tracked

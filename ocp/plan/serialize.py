@@ -76,6 +76,8 @@ def plan_arrays(plan: Mapping[str, Any]) -> dict[str, Array]:
     content |= structure_to_arrays(plan["structure"]) if model is None else model_to_arrays(model, motion.states[:, -1])
     if plan.get("rest_length") is not None:
         content["rest_length"] = np.asarray(plan["rest_length"])
+    if plan.get("starts") is not None:
+        content["starts"] = np.asarray(plan["starts"])
     if duals is not None:
         content |= {f"duals.{field.name}": np.asarray(getattr(duals, field.name)) for field in fields(Duals)}
     return content | _told(plan)
@@ -109,7 +111,7 @@ def plan_fields(content: Fields) -> dict[str, Any]:
             raise ValueError(f"field 'duals.values' has {len(duals.values)} entries, not {len(duals.names)} as 'duals.names'")
     if model is not None and winds(model) is (wound is None):
         raise ValueError("field 'rest_length' does not fit the model's control")
-    values |= {"rest_length": wound}
+    values |= {"rest_length": wound, "starts": content.array("starts", "f", 1) if "starts" in content else None}
     return {**values, "time": time, "force_density": gamma, "trajectory": trajectory, "structure": structure, "model": model, "duals": duals}
 
 

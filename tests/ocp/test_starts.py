@@ -1,0 +1,97 @@
+"""Several starts: the best plan of them, the same whatever solves them; what processes need crosses to them."""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import pickle
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from planning import raising
+
+import ocp
+
+SHORT = ocp.Variational(8)
+
+
+def solved(executor=None, **given):
+    return ocp.solve(raising(), SHORT, tolerance=0.1, starts=3, executor=executor, **given)
+
+
+def test_the_best_of_all_starts_is_returned_with_the_objectives_of_all(tmp_path):
+    plan = solved()
+    alone = [ocp.solve(raising(), SHORT, guess=ocp.InverseDynamics(seed=seed), tolerance=0.1).objective for seed in range(3)]
+    assert plan.success
+    assert plan.starts == pytest.approx(alone, rel=1e-12)
+    assert plan.objective == min(plan.starts)
+    assert "best of 3 starts, 3 of which found a plan" in plan.message
+    assert np.array_equal(ocp.Plan.load(plan.save(tmp_path / "plan.npz")).starts, plan.starts)
+    assert ocp.solve(raising(), SHORT, tolerance=0.1).starts is None
+
+
+class Backwards(Executor):
+    """Does last what is asked first."""
+
+    def __init__(self) -> None:
+        self.jobs: list[tuple[Future, dict]] = []
+
+    def submit(self, function, /, **given):
+        self.jobs.append((Future(), given))
+        if len(self.jobs) == 3:
+            for future, kept in reversed(self.jobs):
+                future.set_result(function(**kept))
+        return self.jobs[-1][0]
+
+
+def test_what_finishes_first_does_not_matter():
+    assert np.array_equal(solved(Backwards()).starts, solved().starts)
+    with ThreadPoolExecutor(2) as threads:
+        assert np.array_equal(solved(threads).starts, solved().starts)
+
+
+def test_processes_solve_starts():
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as processes:
+        plan = solved(processes)
+    assert np.array_equal(plan.starts, solved().starts)
+    assert plan.replay().nodes[-1] == pytest.approx(plan.trajectory.nodes[-1], abs=0.01)
+
+
+def pickled(value):
+    return pickle.loads(pickle.dumps(value))  # noqa: S301  # its own
+
+
+VALUES = [ocp.InverseDynamics(), ocp.Equilibrium(), ocp.Variational(8, accuracy=1e-3), ocp.MultipleShooting(5), ocp.Ipopt(), ocp.Fatrop()]
+
+
+@pytest.mark.parametrize("value", [*VALUES, ocp.CondensedNewton(), ocp.Sampling()], ids=lambda value: type(value).__name__)
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickled])
+def test_options_are_copied(copied, value):
+    assert repr(copied(value)) == repr(value)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickled])
+def test_problems_and_plans_are_copied(copied):
+    problem = copied(raising())
+    plan = ocp.solve(problem, SHORT, tolerance=0.1)
+    again = copied(plan)
+    assert again.objective == ocp.solve(raising(), SHORT, tolerance=0.1).objective
+    assert np.array_equal(again.replay().nodes, plan.replay().nodes)
+    assert ocp.solve(problem, SHORT, guess=again, tolerance=0.1).success
+
+
+def test_starts_without_seeds_are_refused():
+    with pytest.raises(ValueError, match="starts is 3, and guess is Equilibrium, whose start has no seed"):
+        solved(guess=ocp.Equilibrium())
+    with pytest.raises(ValueError, match="starts"):
+        ocp.solve(raising(), SHORT, starts=0)
+    with pytest.raises(TypeError, match="executor"):
+        ocp.solve(raising(), SHORT, starts=2, executor="threads")
+
+
+def test_a_time_limit_holds_for_all_starts():
+    plan = ocp.solve(raising(), SHORT, ocp.Ipopt(tolerance=1e-30, max_iterations=10**6), starts=2, seconds=2.0)
+    assert not plan.success
+    assert np.isnan(plan.starts).all()
+    assert "stopped at the time limit" in plan.message
