@@ -98,7 +98,7 @@ def link_problem(problem: Problem, transcription: Transcription, guess: InitialG
         v = Variables(_with_costs_of(part, k + 1 == len(parts)), target, scales, own, transcription.fractions, transcription.control)
         reactions = np.tile(-weight / max(len(stands), 1), len(stands))
         motions.append(PhaseMotion(v, stands, lands, -float(np.mean(own.force_density)), reactions))
-    return PhasedTask(parts, targets, scales, transcription, link_phases(motions, scene.grounds))
+    return PhasedTask(parts, targets, scales, transcription, link_phases(motions, scene.grounds, [phase.until for phase in problem.phases]))
 
 
 def _with_costs_of(part: Problem, last: bool) -> Problem:

@@ -46,8 +46,8 @@ class PhasedProgram:
         return [_read(motion, y[label]) for motion, label in zip(self.motions, self.labels, strict=True)]
 
 
-def link_phases(motions: Sequence[PhaseMotion], grounds: Sequence[Surface]) -> PhasedProgram:
-    """Return the program of phases one after another."""
+def link_phases(motions: Sequence[PhaseMotion], grounds: Sequence[Surface], ends: Sequence[tuple[float, float] | None]) -> PhasedProgram:
+    """Return the program of phases one after another; ends: (earliest, latest) time of each phase's end, s, where it is limited."""
     numbering = _Numbering()
     rows, costs = [], []
     for k, motion in enumerate(motions):
@@ -62,6 +62,7 @@ def link_phases(motions: Sequence[PhaseMotion], grounds: Sequence[Surface]) -> P
         costs.append(asked.costs)
     unknowns, labels = numbering.finished()
     every, priced = ([block.relabelled(label) for label, blocks in zip(labels, parts, strict=True) for block in blocks] for parts in (rows, costs))
+    every += _end_times(motions, labels, ends)
     return PhasedProgram(_program(motions, unknowns, labels, every, priced), tuple(motions), labels)
 
 
@@ -81,6 +82,18 @@ def _program(motions: Sequence[PhaseMotion], unknowns: Unknowns, labels: Sequenc
         unpack=ca.Function("unpack", [parts.w], [unknowns.entries(parts.w)]),
         states=np.concatenate([label[motion.v.states] for motion, label in zip(motions, labels, strict=True)]),
     )
+
+
+def _end_times(motions: Sequence[PhaseMotion], labels: Sequence[Indices], ends: Sequence[tuple[float, float] | None]) -> list[Block]:
+    """Return the limits of when phases end: of the sums of durations; the first one's are those of its duration."""
+    durations = [label[motion.v.duration] for motion, label in zip(motions, labels, strict=True)]
+    blocks = []
+    for k, until in enumerate(ends):
+        if until is not None and k:
+            z, size = ca.SX.sym("z", k + 1), sum(motion.v.scales.time for motion in motions)
+            function, index = ca.Function("end", [z], [ca.sum1(z) / size]), np.concatenate(durations[: k + 1])[None]
+            blocks.append(Block(function, index, (f"end of phase {k}",), until[0] / size, until[1] / size, size, kind="path"))
+    return blocks
 
 
 class _Numbering:

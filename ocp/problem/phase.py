@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from ocp.problem.bounds import Bound, RateBound
 from ocp.problem.costs import Cost
-from ocp.problem.goals import Goal
+from ocp.problem.goals import Goal, SoftGoal
 from ocp.problem.periodic import Periodic
 from ocp.problem.tracking import Tracking
 from ocp.problem.waypoints import Waypoint
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, finite_array, instance, listed, nesting, node_index, positive_number, whole_number
 
+SHORTEST = 1e-2  # of a plan's longest duration: what lies between waypoints of free times at least
 TOUCHES = 1e-2  # of the structure's size: a node that is nearer to the ground touches it
 
 
@@ -38,6 +40,8 @@ class Phase:
         What is met at the end of the phase, such as `CentreOfMass` at the top of a jump.
     bounds : iterable of bounds, optional
         What holds in this phase, beside the bounds of the problem.
+    until : (float, float), optional
+        (earliest, latest) time at which the phase ends, s from the start of the plan; None for what the durations allow.
 
     Raises
     ------
@@ -61,6 +65,7 @@ class Phase:
     stands: Sequence[int] = ()
     goals: Iterable[Goal] = ()
     bounds: Iterable[Bound] = ()
+    until: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         own = self.__dict__
@@ -70,6 +75,9 @@ class Phase:
             raise ValueError(f"Phase.stands is {own['stands']}: give each node once")
         own["goals"] = read_items("Phase.goals", self.goals, Goal, "[AtRest()]")
         own["bounds"] = read_items("Phase.bounds", self.bounds, Bound, "[ForceDensityLimits(0, 200)]")
+        if self.until is not None:
+            until = read_duration("Phase.until", self.until)
+            own["until"] = until if isinstance(until, tuple) else (until, until)
 
     @property
     def shortest(self) -> float:
@@ -101,6 +109,22 @@ def read_duration(field: str, value: Any) -> float | tuple[float, float]:
     return shortest if pair[1] == shortest else (shortest, float(pair[1]))
 
 
+def phases_between(waypoints: Sequence[Waypoint], shortest: float, longest: float) -> tuple[Phase, ...]:
+    """Return phases that end at waypoints of free times, in their order, and at the end. Raises ValueError where times contradict each other."""
+    least = SHORTEST * longest
+    ends = [(0.0, 0.0), *(waypoint.time for waypoint in waypoints if isinstance(waypoint.time, tuple)), (shortest, longest)]
+    if len(ends) < len(waypoints) + 2:
+        raise ValueError("Problem.goals has waypoints of free and of given times: give each Waypoint(time=(earliest, latest))")
+    phases = []
+    for k, ((begun, last_begun), (earliest, latest)) in enumerate(pairwise(ends)):
+        if latest - begun < least:
+            name = f"Waypoint.time is ({earliest:g}, {latest:g})" if k < len(waypoints) else f"Problem.duration is up to {latest:g}"
+            raise ValueError(f"{name}, and the waypoint before is met at {begun:g} s or later: give waypoints in the order of their times")
+        goals = waypoints[k].goals if k < len(waypoints) else ()
+        phases.append(Phase((max(least, earliest - last_begun), latest - begun), goals=goals, until=(earliest, latest)))
+    return tuple(phases)
+
+
 def refuse_phases(phases: Sequence[Phase], user: str) -> None:
     """Raise ValueError, saying who cannot, where there are phases."""
     if phases:
@@ -117,6 +141,8 @@ def check_phases(model: Model, start: Array, phases: Sequence[Phase], goals: Seq
         if isinstance(goal, (Waypoint, Periodic)):
             kind = type(goal).__name__
             raise ValueError(f"{name}.goals has a {kind}, and phases have goals at their ends alone: end a phase where it is to be met")
+        if isinstance(goal, SoftGoal):
+            raise ValueError(f"{name}.goals has a SoftGoal, and goals of phases are met: give it to the problem, for the end of the last")
     for name, bound in [("Problem", bound) for bound in bounds] + [(name, bound) for name, phase in numbered for bound in phase.bounds]:
         if isinstance(bound, RateBound):
             raise ValueError(f"{name}.bounds has {type(bound).__name__}, which would not hold from phase to phase: leave it out")

@@ -15,7 +15,7 @@ from ocp.problem.costs import Cost, CostAt, Effort
 from ocp.problem.expressions import check_expressions
 from ocp.problem.goals import BAR_TOLERANCE, Goal, SoftGoal, check_bar_lengths
 from ocp.problem.periodic import Periodic
-from ocp.problem.phase import Phase, check_phases, read_duration, read_items
+from ocp.problem.phase import Phase, check_phases, phases_between, read_duration, read_items
 from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits, StringLimits, TensionLimits
 from ocp.problem.waypoints import INSTANT, Waypoint
 from tenscasadi.dynamics.model import Model
@@ -131,6 +131,9 @@ class Problem:
         own = self.__dict__
         own["phases"] = read_items("Problem.phases", self.phases, Phase, "[Phase(0.5)]")
         own["duration"] = read_duration("Problem.duration", self._whole_duration())
+        own["goals"] = read_items("Problem.goals", self.goals, Goal, "[AtRest()]")
+        if not own["phases"]:
+            self._divide()
         if isinstance(self.start, type):
             raise TypeError(f"Problem.start is the class {self.start.__name__}: give {self.start.__name__}()")
         if isinstance(self.start, FreeStart):
@@ -161,12 +164,24 @@ class Problem:
                 raise ValueError("Problem.start is free, and phases begin where nodes stand: give the start")
             check_phases(self.model, self.first_state, own["phases"], own["goals"], own["bounds"], own["costs"])
 
+    def _divide(self) -> None:
+        """Make waypoints of free times the ends of phases."""
+        ways = [goal for goal in self.goals if isinstance(goal, Waypoint)]
+        if any(isinstance(way.time, tuple) for way in ways):
+            for way in ways:
+                way.check(self.model.scene.structure)
+            goals = tuple(goal for goal in self.goals if goal not in ways)
+            self.__dict__.update(goals=goals, phases=phases_between(ways, self.shortest, self.longest))
+
     def _whole_duration(self) -> Any:
         """Return the duration that is given, or that of all phases."""
         phases: tuple[Phase, ...] = self.__dict__["phases"]
         if not phases:
             return self.duration
-        whole = read_duration("Problem.duration", (sum(phase.shortest for phase in phases), sum(phase.longest for phase in phases)))
+        last = phases[-1].until
+        whole = read_duration(
+            "Problem.duration", last if last is not None else (sum(phase.shortest for phase in phases), sum(phase.longest for phase in phases))
+        )
         if read_duration("Problem.duration", self.duration) not in (1.0, whole):
             raise ValueError(f"Problem.duration is {shown(self.duration)}, and phases have durations of their own: leave it out")
         return whole

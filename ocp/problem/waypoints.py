@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from ocp.problem.goals import Goal
 from ocp.problem.periodic import Periodic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, positive_number, shown
+from tenscasadi.util.validate import Array, finite_array, nesting, positive_number, shown
 
 INSTANT = 1e-9  # of the duration: what lies nearer together is one instant
 
@@ -24,8 +25,9 @@ class Waypoint(Goal):
     ----------
     goals : sequence of goals
         All met at that instant: `NodePositions`, `Shape`, ...; or wished for (`Goal.soft`).
-    time : float, optional
-        Seconds from the start; only where the duration is given.
+    time : float or (float, float), optional
+        Seconds from the start; only where the duration is given. Or (earliest, latest) to let the solver choose, also where the duration is
+        free: such waypoints are met in the order in which they are given, and divide the plan into phases (`Phase`).
     share : float, optional
         Share of the duration, more than 0; 1 is the end, where the goals are goals of the end.
 
@@ -43,7 +45,7 @@ class Waypoint(Goal):
     """
 
     goals: Sequence[Goal]
-    time: float | None = None
+    time: float | tuple[float, float] | None = None
     share: float | None = None
 
     def __post_init__(self) -> None:
@@ -54,7 +56,9 @@ class Waypoint(Goal):
                 raise TypeError(f"Waypoint.goals[{k}] is {shown(goal)}: give a goal, such as NodePositions({{0: (0, 0, 1)}})")
         if (self.time is None) == (self.share is None):
             raise ValueError("Waypoint.time and .share: give one of them")
-        if self.time is not None:
+        if nesting(self.time) == 1:
+            object.__setattr__(self, "time", _read_range(self.time))
+        elif self.time is not None:
             object.__setattr__(self, "time", positive_number("Waypoint.time", self.time))
         if self.share is not None and not INSTANT < positive_number("Waypoint.share", self.share) <= 1:
             raise ValueError(f"Waypoint.share is {self.share:g}: give a share of the duration between 0 and 1")
@@ -137,7 +141,7 @@ class Waypoint(Goal):
         """
         if self.share is not None:
             return 1.0 if self.share > 1 - INSTANT else float(self.share)
-        time = float(self.time or 0.0)
+        time = float(self.time or 0.0) if not isinstance(self.time, tuple) else self.time[1]
         if shortest < longest:
             raise ValueError(f"Waypoint.time is {time:g}, and Problem.duration is free: give Waypoint(share=...)")
         if time > (1 + INSTANT) * longest:
@@ -145,3 +149,10 @@ class Waypoint(Goal):
         if time <= INSTANT * longest:
             raise ValueError(f"Waypoint.time is {time:g}, where a plan of {longest:g} s has hardly begun: give a later time")
         return 1.0 if time > (1 - INSTANT) * longest else time / longest
+
+
+def _read_range(value: Any) -> tuple[float, float]:
+    earliest, latest = finite_array("Waypoint.time", value, (2,)).tolist()
+    if not 0 < earliest <= latest:
+        raise ValueError(f"Waypoint.time is ({earliest:g}, {latest:g}): give (earliest, latest), greater than 0")
+    return earliest, latest
