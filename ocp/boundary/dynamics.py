@@ -106,12 +106,17 @@ class Dynamics:
             result[index] = block @ forces[index]
         return result
 
-    def by_control(self, at: Linearised, k: int) -> Array:
-        """Return the derivatives (nq, nu) of the accelerations at state k by the control."""
-        self._transposed.data = at.slopes[k]
-        forces, kept = np.split(self._transposed[self.model.nx :].toarray().T, [self.model.nq])
-        back = at.inverse[k] @ (at.weighted[k] @ forces + kept)
-        return np.asarray(self._accelerated(forces) - at.weighted[k].T @ back)
+    def by_control(self, at: Linearised) -> Array:
+        """Return the derivatives (P, nq, nu) of the accelerations by the control."""
+        model, transposed = self.model, self._transposed
+        begin, P = transposed.indptr[model.nx], len(at.rates)
+        forces = np.zeros((P, transposed.shape[1], model.nu))
+        strings = np.repeat(np.arange(model.nu), np.diff(transposed.indptr[model.nx :]))
+        forces[:, transposed.indices[begin:], strings] = at.slopes[:, begin:]
+        forces, kept = np.split(forces, [model.nq], axis=1)
+        back = at.inverse @ (at.weighted @ forces + kept)
+        free = self._accelerated(forces.transpose(1, 0, 2).reshape(model.nq, P * model.nu)).reshape(model.nq, P, model.nu)
+        return np.asarray(free.transpose(1, 0, 2) - at.weighted.transpose(0, 2, 1) @ back)
 
     def pull(self, at: Linearised, k: int, pulls: Array) -> Array:
         """Return what `pulls` (nx, m) on ẋ at state k are on state and control (nx + nu, m): their product with the derivatives of ẋ."""

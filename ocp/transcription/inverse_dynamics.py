@@ -36,7 +36,7 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
     dynamics = Dynamics.of(model)
     at_none = dynamics.linearise(middle, np.zeros((count, model.nu)))
     free = model.split(at_none.rates)[1]
-    A = np.array([dynamics.by_control(at_none, k) for k in range(count)])
+    A = dynamics.by_control(at_none)
     size = np.sqrt(np.maximum(np.linalg.eigvalsh(A.transpose(0, 2, 1) @ A)[:, -1:], 1e-300))
     A = np.concatenate([A / size[:, None], np.broadcast_to(np.sqrt(REFERENCE_WEIGHT) * np.eye(model.nu), (count, model.nu, model.nu))], axis=1)
     b = np.concatenate([(wanted - free) / size, np.sqrt(REFERENCE_WEIGHT) * _reference(problem, states)], axis=1)
