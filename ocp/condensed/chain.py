@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from ocp.condensed.controls import Controls
+from ocp.condensed.controls import Controls, compact
 from ocp.transcription.mesh import Profile
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
@@ -56,8 +56,7 @@ class Chain:
         self.at = np.concatenate([np.arange(self.count), taps])  # node of the mesh of each station
         self.before = self.at - 1
         self.controls = Controls(model, fractions, profile, taps)
-        self.C_s, self.C_b = sp.csr_array(mech.C_s), sp.csr_array(mech.C_b)
-        self.C_sT, self.C_bT = sp.csr_array(self.C_s.T), sp.csr_array(self.C_b.T)
+        self.C_s, self.C_b, self.C_sT, self.C_bT = (compact(matrix) for matrix in (mech.C_s, mech.C_b, mech.C_s.T, mech.C_b.T))
         self.squared = mech.lengths**2
         self.mass = mech.M.toarray()
         self.alike = len(mech.inverse) == 1  # what moves along one axis moves along all
@@ -101,7 +100,7 @@ class Chain:
 
     # --- nodes and members ---
 
-    def across(self, matrix: sp.csr_array, places: Array) -> Array:
+    def across(self, matrix: Any, places: Array) -> Array:
         """Return the differences (P, m, 3) that a connectivity matrix (m×n) takes of places (P, n, 3); with its transpose, sums at nodes."""
         count, size = len(places), places.shape[1]
         flat = matrix @ places.transpose(1, 0, 2).reshape(size, -1)
@@ -122,7 +121,7 @@ class Chain:
     @cached_property
     def _products(self) -> sp.csr_array:
         """(n², α + β): the outer products of each member's row."""
-        both = sp.csr_array(sp.vstack([self.C_s, self.C_b]))
+        both = sp.csr_array(sp.vstack([self.mech.C_s, self.mech.C_b]))
         ends = both.tocoo()
         first, n = np.split(ends.col.reshape(-1, 2), 2, axis=1), self.nodes
         i, j = (part.ravel() for part in first)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -9,6 +11,8 @@ from ocp.transcription.mesh import Profile, group_matrix, spans
 from ocp.transcription.variational import EARLY, LATE
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices
+
+SMALL = 2000  # entries of a matrix
 
 
 class Controls:
@@ -22,13 +26,12 @@ class Controls:
         early, late = (_halves(fractions, profile, end) for end in (EARLY, LATE))
         nothing = sp.csr_array((1, early.shape[1]))
         inner = sp.csr_array(sp.vstack([nothing, late])[:count] + early)
-        self.late = late
-        self.mesh = sp.csr_array(sp.vstack([inner, late[taps - 1]]))
+        mesh = sp.csr_array(sp.vstack([inner, late[taps - 1]]))
         half = fractions / 2
         self.weight = np.concatenate([half + np.append(0.0, half[:-1]), half[taps - 1]])
         together = group_matrix(profile, model.nu)
-        self.strings = sp.csr_array(together[s.string_parent] / np.asarray(s.string_fraction)[:, None])
-        self.mesh_T, self.strings_T = sp.csr_array(self.mesh.T), sp.csr_array(self.strings.T)
+        strings = sp.csr_array(together[s.string_parent] / np.asarray(s.string_fraction)[:, None])
+        self.late, self.mesh, self.mesh_T, self.strings, self.strings_T = (compact(matrix) for matrix in (late, mesh, mesh.T, strings, strings.T))
         self.shape = (early.shape[1], together.shape[1])
 
     def at_stations(self, c: Array) -> Array:
@@ -45,6 +48,11 @@ class Controls:
         own = (self.mesh_T @ values.reshape(len(values), -1)).reshape(self.shape[0], -1, columns)
         flat = self.strings_T @ own.transpose(1, 0, 2).reshape(own.shape[1], -1)
         return np.asarray(flat.reshape(self.shape[1], self.shape[0], columns).transpose(1, 0, 2))
+
+
+def compact(matrix: Any) -> Any:
+    """Return a sparse matrix as an array where it is small, which takes less time to multiply with, else by rows."""
+    return matrix.toarray() if np.prod(matrix.shape) <= SMALL else sp.csr_array(matrix)
 
 
 def _halves(fractions: Array, profile: Profile, end: float) -> sp.csr_array:

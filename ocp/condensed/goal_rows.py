@@ -46,13 +46,13 @@ class GoalRows:
         """Return the rows (m,)."""
         return np.concatenate([np.zeros(0), *(part.value(part.inputs(motion, duration)) for part in self.parts)])
 
-    def slopes(self, motion: Motion, duration: float, weights: Array) -> Slopes:
-        """Return the derivatives of combinations (m, r) of the rows."""
+    def slopes(self, jacobians: Sequence[Array], weights: Array) -> Slopes:
+        """Return the derivatives of combinations (m, r) of the rows, of these `jacobians`."""
         chain, columns, start = self.chain, weights.shape[1], 0
         result = chain.zero_step(columns)
         by_duration = np.zeros(columns)
-        for part in self.parts:
-            gradient = part.jacobian(part.inputs(motion, duration)).T @ weights[start : start + part.size]
+        for part, jacobian in zip(self.parts, jacobians, strict=True):
+            gradient = jacobian.T @ weights[start : start + part.size]
             start += part.size
             part.scatter(gradient, result)
             by_duration += gradient[-1]

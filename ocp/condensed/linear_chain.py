@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from ocp.condensed.chain import Chain, Motion, Rows
 from tenscasadi.util.validate import Array
@@ -143,7 +142,8 @@ def bar_directions(chain: Chain, places: Array) -> Array:
     return member_directions(chain.C_bT, chain.across(chain.C_b, places))
 
 
-def member_directions(C_T: sp.csr_array, vectors: Array) -> Array:
+def member_directions(C_T: Any, vectors: Array) -> Array:
     """Return Cᵀ ∘ s (P, 3n, m) of members' vectors (P, m, 3)."""
-    product: Any = C_T.toarray()[None, :, None, :] * vectors.transpose(0, 2, 1)[:, None]
+    dense: Any = C_T if isinstance(C_T, np.ndarray) else C_T.toarray()
+    product = dense[None, :, None, :] * vectors.transpose(0, 2, 1)[:, None]
     return np.asarray(product.reshape(len(vectors), -1, C_T.shape[1]))

@@ -131,7 +131,7 @@ class Expansion:
     def _jacobian(self) -> Array:
         """Return the derivatives (m, n) of the goals by w."""
         of = self.of
-        slopes = of.goals.slopes(self.motion, self.T, np.eye(of.goals.count))
+        slopes = of.goals.slopes(self.goal_slopes, np.eye(of.goals.count))
         costate = self.linear.solve_back(slopes.motion)
         by_strings = self.linear.by_strings(costate.impulses)
         return np.ascontiguousarray((self._by_w(by_strings, costate.impulses, slopes.duration) * of.units[:, None]).T)
@@ -169,7 +169,7 @@ class Expansion:
 
     def weigh(self, multipliers: Array) -> None:
         """Set the multipliers (m,) of the goals, under which the motion's own are found."""
-        slopes = self.of.goals.slopes(self.motion, self.T, multipliers[:, None])
+        slopes = self.of.goals.slopes(self.goal_slopes, multipliers[:, None])
         self.costate = self.linear.solve_back(slopes.motion)
         self.own = self.linear.by_strings(self.costate.impulses)[:, :, 0]
         self.goal_curvature = self.of.goals.hessians(self.motion, self.T, multipliers)
