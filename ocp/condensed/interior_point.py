@@ -29,6 +29,7 @@ WIDE = 0.1  # of order-one rows: the funnel's width while barriers are high
 NEARLY_MET = 1e-3  # of order-one rows: is not corrected further
 STIFFENING = 100.0  # most that is added to the metric against negative curvature, in units of the costs' curvature
 GIVEN_UP = 1e4  # the same where no step is accepted
+SLOW = 20, 0.02  # iterations and relative change of costs: they fall so slowly that it leads nowhere
 NEARLY_SETTLED, NEARLY_WITHIN = 1e-2, 5  # the same where no step is found any more
 LEAST_POLISHED = 1e-5  # distance from limits
 SETTLED_BARRIER, SETTLED, WITHIN = 1e-4, 1e-4, 3  # μ, relative change of costs, iterations: then costs are settled
@@ -143,9 +144,11 @@ class Search:
         return max(float(np.abs(gap).max(initial=0.0)), duals.error(self.point.w, mu)) / self.unit / scale
 
     def converged(self) -> str:
-        """Return "optimal", or "settled" where costs no longer fall, or ""."""
+        """Return "optimal", "settled" where costs no longer fall, "nearly settled" where they hardly do, or ""."""
         if self.error(0.0) < self.tolerance and self.point.worst < self.tolerance:
             return "optimal"
+        if self.still(*SLOW):
+            return "nearly settled"
         return "settled" if self.still(WITHIN, SETTLED) and (self.mu <= SETTLED_BARRIER * self.unit or not self.of.objective.given) else ""
 
     def still(self, most: int, share: float) -> bool:

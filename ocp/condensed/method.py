@@ -32,6 +32,7 @@ MET = 1e-9  # in order-one rows: the motion and the goals that are imposed are m
 POLISHED = 1e-11  # what is aimed at
 SOLVED = ("optimal", "settled", "nearly settled")
 TOO_COARSE = "too coarse: corrections end {:.2g} m from fine steps, not {:.2g} m: give more intervals"
+NOT_QUITE = "; the cost is nearly settled, a little less may be possible"
 _PASSES = "give a goal that the motion passes"
 WHY = {
     "iterations": "stopped at the iteration limit: raise max_iterations of the solver",
@@ -145,7 +146,7 @@ def _outcome(
         duals=_duals(reduced, imposed, found, point) if not why else None,
         gap=gap,
         why=why,
-        imposed=imposed.describe(),
+        imposed=imposed.describe() + NOT_QUITE * (found.status == "nearly settled"),
     )
 
 
