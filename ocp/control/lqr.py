@@ -224,8 +224,8 @@ def _rest(plan: Plan, model: Model, limits: tuple[Array, Array], slow: float, ma
     if not winds(model):
         return find_rest(model, end, *limits, slow, margin)
     structure = model.scene.structure
-    pulls = np.zeros(model.nu), np.full(model.nu, np.inf)
-    found = find_rest(pulled(model), end, *(pulls if plan.problem is None else plan.problem.force_density_limits), slow)
+    lower, upper = (np.zeros(model.nu), np.full(model.nu, np.inf)) if plan.problem is None else plan.problem.force_density_limits
+    found = find_rest(pulled(model), end, lower, upper, slow)
     if found.state is None:
         return found
     lengths = plan.lengths()[-1]

@@ -53,7 +53,7 @@ def _wound(problem: Problem, states: Array, force_density: Array) -> Array:
     measure = ca.Function("measure", [now.state], [ca.densify(now.lengths), ca.densify(now.rates)]).map(len(states))
     lengths, rates = (np.asarray(value.full()).T for value in measure(states.T))
     taut = np.maximum(force_density, TAUT * force_density.max(initial=0.0)) * lengths
-    return np.clip(lengths - (taut - structure.damping * rates) / structure.stiffness, *problem.control_limits)
+    return np.asarray(np.clip(lengths - (taut - structure.damping * rates) / structure.stiffness, *problem.control_limits))
 
 
 def _reference(problem: Problem, states: Array) -> Array:
