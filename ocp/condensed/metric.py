@@ -62,7 +62,7 @@ class Projector:
 
     def __init__(self, jacobian: Array, metric: Metric, damping: float) -> None:
         self.jacobian, self.metric = jacobian, metric
-        if metric.coupling is None:
+        if metric.coupling is None and len(jacobian):
             half = jacobian / np.sqrt(metric.diagonal)
             matrix = scipy.linalg.blas.dsyrk(1.0, half.T, trans=1, lower=1)  # the lower half
             self.spread = half / np.sqrt(metric.diagonal)  # J D⁻¹

@@ -131,6 +131,8 @@ class Expansion:
     def _jacobian(self) -> Array:
         """Return the derivatives (m, n) of the goals by w."""
         of = self.of
+        if not of.goals.count:
+            return np.zeros((0, of.size))
         slopes = of.goals.slopes(self.goal_slopes, np.eye(of.goals.count))
         costate = self.linear.solve_back(slopes.motion)
         by_strings = self.linear.by_strings(costate.impulses)

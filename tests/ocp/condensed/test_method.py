@@ -38,6 +38,7 @@ CASES = {
         ocp.Problem(driven(PRISM), (0.5, 1.5), goals=[*RISE, ON_THE_WAY], bounds=[LIMITS], costs=EVERY),
         ocp.Variational(15, control=ocp.PiecewiseLinear(groups=[(0, 1, 2)])),
     ),
+    "no goals": (ocp.Problem(driven(PRISM), 0.3, bounds=[LIMITS], costs=[ocp.Prestress(5.0)]), ocp.Variational(20)),
     "few changes": (
         ocp.Problem(driven(PRISM), goals=RISE, bounds=[LIMITS], costs=[ocp.Effort(), ocp.Smoothness(0.01)]),
         ocp.Variational(20, control=ocp.PiecewiseConstant(changes=5)),
@@ -61,10 +62,10 @@ def test_finds_what_ipopt_finds(case):
     plan = ocp.solve(problem, transcription, ocp.CondensedNewton())
     known = ocp.solve(problem, transcription, ocp.Ipopt())
     assert plan.success, plan.message
-    assert plan.objective == pytest.approx(known.objective, rel=5e-3)
+    assert plan.objective == pytest.approx(known.objective, rel=5e-3, abs=1e-2)
     # what is found is a motion of the same rows: IPOPT started there has no goal and no row of the motion to mend
     again = ocp.solve(problem, transcription, ocp.Ipopt(), guess=plan)
-    assert again.objective == pytest.approx(plan.objective, rel=5e-3)
+    assert again.objective == pytest.approx(plan.objective, rel=5e-3, abs=1e-2)
     assert np.abs(again.trajectory.states - plan.trajectory.states).max() < 0.05
 
 
