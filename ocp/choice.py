@@ -80,5 +80,6 @@ def choose_intervals(problem: Problem, guess: Guess) -> int:
     """Return how many intervals follow the fastest vibration under the guess."""
     middle = len(guess.force_density) // 2
     rate = fastest_rate(problem.model, guess.states[middle], guess.force_density[middle])
-    wanted = np.ceil(FOR_A_RADIAN * rate * guess.duration) if np.isfinite(rate) else FEWEST
+    each = 1.0 if winds(problem.model) else FOR_A_RADIAN  # elastic strings hardly vibrate along their plans, and corrections do the rest
+    wanted = np.ceil(each * rate * guess.duration) if np.isfinite(rate) else FEWEST
     return int(np.clip(wanted, FEWEST, MOST))

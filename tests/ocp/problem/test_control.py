@@ -70,6 +70,13 @@ def test_effort_is_that_of_the_force_densities_that_follow(plan):
     assert plan.objective == pytest.approx(np.sum((power[1:] + power[:-1]) / 2 * np.diff(fine.time)), rel=0.05)
 
 
+def test_the_default_finds_them(plan):
+    found = ocp.solve(plan.problem)
+    assert found.success, found.message
+    assert found.replay_error < 1e-3
+    assert found.objective == pytest.approx(plan.objective, rel=0.1)
+
+
 def test_motors_have_a_speed(plan):
     fastest = np.abs(np.diff(plan.rest_lengths(), axis=0)).max() * 24
     slow = planned(ocp.RestLengthRateLimits(0.93 * fastest), ocp.RestLengthLimits(0.2, 2.0))
