@@ -139,8 +139,9 @@ PROBLEMS: dict[str, Asked] = {
 
 def draw(plans: dict[str, ocp.Plan], path: Path, instants: int = 6) -> None:
     """Side views of each motion at equal intervals of time, and the way of the centre."""
-    figure = Figure(figsize=(11.0, 3.4 * -(-len(plans) // 3)), layout="constrained")
-    for ax, (name, plan) in zip(np.ravel(figure.subplots(-(-len(plans) // 3), 3, squeeze=False)), plans.items(), strict=False):
+    rows = -(-len(plans) // 2)
+    figure = Figure(figsize=(12.0, 1.6 * rows + 0.5), layout="constrained")
+    for ax, (name, plan) in zip(np.ravel(figure.subplots(rows, 2, squeeze=False)), plans.items(), strict=False):
         motion = plan.replay()
         centre = motion.nodes.mean(axis=1)
         size, apart = np.ptp(motion.nodes[0], axis=0).max(), np.ptp(centre[:, 0]) > 0.05

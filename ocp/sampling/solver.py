@@ -75,7 +75,7 @@ class Sampling:
     seed: int = 0
     rounds: int = 40
     iterations: int = 40
-    attempts: int = 5
+    attempts: int = 8
     threads: int | None = None
     verbose: bool = False
     watch: Callable[[str], Any] | None = None
