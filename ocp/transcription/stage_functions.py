@@ -16,7 +16,7 @@ from tenscasadi.dynamics.constraint_forces import assemble_system, nodal_forces,
 from tenscasadi.dynamics.equation_of_motion import lifted_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.util.casadi_tools import REFINEMENTS, REGULARISATION, ArrayFunction, sparse
+from tenscasadi.util.casadi_tools import REGULARISATION, ArrayFunction, sparse
 from tenscasadi.util.validate import Array
 
 
@@ -197,15 +197,11 @@ def _diagonal_inverse(S: Array) -> Array:
 
 
 def _semidefinite_inverse(S: Array) -> Array:
-    """Return what solves S x = b as `solve_semidefinite` does (K, n, n), also where rows repeat each other."""
-    size = S.shape[1]
+    """Return what solves S x = b (K, n, n), also where rows repeat each other: see `solve_semidefinite`."""
     diagonal = np.einsum("kii->ki", S)
     scale = 1 / np.sqrt(diagonal + 1e-14 * diagonal.sum(axis=1, keepdims=True))
-    scaled = S * scale[:, :, None] * scale[:, None, :]
-    once = np.linalg.inv(scaled + REGULARISATION * np.eye(size))
-    left = np.eye(size) - np.matmul(scaled, once)
-    inverse = once
-    for _ in range(REFINEMENTS):
-        inverse = once + np.matmul(inverse, left)
-    inverse *= scale[:, :, None] * scale[:, None, :]
-    return inverse
+    values, vectors = np.linalg.eigh(S * scale[:, :, None] * scale[:, None, :])
+    weights = np.divide(1.0, values, out=np.zeros_like(values), where=values > REGULARISATION)  # nothing along repeated rows
+    scaled = vectors * scale[:, :, None]
+    result: Array = np.matmul(scaled * weights[:, None], scaled.transpose(0, 2, 1))
+    return result
