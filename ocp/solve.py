@@ -24,10 +24,10 @@ from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
-from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.ipopt import TIME_UP, Ipopt
 from ocp.starts import seeded, solve_each
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import InitialGuess, evaluate_guess
+from ocp.transcription.initial_guess import InitialGuess, evaluate_guess, on_mesh
 from ocp.transcription.mesh import PiecewiseConstant
 from ocp.transcription.variational import Variational
 from ocp.verdict import judged
@@ -36,6 +36,7 @@ from tenscasadi.util.validate import Array, flag, instance, positive_number, who
 
 PHASE_INTERVALS = 20  # of each phase
 MOST_STARTS = 1000
+TOO_LATE = "no plan: stopped at the time limit before the solver began, with the guess: raise seconds"
 RELIABLE = 1e-2  # of the structure's size (and of it per duration): what a replay may miss by, unless a tolerance is stated
 
 
@@ -147,7 +148,7 @@ Plan._solve = staticmethod(solve)
 
 
 class _Asked(NamedTuple):
-    """What is asked of `solve`. limit: m, that the replay may end from the goals; began, deadline: of `time.perf_counter`, s."""
+    """Arguments of `solve`. limit: m, that the replay may end from the goals; began, deadline: of `time.perf_counter`, s."""
 
     problem: Problem
     guess: InitialGuess | None
@@ -198,7 +199,10 @@ def _by_method(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Pl
         outcome = solve_sampled(problem, transcription, known, solver, asked.deadline, asked.limit)
     else:
         first = evaluate_guess(guess, problem, target, transcription.count)
-        if isinstance(solver, CondensedNewton):
+        if asked.late():
+            own = on_mesh(problem.model, first, transcription.fractions, transcription.control)
+            outcome = Outcome(own.states, own.force_density, own.duration, np.nan, False, TIME_UP, 0, why=TOO_LATE)
+        elif isinstance(solver, CondensedNewton):
             outcome = solve_condensed(problem, transcription, target, scales, first, solver, asked.deadline)
         else:
             duals = guess.duals if isinstance(guess, Plan) else None

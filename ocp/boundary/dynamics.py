@@ -65,7 +65,9 @@ class Dynamics:
         self._transposed = sp.csr_array((np.zeros(len(row)), row[self._order], pointers), shape=(nx + model.nu, nq + count))
         self._values = ArrayFunction(ca.Function("values", [x, u], [ca.densify(part) for part in (force, bias, J.nz[:])]))
         self._slopes = ArrayFunction(ca.Function("slopes", [x, u, mu, a], [ca.densify(slopes.nz[:])]))
-        self._inverse_mass = block_inverse(model.mechanism.free_mass, np.ones(nq, bool))
+        mass = model.mechanism.free_mass
+        held = sp.diags_array(np.where(mass.diagonal() == 0, mass.diagonal().max(initial=0.0) or 1.0, 0.0))  # nodes without mass are pinned
+        self._inverse_mass = block_inverse(mass + held, np.ones(nq, bool))
         parts = separate_parts(self._inverse_mass.toarray())
         self._blocks = [(index, self._inverse_mass[index][:, index].toarray()) for index, _ in parts] if len(parts) <= FEW else []
 

@@ -215,9 +215,10 @@ class _Finder:
 
 
 def _metric(model: Model) -> Array:
-    """Return the mass matrix on positions and velocities, relative to its mean, and one for clock and duration."""
+    """Return the mass matrix on positions and velocities, relative to its mean, and one for clock and duration, and for pinned nodes without mass."""
     mass = model.mechanism.free_mass.toarray()
     mass = mass / np.diag(mass).mean()
+    mass += np.diag((np.diag(mass) == 0).astype(float))
     result = np.eye(model.nx + 1)
     result[: model.nq, : model.nq] = mass
     result[model.nq : 2 * model.nq, model.nq : 2 * model.nq] = mass

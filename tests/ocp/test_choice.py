@@ -42,6 +42,10 @@ CHOICES = {
         lambda: widening(ocp.TensionLimits(upper=60.0)),
         "chosen: Variational of 30 intervals by Ipopt",
     ),
+    "full coordinates, nodes without mass pinned": (
+        lambda: in_full_coordinates(leaning()),
+        "chosen: MultipleShooting of 30 intervals by Ipopt",
+    ),
     "full coordinates": (lambda: in_full_coordinates(folding()), "chosen: MultipleShooting of 30 intervals by Ipopt"),
 }
 

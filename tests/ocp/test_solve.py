@@ -39,6 +39,10 @@ def test_a_time_limit_stops_the_solver_with_the_best_so_far(plan):
     assert not stopped.success
     assert "stopped at the time limit" in stopped.message
     assert stopped.objective == pytest.approx(plan.objective, rel=1e-3)
+    at_once = ocp.solve(plan.problem, seconds=1e-6)
+    assert not at_once.success
+    assert "before the solver began" in at_once.message
+    assert at_once.iterations == 0
     with pytest.raises(ValueError, match="seconds"):
         ocp.solve(plan.problem, seconds=-1.0)
 
