@@ -13,8 +13,8 @@ from ocp.boundary.controlled import controlled, count_rows
 from ocp.boundary.find_target import find_target
 from ocp.boundary.sensitivities import HARDLY_REACHED, Reach
 from ocp.boundary.target import Target
-from ocp.plan.diagnosis import StateAt, explain_failure, goals_met, long_steps, measure_misses, state_function
-from ocp.presolve import check_freedom, check_groups, check_start
+from ocp.plan.diagnosis import StateAt, explain_failure, goals_met, long_steps, measure_misses, state_function, units_of
+from ocp.presolve import check_end, check_freedom, check_groups, check_start
 from ocp.problem.control import stretched, winds
 from ocp.problem.instant import forces_of
 from ocp.problem.phase import refuse_phases
@@ -96,6 +96,7 @@ def prepare(problem: Problem, control: Profile) -> tuple[Target, Scales]:
     target = find_target(problem, scales)
     if not problem.free_start:
         check_start(problem)
+    check_end(problem, target)
     return target, scales
 
 
@@ -211,4 +212,6 @@ def _why(task: _Task, found: _Found) -> str:
     held = replace(guess, force_density=held_values(guess.force_density, transcription.count))
     step = transcription.longest_step(guess.duration)
     too_long = long_steps(task.problem.model, guess.states, held.force_density, step, guess.duration)
-    return explain_failure(measure_misses(target, state_at), imposed.begin_at(guess.states[0]), task.reach, program, solution, held, too_long)
+    return explain_failure(
+        measure_misses(target, state_at), imposed.begin_at(guess.states[0]), task.reach, program, solution, held, too_long, units_of(task.problem)
+    )

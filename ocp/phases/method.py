@@ -115,7 +115,7 @@ def _outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
     missed = measure_misses(target, lambda share: values[int(np.argmin(np.abs(ends - share)))].states[-1])
     why = ""
     if not solution.success:
-        why = explain_failure(missed, target, None, program, solution, Guess(states, gamma, float(time[-1])), "")
+        why = explain_failure(missed, target, None, program, solution, Guess(states, gamma, float(time[-1])), "", {})
     elif max((amount for amount, _ in missed.places), default=0.0) > MET * task.scales.length:
         why = f"no plan: {missed.worst()}: nodes that stand keep it from there, leave it out or let them step"
     cost = ca.Function("cost", [program.problem["x"]], [program.problem["f"]])(solution.w)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import casadi as ca
@@ -11,6 +11,9 @@ import numpy as np
 
 from ocp.boundary.sensitivities import Reach
 from ocp.boundary.target import Target
+from ocp.problem.bounds import PathBound, RateBound
+from ocp.problem.path_constraints import path_constraints
+from ocp.problem.problem import Problem
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import STOPPED, TIME_UP
 from ocp.transcription.initial_guess import Guess
@@ -25,6 +28,7 @@ VIOLATED = 1e-6  # in scaled rows: below it a constraint counts as met
 AT_LIMIT = 1e-3  # of a limit: nearer counts as held by it
 LONG = 2.0  # radians of the fastest vibration in a step: beyond, steps are unstable, or nearly
 NOTHING = 1e-6  # m: smaller distances do not count beside speeds
+PATIENT = 50  # iterations after which limits of rates that hold are to blame, not their number
 RUNAWAY = 1e3  # in scaled unknowns: what nothing holds grows beyond
 
 _ROOM = "give a longer duration, wider limits, or a nearer goal"
@@ -96,10 +100,19 @@ def goals_met(target: Target, state_at: StateAt) -> bool:
     return True
 
 
-def explain_failure(missed: Misses, imposed: Target, reach: Reach | None, program: Program, solution: Solution, found: Guess, too_long: str) -> str:
+def explain_failure(
+    missed: Misses,
+    imposed: Target,
+    reach: Reach | None,
+    program: Program,
+    solution: Solution,
+    found: Guess,
+    too_long: str,
+    units: Mapping[str, str],
+) -> str:
     """Tell the cause and its cure, the largest violation by name, the limits that hold, and how many rows of the goals the strings move.
 
-    too_long: what `long_steps` says. reach: None where it is not known.
+    too_long: what `long_steps` says. reach: None where it is not known. units: of what is limited, by its name.
     """
     values = ca.Function("values", [program.problem["x"]], [program.problem["f"], program.problem["g"]])(solution.w)
     f, g = (np.asarray(value.full()).ravel() for value in values)
@@ -110,13 +123,17 @@ def explain_failure(missed: Misses, imposed: Target, reach: Reach | None, progra
         cause = _CAUSES.get(solution.status, _STEPS)
         if held and solution.status == "Maximum_Iterations_Exceeded":
             cause += f", or {_ROOM}"
+        slow = [name for name in held if " rate " in name]
+        if slow and violation.max(initial=0.0) > VIOLATED and solution.status in _CAUSES and solution.iterations >= PATIENT:
+            cause = f"limits of rates leave no way that was found: allow a faster {slow[0].split(',')[0]}, or a longer duration"
     parts = [f"no plan: {cause}"]
     if not np.all(np.isfinite(g)):
         return parts[0]
     worst = int(np.argmax(violation))
     if violation[worst] > VIOLATED:
         name, scale = program.names[worst], program.scale[worst]
-        amount = f"{violation[worst]:.2g} of its scale" if scale == 1.0 else f"{violation[worst] * scale:.2g} in its unit"
+        unit = units.get(name.split(",")[0])
+        amount = f"{violation[worst]:.2g} of its scale" if unit is None else f"{violation[worst] * scale:.2g} {unit}".rstrip()
         parts.append("largest violation: " + (missed.worst() if name.startswith("goal") else f"{name}, by {amount}"))
     else:
         parts.append("all constraints are met, but the cost is not settled: a plan of another transcription may be a better guess")
@@ -131,6 +148,12 @@ def explain_failure(missed: Misses, imposed: Target, reach: Reach | None, progra
             rank = len(reach.controlled(imposed.single, imposed.weights, imposed.start, found.force_density, found.duration))
             parts.append(f"the strings move {rank} of {imposed.count} rows of the goals")
     return "; ".join(parts)
+
+
+def units_of(problem: Problem) -> dict[str, str]:
+    """Return the units of all that bounds limit, by name; "" of own constraints."""
+    kinds = (PathBound, RateBound)
+    return {name: one.unit for kind in kinds for one in path_constraints(problem, kind) for name in one.names}
 
 
 def long_steps(model: Model, states: Array, gamma: Array, step: float, duration: float) -> str:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
 
+from ocp.solvers.condensed_newton import CondensedNewton
+from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
@@ -19,6 +22,7 @@ from tenscasadi.util.validate import Array
 DEFECT_STEPS = 10  # steps for one interval of the plan, to tell its defect
 LOST = 1e6  # tolerances that a replay which diverges counts as its error
 MOST_PARTS = 4  # that an interval is cut into at once
+FAR = float(MOST_PARTS**4)  # times the tolerance: a mesh that is cut once, with a method of order 4, does not gain more
 CAUTION = 0.3  # of the tolerance is aimed at
 
 
@@ -53,16 +57,20 @@ class Refinable(Protocol):
 P = TypeVar("P", bound=Refinable)
 
 
-def refine_mesh(plan: P, model: Model, again: Callable[[Array, P], P], tolerance: float, attempts: int) -> tuple[P, str]:
+def refine_mesh(
+    plan: P, model: Model, again: Callable[[Array, P], P], tolerance: float, attempts: int, corrected: Callable[[P], P] | None = None
+) -> tuple[P, str]:
     """Return a plan whose replay ends within `tolerance`, m, of the goals, and ""; or the best that was found, and why it does not.
 
-    again: (relative lengths of intervals, plan) → the plan on these intervals, solved from that plan. A plan without optimum is returned as it is.
+    again: (relative lengths of intervals, plan) → the plan on these intervals, solved from that plan. corrected: plan → the plan on the same
+    intervals, solved again until its motion is that of fine steps; None: there is no such thing. It is tried once, where one finer mesh cannot
+    do, or has not. A plan without optimum is returned as it is.
     """
 
     def cut(coarse: P, too_large: float) -> Array:
         return finer(model, coarse.time, coarse.trajectory.states, coarse.control, too_large)
 
-    return _refine(plan, cut, again, tolerance, attempts)
+    return _refine(plan, cut, again, tolerance, attempts, corrected)
 
 
 def refine_phases(plan: P, model: Model, again: Callable[[Array, P], P], tolerance: float, attempts: int) -> tuple[P, str]:
@@ -70,20 +78,59 @@ def refine_phases(plan: P, model: Model, again: Callable[[Array, P], P], toleran
     return _refine(plan, lambda coarse, _: np.repeat(coarse.transcription.fractions, 2), again, tolerance, attempts)
 
 
-def _refine(plan: P, cut: Callable[[P, float], Array], again: Callable[[Array, P], P], tolerance: float, attempts: int) -> tuple[P, str]:
+def _refine(
+    plan: P,
+    cut: Callable[[P, float], Array],
+    again: Callable[[Array, P], P],
+    tolerance: float,
+    attempts: int,
+    corrected: Callable[[P], P] | None = None,
+) -> tuple[P, str]:
     why = f"in {attempts} attempts: give more, or substeps"
     for _ in range(attempts):
         error = plan.worst_error
         if plan.duals is None or error <= tolerance:
             return plan, ""
+        if corrected is not None and np.isfinite(error) and error > FAR * tolerance:
+            plan, corrected = _better(plan, corrected(plan)), None
+            continue
         times_too_large = error / tolerance if np.isfinite(error) else LOST
         finest = again(cut(plan, times_too_large), plan)
         if finest.duals is not None and not finest.worst_error <= max(tolerance, error / 2):
             why = f"and {len(finest.time) - 1} intervals in place of {len(plan.time) - 1} do not halve the error: give a larger tolerance"
             plan = min(plan, finest, key=lambda one: one.worst_error)
+            if corrected is not None:
+                plan = _better(plan, corrected(plan))
             break
         plan = finest
     return plan, "" if plan.duals is None or plan.worst_error <= tolerance else why
+
+
+def refined(plan: Any, tolerance: float, attempts: int, solve: Callable[..., Any]) -> Any:
+    """Return a `Plan` of known origin solved again by `solve` until it meets the tolerance, m, or the best, whose message says that it does not."""
+    solver = replace(plan.solver, warm=True) if isinstance(plan.solver, Ipopt) else plan.solver
+    options = {"tracked": True} if plan.tracked else {}
+
+    def again(intervals: Array, known: Any) -> Any:
+        return solve(plan.problem, replace(known.transcription, intervals=tuple(intervals.tolist())), solver, known, tolerance, **options)
+
+    def corrected(known: Any) -> Any:
+        return solve(plan.problem, replace(known.transcription, accuracy=CAUTION * tolerance), solver, known, tolerance, **options)
+
+    if plan.problem.phases:
+        found, missed = refine_phases(plan, plan.model, again, tolerance, attempts)
+    else:
+        correctable = isinstance(solver, (Ipopt, CondensedNewton)) and not plan.tracked
+        found, missed = refine_mesh(plan, plan.model, again, tolerance, attempts, corrected if correctable else None)
+    if not missed:
+        return found
+    ends = f"its replay ends {found.replay_error:.2g} m and {found.replay_speed_error:.2g} m/s from the goal"
+    told = f"found after {found.iterations} iterations; the tolerance of {tolerance:g} m was not met {missed}; {ends}"
+    return replace(found, success=False, message=told)
+
+
+def _better(plan: P, other: P) -> P:
+    return other if other.duals is not None and other.worst_error < plan.worst_error else plan
 
 
 def finer(model: Model, time: Array, states: Array, force_density: Array, too_large: float) -> Array:

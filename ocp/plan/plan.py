@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,7 +14,7 @@ import numpy as np
 from ocp.boundary.target import Target
 from ocp.plan.error_growth import grown_errors
 from ocp.plan.many_replays import measure_robustness
-from ocp.plan.mesh_refinement import refine_mesh, refine_phases
+from ocp.plan.mesh_refinement import refined
 from ocp.plan.planned_forces import PlannedForces
 from ocp.plan.report import Report, report_of
 from ocp.plan.robustness import Robustness
@@ -23,7 +23,6 @@ from ocp.problem.problem import Problem
 from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Solver
 from ocp.solvers.condensed_newton import CondensedNewton
-from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, resampled
@@ -261,7 +260,9 @@ class Plan(PlannedForces, ReadOnlyArrays):
         return report_of(self.problem, self.time, self.trajectory.states, self.control, self.replay(), self.duals)
 
     def refine(self, tolerance: float, attempts: int = 5) -> Plan:
-        """Solve again on a finer mesh, from what was found, until the replay ends near enough to the goals or that no longer halves its error.
+        """Solve again, from what was found, until the replay ends near enough to the goals or that no longer halves its error.
+
+        On a finer mesh, or where that does not get there with corrections, as by `accuracy` of a transcription.
 
         Parameters
         ----------
@@ -282,17 +283,10 @@ class Plan(PlannedForces, ReadOnlyArrays):
         """
         limit = positive_number("tolerance", tolerance)
         whole_number("attempts", attempts, 1)
-        model, transcription = self.known_model("refine"), self.transcription
-        if self.problem is None or transcription is None or self.solver is None:
+        self.known_model("refine")
+        if self.problem is None or self.transcription is None or self.solver is None:
             raise ValueError(f"refine needs to know how the plan was solved ({self.unknown}): refine solve(problem, ..., guess=plan)")
-        refining = refine_phases if self.problem.phases else refine_mesh
-        solver = replace(self.solver, warm=True) if isinstance(self.solver, Ipopt) else self.solver
-
-        def again(intervals: Array, plan: Plan) -> Plan:
-            return self._solve(self.problem, replace(transcription, intervals=tuple(intervals.tolist())), solver, plan, limit)
-
-        found, missed = refining(self, model, again, limit, attempts)
-        return replace(found, success=False, message=f"{found.message}; the tolerance of {limit:g} m was not met {missed}") if missed else found
+        return refined(self, limit, attempts, self._solve)
 
     def robustness(
         self,

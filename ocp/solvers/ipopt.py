@@ -26,6 +26,10 @@ FIRST_BARRIER_IN_CONTACT = 1e-3  # the same, for motions with contact, which tak
 FIRST_BARRIER_KNOWN = 1e-9  # the same where multipliers are known; where they are not, a small one keeps iterates at limits that they should leave
 
 
+AMD, METIS = 0, 5  # of MUMPS; what it chooses fills factors where collocation or a free duration couples much: 10 to 80 times slower
+MANY_INTERVALS = 800  # from which AMD may take a hundred times as long as METIS, which on others takes up to twice as long
+
+
 STOPPED = "User_Requested_Stop"
 TIME_UP = "Time_Limit_Reached"  # that of the whole search, which includes what comes before the solver
 SMALL_VIOLATION = 1e-6  # violation, scaled, below which iterates are judged by their objective
@@ -66,7 +70,7 @@ class Ipopt:
 
     However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch a ground its derivatives mislead, and it
     hardly finds a motion, whatever the guess: see `Sampling` and `Phase`. MUMPS runs without its own scaling, which triples its
-    speed on these problems.
+    speed on these problems, and orders pivots by AMD, or from 800 intervals on by METIS.
 
     Parameters
     ----------
@@ -179,7 +183,7 @@ class Ipopt:
             "sb": "yes",
             "mumps_scaling": 0,
             "mumps_permuting_scaling": 0,
-            "mumps_pivot_order": 0,  # AMD; what MUMPS chooses fills factors where collocation or a free duration couples much: 10 to 80 times slower
+            "mumps_pivot_order": METIS if len(program.states) > MANY_INTERVALS else AMD,
             "nlp_scaling_method": "none",  # programs are scaled
             "mu_init": FIRST_BARRIER_IN_CONTACT if program.contact else FIRST_BARRIER,
             "min_refinement_steps": 0,  # solutions of linear systems are refined where their residuals ask for it

@@ -17,7 +17,10 @@ class Duals:
     """Multipliers of an optimum: how much each constraint costs.
 
     A multiplier is positive where an upper limit holds, negative where a lower one does. Where a limit, or the value that a goal wants,
-    rises by δ, the least objective J changes by −λ δ, to first order.
+    rises by δ, the least objective J changes by −λ δ, to first order. Finite differences of solved plans agree as long as both solutions lie on
+    one branch of optima. Where problem and optimum have a symmetry, several limits share the price: moving one of them alone costs the sum of
+    what its images pay, or breaks the symmetry, and a plan that is solved anew may come out mirrored, with its multipliers at other strings.
+    Compare by moving all images of a limit together, from `guess=plan` with ``Ipopt(warm=True)``.
 
     Attributes
     ----------

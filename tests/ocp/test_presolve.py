@@ -10,6 +10,9 @@ from planning import driven, prism
 
 import ocp
 import tenscasadi as tc
+from ocp.boundary.find_target import find_target
+from ocp.presolve import check_end
+from ocp.problem.scaling import Scales
 
 MODEL = driven(prism(1.0, bar_radius=0.005, stiffness=1000.0))
 
@@ -88,8 +91,49 @@ REFUSED = {
         ),
     ),
     "a plan ends at once": (lambda: asked(duration=1e-5), ("m in 1e-05 s, in which force densities", "give more time")),
+    "the goal is in the obstacle": (
+        lambda: asked(ocp.Obstacle((0.6, 0.0, 0.8), 0.2), goals=[ocp.NodePositions({1: (0.6, 0.0, None)}), ocp.AtRest()], model=driven(arm())),
+        ("NodePositions: node 1 x and obstacle clear of bar 0 has to be at least 0.2 m, and is", "where the goals are met: move the goal"),
+    ),
+    "the goal is outside the box": (
+        lambda: asked(ocp.InsideBox(upper=(0.5, None, None), nodes=[1]), goals=[ocp.NodePositions({1: (0.6, 0.0, None)})], model=driven(arm())),
+        ("NodePositions: node 1 x and x of node 1 has to be at most 0.5 m, and is 0.6 where the goals are met",),
+    ),
+    "limits contradict each other at the goal": (
+        lambda: asked(ocp.TensionLimits(upper=8.0), goals=[ocp.NodePositions({1: (0.6, 0.0, None)}), ocp.AtRest()], model=driven(arm())),
+        ("leave no force densities where the goals are met: tension of string", "has to be at most 8 N", "it is 8.9", "widen one, or move the goal"),
+    ),
+    "limits contradict each other at the shape that is the goal": (
+        lambda: asked(ocp.TensionLimits(upper=6.0), goals=[ocp.Shape(prism(1.35).nodes), ocp.AtRest()]),
+        ("leave no force densities where the goals are met: tension of string", "has to be at most 6 N", "widen one, or move the goal"),
+    ),
+    "motors are far too slow for a shape": (
+        lambda: asked(ocp.RestLengthRateLimits(0.01), goals=[ocp.Shape(prism(1.35).nodes), ocp.AtRest()]),
+        ("rest length rate of string", "0.01 m/s, and from the start to the goals its mean is"),
+    ),
+    "motors are far too slow": (
+        lambda: asked(ocp.RestLengthRateLimits(0.01, 1000.0), goals=[ocp.NodePositions({1: (0.6, 0.0, None)}), ocp.AtRest()], model=driven(arm())),
+        ("rest length rate of string", "has to be at ", "0.01 m/s, and from the start to the goals its mean is", "longer duration than 1 s"),
+    ),
     "a shape has other bars": (lambda: asked(goals=[ocp.Shape(2 * prism(1.0).nodes)]), ("Shape.nodes make bar 0 2.8 m long, not 1.4 m",)),
 }
+
+
+ALLOWED = {
+    "a shape may be anywhere": lambda: asked(ocp.InsideBox(upper=(None, None, 2.0)), goals=[ocp.StringLengths(prism(1.1).string_lengths)]),
+    "what the goal leaves open may be elsewhere": lambda: asked(
+        ocp.Obstacle((0.4, 0.0, 0.9), 0.2, bars=[], nodes=[1]), goals=[ocp.NodePositions({1: (0.4, None, None)}), ocp.AtRest()], model=driven(arm())
+    ),
+    "only just": lambda: asked(
+        ocp.InsideBox(upper=(0.6, None, None), nodes=[1]), goals=[ocp.NodePositions({1: (0.6, 0.0, None)}), ocp.AtRest()], model=driven(arm())
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ALLOWED)
+def test_what_may_be_is_not_refused(name):
+    problem = ALLOWED[name]()
+    check_end(problem, find_target(problem, Scales.of(problem)))
 
 
 @pytest.mark.parametrize("name", REFUSED)

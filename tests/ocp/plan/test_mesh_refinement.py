@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planning import driven, prism, taller
+from planning import driven, integrated, prism, raising, taller
 
 import ocp
+import tenscasadi as tc
 from ocp.plan.mesh_refinement import defects
 
 
@@ -57,11 +58,37 @@ def test_refining_stops_where_it_no_longer_helps(coarse, lowered, monkeypatch):
         return replace(plan, replay_error=lowered * plan.replay_error, replay_speed_error=lowered * plan.replay_speed_error)
 
     monkeypatch.setattr(ocp.Plan, "_solve", staticmethod(solve))
-    plan = coarse.refine(1e-9)
+    plan = replace(coarse, solver=ocp.Fatrop()).refine(1e-9)  # which takes no corrections
     assert len(asked) == 1
     assert not plan.success
     assert plan.worst_error == min(coarse.worst_error, np.nan_to_num(lowered * coarse.worst_error, nan=np.inf))
     assert "the tolerance of 1e-09 m was not met and 8 intervals in place of 8 do not halve the error" in plan.message
+
+
+def test_corrections_go_where_intervals_do_not(coarse):
+    """Against SciPy: to 1e-9 m, on no finer mesh than a few parts of each interval."""
+    found = ocp.solve(raising(), ocp.Variational(40)).refine(1e-9)
+    assert found.success, found.message
+    assert found.worst_error <= 1e-9
+    assert len(found.time) == 41
+    end = raising().model.nodes(integrated(found))
+    assert tc.Structure(end, prism(1.1).bars, prism(1.1).strings).string_lengths == pytest.approx(prism(1.1).string_lengths, abs=2e-9)
+
+
+def test_refining_does_not_advise_itself(coarse):
+    plan = coarse.refine(1e-15)
+    assert not plan.success
+    assert "the tolerance of 1e-15 m was not met" in plan.message
+    assert "refine" not in plan.message
+    assert "give more intervals" not in plan.message
+
+
+def test_a_plan_from_a_file_is_refined(coarse, tmp_path):
+    coarse.save(tmp_path / "plan.npz")
+    loaded = ocp.Plan.load(tmp_path / "plan.npz")
+    fine = loaded.refine(1e-6)
+    assert fine.success, fine.message
+    assert fine.worst_error <= 1e-6
 
 
 def test_what_was_not_found_is_not_refined():
