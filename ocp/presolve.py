@@ -95,7 +95,8 @@ class _Limits(NamedTuple):
 
     def taken(self, chosen: list[int]) -> _Limits:
         """Return some of them."""
-        return _Limits(*(part[chosen] if isinstance(part, np.ndarray) else [part[k] for k in chosen] for part in self))
+        name, wanted = ([part[k] for k in chosen] for part in (self.name, self.wanted))
+        return _Limits(self.slopes[chosen], self.room[chosen], [self.entry[k] for k in chosen], name, wanted, self.limit[chosen], self.size[chosen])
 
 
 def _limits_at(limited: PathConstraint, state: Array) -> _Limits:
@@ -104,14 +105,18 @@ def _limits_at(limited: PathConstraint, state: Array) -> _Limits:
     linear = ~np.array(ca.which_depends(value, control, 2, True), dtype=bool)
     function = ca.Function("linear", limited.symbols, [value, ca.densify(ca.jacobian(value, control))])
     at_none, slope = (np.asarray(part.full()) for part in function(state, 0, 0))
-    parts = []
+    slopes, room, entries, names, wanted, limits, sizes = [], [], [], [], [], [], []
     for side, sign, limit in (("at most", 1.0, limited.upper), ("at least", -1.0, limited.lower)):
         kept = np.flatnonzero(linear & np.isfinite(limit) & np.isfinite(at_none[:, 0]) & np.isfinite(slope).all(axis=1))
         size = np.maximum(np.abs(limit[kept]), 1e-9)
-        names, wanted = [limited.names[k] for k in kept], [f"{side} {limit[k]:g} {limited.unit}".rstrip() for k in kept]
-        room = sign * (limit[kept] - at_none[kept, 0]) / size
-        parts.append((sign * slope[kept] / size[:, None], room, kept.tolist(), names, wanted, limit[kept], sign * size))
-    return _Limits(*(np.concatenate(pair) if isinstance(pair[0], np.ndarray) else [*pair[0], *pair[1]] for pair in zip(*parts, strict=True)))
+        slopes.append(sign * slope[kept] / size[:, None])
+        room.append(sign * (limit[kept] - at_none[kept, 0]) / size)
+        entries += kept.tolist()
+        names += [limited.names[k] for k in kept]
+        wanted += [f"{side} {limit[k]:g} {limited.unit}".rstrip() for k in kept]
+        limits.append(limit[kept])
+        sizes.append(sign * size)
+    return _Limits(np.concatenate(slopes), np.concatenate(room), entries, names, wanted, np.concatenate(limits), np.concatenate(sizes))
 
 
 def _left_nothing(problem: Problem, limits: list[_Limits]) -> str:
@@ -229,7 +234,7 @@ def _check_rates(problem: Problem, state: Array, fixed: Flags) -> None:
                 (least[k] > bound.upper[k], "at most", bound.upper[k], least[k]),
                 (most[k] < bound.lower[k], "at least", bound.lower[k], most[k]),
             ):
-                if settled and wrong and abs(value - limit) > CLEAR * abs(limit):
+                if settled and wrong and abs(value) > HASTE * abs(limit):
                     told = f"{name} has to be {side} {limit:g} {bound.unit}, and from the start to the goals its mean is {value:.4g} {bound.unit}"
                     raise UnreachableGoal(f"{told} at best: allow a faster rate, or a longer duration than {problem.longest:g} s")
 

@@ -286,7 +286,8 @@ class Plan(PlannedForces, ReadOnlyArrays):
         self.known_model("refine")
         if self.problem is None or self.transcription is None or self.solver is None:
             raise ValueError(f"refine needs to know how the plan was solved ({self.unknown}): refine solve(problem, ..., guess=plan)")
-        return refined(self, limit, attempts, self._solve)
+        fine: Plan = refined(self, limit, attempts, self._solve)
+        return fine
 
     def robustness(
         self,
