@@ -95,15 +95,18 @@ def link_problem(problem: Problem, transcription: Transcription, guess: InitialG
     for k, (part, target, own) in enumerate(zip(parts, targets, first, strict=True)):
         stands = tuple(problem.phases[k].stands)
         lands = k > 0 and bool(set(stands) - set(problem.phases[k - 1].stands))
-        v = Variables(_with_costs_of(part, k + 1 == len(parts)), target, scales, own, transcription.fractions, transcription.control)
+        v = Variables(
+            _without_end(part, problem) if k + 1 < len(parts) else part, target, scales, own, transcription.fractions, transcription.control
+        )
         reactions = np.tile(-weight / max(len(stands), 1), len(stands))
         motions.append(PhaseMotion(v, stands, lands, -float(np.mean(own.force_density)), reactions))
     return PhasedTask(parts, targets, scales, transcription, link_phases(motions, scene.grounds, [phase.until for phase in problem.phases]))
 
 
-def _with_costs_of(part: Problem, last: bool) -> Problem:
-    """Leave costs of the end to the last phase; but the plan's duration is the sum of all."""
-    return part if last else replace(part, costs=[cost for cost in part.costs if isinstance(cost, Duration) or not isinstance(cost, FinalCost)])
+def _without_end(part: Problem, problem: Problem) -> Problem:
+    """Return a phase before the last without the problem's own costs and limits of the end; but its duration is a part of the whole."""
+    costs = [cost for cost in part.costs if isinstance(cost, Duration) or not isinstance(cost, FinalCost)]
+    return replace(part, costs=costs, bounds=[bound for bound in part.bounds if bound not in problem.bounds or not getattr(bound, "at_end", False)])
 
 
 def _outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:

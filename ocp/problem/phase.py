@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds import Bound, RateBound
-from ocp.problem.costs import Cost
+from ocp.problem.costs import Cost, CostAt, Duration, FinalCost, RunningCost
 from ocp.problem.goals import Goal, SoftGoal
+from ocp.problem.instant import symbolic
 from ocp.problem.periodic import Periodic
 from ocp.problem.tracking import Tracking
 from ocp.problem.waypoints import Waypoint
@@ -147,8 +149,14 @@ def check_phases(model: Model, start: Array, phases: Sequence[Phase], goals: Seq
         if isinstance(bound, RateBound):
             raise ValueError(f"{name}.bounds has {type(bound).__name__}, which would not hold from phase to phase: leave it out")
     for cost in costs:
-        if isinstance(cost, Tracking):
-            raise ValueError("Problem.costs has Tracking, whose time is that of the whole plan: with phases give goals of phases")
+        if isinstance(cost, (Tracking, CostAt)):
+            kind = "a soft Waypoint" if isinstance(cost, CostAt) else "Tracking"
+            raise ValueError(f"Problem has {kind}, whose time is that of the whole plan: with phases give goals of phases")
+        if isinstance(cost, (RunningCost, FinalCost)) and not isinstance(cost, Duration):
+            now = symbolic(model)
+            value = cost.rate(now) if isinstance(cost, RunningCost) else cost.final(now)
+            if ca.depends_on(value, now.time):
+                raise ValueError(f"Problem.costs has {type(cost).__name__}, which depends on the time: with phases give goals of phases")
     for phase in phases:
         for goal in phase.goals:
             goal.check(structure)

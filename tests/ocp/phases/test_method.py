@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
+import casadi as ca
 import numpy as np
 import pytest
 from jumping import FEET, HEIGHT, flight, jumping, low_prism, push, standing
@@ -169,6 +170,17 @@ def test_a_plan_in_phases_refines():
     assert fine.success, fine.message
     assert fine.replay_error <= coarse.replay_error / 5
     assert len(fine.problem.phases) == 2
+
+
+def test_limits_of_the_end_are_of_the_end_alone():
+    """A limit that the end of the first phase breaks, as asked."""
+    low = ocp.Constraint("height", lambda now: ca.sum2(now.nodes[2, :]) / 6, upper=0.25, at_end=True)
+    rising = push(goals=[ocp.CentreOfMass((None, None, 0.35))])
+    plan = ocp.solve(jumping(rising, push(goals=[ocp.AtRest()]), bounds=[ocp.ForceDensityLimits(5.0, 500.0), low]), PLAN)
+    assert plan.status == "Solve_Succeeded"
+    own = heights(plan.model, plan.trajectory.states)
+    assert own[10] == pytest.approx(0.35, abs=0.01)  # goals move a little against what the replay misses
+    assert own[-1] < 0.25 + 0.01
 
 
 def test_other_ways_to_solve_are_refused_by_name():
