@@ -1,4 +1,4 @@
-"""Ninety planning problems of the kinds that users bring, each solved by default, with the error of its replay against a stated tolerance.
+"""A hundred planning problems of the kinds that users bring, each solved by default, with the error of its replay against a stated tolerance.
 
 Run it: python examples/ocp_suite.py, or with the kinds of problems to solve: python examples/ocp_suite.py tower arm
 """
@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import NamedTuple
 
+import contact_problems
 import numpy as np
 from ocp_problems.case import Case
 from ocp_problems.shape_changes import large_cases, small_cases
@@ -39,9 +40,15 @@ class Row(NamedTuple):
 
 def cases(kinds: Sequence[str] = (), quick: bool = False) -> Iterator[Case]:
     """The problems (of some kinds; quick: some of them)."""
-    for case in chain(small_cases(), large_cases(), reaching_cases(), constrained_cases()):
+    for case in chain(small_cases(), large_cases(), reaching_cases(), constrained_cases(), contact_cases()):
         if (not kinds or case.kind in kinds) and (case.quick or not quick):
             yield case
+
+
+def contact_cases() -> Iterator[Case]:
+    """Jumps, landings, crawls and tips (`contact_problems`), to 1 cm or as asked there."""
+    for name, asked in contact_problems.PROBLEMS.items():
+        yield Case("contact", name, asked.build, asked.tolerance or 0.01)
 
 
 def solved(case: Case) -> tuple[Row, str]:

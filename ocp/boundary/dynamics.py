@@ -20,7 +20,7 @@ FEW = 6  # parts of a mass matrix that are inverted as dense blocks: all bars ha
 
 
 class Linearised(NamedTuple):
-    """What moves at P states.
+    """Motion, linearised at P states.
 
     rates: ẋ (P, nx). weighted, inverse: J M⁻¹ (P, c, nq) and (J M⁻¹ Jᵀ)⁻¹ (P, c, c), through which accelerations depend on forces. slopes: entries
     (P, ·) of the derivatives of F + Jᵀ μ and J q̈ + c by state and control; q̈ and μ stand still.

@@ -32,7 +32,7 @@ class Motion(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What the rows of the motion leave: M⁻ times impulses (K + X, 3n), m, and of the bars (K + X, β), m²."""
+    """Residuals of the motion: M⁻ times impulses (K + X, 3n), m, and of the bars (K + X, β), m²."""
 
     impulses: Array
     lengths: Array

@@ -19,7 +19,7 @@ from tenscasadi.util.validate import Array
 
 
 class Leftover(NamedTuple):
-    """What is not yet met: rows of goals (m,), and rows of the motion."""
+    """Residuals: rows of goals (m,), and rows of the motion."""
 
     goals: Array
     rows: Rows

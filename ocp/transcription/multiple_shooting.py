@@ -82,7 +82,18 @@ class MultipleShooting(Transcription):
             raise ValueError(f"{text}: give RungeKutta4(), DormandPrince54(), DormandPrince853() or Collocation()") from None
 
     def longest_step(self, duration: float) -> float:
-        """Return the longest step, s, of a motion of `duration` s."""
+        """Return the longest step of a motion.
+
+        Parameters
+        ----------
+        duration : float
+            Of the motion, s.
+
+        Returns
+        -------
+        float
+            Seconds.
+        """
         return super().longest_step(duration) / self.substeps
 
     def defects(self, variables: Variables, used: Array) -> Defects:

@@ -30,7 +30,7 @@ _JUMP = 1e-6  # share of the largest value: less is a slope
 
 
 class Resolution(NamedTuple):
-    """What a step may leave unseen of a function of time, the larger of two shares.
+    """How much a step may leave unseen of a function of time: the larger of two shares.
 
     of_step: of how far the function's values in the step are apart. of_run: of the function's impulse, the integral of its size over the run.
     """
