@@ -59,12 +59,13 @@ def check_end(problem: Problem, target: Target) -> None:
     Raises UnreachableGoal, naming goal and limit, where a limit excludes the goal; ValueError where limits leave no force densities there.
     """
     state = target.state
-    if state is None or problem.free_start or problem.repeating:
+    bounds = path_constraints(problem, PathBound)
+    if state is None or problem.free_start or problem.repeating or not (bounds or path_constraints(problem, RateBound)):
         return
     fixed, turned = _fixed_entries(problem, target, state), _elsewhere(problem, state)
     shaped = fixed if turned is None else _fixed_entries(problem, target, state, free=True)
     limits = []
-    for one in path_constraints(problem, PathBound):
+    for one in bounds:
         at, needed = _limits_at(one, state), _entries_needed(one)
         alike = np.zeros(len(needed), dtype=bool) if turned is None else _same(at, _limits_at(one, turned), len(needed))
         settled = [k for k, entry in enumerate(at.entry) if (shaped if alike[entry] else fixed)[needed[entry]].all()]

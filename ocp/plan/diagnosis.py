@@ -29,7 +29,7 @@ AT_LIMIT = 1e-3  # of a limit: nearer counts as held by it
 LONG = 2.0  # radians of the fastest vibration in a step: beyond, steps are unstable, or nearly
 NOTHING = 1e-6  # m: smaller distances do not count beside speeds
 PATIENT = 50  # iterations after which limits of rates that hold are to blame, not their number
-RUNAWAY = 1e3  # in scaled unknowns: what nothing holds grows beyond
+RUNAWAY = 1e2  # in scaled unknowns: what nothing holds grows beyond
 
 _ROOM = "give a longer duration, wider limits, or a nearer goal"
 _FATROP = "Fatrop gave up, as it does on some problems that IPOPT solves: try ocp.Ipopt()"
