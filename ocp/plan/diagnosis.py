@@ -199,7 +199,8 @@ def _runaway(program: Program, solution: Solution) -> str:
         return ""
     limits = np.where(solution.last > 0, program.w_upper, program.w_lower)
     size = np.where(np.isfinite(limits), 0.0, np.abs(solution.last))
-    worst = int(np.argmax(size))
+    pulls = np.array([name.startswith(("force density of string", "rest length of string")) for name in program.w_names]) * size
+    worst = int(np.argmax(pulls if pulls.max(initial=0.0) >= RUNAWAY else size))  # what pulls makes the rest grow
     if size[worst] < RUNAWAY:
         return ""
     grown = solution.last[worst] * program.w_scale[worst]
