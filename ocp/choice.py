@@ -35,11 +35,12 @@ Method = Solver | CondensedNewton | Sampling
 
 
 class Choice(NamedTuple):
-    """A transcription and a solver. finer: whether it is for plans that were found, whose replay misses."""
+    """A transcription and a solver. finer: whether it is for plans that were found, whose replay misses; guess: on its intervals, if known."""
 
     transcription: Transcription
     solver: Method
     finer: bool = False
+    guess: Guess | None = None
 
     def describe(self) -> str:
         """Return such as "Variational of 30 intervals by Ipopt"."""
@@ -54,18 +55,20 @@ def choose(problem: Problem, target: Target, guess: InitialGuess | None, toleran
     model = problem.model
     if model.scene.grounds and not problem.free_start and not winds(model):
         yield Choice(matching(Sampling(), problem), Sampling())
-    count, ipopt = choose_intervals(problem, evaluate_guess(guess, problem, target, FEWEST)), Ipopt()
+    first = evaluate_guess(guess, problem, target, FEWEST)
+    count, ipopt = choose_intervals(problem, first), Ipopt()
+    known = first if count == FEWEST else None
     bars = model.mechanism.bars
     accuracy = min(EXACT * tolerance, MISSED * Scales.of(problem).length)
     corrected, finer = Variational(count, accuracy=accuracy), Variational(2 * count, accuracy=accuracy)
     if bars >= CONDENSED_BARS and not applies(problem):
-        yield Choice(corrected, CondensedNewton())
+        yield Choice(corrected, CondensedNewton(), guess=known)
         if bars >= LARGE_BARS:
             yield Choice(finer, CondensedNewton(), finer=True)
     if not corrected.refusal(model):
-        yield Choice(corrected, ipopt)
+        yield Choice(corrected, ipopt, guess=known)
         yield Choice(finer, ipopt, finer=True)
-    yield Choice(MultipleShooting(count), ipopt)
+    yield Choice(MultipleShooting(count), ipopt, guess=known)
     yield Choice(MultipleShooting(count, scheme=DormandPrince853(), substeps=2), ipopt, finer=True)
 
 

@@ -20,7 +20,6 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Profile, group_matrix, locate_share, spans
-from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
 Flags = NDArray[np.bool_]
@@ -62,8 +61,11 @@ def check_end(problem: Problem, target: Target) -> None:
     bounds = path_constraints(problem, PathBound)
     if state is None or problem.free_start or problem.repeating or not (bounds or path_constraints(problem, RateBound)):
         return
-    fixed, turned = _fixed_entries(problem, target, state), _elsewhere(problem, state)
-    shaped = fixed if turned is None else _fixed_entries(problem, target, state, free=True)
+    bounds, rates = (path_constraints(problem, kind) for kind in (PathBound, RateBound))
+    if not bounds and not rates:
+        return
+    turned = _elsewhere(problem, state)
+    fixed, shaped = _fixed_entries(problem, target, state, turned is not None)
     limits = []
     for one in bounds:
         at, needed = _limits_at(one, state), _entries_needed(one)
@@ -167,22 +169,22 @@ def _same(at: _Limits, moved: _Limits, count: int) -> Flags:
     return same
 
 
-def _fixed_entries(problem: Problem, target: Target, state: Array, free: bool = False) -> Flags:
+def _fixed_entries(problem: Problem, target: Target, state: Array, free: bool) -> tuple[Flags, Flags]:
     """Return which entries of the state (nx,) goals and bars leave no choice of, but for other branches, such as a mirrored shape.
 
-    free: but for motions of the structure as a whole.
+    The second: but for motions of the structure as a whole, where it is free.
     """
     scale = Scales.of(problem).state
-    basis, _ = np.linalg.qr(Tangents(problem.model, state)(state) / scale[:, None])
+    basis, _ = np.linalg.qr(Tangents.of(problem.model)(state) / scale[:, None])
     x = ca.SX.sym("x", len(state))
     J = np.asarray(ca.Function("goals", [x], [ca.jacobian(target.single(x), x)])(state).full()) * scale @ basis
     _, values, right = np.linalg.svd(J)
     open_ = basis @ right[int(np.sum(values > FIXED * values.max(initial=0.0))) :].T
-    if free:
-        whole, _ = np.linalg.qr(_whole_motions(problem, state) / scale[:, None])
-        open_ = open_ - whole @ (whole.T @ open_)
     fixed: Flags = np.linalg.norm(open_, axis=1) < FIXED
-    return fixed
+    if not free:
+        return fixed, fixed
+    whole, _ = np.linalg.qr(_whole_motions(problem, state) / scale[:, None])
+    return fixed, np.linalg.norm(open_ - whole @ (whole.T @ open_), axis=1) < FIXED
 
 
 def _whole_motions(problem: Problem, state: Array) -> Array:
@@ -193,14 +195,10 @@ def _whole_motions(problem: Problem, state: Array) -> Array:
     turned = [np.zeros_like(nodes)] * 3 + [np.cross(axis, velocities) for axis in np.eye(3)]
     still = np.zeros_like(nodes)
     columns = [(move, turn) for move, turn in zip(moves, turned, strict=True)] + [(still, move) for move in moves]
-    return np.column_stack([_change(model, state, *column) for column in columns])
-
-
-def _change(model: Model, state: Array, places: Array, speeds: Array) -> Array:
-    """Return the change of a state (nx,) by changes of nodes and velocities (n, 3), to first order."""
     x = ca.SX.sym("x", len(state))
     J = ca.Function("columns", [x], [ca.jacobian(ca.vertcat(ca.vec(model.nodes(x)), ca.vec(model.velocities(x))), x)])(state)
-    return np.asarray(np.linalg.lstsq(np.asarray(J.full()), np.concatenate([places.ravel(), speeds.ravel()]))[0])
+    wanted = np.column_stack([np.concatenate([part.ravel() for part in column]) for column in columns])
+    return np.asarray(np.linalg.lstsq(np.asarray(J.full()), wanted)[0])
 
 
 def _goal_of(target: Target, needed: Flags) -> str:

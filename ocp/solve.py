@@ -173,7 +173,8 @@ def _by_choice(asked: _Asked) -> Plan:
         optimal = best is not None and best.duals is not None
         if best is not None and (asked.late() or (choice.finer and not optimal)):
             continue
-        plans.append(_by_method(asked._replace(guess=best if optimal else asked.guess), choice, target, scales))
+        way, own = (choice._replace(guess=None), asked._replace(guess=best)) if optimal else (choice, asked)
+        plans.append(_by_method(own, way, target, scales))
         tried.append(choice.describe())
         if plans[-1].success:
             break
@@ -193,12 +194,12 @@ def _worth(plan: Plan) -> tuple[bool, bool, float]:
 
 def _by_method(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Plan:
     """Return the plan that the method finds which fits the solver."""
-    problem, guess, (transcription, solver, _) = asked.problem, asked.guess, way
+    problem, guess, (transcription, solver, _, first) = asked.problem, asked.guess, way
     if isinstance(solver, Sampling):
         known = None if guess is None else evaluate_guess(guess, problem, target, transcription.count)
         outcome = solve_sampled(problem, transcription, known, solver, asked.deadline, asked.limit)
     else:
-        first = evaluate_guess(guess, problem, target, transcription.count)
+        first = evaluate_guess(guess, problem, target, transcription.count) if first is None else first
         if asked.late():
             own = on_mesh(problem.model, first, transcription.fractions, transcription.control)
             outcome = Outcome(own.states, own.force_density, own.duration, np.nan, False, TIME_UP, 0, why=TOO_LATE)

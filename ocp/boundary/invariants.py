@@ -33,7 +33,7 @@ def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Rows]:
     N, V, clock = model.unpack(x)
     N0, V0 = (np.asarray(Z).T for Z in _numbers(model, start))
     scene = model.scene
-    groups = [*_constraints(model, x)]
+    groups = [*rigid_rows(model, x)]
     if scene.has_clock:
         groups.append(Rows(clock - float(start[-1]) - time, ("the clock runs",), ("s",), "clock"))
     if scene.ground is None and scene.pressure is None and scene.forces is None and not scene.over_time:
@@ -53,7 +53,8 @@ def _numbers(model: Model, start: Array) -> tuple[Array, Array]:
     return values[0].full().T, values[1].full().T
 
 
-def _constraints(model: Model, x: Any) -> list[Rows]:
+def rigid_rows(model: Model, x: Any) -> list[Rows]:
+    """Return the rows of bars and joints at the symbolic state x (nx)."""
     mech, rows = model.mechanism, model.constraints(x)
     groups = []
     if mech.bars:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.invariants import invariants
+from ocp.boundary.invariants import rigid_rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
@@ -15,11 +17,20 @@ RANK = 1e-9  # of the largest singular value: constraints below it repeat others
 class Tangents:
     """Orthonormal bases of the small changes of a state that bars and joints allow, of places and velocities together."""
 
-    def __init__(self, model: Model, start: Array) -> None:
+    def __init__(self, model: Model) -> None:
         x = ca.SX.sym("x", model.nx)
-        rigid = [group.value for group in invariants(model, start, x, 0) if group.kind in ("bar", "joint", "clock")]
-        self._jacobian = ca.Function("jacobian", [x], [ca.densify(ca.jacobian(ca.vertcat(ca.SX(0, 1), *rigid), x))])
+        rows = ca.vertcat(ca.SX(0, 1), *(group.value for group in rigid_rows(model, x)), model.unpack(x)[2])
+        self._jacobian = ca.Function("jacobian", [x], [ca.densify(ca.jacobian(rows, x))])
         self._size = model.nx
+
+    @staticmethod
+    def of(model: Model) -> Tangents:
+        """Return those of a model, which keeps them."""
+        kept: dict[Any, Any] = model.functions
+        if "tangents" not in kept:
+            kept["tangents"] = Tangents(model)
+        known: Tangents = kept["tangents"]
+        return known
 
     def __call__(self, state: Array) -> Array:
         """Return the basis (nx, d) at a state (nx,)."""

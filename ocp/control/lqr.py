@@ -268,7 +268,7 @@ def _regulate(model: Model, states: Array, gamma: Array, rest: Rest, period: flo
     rate = max(fastest_rate(model, states[k], gamma[k]) for k in looked_at)
     motion = Motion(model, len(gamma), int(np.clip(np.ceil(rate * period), LEAST_SUBSTEPS, MOST_SUBSTEPS)) if np.isfinite(rate) else MOST_SUBSTEPS)
     A, B = motion.derivatives(motion.points(states, gamma, period), gamma, period)
-    tangents = Tangents(model, states[0])
+    tangents = Tangents.of(model)
     Z = [tangents(x) for x in ends]
     C = [np.asarray(kept(x)[1].full()) @ basis for x, basis in zip(ends, Z, strict=True)]
     R = effort * np.eye(B.shape[2])

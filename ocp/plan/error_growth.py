@@ -31,7 +31,7 @@ def grown_errors(model: Model, time: Array, states: Array, force_density: Array)
     T, eye = float(time[-1] - time[0]), np.eye(model.nx)
     scale = np.concatenate([np.ones(model.nq), np.full(model.nq, T), np.ones(model.nx - 2 * model.nq)])
     dynamics = Dynamics.of(model)
-    Q, _ = np.linalg.qr(scale[:, None] * Tangents(model, states[0])(states[0]))
+    Q, _ = np.linalg.qr(scale[:, None] * Tangents.of(model)(states[0]))
     with np.errstate(all="ignore"):
         at = dynamics.linearise(middle, gamma)
         for k, h in enumerate(lengths):

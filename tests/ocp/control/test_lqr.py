@@ -53,7 +53,7 @@ def test_many_motions_roll_out_as_one_does(plan):
 
 
 def test_tangents_are_what_bars_allow():
-    Z = Tangents(MODEL, MODEL.initial_state)(MODEL.initial_state)
+    Z = Tangents.of(MODEL)(MODEL.initial_state)
     assert Z.shape == (36, 30)
     assert pytest.approx(np.eye(30), abs=1e-12) == Z.T @ Z
     moved = MODEL.initial_state + 1e-4 * Z @ np.ones(30)

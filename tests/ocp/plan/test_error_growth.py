@@ -44,7 +44,7 @@ def test_growth_is_that_of_replays_that_start_otherwise(arm):
     model, T = arm.model, float(arm.time[-1])
     start = arm.trajectory.states[0]
     scale = np.repeat([1.0, T], model.nq)
-    basis, _ = np.linalg.qr(scale[:, None] * Tangents(model, start)(start))
+    basis, _ = np.linalg.qr(scale[:, None] * Tangents.of(model)(start))
 
     def end(change):
         x = np.asarray(tc.projection(model, 5)(start + change / scale).full()).ravel()
