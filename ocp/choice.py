@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from ocp.boundary.target import Target
@@ -28,6 +29,7 @@ FEWEST, MOST = 30, 400  # intervals to begin with
 FOR_A_RADIAN = 3.0  # intervals for each radian of the fastest vibration
 EXACT = 0.3  # of the tolerance: how near motions come to those of fine steps,
 MISSED = 1e-4  # and of the structure's size, at most: plans that end further from their goals than thrice this count as missing them
+NEAR = 0.02  # of the structure's size: nodes that come nearer to a ground along the guess may touch it
 CONDENSED_BARS = 5  # from here on the condensed method is the faster one
 LARGE_BARS = 15  # from here on factoring a whole program takes long
 
@@ -52,11 +54,13 @@ def choose(problem: Problem, target: Target, guess: InitialGuess | None, toleran
 
     tolerance: how far replays may end from the goals, m.
     """
-    model = problem.model
-    if model.scene.grounds and not problem.free_start and not winds(model):
-        yield Choice(matching(Sampling(), problem), Sampling())
+    model, ipopt = problem.model, Ipopt()
     first = evaluate_guess(guess, problem, target, FEWEST)
-    count, ipopt = choose_intervals(problem, first), Ipopt()
+    sampled = model.scene.grounds and not problem.free_start and not winds(model)
+    near = sampled and nears_ground(problem, first)
+    if near:
+        yield Choice(matching(Sampling(), problem), Sampling())
+    count = choose_intervals(problem, first)
     known = first if count == FEWEST else None
     bars = model.mechanism.bars
     accuracy = min(EXACT * tolerance, MISSED * Scales.of(problem).length)
@@ -70,6 +74,8 @@ def choose(problem: Problem, target: Target, guess: InitialGuess | None, toleran
         yield Choice(finer, ipopt, finer=True)
     yield Choice(MultipleShooting(count), ipopt, guess=known)
     yield Choice(MultipleShooting(count, scheme=DormandPrince853(), substeps=2), ipopt, finer=True)
+    if sampled and not near:
+        yield Choice(matching(Sampling(), problem), Sampling())
 
 
 def matching(solver: Method | None, problem: Problem) -> Transcription:
@@ -77,6 +83,20 @@ def matching(solver: Method | None, problem: Problem) -> Transcription:
     if isinstance(solver, Sampling):
         return MultipleShooting(default_intervals(problem))
     return Variational() if isinstance(solver, CondensedNewton) else MultipleShooting()
+
+
+def nears_ground(problem: Problem, guess: Guess) -> bool:
+    """Tell whether nodes that move touch a ground along the guess, or nearly; also where no pinned node keeps the structure from falling."""
+    model, structure = problem.model, problem.model.scene.structure
+    held = np.flatnonzero(structure.fixed.all(axis=1))
+    if not len(held):
+        return True
+    margin = NEAR * Scales.of(problem).length
+    for ground in model.scene.grounds:
+        moving = np.setdiff1d(np.arange(len(model.structure.nodes)) if ground.nodes is None else np.array(list(ground.nodes)), held)
+        if len(moving) and any(float(ca.mmax(ground.depth(model.nodes(x)[moving].T))) > -margin for x in guess.states):
+            return True
+    return False
 
 
 def choose_intervals(problem: Problem, guess: Guess) -> int:

@@ -65,6 +65,7 @@ def solve(
         What solves the program, or samples motions instead. Default, with a transcription: `Ipopt()`; without, what suits the problem.
     guess : InverseDynamics, Equilibrium, Arrays or Plan, optional
         Where the solver starts. From a plan of the same mesh and constraints it starts exactly, with its multipliers (see `Ipopt.warm`).
+        `Sampling` searches where it leads to no plan.
         Default: `InverseDynamics()`.
     tolerance : float, optional
         How far the replay may end from the goals, m, and as many m per duration in speed, for the plan to be a success. Default: 1 % of the
@@ -99,7 +100,7 @@ def solve(
     Notes
     -----
     Where neither transcription nor solver is given, both are chosen, and the number of intervals: three for each radian of the fastest vibration,
-    30 at least. Where the scene has a ground, `Sampling`; else `Variational`, corrected to a third of the tolerance, from five bars on with
+    30 at least. Where nodes may touch a ground, `Sampling`; else `Variational`, corrected to a third of the tolerance, from five bars on with
     `CondensedNewton`, where it takes the limits and costs, or with `Ipopt`; in full coordinates and on moved supports `MultipleShooting`. Where
     the first fails, or its replay misses, the next one follows, from its plan. The message says which were tried.
 

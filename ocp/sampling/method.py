@@ -57,7 +57,7 @@ def solve_sampled(
 ) -> Outcome:
     """Return what sampling finds; by the deadline (of `time.perf_counter`, s), or after Ctrl-C, the best so far.
 
-    transcription: its intervals, and which strings share a force density. guess: where Gauss-Newton begins, in place of a search.
+    transcription: its intervals, and which strings share a force density. guess: where Gauss-Newton begins; a search follows where that fails.
     tolerance: m, what goals may be missed by, and in m per duration speeds.
     """
     check_sampling(problem, transcription, solver)
@@ -89,7 +89,7 @@ class _Method:
         try:
             if guess is not None:
                 self._polish(held_values(guess.force_density, len(self._motions.fractions)), guess.duration, self._levels()[-1])
-            else:
+            if not self._stopped and self._miss > 1.0:
                 self._motions.law = self._law
                 self._try_all()
         except KeyboardInterrupt:

@@ -52,7 +52,7 @@ class Search:
         self, motions: Motions, nominal: Array, directions: Array, knots: int, samples: int, rounds: int, random: np.random.Generator
     ) -> None:
         self._motions, self._nominal, self._directions, self._random = motions, nominal, directions, random
-        self._room = float((directions**2).sum() / directions.shape[1])
+        self._room = float((directions**2).sum() / directions.shape[1]) or 1.0  # no room: limits leave one force density
         self._knots, self._samples, self._rounds = knots, max(4, samples // LINEAGES), rounds
 
     def run(self, over: Watcher) -> list[Lineage]:

@@ -61,6 +61,21 @@ def test_what_suits_the_problem_is_chosen_and_said(name):
     assert plan.objective == pytest.approx(known.objective, rel=2e-3)
 
 
+def test_a_ground_that_nothing_touches_changes_nothing():
+    """A prism that is pinned, with a ground at its feet, or far below: the plan is that of least cost."""
+    structure = prism(1.0).replace(pinned=[0, 1, 2])
+    plans = {}
+    for height in (None, 0.0, -5.0):
+        ground = None if height is None else tc.Ground(height=height + structure.nodes[:, 2].min())
+        model = tc.Model(tc.Scene(structure, control=tc.ForceDensity(), gravity=tc.Gravity(), ground=ground))
+        goals = [ocp.StringLengths({6: 0.95 * structure.string_lengths[6]}), ocp.AtRest()]
+        plans[height] = ocp.solve(ocp.Problem(model, goals=goals, bounds=[ocp.ForceDensityLimits(0.0, 200.0)], costs=[ocp.Effort()]))
+    for plan in plans.values():
+        assert plan.success, plan.message
+        assert "chosen: Variational of " in plan.message
+        assert plan.objective == pytest.approx(plans[None].objective, rel=1e-3)
+
+
 def test_what_misses_a_tolerance_is_followed_by_what_meets_it():
     plan = ocp.solve(raising(), tolerance=1e-8)
     assert plan.success, plan.message

@@ -120,6 +120,21 @@ def test_a_plan_is_polished_where_it_is_a_guess():
     assert np.abs(again.force_density - plan.force_density).max() < 20.0
 
 
+def test_a_search_follows_a_guess_that_leads_nowhere():
+    plan = ocp.solve(contact_problems.prism_jumps(0.2), solver=QUICK, guess=ocp.Equilibrium())
+    assert plan.success, plan.message
+    assert rise(plan.replay()) == pytest.approx(0.2, abs=0.02)
+
+
+def test_limits_that_leave_one_force_density_are_no_error():
+    problem = contact_problems.prism_jumps(0.2)
+    fixed = ocp.Problem(problem.model, 0.1, goals=problem.goals, bounds=[ocp.ForceDensityLimits(20.0, 20.0)])
+    plan = ocp.solve(fixed, ocp.MultipleShooting(5), ocp.Sampling(samples=8, rounds=2, attempts=1))
+    assert not plan.success
+    assert "misses its goal by" in plan.message
+    assert np.all(plan.force_density == 20.0)
+
+
 def test_strings_that_share_a_force_density_do():
     groups = ((0, 1, 2), (3, 4, 5), (6, 7, 8))
     transcription = ocp.MultipleShooting(22, control=ocp.PiecewiseConstant(groups))
