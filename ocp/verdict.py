@@ -8,6 +8,7 @@ import numpy as np
 
 from ocp.boundary.target import Target
 from ocp.plan.diagnosis import long_steps, measure_misses
+from ocp.plan.end_limits import broken_at_end
 from ocp.plan.error_growth import UNSTABLE
 from ocp.plan.plan import Plan
 from ocp.solvers.base import Outcome
@@ -20,20 +21,21 @@ def judged(plan: Plan, target: Target, found: Outcome, tolerance: float) -> Plan
     """Return the plan with the errors of its replay, whether it is a success, and what is to be said of it."""
     error, speed_error, why = _replay_errors(plan, target.begin_at(found.states[0]))
     plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
-    success, verdict = _verdict(plan, found, tolerance)
     how = "its replay under ocp.track" if plan.tracked else "its replay"
+    success, verdict = _verdict(plan, found, tolerance, f"at the end of {how} {why}" if why and np.isfinite(error) else "")
     ends = f"{how} ends {error:.2g} m and {speed_error:.2g} m/s from the goal" if np.isfinite(error) else why or f"{how} diverges"
     return replace(plan, success=success, message="; ".join(part for part in (verdict, found.imposed, ends) if part))
 
 
-def _verdict(plan: Plan, found: Outcome, tolerance: float) -> tuple[bool, str]:
-    """Tell whether the plan is a success, and what is to be said of it."""
+def _verdict(plan: Plan, found: Outcome, tolerance: float, broken: str) -> tuple[bool, str]:
+    """Tell whether the plan is a success, and what is to be said of it. broken: the limit of the end that its replay misses more than goals."""
     growth = "" if np.isnan(found.states).any() else _told_growth(plan)
     if not found.success:
         return False, f"{found.why}; {growth}" if growth and plan.duals is not None else found.why
     if plan.worst_error <= tolerance:
         return True, f"found after {found.iterations} iterations" + (f"; {growth}: {_KEEP}" if growth else "")
-    beyond = f"its replay misses the goal by more than {tolerance:.2g} m (or {tolerance:.2g} m per duration)"
+    within = f"more than {tolerance:.2g} m (or {tolerance:.2g} m per duration)"
+    beyond = f"{broken}: {within}" if broken else f"its replay misses the goal by {within}"
     told = f"a plan was found after {found.iterations} iterations, but {beyond}"
     if growth and not plan.tracked:
         return False, f"{growth}: {told}: {_KEEP}, and judge it so by solve(..., tracked=True), or give plan.refine({tolerance:.2g})"
@@ -59,9 +61,9 @@ def _finer(plan: Plan, found: Outcome) -> str:
 
 
 def _replay_errors(plan: Plan, target: Target) -> tuple[float, float, str]:
-    """Measure how far the replay ends from the goals; without goals for the place (or speed) from the plan.
+    """Measure how far the replay ends from the goals, and from limits of the end; without goals for the place (or speed) from the plan.
 
-    NaN where it does not get there, and why, where that is known.
+    NaN where it does not get there; and why, where that is known, or which limit of the end is missed most.
     """
     if not np.all(np.isfinite(plan.force_density)) or not plan.time[-1] > 0:
         return np.nan, np.nan, ""
@@ -82,4 +84,9 @@ def _replay_errors(plan: Plan, target: Target) -> tuple[float, float, str]:
         speeds = [0.0]  # on a ground that gives way nodes vibrate: what has no goal is not measured
     if not speeds:
         speeds = np.linalg.norm(replayed.velocities[-1] - plan.trajectory.velocities[-1], axis=1).tolist()
-    return float(max(metres)), float(max(speeds)), ""
+    if plan.problem is None:
+        return float(max(metres)), float(max(speeds)), ""
+    ends = np.array([plan.trajectory.states[-1], replayed.states[-1]])
+    broken = broken_at_end(plan.problem, ends, np.array([plan.control[-1], replayed.control[-1]]), float(plan.time[-1]))
+    told = broken.told if broken.distance > max(*metres, float(plan.time[-1]) * max(speeds)) else ""
+    return float(max(*metres, broken.distance)), float(max(speeds)), told

@@ -65,7 +65,8 @@ class Plan(PlannedForces, ReadOnlyArrays):
     trajectory : Trajectory
         The planned motion at the nodes of the mesh.
     replay_error, replay_speed_error : float
-        How far the motion that `replay` computes ends from the goals, m, and in velocities, m/s; NaN where it diverges.
+        How far the motion that `replay` computes ends from the goals, and from states that keep the limits of the end, m, and in velocities,
+        m/s; NaN where it diverges.
     structure, model : Structure, and Model or None
         What was planned for, and its model; None for a loaded plan whose scene has functions of time (moved supports, nodal forces).
     duals : Duals or None

@@ -51,6 +51,22 @@ def test_what_is_limited_at_the_end_is_free_along_the_way():
     assert not {"top", "speed"} & {finding.name for finding in plan.report().violated}
 
 
+def test_a_replay_that_breaks_a_limit_of_the_end_is_no_success():
+    """On two intervals goals are met within the tolerance, and another node ends more than it beyond its limit; a finer mesh mends that."""
+    model, node = MODEL, MODEL.structure.nodes[4, 0] - 0.1
+    aside = ocp.Constraint("aside", lambda end: 3 * end.nodes[0, 4], upper=3 * node, at_end=True)
+    goals = [ocp.NodePositions({3: (None, None, float(MODEL.structure.nodes[3, 2]))}), ocp.NodeVelocities({3: (None, None, 0.0)})]
+    problem = ocp.Problem(model, goals=goals, bounds=[aside, ocp.ForceDensityLimits(0.0, 200.0)], costs=[ocp.Effort()])
+    coarse = ocp.solve(problem, ocp.ImplicitMidpoint(2), tolerance=6e-4)
+    beyond = coarse.replay().nodes[-1, 4, 0] - node
+    assert 6e-4 < beyond == pytest.approx(coarse.replay_error, rel=0.1)
+    assert not coarse.success
+    assert "aside breaks its limits" in coarse.message
+    fine = coarse.refine(6e-4)
+    assert fine.success, fine.message
+    assert fine.replay().nodes[-1, 4, 0] <= node + 6e-4
+
+
 BAD = {
     "constraint of an end with an expression": (lambda: ocp.Constraint(ocp.AtEnd("a", lambda e: e.time), lambda e: e.time, 0.0), TypeError, "'a'"),
     "constraint of an end without limit": (lambda: ocp.Constraint(ocp.AtEnd("a", lambda e: e.time)), ValueError, "'a': lower and upper"),
