@@ -10,6 +10,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
 
+from ocp.boundary.regulator import riccati_gains
 from ocp.boundary.sensitivities import Motion
 from ocp.boundary.tangents import Tangents
 from ocp.control.closed_loop import run
@@ -276,17 +277,4 @@ def _regulate(model: Model, states: Array, gamma: Array, rest: Rest, period: flo
     if rest.state is not None:
         P = stationary_cost(Z[-1].T @ A[-1] @ Z[-1], Z[-1].T @ B[-1], P, R)
         Z[-2] = Z[-1]  # the end of the plan, but for its rounding
-    return _gains(A, B, Z, C, P, R)
-
-
-def _gains(A: Array, B: Array, Z: list[Array], C: list[Array], P: Array, R: Array) -> Array:
-    """Feedback (K, α, nx) by Riccati's recursion in the reduced coordinates Zᵀ δx, from the cost P of the end."""
-    gains = np.zeros((len(A), B.shape[2], A.shape[1]))
-    for k in reversed(range(len(A))):
-        a, b = Z[k + 1].T @ A[k] @ Z[k], Z[k + 1].T @ B[k]
-        L = scipy.linalg.solve(R + b.T @ P @ b, b.T @ P @ a, assume_a="pos")
-        closed = a - b @ L
-        P = closed.T @ P @ closed + L.T @ R @ L + C[k].T @ C[k]
-        P = (P + P.T) / 2
-        gains[k] = L @ Z[k].T
-    return gains
+    return riccati_gains(A, B, Z, C, P, R)

@@ -64,6 +64,8 @@ def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
         objective=v.objective,
         unpack=ca.Function("unpack", [parts.w], [states, controls, gathered(entries, v.duration[:, None])]),
         states=place[v.states],
+        controls=place[v.controls] if not v.profile.linear and len(np.unique(v.controls)) == v.controls.size else None,
+        together=v.group_matrix,
         contact=v.model.scene.ground is not None,
     )
 

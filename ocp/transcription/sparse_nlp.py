@@ -185,7 +185,8 @@ class Program:
     parts: what w, f and g consist of. w_lower, w_upper, first (n,): limits of w, and where to start. lower, upper, scale: limits of the rows
     of g, and what these are multiplied by to be physical (rows of goals have no unit); objective: the same for f. unpack: Function
     w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration.
-    states: entries of x (intervals + 1, nx). contact: whether nodes may meet a ground. multipliers: those of g and of w's limits to start
+    states: entries of x (intervals + 1, nx). controls: None, or entries (intervals, m) of what is held in each interval, none held over several,
+    which `together` (α, m) makes force densities of. contact: whether nodes may meet a ground. multipliers: those of g and of w's limits to start
     from, where they are known.
     """
 
@@ -199,6 +200,8 @@ class Program:
     objective: float
     unpack: ca.Function
     states: Indices
+    controls: Indices | None = None
+    together: Array | None = None
     contact: bool = False
     multipliers: tuple[Array, Array] | None = None
 
@@ -239,6 +242,12 @@ class Program:
         """Return w with states (intervals + 1, nx) in place of its own."""
         result, places = w.copy(), self.states[self.known]
         result[places] = states[self.known] / self.w_scale[places]
+        return result
+
+    def with_controls(self, w: Array, change: Array) -> Array:
+        """Return w with its `controls` changed by (intervals, m)."""
+        result = w.copy()
+        result[self.controls] += change / self.w_scale[self.controls]
         return result
 
 

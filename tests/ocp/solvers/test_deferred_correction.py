@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from planning import prism
+from planning import leaning_arm, prism
 
 import ocp
 import tenscasadi as tc
@@ -75,6 +75,16 @@ def test_corrections_cost_the_order_of_the_scheme_and_no_more():
     fine = ocp.solve(rising(), ocp.MultipleShooting(20, substeps=8)).objective  # the same force densities, the motion itself
     assert exact == pytest.approx(fine, rel=1e-5)
     assert abs(coarse - fine) > abs(exact - fine)
+
+
+@pytest.mark.parametrize(("bars", "lean", "weight"), [(3, 0.5, True), (5, 1.0, False)], ids=["under its weight", "five bars"])
+def test_motions_along_which_errors_grow_are_corrected(bars, lean, weight):
+    """Fine steps under the first force densities fall over, a metre from the plan: errors grow a millionfold."""
+    plan = ocp.solve(leaning_arm(bars, lean, weight), ocp.Variational(50, accuracy=3e-4), tolerance=1e-3)
+    assert plan.success, plan.message
+    assert "open-loop unstable" in plan.message
+    replay = plan.replay(step=plan.time[-1] / 4000)
+    assert np.abs(replay.states[-1] - plan.trajectory.states[-1])[: plan.model.nq].max() < 3e-4
 
 
 def test_more_than_corrections_can_do_is_said():
