@@ -9,6 +9,7 @@ from typing import Any, Protocol, TypeVar
 import casadi as ca
 import numpy as np
 
+from ocp.sampling.solver import Sampling
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals
@@ -28,6 +29,10 @@ CAUTION = 0.3  # of the tolerance is aimed at
 
 class Refinable(Protocol):
     """A plan, as far as refining needs it."""
+
+    @property
+    def success(self) -> bool:
+        """Whether a plan was found."""
 
     @property
     def time(self) -> Array:
@@ -117,7 +122,9 @@ def refined(plan: Any, tolerance: float, attempts: int, solve: Callable[..., Any
     def corrected(known: Any) -> Any:
         return solve(plan.problem, replace(known.transcription, accuracy=CAUTION * tolerance), solver, known, tolerance, **options)
 
-    if plan.problem.phases:
+    if isinstance(solver, Sampling):
+        found, missed = _sampled_again(plan, tolerance, lambda known: solve(plan.problem, known.transcription, solver, known, tolerance, **options))
+    elif plan.problem.phases:
         found, missed = refine_phases(plan, plan.model, again, tolerance, attempts)
     else:
         correctable = isinstance(solver, (Ipopt, CondensedNewton)) and not plan.tracked
@@ -127,6 +134,16 @@ def refined(plan: Any, tolerance: float, attempts: int, solve: Callable[..., Any
     ends = f"its replay ends {found.replay_error:.2g} m and {found.replay_speed_error:.2g} m/s from the goal"
     told = f"found after {found.iterations} iterations; the tolerance of {tolerance:g} m was not met {missed}; {ends}"
     return replace(found, success=False, message=told)
+
+
+def _sampled_again(plan: P, tolerance: float, again: Callable[[P], P]) -> tuple[P, str]:
+    """Return a plan of sampled motions within `tolerance`, m, of the goals, and ""; or the best, and why it is not. It has no multipliers."""
+    if not plan.success or plan.worst_error <= tolerance:
+        return plan, ""
+    found = again(plan)
+    if found.success:
+        return found, ""
+    return plan, "by more samples: give a larger tolerance, or groups or knots of its own"
 
 
 def _better(plan: P, other: P) -> P:

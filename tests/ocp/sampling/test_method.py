@@ -135,6 +135,16 @@ def test_limits_that_leave_one_force_density_are_no_error():
     assert np.all(plan.force_density == 20.0)
 
 
+def test_refining_meets_the_tolerance_or_says_that_it_does_not():
+    plan = ocp.solve(contact_problems.prism_jumps(0.2), solver=ocp.Sampling(samples=64, rounds=12, attempts=1), tolerance=0.05)
+    assert plan.success, plan.message
+    for tolerance in (plan.worst_error / 3, 1e-9):
+        fine = plan.refine(tolerance)
+        assert fine.success == (fine.worst_error <= tolerance), fine.message
+        assert fine.success or "was not met by more samples" in fine.message
+    assert not fine.success
+
+
 def test_strings_that_share_a_force_density_do():
     groups = ((0, 1, 2), (3, 4, 5), (6, 7, 8))
     transcription = ocp.MultipleShooting(22, control=ocp.PiecewiseConstant(groups))
