@@ -84,6 +84,8 @@ class SoftGoal(Goal, FinalCost):
     def __post_init__(self) -> None:
         if not isinstance(self.goal, Goal) or isinstance(self.goal, SoftGoal):
             raise TypeError(f"SoftGoal.goal is {shown(self.goal)}: give a goal that is met, such as AtRest()")
+        if type(self.goal).rows is Goal.rows:  # goals of another instant
+            raise TypeError(f"SoftGoal.goal is {shown(self.goal)}: give its goals, or call its soft(weight)")
         check_weight(self)
 
     def check(self, structure: Structure) -> None:

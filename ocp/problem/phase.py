@@ -117,6 +117,9 @@ def phases_between(waypoints: Sequence[Waypoint], shortest: float, longest: floa
     ends = [(0.0, 0.0), *(waypoint.time for waypoint in waypoints if isinstance(waypoint.time, tuple)), (shortest, longest)]
     if len(ends) < len(waypoints) + 2:
         raise ValueError("Problem.goals has waypoints of free and of given times: give each Waypoint(time=(earliest, latest))")
+    for earliest, latest in ends[1:-1]:
+        if earliest > longest:
+            raise ValueError(f"Waypoint.time is ({earliest:g}, {latest:g}), and the plan takes {longest:g} s at most: give earlier times")
     phases = []
     for k, ((begun, last_begun), (earliest, latest)) in enumerate(pairwise(ends)):
         if latest - begun < least:

@@ -132,8 +132,7 @@ class Problem:
         own["phases"] = read_items("Problem.phases", self.phases, Phase, "[Phase(0.5)]")
         own["duration"] = read_duration("Problem.duration", self._whole_duration())
         own["goals"] = read_items("Problem.goals", self.goals, Goal, "[AtRest()]")
-        if not own["phases"]:
-            self._divide()
+        divided = not own["phases"] and self._divide()
         if isinstance(self.start, type):
             raise TypeError(f"Problem.start is the class {self.start.__name__}: give {self.start.__name__}()")
         if isinstance(self.start, FreeStart):
@@ -149,6 +148,7 @@ class Problem:
             item.check(structure)
         begin = None if self.free_start else self.first_state
         own["goals"] = tuple(goal.complete(self.model, begin) for goal in own["goals"])
+        own["costs"] = tuple(cost.complete(self.model, begin) if isinstance(cost, SoftGoal) else cost for cost in own["costs"])
         if isinstance(self.start, FreeStart):
             own["start"] = replace(self.start, goals=tuple(goal.complete(self.model, None) for goal in self.start.goals))
         _ = self._timed  # refuses times that are none of the plan's
@@ -159,19 +159,29 @@ class Problem:
         own["costs"] += wishes
         check_expressions(self.model, own["bounds"], own["costs"], begin)
         if own["phases"]:
-            refuse_wound(self.model, "Problem.phases")
-            if self.free_start:
-                raise ValueError("Problem.start is free, and phases begin where nodes stand: give the start")
-            check_phases(self.model, self.first_state, own["phases"], own["goals"], own["bounds"], own["costs"])
+            try:
+                self._check_phases()
+            except (TypeError, ValueError) as error:
+                if not divided:
+                    raise
+                raise ValueError(f"{error}; a range as Waypoint.time makes phases: or give one time, or a share") from None
 
-    def _divide(self) -> None:
-        """Make waypoints of free times the ends of phases."""
+    def _divide(self) -> bool:
+        """Make waypoints of free times the ends of phases; tell whether there are any."""
         ways = [goal for goal in self.goals if isinstance(goal, Waypoint)]
-        if any(isinstance(way.time, tuple) for way in ways):
-            for way in ways:
-                way.check(self.model.scene.structure)
-            goals = tuple(goal for goal in self.goals if goal not in ways)
-            self.__dict__.update(goals=goals, phases=phases_between(ways, self.shortest, self.longest))
+        if not any(isinstance(way.time, tuple) for way in ways):
+            return False
+        for way in ways:
+            way.check(self.model.scene.structure)
+        goals = tuple(goal for goal in self.goals if goal not in ways)
+        self.__dict__.update(goals=goals, phases=phases_between(ways, self.shortest, self.longest))
+        return True
+
+    def _check_phases(self) -> None:
+        refuse_wound(self.model, "Problem.phases")
+        if self.free_start:
+            raise ValueError("Problem.start is free, and phases begin where nodes stand: give the start")
+        check_phases(self.model, self.first_state, self.phases, self.__dict__["goals"], self.__dict__["bounds"], self.__dict__["costs"])
 
     def _whole_duration(self) -> Any:
         """Return the duration that is given, or that of all phases."""
@@ -311,7 +321,7 @@ class Problem:
                 met.append(replace(goal, goals=tuple(part for part in parts if part not in soft)))
             elif not soft:
                 met.append(goal)
-        goals = [wish.cost if isinstance(wish, CostAt) else wish for wish in wished]
+        goals = [wish.cost if isinstance(wish, CostAt) else wish for wish in (*self.costs, *wished)]
         if any(isinstance(wish.goal, Periodic) and wish.goal.start is None for wish in goals if isinstance(wish, SoftGoal)):
             raise ValueError("Problem.goals has Periodic().soft(), and the start is free: give Periodic(start=...), or Periodic()")
         return tuple(met), tuple(wished)

@@ -24,7 +24,7 @@ class Waypoint(Goal):
     Parameters
     ----------
     goals : sequence of goals
-        All met at that instant: `NodePositions`, `Shape`, ...; or wished for (`Goal.soft`).
+        All met at that instant: `NodePositions`, `Shape`, ...; or wished for (`Goal.soft`), where one time or a share is given.
     time : float or (float, float), optional
         Seconds from the start; only where the duration is given. Or (earliest, latest) to let the solver choose, also where the duration is
         free: such waypoints are met in the order in which they are given, and divide the plan into phases (`Phase`).

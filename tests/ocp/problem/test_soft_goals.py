@@ -61,6 +61,14 @@ def test_a_wish_that_no_strings_meet_is_no_reason_to_fail():
     assert plan.report().missed[0].miss > 0.5
 
 
+def test_wishes_may_stand_with_costs():
+    """Also those that need the model, and the start."""
+    for wish in (ocp.CentreOfMass((None, None, 0.6)), ocp.Periodic()):
+        among_goals, among_costs = raising(goals=[wish.soft(1e3)]), raising(goals=(), costs=[ocp.Effort(), wish.soft(1e3)])
+        one, other = (planned(problem=problem).objective for problem in (among_goals, among_costs))
+        assert one == pytest.approx(other, rel=1e-9)
+
+
 def test_wishes_are_kept_in_files_and_by_changed_problems(tmp_path):
     plan = planned(ocp.Waypoint([LENGTHS.soft(2e4)], share=0.5), LENGTHS.soft(1e5), REST)
     plan.save(tmp_path / "plan.npz")
@@ -73,6 +81,9 @@ def test_wishes_are_kept_in_files_and_by_changed_problems(tmp_path):
 BAD = {
     "weight": (lambda: REST.soft(0.0), ValueError, "SoftGoal.weight"),
     "twice": (lambda: REST.soft().soft(), TypeError, "SoftGoal.goal"),
+    "waypoint": (lambda: ocp.SoftGoal(ocp.Waypoint([REST], share=0.5)), TypeError, "SoftGoal.goal is Waypoint"),
+    "free time": (lambda: raising(goals=[ocp.Waypoint([REST.soft()], time=(0.2, 0.3))]), ValueError, "a range as Waypoint.time makes phases"),
+    "period as a cost": (lambda: raising(start=ocp.FreeStart(), costs=[ocp.Periodic().soft()]), ValueError, "and the start is free"),
     "start": (lambda: ocp.FreeStart(goals=[REST.soft()]), TypeError, r"FreeStart.goals\[0\] is a SoftGoal"),
     "other nodes": (lambda: raising(goals=[ocp.NodePositions({9: (0, 0, 0)}).soft()]), ValueError, "node is 9"),
     "period": (lambda: raising(start=ocp.FreeStart(), goals=[ocp.Periodic().soft()]), ValueError, r"Periodic\(\).soft\(\), and the start is free"),

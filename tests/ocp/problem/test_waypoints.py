@@ -103,7 +103,7 @@ WAY = [ocp.AtRest()]
 UNTIMELY = {
     "pair of nothing": (lambda: ocp.Waypoint(WAY, time=(0.0, 1.0)), r"Waypoint.time is \(0, 1\): give \(earliest, latest\), greater than 0"),
     "pair crossed": (lambda: ocp.Waypoint(WAY, time=(0.5, 0.4)), r"Waypoint.time is \(0.5, 0.4\)"),
-    "beyond the end": (lambda: timed((2.0, 3.0)), r"Problem.duration is up to 1, and the waypoint before is met at 2 s or later"),
+    "beyond the end": (lambda: timed((2.0, 3.0)), r"Waypoint.time is \(2, 3\), and the plan takes 1 s at most"),
     "out of order": (lambda: timed((0.5, 0.6), (0.1, 0.2)), r"Waypoint.time is \(0.1, 0.2\), and the waypoint before is met at 0.5 s or later"),
     "free and given": (
         lambda: ocp.Problem(MODEL, goals=[ocp.Waypoint(WAY, time=(0.1, 0.2)), ocp.Waypoint(WAY, share=0.5)]),
