@@ -15,8 +15,11 @@ from ocp.problem.problem import Problem
 from ocp.transcription.inverse_dynamics import inverse_dynamics
 from ocp.transcription.mesh import Profile, node_values, profile_at
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.validate import Array, finite_array, positive_number, shown, whole_number
+
+NOISY = 16.0  # rad of the fastest vibration: along longer motions there is less noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,8 @@ class InverseDynamics:
     noise : float
         Most that is added to the force density of a string, relative to the strongest of all: a share of it that is drawn for each string. A
         guess that is as symmetric as its structure is often next to a saddle, which a solver takes several times as many iterations to leave.
-        0 for none; rest lengths get none.
+        It is less where the motion lasts more than 16 rad of the fastest vibration, along which errors would grow. 0 for none; rest lengths
+        get none.
     seed : int
         Seed of the draw.
 
@@ -113,7 +117,8 @@ class InverseDynamics:
         lower, upper = problem.force_density_limits
         change = np.random.default_rng(self.seed).uniform(size=len(lower))
         strength = float(np.abs(guess.force_density).max()) or 1.0
-        return replace(guess, force_density=np.clip(guess.force_density + self.noise * strength * change, lower, upper))
+        noise = self.noise * _bearable(problem.model, guess)
+        return replace(guess, force_density=np.clip(guess.force_density + noise * strength * change, lower, upper))
 
     @staticmethod
     def _along_path(problem: Problem, target: Target, intervals: int, given: ArrayLike) -> Guess:
@@ -277,6 +282,13 @@ def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> G
         states[1:-1] = _projected(model, states, 3)[1:-1]
         held = profile_at(guess.force_density, before, (nodes[:-1] + nodes[1:]) / 2)
     return Guess(states, node_values(held, fractions) if profile.linear else held, guess.duration)
+
+
+def _bearable(model: Model, guess: Guess) -> float:
+    """Return the share of the noise along which errors hardly grow: they do at up to √noise times the fastest vibration's rate."""
+    middle = len(guess.force_density) // 2
+    turned = fastest_rate(model, guess.states[middle], guess.force_density[middle]) * guess.duration
+    return min(1.0, (NOISY / turned) ** 3) if turned > 0.0 else 1.0  # NaN: no rate is known
 
 
 def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:

@@ -45,6 +45,12 @@ def test_noise_parts_what_symmetry_makes_equal_in_the_same_way_for_any_number_of
     assert np.abs(other.force_density - coarse.force_density).max() > 0.02 * even.force_density.max()
 
 
+@pytest.mark.parametrize(("lower", "duration"), [(2.0, 5.0), (50.0, 1.0)])
+def test_slow_plans_of_free_structures_are_found_as_their_guesses_are_hardly_disturbed(lower, duration):
+    plan = ocp.solve(raising(duration=duration, bounds=[ocp.ForceDensityLimits(lower, 200.0)]), seconds=60)
+    assert plan.success, plan.message
+
+
 def growing():
     return raising(goals=[ocp.Shape(prism(1.15).nodes), ocp.AtRest()])
 
