@@ -11,20 +11,37 @@ from ocp.plan.diagnosis import long_steps, measure_misses
 from ocp.plan.end_limits import broken_at_end
 from ocp.plan.error_growth import UNSTABLE
 from ocp.plan.plan import Plan
+from ocp.plan.report import report_of
 from ocp.solvers.base import Outcome
 from ocp.transcription.mesh import held_values
+from tenscasadi.simulation.trajectory import Trajectory
 
 _KEEP = "keep to it by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
 
 
 def judged(plan: Plan, target: Target, found: Outcome, tolerance: float) -> Plan:
     """Return the plan with the errors of its replay, whether it is a success, and what is to be said of it."""
-    error, speed_error, why = _replay_errors(plan, target.begin_at(found.states[0]))
+    error, speed_error, why, replayed = _replay_errors(plan, target.begin_at(found.states[0]))
     plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
     how = "its replay under ocp.track" if plan.tracked else "its replay"
     success, verdict = _verdict(plan, found, tolerance, f"at the end of {how} {why}" if why and np.isfinite(error) else "")
     ends = f"{how} ends {error:.2g} m and {speed_error:.2g} m/s from the goal" if np.isfinite(error) else why or f"{how} diverges"
-    return replace(plan, success=success, message="; ".join(part for part in (verdict, found.imposed, ends) if part))
+    parts = verdict, found.imposed, ends, _overstepped(plan, replayed) if success else ""
+    return replace(plan, success=success, message="; ".join(part for part in parts if part))
+
+
+def _overstepped(plan: Plan, replayed: Trajectory | None) -> str:
+    """Tell which limit is broken most where nodes bounce on a ground between the nodes of the mesh, at which alone limits hold."""
+    problem = plan.problem
+    if problem is None or replayed is None or not problem.model.scene.grounds:
+        return ""
+    broken = report_of(problem, plan.time, plan.trajectory.states, plan.control, replayed, None).violated
+    if not broken:
+        return ""
+    worst = max(broken, key=lambda one: abs(one.worst - one.limit) / (abs(one.limit) or 1.0))
+    return (
+        f"{worst.name} is {worst.worst:.3g}{worst.unit and ' '}{worst.unit} at {worst.time:.3g} s, beyond its limit of {worst.limit:g}: see report()"
+    )
 
 
 def _verdict(plan: Plan, found: Outcome, tolerance: float, broken: str) -> tuple[bool, str]:
@@ -60,21 +77,21 @@ def _finer(plan: Plan, found: Outcome) -> str:
     return too_long or "give more intervals, or substeps"
 
 
-def _replay_errors(plan: Plan, target: Target) -> tuple[float, float, str]:
+def _replay_errors(plan: Plan, target: Target) -> tuple[float, float, str, Trajectory | None]:
     """Measure how far the replay ends from the goals, and from limits of the end; without goals for the place (or speed) from the plan.
 
-    NaN where it does not get there; and why, where that is known, or which limit of the end is missed most.
+    NaN where it does not get there; and why, where that is known, or which limit of the end is missed most. And the replay.
     """
     if not np.all(np.isfinite(plan.force_density)) or not plan.time[-1] > 0:
-        return np.nan, np.nan, ""
+        return np.nan, np.nan, "", None
     try:
         replayed = plan.replay(tracked=plan.tracked)
     except ValueError as error:
         if not plan.tracked:
             raise
-        return np.nan, np.nan, f"ocp.track does not keep to it: {error}"
+        return np.nan, np.nan, f"ocp.track does not keep to it: {error}", None
     if not replayed.success:
-        return np.nan, np.nan, ""
+        return np.nan, np.nan, "", None
     times = replayed.time / replayed.time[-1]
     missed = measure_misses(target, lambda share: np.array([np.interp(share, times, column) for column in replayed.states.T]))
     metres, speeds = ([amount for amount, _ in rows] for rows in missed)
@@ -85,8 +102,8 @@ def _replay_errors(plan: Plan, target: Target) -> tuple[float, float, str]:
     if not speeds:
         speeds = np.linalg.norm(replayed.velocities[-1] - plan.trajectory.velocities[-1], axis=1).tolist()
     if plan.problem is None:
-        return float(max(metres)), float(max(speeds)), ""
+        return float(max(metres)), float(max(speeds)), "", replayed
     ends = np.array([plan.trajectory.states[-1], replayed.states[-1]])
     broken = broken_at_end(plan.problem, ends, np.array([plan.control[-1], replayed.control[-1]]), float(plan.time[-1]))
     told = broken.told if broken.distance > max(*metres, float(plan.time[-1]) * max(speeds)) else ""
-    return float(max(*metres, broken.distance)), float(max(speeds)), told
+    return float(max(*metres, broken.distance)), float(max(speeds)), told, replayed

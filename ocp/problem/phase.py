@@ -139,7 +139,7 @@ def refuse_phases(phases: Sequence[Phase], user: str) -> None:
 def check_phases(model: Model, start: Array, phases: Sequence[Phase], goals: Sequence[Goal], bounds: Sequence[Bound], costs: Sequence[Cost]) -> None:
     """Raise TypeError or ValueError, naming the phase, where phases do not fit the model, its ground, or what else is asked."""
     structure = model.scene.structure
-    if model.mechanism.joints or model.scene.supports is not None or model.scene.has_clock:
+    if model.coordinates != "reduced" or model.mechanism.joints or model.scene.supports is not None or model.scene.has_clock:
         raise ValueError('Problem.phases needs Model(scene, coordinates="reduced") of a scene in which nothing depends on time')
     numbered = [(f"Problem.phases[{k}]", phase) for k, phase in enumerate(phases)]
     for name, goal in [("Problem", goal) for goal in goals] + [(name, goal) for name, phase in numbered for goal in phase.goals]:

@@ -39,6 +39,7 @@ def test_a_phase_refuses_by_name(given, named):
         ([push()], {"costs": [ocp.Tracking({0: (0.0, 0.0, 0.0)})]}, "Problem has Tracking"),
         ([push()], {"costs": [ocp.Integral("late", lambda now: now.time * now.nodes[2, 3] ** 2)]}, "Integral, which depends on the time"),
         ([push(bounds=[ocp.RestLengthRateLimits(0.1, 100.0)])], {}, r"phases\[0\]\.bounds has RestLengthRateLimits"),
+        ([push()], {"model": tc.Model(standing().scene, coordinates="full")}, r'Problem\.phases needs Model\(scene, coordinates="reduced"\)'),
         ([0.5], {}, r"Problem\.phases\[0\]"),
     ],
 )

@@ -145,6 +145,17 @@ def test_refining_meets_the_tolerance_or_says_that_it_does_not():
     assert not fine.success
 
 
+def test_limits_that_a_bounce_breaks_between_the_nodes_of_the_mesh_are_said():
+    """Whatever it does, the prism lands at 1.4 m/s: its feet go deeper than 2 mm, for less than an interval."""
+    model = contact_problems.low_prism()
+    start = model.structure.nodes + [0, 0, 0.1]
+    goal, bounds = ocp.CentreOfMass((None, None, 0.3)), [ocp.ForceDensityLimits(5.0, 500.0), ocp.AboveGround(-0.002)]
+    plan = ocp.solve(ocp.Problem(model, 0.4, start, [goal], bounds), ocp.MultipleShooting(6), QUICK, tolerance=0.05)
+    assert plan.success, plan.message
+    assert plan.replay(step=2e-5).nodes[:, :, 2].min() < -0.002
+    assert "beyond its limit of -0.002: see report()" in plan.message
+
+
 def test_strings_that_share_a_force_density_do():
     groups = ((0, 1, 2), (3, 4, 5), (6, 7, 8))
     transcription = ocp.MultipleShooting(22, control=ocp.PiecewiseConstant(groups))
