@@ -27,6 +27,7 @@ from tenscasadi.integrators.stability import fastest_rate
 
 FEWEST, MOST = 30, 400  # intervals to begin with
 FOR_A_RADIAN = 3.0  # intervals for each radian of the fastest vibration
+FOR_BARS = 7.0  # intervals times √bars: forces add up along rows of bars, so γ grows beyond the guess as bars do, vibrations as its root
 EXACT = 0.3  # of the tolerance: how near motions come to those of fine steps,
 MISSED = 1e-4  # and of the structure's size, at most: plans that end further from their goals than thrice this count as missing them
 NEAR = 0.02  # of the structure's size: nodes that come nearer to a ground along the guess may touch it
@@ -100,9 +101,9 @@ def nears_ground(problem: Problem, guess: Guess) -> bool:
 
 
 def choose_intervals(problem: Problem, guess: Guess) -> int:
-    """Return how many intervals follow the fastest vibration under the guess."""
+    """Return how many intervals follow the fastest vibration: under the guess, and of many bars."""
     middle = len(guess.force_density) // 2
     rate = fastest_rate(problem.model, guess.states[middle], guess.force_density[middle])
     each = 1.0 if winds(problem.model) else FOR_A_RADIAN  # elastic strings hardly vibrate along their plans, and corrections do the rest
     wanted = np.ceil(each * rate * guess.duration) if np.isfinite(rate) else FEWEST
-    return int(np.clip(wanted, FEWEST, MOST))
+    return int(np.clip(max(wanted, np.ceil(FOR_BARS * np.sqrt(problem.model.mechanism.bars))), FEWEST, MOST))

@@ -30,6 +30,9 @@ NEARLY_MET = 1e-3  # of order-one rows: is not corrected further
 STIFFENING = 100.0  # most that is added to the metric against negative curvature, in units of the costs' curvature
 GIVEN_UP = 1e4  # the same where no step is accepted
 SLOW = 20, 0.02  # iterations and relative change of costs: they fall so slowly that it leads nowhere
+LONG, UNSETTLED = (100, 36), 0.15  # after so many iterations, with high barriers, so little a change in SLOW[0] of them is not worth their time
+LARGE = 10_000  # unknowns, from which on the second number of iterations counts
+SLUGGISH = 8, 0.03  # iterations and relative change of costs: barriers that are in the way are lowered before their optimum
 NEARLY_SETTLED, NEARLY_WITHIN = 1e-2, 5  # the same where no step is found any more
 LEAST_POLISHED = 1e-5  # distance from limits
 SETTLED_BARRIER, SETTLED, WITHIN = 1e-4, 1e-4, 3  # μ, relative change of costs, iterations: then costs are settled
@@ -48,7 +51,7 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where the method ended: a point, multipliers of goals and limits, iterations, and how: "optimal", "settled", "nearly settled", or why not."""
+    """Where the method ended: a point, multipliers of goals and limits, iterations, and how: see `Search.converged`, or why not."""
 
     point: Point
     multipliers: Array
@@ -94,7 +97,7 @@ class Search:
         self.mu = 0.5 * max(float(pull.mean()), 0.01 * self.unit)
         self.duals = LimitDuals(self.limits, w, self.mu)
         self.radius = 1e3 * float(np.sqrt(np.maximum(w @ (self.base * w), len(w) * self.unit)))
-        self.stiffened, self.iterations = 0.0, 0
+        self.stiffened, self.iterations, self.lowered = 0.0, 0, 0
         self.history: list[tuple[float, float]] = []
         self.multipliers = np.zeros(of.goals.count)
         self._stand(point_at(of, w, motion))
@@ -144,17 +147,20 @@ class Search:
         return max(float(np.abs(gap).max(initial=0.0)), duals.error(self.point.w, mu)) / self.unit / scale
 
     def converged(self) -> str:
-        """Return "optimal", "settled" where costs no longer fall, "nearly settled" where they hardly do, or ""."""
+        """Return "optimal", "settled" where costs no longer fall, "nearly settled" where they hardly do, "unsettled" where slowly, or ""."""
         if self.error(0.0) < self.tolerance and self.point.worst < self.tolerance:
             return "optimal"
         if self.still(*SLOW):
             return "nearly settled"
-        return "settled" if self.still(WITHIN, SETTLED) and (self.mu <= SETTLED_BARRIER * self.unit or not self.of.objective.given) else ""
+        low = self.mu <= SETTLED_BARRIER * self.unit
+        if self.iterations >= LONG[self.of.size > LARGE] and not low and self.still(SLOW[0], UNSETTLED, WIDE):
+            return "unsettled"
+        return "settled" if self.still(WITHIN, SETTLED) and (low or not self.of.objective.given) else ""
 
-    def still(self, most: int, share: float) -> bool:
+    def still(self, most: int, share: float, near: float = 2 * NEARLY_MET) -> bool:
         """Tell whether costs have not changed by more than a share in the last iterations, all of them near the goals."""
         recent = self.history[-most:]
-        costs = [cost for cost, worst in recent if worst < 2 * NEARLY_MET]
+        costs = [cost for cost, worst in recent if worst < near]
         return len(costs) == most and max(costs) - min(costs) <= share * abs(self.point.cost)
 
     def advance(self) -> bool:
@@ -165,12 +171,14 @@ class Search:
             return False
 
     def _advance(self) -> bool:
-        if max(self.error(self.mu), CENTRED * self.point.worst) < CENTRED * self.mu / self.unit or self.still(2, SETTLED):
+        centred = max(self.error(self.mu), CENTRED * self.point.worst) < CENTRED * self.mu / self.unit
+        if centred or self.still(2, SETTLED) or (self.iterations >= self.lowered + SLUGGISH[0] and self.still(*SLUGGISH)):
+            self.lowered = self.iterations
             self.mu = max(LEAST_BARRIER * self.unit, FEWER * self.mu)
             self.gradient = self.slope + self.mu * self.limits.barrier_slope(self.point.w)
         stiffness, more = self.stiffness, self.stiffened / 3 if self.stiffened > 0.1 * self.unit else 0.0
         self.stiffened = more
-        exact = self.iterations > 0
+        exact = self.iterations > 0 and self.point.worst < WIDE  # far from the goals, multipliers lead astray
         if exact:
             self.expansion.weigh(self.multipliers)
         while more <= GIVEN_UP * self.unit:

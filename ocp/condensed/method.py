@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -30,9 +31,13 @@ from tenscasadi.util.validate import Array
 
 MET = 1e-9  # in order-one rows: the motion and the goals that are imposed are met
 POLISHED = 1e-11  # what is aimed at
-SOLVED = ("optimal", "settled", "nearly settled")
+SPARED = 0.3  # of the time that is left: for corrections
+SOLVED = ("optimal", "settled", "nearly settled", "unsettled")
 TOO_COARSE = "too coarse: corrections end {:.2g} m from fine steps, not {:.2g} m: give more intervals"
-NOT_QUITE = "; the cost is nearly settled, a little less may be possible"
+NOT_QUITE = {
+    "nearly settled": "; the cost is nearly settled, a little less may be possible",
+    "unsettled": "; the cost is not settled: it still fell, but slowly, and less is possible",
+}
 _PASSES = "give a goal that the motion passes"
 WHY = {
     "iterations": "stopped at the iteration limit: raise max_iterations of the solver",
@@ -77,13 +82,24 @@ def solve_condensed(
     if not isinstance(transcription, Variational):
         raise ValueError(f"solver is CondensedNewton, and transcription is {type(transcription).__name__}: give ocp.Variational(...)")
     with np.errstate(all="ignore"):
-        reduced, w, imposed = _reduced(problem, transcription, target, scales, guess)
-        motion = first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states)
-        found = solve(reduced, w, motion, solver.tolerance, solver.max_iterations, deadline, solver.verbose)
-        corrected = Corrected(polish(reduced, found.point, POLISHED), None, 0.0)
-        if transcription.accuracy is not None and corrected.point.worst <= MET and found.status in SOLVED:
-            corrected = correct(reduced, corrected.point, transcription.control.linear, transcription.accuracy, MET, deadline)
-        return _outcome(problem, transcription, (target, imposed), reduced, found, corrected)
+        try:
+            return _solved(problem, transcription, target, scales, guess, solver, deadline)
+        except np.linalg.LinAlgError:  # bars or rows depend on each other where it stands
+            held = node_values(guess.force_density, transcription.fractions) if transcription.control.linear else guess.force_density
+            return Outcome(guess.states, held, guess.duration, np.nan, False, "stuck", 0, why=f"no plan: {WHY['stuck']}")
+
+
+def _solved(
+    problem: Problem, transcription: Variational, target: Target, scales: Scales, guess: Guess, solver: CondensedNewton, deadline: float | None
+) -> Outcome:
+    reduced, w, imposed = _reduced(problem, transcription, target, scales, guess)
+    motion = first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states)
+    ends = None if deadline is None else deadline - SPARED * max(deadline - time.perf_counter(), 0.0)
+    found = solve(reduced, w, motion, solver.tolerance, solver.max_iterations, ends, solver.verbose)
+    corrected = Corrected(polish(reduced, found.point, POLISHED), None, 0.0)
+    if transcription.accuracy is not None and corrected.point.worst <= MET and found.status != "stuck":
+        corrected = correct(reduced, corrected.point, transcription.control.linear, transcription.accuracy, MET, deadline)
+    return _outcome(problem, transcription, (target, imposed), reduced, found, corrected)
 
 
 def _reduced(problem: Problem, transcription: Transcription, target: Target, scales: Scales, guess: Guess) -> tuple[ReducedProblem, Array, Target]:
@@ -131,7 +147,7 @@ def _outcome(
     if states is None:
         states = states_of(chain, duration**2 * chain.controls.before_nodes(c), duration, point.motion, clock)
     lower, upper = problem.force_density_limits
-    if transcription.accuracy is not None and gap > transcription.accuracy:
+    if transcription.accuracy is not None and gap > transcription.accuracy and found.status in SOLVED:
         why = TOO_COARSE.format(gap, transcription.accuracy)
     else:
         why = _why(target, found, point, state_function(problem.model, states, duration, transcription.fractions))
@@ -146,7 +162,7 @@ def _outcome(
         duals=_duals(reduced, imposed, found, point) if not why else None,
         gap=gap,
         why=why,
-        imposed=imposed.describe() + NOT_QUITE * (found.status == "nearly settled"),
+        imposed=imposed.describe() + NOT_QUITE.get(found.status, ""),
     )
 
 

@@ -105,3 +105,10 @@ def test_intervals_follow_the_fastest_vibration(mass, expected):
     guess = Guess(np.repeat(problem.first_state[None], 5, axis=0), np.full((4, 2), 0.025), 1.0)
     assert choose_intervals(problem, guess) == pytest.approx(expected, abs=1)
     assert expected == max(30, round(3 * np.sqrt(2 * 0.025 / mass)))
+
+
+def test_many_bars_take_more_intervals():
+    """Forces add up along them, more than a guess knows."""
+    problem = ocp.Problem(driven(tc.shapes.prism(36)), goals=[ocp.AtRest()], costs=[ocp.Effort()])
+    guess = Guess(np.repeat(problem.first_state[None], 5, axis=0), np.full((4, problem.model.nu), 1e-3), 1.0)
+    assert choose_intervals(problem, guess) == 42

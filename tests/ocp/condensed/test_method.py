@@ -7,6 +7,7 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.condensed import interior_point, method
 from ocp.condensed.method import applies
 from tests.ocp.condensed.test_reduced import EVERY, LIMITS, ON_THE_WAY, PUSH, RISE, driven
 
@@ -116,6 +117,40 @@ def test_limits_of_iterations_and_time_are_kept():
     late = ocp.solve(problem, transcription, ocp.CondensedNewton(), seconds=1e-3)
     assert not late.success
     assert "stopped at the time limit" in late.message
+
+
+def test_slow_descent_ends_with_a_plan_and_is_said(monkeypatch):
+    """Where costs fall too slowly, what is returned has met goals and motion, and says that it is no optimum."""
+    problem, _ = CASES["ball"]
+    best = ocp.solve(problem, ocp.Variational(15, accuracy=1e-6), ocp.CondensedNewton())
+    monkeypatch.setattr(interior_point, "LONG", (4, 4))
+    monkeypatch.setattr(interior_point, "UNSETTLED", 10.0)
+    monkeypatch.setattr(interior_point, "SLOW", (4, 0.0))
+    plan = ocp.solve(problem, ocp.Variational(15, accuracy=1e-6), ocp.CondensedNewton())
+    assert plan.success, plan.message
+    assert plan.replay_error < 2e-6
+    assert plan.objective >= best.objective * (1 - 1e-3)
+    assert "the cost is not settled" in plan.message
+
+
+def test_what_a_limit_ends_is_corrected():
+    """It is no success, but its replay ends at the goals."""
+    problem, _ = CASES["ball"]
+    plan = ocp.solve(problem, ocp.Variational(15, accuracy=1e-6), ocp.CondensedNewton(max_iterations=8))
+    assert not plan.success
+    assert "stopped at the iteration limit" in plan.message
+    assert plan.replay_error < 2e-6
+
+
+def test_singular_matrices_are_no_exception(monkeypatch):
+    def singular(*arguments):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+    monkeypatch.setattr(method, "solve", singular)
+    for control in (ocp.PiecewiseConstant(), ocp.PiecewiseLinear()):
+        plan = ocp.solve(CASES["ball"][0], ocp.Variational(8, control=control), ocp.CondensedNewton())
+        assert not plan.success
+        assert "the solver could not go on" in plan.message
 
 
 def test_goes_with_variational_alone():
