@@ -27,7 +27,7 @@ from tenscasadi.integrators.stability import fastest_rate
 
 FEWEST, MOST = 30, 400  # intervals to begin with
 FOR_A_RADIAN = 3.0  # intervals for each radian of the fastest vibration
-FOR_BARS = 7.0  # intervals times √bars: forces add up along rows of bars, so γ grows beyond the guess as bars do, vibrations as its root
+FOR_BARS = 6.0  # intervals times √bars: forces add up along rows of bars, so γ grows beyond the guess as bars do, vibrations as its root
 EXACT = 0.3  # of the tolerance: how near motions come to those of fine steps,
 MISSED = 1e-4  # and of the structure's size, at most: plans that end further from their goals than thrice this count as missing them
 NEAR = 0.02  # of the structure's size: nodes that come nearer to a ground along the guess may touch it

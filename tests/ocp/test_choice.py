@@ -111,4 +111,4 @@ def test_many_bars_take_more_intervals():
     """Forces add up along them, more than a guess knows."""
     problem = ocp.Problem(driven(tc.shapes.prism(36)), goals=[ocp.AtRest()], costs=[ocp.Effort()])
     guess = Guess(np.repeat(problem.first_state[None], 5, axis=0), np.full((4, problem.model.nu), 1e-3), 1.0)
-    assert choose_intervals(problem, guess) == 42
+    assert choose_intervals(problem, guess) == 36
