@@ -190,8 +190,9 @@ def test_motions_along_which_errors_grow_are_corrected():
     """Two prisms on each other rise under their weight: fine steps under the first force densities end metres away."""
     nodes = dict.fromkeys((6, 7, 8), (None, None, 1.7))
     model = driven(stacked(0.8).replace(pinned=[0, 1, 2]), gravity=tc.Gravity())
-    problem = ocp.Problem(model, goals=[ocp.NodePositions(nodes), ocp.AtRest()], bounds=[ocp.ForceDensityLimits(1.0, 500.0)], costs=[ocp.Effort()])
-    plan = ocp.solve(problem, ocp.Variational(60, accuracy=3e-4), ocp.CondensedNewton(), tolerance=1e-3)
+    limits = ocp.ForceDensityLimits(1.0, 500.0)
+    problem = ocp.Problem(model, 1.5, goals=[ocp.NodePositions(nodes), ocp.AtRest()], bounds=[limits], costs=[ocp.Effort()])
+    plan = ocp.solve(problem, ocp.Variational(100, accuracy=3e-4), ocp.CondensedNewton(), tolerance=1e-3)
     assert plan.duals is not None
     assert "too coarse" not in plan.message
     assert "open-loop unstable" in plan.message
