@@ -9,9 +9,8 @@ import numpy as np
 
 from ocp.condensed.chain import Motion
 from ocp.condensed.interior_point import Point, point_at, polish
-from ocp.condensed.motions import states_of
 from ocp.condensed.reduced import ReducedProblem
-from ocp.solvers.deferred_correction import FAR, FINE_STEPS, MOST_LEFT, MOST_ROUNDS, keep_to
+from ocp.solvers.deferred_correction import FINE_STEPS, MOST_LEFT, MOST_ROUNDS
 from ocp.transcription.multiple_shooting import ramped_step, shooting_step
 from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.util.validate import Array
@@ -32,51 +31,23 @@ def correct(of: ReducedProblem, point: Point, linear: bool, accuracy: float, met
     best way is of second order.
     """
     chain, model = of.chain, of.problem.model
-    step = (ramped_step if linear else shooting_step)(model, DormandPrince853(), FINE_STEPS)
-    steps = step.mapaccum(chain.count)
-    far, kept = FAR * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))), False
-    offset: Array | float = 0.0  # of fine states from those that follow from places
+    step = (ramped_step if linear else shooting_step)(model, DormandPrince853(), FINE_STEPS).mapaccum(chain.count)
     best, before = Corrected(point, None, np.inf), np.inf
     for _ in range(MOST_ROUNDS + 1):
-        gamma, (c, duration) = of.force_densities(point.w), of.split(point.w)
-        lengths = duration * chain.shares
+        gamma, duration = of.force_densities(point.w), of.split(point.w)[1]
         held = (gamma[:-1].T, gamma[1:].T) if linear else (gamma.T,)
-        fine = np.column_stack([chain.start, np.asarray(steps(chain.start, *held, lengths[None]).full())]).T
-        motion = _moving(of, point, fine, duration)
-        alone = gap = _apart(motion, point.motion)
-        kept = kept or (not gap < min(MOST_LEFT * before, far) and not linear and len(c) == chain.count)
-        if kept and not alone <= accuracy:
-            steady = keep_to(step, model, states_along(of, c, duration, point.motion) + offset, gamma, lengths, of.together)
-            if steady is not None:
-                fine, change = steady
-                c, motion = c + change, _moving(of, point, fine, duration)
-                gap, offset = _apart(motion, point.motion), fine - states_along(of, c, duration, motion)
-        if gap < best.gap or alone <= accuracy:
+        fine = np.column_stack([chain.start, np.asarray(step(chain.start, *held, duration * chain.shares[None]).full())]).T
+        places, velocities = chain.unpack(fine)
+        motion = Motion(places, duration * velocities[chain.taps], point.motion.bars)
+        gap = max(float(np.abs(one - other).max(initial=0.0)) for one, other in zip(motion[:2], point.motion[:2], strict=True))
+        if gap < best.gap:
             best = Corrected(point, fine, gap)
         late = deadline is not None and time.perf_counter() > deadline
-        if alone <= accuracy or late or not gap < MOST_LEFT * before:
+        if gap <= accuracy or late or not gap < MOST_LEFT * before:
             break
         before = gap
-        of.shift = chain.rows(duration**2 * chain.controls.at_stations(c), duration, motion)
+        of.shift = chain.rows(of.strings(point.w), duration, motion)
         point = polish(of, point_at(of, point.w, motion), met)
         if point.worst > met:
             break
     return best
-
-
-def _moving(of: ReducedProblem, point: Point, states: Array, duration: float) -> Motion:
-    """Return the motion through states (K + 1, nx), with the bars of a point."""
-    places, velocities = of.chain.unpack(states)
-    return Motion(places, duration * velocities[of.chain.taps], point.motion.bars)
-
-
-def _apart(one: Motion, other: Motion) -> float:
-    """Return how far places are apart, m, and rates at the taps, m per duration."""
-    return max(float(np.abs(a - b).max(initial=0.0)) for a, b in zip(one[:2], other[:2], strict=True))
-
-
-def states_along(of: ReducedProblem, c: Array, duration: float, motion: Motion) -> Array:
-    """Return the states (K + 1, nx) of a motion under force densities c (Kc, m)."""
-    chain, model = of.chain, of.problem.model
-    clock = (chain.clock + duration * chain.time[:, None])[:, : model.nx - 2 * model.nq]
-    return states_of(chain, duration**2 * chain.controls.before_nodes(c), duration, motion, clock)

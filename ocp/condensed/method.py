@@ -9,9 +9,9 @@ import numpy as np
 
 from ocp.boundary.sensitivities import find_controlled
 from ocp.boundary.target import Target
-from ocp.condensed.correction import Corrected, correct, states_along
+from ocp.condensed.correction import Corrected, correct
 from ocp.condensed.interior_point import Found, Point, polish, solve
-from ocp.condensed.motions import first_motion
+from ocp.condensed.motions import first_motion, states_of
 from ocp.condensed.objective import foreign_costs
 from ocp.condensed.reduced import ReducedProblem
 from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function
@@ -141,10 +141,11 @@ def _outcome(
     corrected: Corrected,
 ) -> Outcome:
     """Return what was found, and why where it is no plan. targets: all that was asked, and what was imposed."""
-    (target, imposed), (point, states, gap) = targets, corrected
+    (target, imposed), (point, states, gap), chain = targets, corrected, reduced.chain
     c, duration = reduced.split(point.w)
+    clock = (chain.clock + duration * chain.time[:, None])[:, : problem.model.nx - 2 * problem.model.nq]
     if states is None:
-        states = states_along(reduced, c, duration, point.motion)
+        states = states_of(chain, duration**2 * chain.controls.before_nodes(c), duration, point.motion, clock)
     lower, upper = problem.force_density_limits
     if transcription.accuracy is not None and gap > transcription.accuracy and found.status in SOLVED:
         why = TOO_COARSE.format(gap, transcription.accuracy)

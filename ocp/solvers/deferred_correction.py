@@ -116,31 +116,21 @@ class _Motion:
         if program.controls is None or program.together is None:
             return None
         states, gamma, T = _planned(program, w)
-        wanted = states + self._offset
-        steady = keep_to(self._step, self._model, wanted, gamma, T * self._fractions, program.together)
-        if steady is None:
-            return None
-        fine, change = steady
-        true = program.with_controls(program.with_states(w, fine), change)
-        self._offset = (fine - _planned(program, true)[0]) * np.logical_not(program.known)
-        return fine, true
-
-
-def keep_to(step: ca.Function, model: Model, wanted: Array, gamma: Array, lengths: Array, together: Array) -> tuple[Array, Array] | None:
-    """Return the states (K + 1, nx) of fine steps that feedback keeps to those wanted under γ (K, α), and how it changes γ, groupwise (K, m).
-
-    None where there are no gains, or it diverges all the same.
-    """
-    with np.errstate(all="ignore"):
+        wanted, lengths = states + self._offset, T * self._fractions
         try:
-            gains = plan_gains(model, wanted, gamma, lengths, together)
+            with np.errstate(all="ignore"):
+                gains = plan_gains(self._model, wanted, gamma, lengths, program.together)
         except (np.linalg.LinAlgError, ValueError):
             return None
         fine, change = wanted.copy(), np.zeros(gains.shape[:2])
         for k, h in enumerate(lengths):
             change[k] = gains[k] @ (wanted[k] - fine[k])
-            fine[k + 1] = np.asarray(step(fine[k], gamma[k] + together @ change[k], h).full()).ravel()
-    return (fine, change) if np.all(np.isfinite(fine)) else None
+            fine[k + 1] = np.asarray(self._step(fine[k], gamma[k] + program.together @ change[k], h).full()).ravel()
+        if not np.all(np.isfinite(fine)):
+            return None
+        true = program.with_controls(program.with_states(w, fine), change)
+        self._offset = (fine - _planned(program, true)[0]) * np.logical_not(program.known)
+        return fine, true
 
 
 def _planned(program: Program, w: Array) -> tuple[Array, Array, float]:
