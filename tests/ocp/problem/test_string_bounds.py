@@ -44,7 +44,7 @@ def test_force_densities_change_slowly(profile):
     limit = 0.7 * fastest(free)
     plan = planned(ocp.ForceDensityRateLimits(limit))
     assert plan.success, plan.message
-    assert fastest(plan) == pytest.approx(limit, rel=1e-5)
+    assert (1 - 1e-3) * limit < fastest(plan) < (1 + 1e-6) * limit  # an interior-point method ends a little within
     assert plan.objective > free.objective
     active = {finding.name: finding.unit for finding in plan.report().active}
     assert "N/(m s)" in {unit for name, unit in active.items() if name.startswith("force density rate of string")}
