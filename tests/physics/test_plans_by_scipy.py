@@ -61,7 +61,11 @@ def test_replay_error_is_that_of_scipy(case: Case) -> None:
     problem = case.problem()
     plan = ocp.solve(problem, tolerance=case.tolerance)
     assert plan.success, plan.message
-    places, speeds = missed(problem, *end_by_scipy(plan))
-    assert max(places) == pytest.approx(plan.replay_error, rel=1e-2, abs=1e-9)
-    if len(speeds) > 1:
-        assert max(speeds) == pytest.approx(plan.replay_speed_error, rel=1e-2, abs=1e-9)
+    nodes, velocities = end_by_scipy(plan)
+    replayed = plan.replay()
+    grown = 1e-12 * plan.error_growth  # what both integrators leave
+    assert abs(replayed.nodes[-1] - nodes).max() < 1e-2 * plan.replay_error + 1e-7 + grown
+    assert abs(replayed.velocities[-1] - velocities).max() < 1e-2 * plan.replay_speed_error + 1e-6 + grown
+    places, speeds = missed(problem, nodes, velocities)  # of the goals as they are asked: errors of the replay hold what follows from them, too
+    assert max(places) < 1.01 * plan.replay_error + 1e-7 + grown
+    assert max(speeds) < 1.01 * plan.replay_speed_error + 1e-6 + grown
