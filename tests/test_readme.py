@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tenscasadi.cli.main import _parser
+from tenscasadi.cli.parser import command_parser
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -82,7 +82,7 @@ def test_two_commands_do_all_set_up():
 
 @pytest.mark.parametrize("command", re.findall(r"(?<![\w/.])(?:\.venv/bin/)?tenscasadi (?:plan|simulate|tradeoff|info) [^`\n]+", README))
 def test_commands_are_understood(command):
-    assert callable(_parser().parse_args(shlex.split(command)[1:]).run)
+    assert callable(command_parser().parse_args(shlex.split(command)[1:]).run)
 
 
 def test_folders_named_exist_and_all_are_named():

@@ -1,19 +1,17 @@
-"""The commands of the command line: each prints a summary, writes a .npz and pictures, and returns an exit code."""
+"""The commands of scenes, which load matplotlib once they draw: each prints a summary, writes a .npz and pictures, and returns an exit code."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import time
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tenscasadi import plots
 from tenscasadi.analysis.tradeoff import tradeoff
 from tenscasadi.cli.demos import demo
+from tenscasadi.cli.output import Writers, write_files
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.rattle import Rattle
@@ -21,31 +19,28 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import Projection
-from tenscasadi.plots.animation import animate
-from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.simulate import simulate
-from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import Single, find_compiler
 from tenscasadi.util.validate import positive_number
 
 FAILED, INTERRUPTED = 1, 130
 
-_Writers = dict[str, Callable[[Path], object]]  # what writes a file, by the end of its name
-
 
 def run_simulate(arguments: argparse.Namespace) -> int:
     """Simulate a shape; write trajectory and pictures."""
-    chosen = demo(arguments.shape)
+    from tenscasadi import plots
+    from tenscasadi.plots.animation import animate
+
+    chosen = demo(arguments.source)
     began = time.perf_counter()
-    model = Model(chosen.scene(arguments.gravity), coordinates=arguments.coordinates)
+    model = Model(chosen.scene(arguments.gravity), coordinates=arguments.coordinates or "reduced")
     state = chosen.start(model)
     t_end = chosen.t_end if arguments.t_end is None else arguments.t_end
     trajectory = simulate(
         model,
         t_end,
-        arguments.step,
+        1e-3 if arguments.step is None else arguments.step,
         state=state,
         correction=None if arguments.projection is None else Projection(arguments.projection),
         save_every=arguments.save_every,
@@ -53,23 +48,23 @@ def run_simulate(arguments: argparse.Namespace) -> int:
         progress=sys.stderr.isatty(),
     )
     set_up = time.perf_counter() - began - trajectory.seconds
-    print(f"{arguments.shape}: {model.structure!r}, {model.nx} states, {model.coordinates} coordinates")
+    print(f"{arguments.source}: {model.structure!r}, {model.nx} states, {model.coordinates} coordinates")
     print(trajectory.summary())
     print(f"set-up        {set_up:.2f} s: equations and their compilation")
-    writers: _Writers = {
+    writers: Writers = {
         ".npz": trajectory.save,
-        ".png": lambda path: plots.time_lapse(trajectory, title=arguments.shape, path=path),
-        "-errors.png": lambda path: plots.errors(trajectory, title=f"{arguments.shape}: errors", path=path),
+        ".png": lambda path: plots.time_lapse(trajectory, title=arguments.source, path=path),
+        "-errors.png": lambda path: plots.errors(trajectory, title=f"{arguments.source}: errors", path=path),
     }
     if arguments.gif:
-        writers[".gif"] = lambda path: animate(trajectory, path, title=arguments.shape)
-    _write(arguments, "simulation", writers)
+        writers[".gif"] = lambda path: animate(trajectory, path, title=arguments.source)
+    write_files(arguments.output, f"{arguments.source}-simulation", writers)
     return 0 if trajectory.success else FAILED
 
 
 def run_tradeoff(arguments: argparse.Namespace) -> int:
     """Measure what schemes and steps cost and are worth on a shape; write table and picture."""
-    chosen = demo(arguments.shape)
+    chosen = demo(arguments.source)
     if arguments.tolerance is not None:
         positive_number("tolerance", arguments.tolerance)
     model = Model(chosen.scene())
@@ -84,7 +79,7 @@ def run_tradeoff(arguments: argparse.Namespace) -> int:
         compiled=(False if arguments.uncompiled else None, *([Single()] if arguments.single else [])),
         progress=sys.stderr.isatty(),
     )
-    print(f"{arguments.shape}: {model.structure!r}, {table.t_end:g} s")
+    print(f"{arguments.source}: {model.structure!r}, {table.t_end:g} s")
     print(table.summary())
     if not table.rows:  # interrupted before the first
         return INTERRUPTED
@@ -96,17 +91,19 @@ def run_tradeoff(arguments: argparse.Namespace) -> int:
         except ValueError as error:  # what was measured is kept all the same
             print(error)
             served = False
-    title = f"{arguments.shape}: cost and error of schemes"
-    _write(arguments, "tradeoff", {".npz": table.save, ".png": lambda path: table.plot(path, title=title)})
+    title = f"{arguments.source}: cost and error of schemes"
+    write_files(arguments.output, f"{arguments.source}-tradeoff", {".npz": table.save, ".png": lambda path: table.plot(path, title=title)})
     return INTERRUPTED if not table.complete else 0 if served else FAILED
 
 
 def run_info(arguments: argparse.Namespace) -> int:
     """Describe a shape; write it and its picture."""
-    chosen = demo(arguments.shape)
+    from tenscasadi import plots
+
+    chosen = demo(arguments.source)
     scene = chosen.scene()
     model, s = Model(scene), scene.structure
-    print(f"{arguments.shape}: {chosen.text}")
+    print(f"{arguments.source}: {chosen.text}")
     print(f"nodes         {len(s.nodes)}, pinned: {', '.join(map(str, sorted({*s.pinned, *s.rollers}))) or 'none'}")
     print(f"bars          {len(s.bars)}, lengths {_range(s.bar_lengths)} m, mass {s.bar_mass.sum():g} kg in all")
     print(
@@ -120,11 +117,11 @@ def run_info(arguments: argparse.Namespace) -> int:
     print(f"C compiler    {' '.join(compiler) if compiler else 'none found: simulations run uncompiled'}")
     fields = ("nodes", "bars", "strings", "bar_mass", "bar_radius", "node_mass", "fixed", "stiffness", "damping", "rest_length", "string_mass")
     content: dict[str, Any] = {name: getattr(s, name) for name in fields}
-    writers: _Writers = {
+    writers: Writers = {
         ".npz": lambda path: np.savez_compressed(path, **content, equilibrium_force_density=gamma),
-        ".png": lambda path: plots.structure(s, labels=True, title=arguments.shape, path=path),
+        ".png": lambda path: plots.structure(s, labels=True, title=arguments.source, path=path),
     }
-    _write(arguments, "structure", writers)
+    write_files(arguments.output, f"{arguments.source}-structure", writers)
     return 0
 
 
@@ -139,59 +136,6 @@ def _equilibrium(structure: Structure) -> Any:
         return np.full(len(structure.strings), np.nan)
     print(f"equilibrium   without loads, force densities in the ratio {' : '.join(f'{value:.4g}' for value in np.unique(gamma.round(9)))}")
     return gamma
-
-
-def run_plan(arguments: argparse.Namespace) -> int:
-    """Plan how a prism changes its height; write plan and pictures."""
-    if arguments.shape != "prism":
-        raise ValueError(f"unknown shape {arguments.shape!r}: plans are made for prism")
-    import ocp  # only here: everything else of tenscasadi works without it
-
-    start = shapes.prism(arguments.bars, arguments.radius, arguments.height)
-    goal = _same_bars(arguments, 1.2 * arguments.height if arguments.to_height is None else arguments.to_height)
-    problem = ocp.Problem(
-        Model(Scene(start, control=ForceDensity())),
-        duration=arguments.duration,
-        goals=[ocp.StringLengths(goal.string_lengths), ocp.AtRest()],
-        bounds=[ocp.ForceDensityLimits(arguments.lower, arguments.upper)],
-        costs=[ocp.Effort()],
-    )
-    plan = ocp.solve(problem, ocp.MultipleShooting(intervals=arguments.intervals), ocp.Ipopt())
-    print(f"prism: {start!r}, from a height of {arguments.height:g} m to {goal.nodes[:, 2].max():g} m in {arguments.duration:g} s")
-    print(plan.summary())
-    if find_compiler() is None:
-        print("C compiler    none found: it runs uncompiled")
-    limits = {"lower": arguments.lower, "upper": arguments.upper}
-    writers: _Writers = {
-        ".npz": plan.save,
-        ".png": lambda path: plots.time_lapse(plan.replay(), title="prism: the plan, replayed", path=path),
-        "-forces.png": lambda path: plots.force_densities(plan, **limits, title="prism: planned force densities", path=path),
-    }
-    _write(arguments, "plan", writers)
-    return 0 if plan.success else FAILED
-
-
-def _same_bars(arguments: argparse.Namespace, height: float) -> Structure:
-    """Return the equilibrium prism of another height with bars of the same length."""
-    bars, radius = arguments.bars, arguments.radius
-    chord = 2 * np.sin(np.pi / 4 + np.pi / (2 * bars))  # of the equilibrium twist, for radius 1
-    square = (chord * radius) ** 2 + arguments.height**2 - height**2
-    if not square > 0:
-        longest = np.sqrt((chord * radius) ** 2 + arguments.height**2)
-        raise ValueError(f"to-height is {height:g}: it must be less than the length of the bars, {longest:g} m")
-    return shapes.prism(bars, float(np.sqrt(square)) / chord, height)
-
-
-def _write(arguments: argparse.Namespace, kind: str, writers: _Writers) -> None:
-    """Write the files of a command by their endings, then print which they are."""
-    began = time.perf_counter()
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    files = {arguments.output / f"{arguments.shape}-{kind}{ending}": write for ending, write in writers.items()}
-    for path, write in files.items():
-        write(path)
-    print(f"\nwrote in {time.perf_counter() - began:.2f} s:")
-    for path in files:
-        print(f"  {path}")
 
 
 def _range(values: Any) -> str:

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import ocp
 import tenscasadi as tc
 from tenscasadi.cli.demos import DEMOS
 from tenscasadi.cli.main import main
+from tenscasadi.cli.parser import COMMANDS
 from tenscasadi.dynamics.model import Model
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -126,6 +128,12 @@ def test_plan(tmp_path, capsys):
     assert np.linalg.norm(end[3:].mean(axis=0) - end[:3].mean(axis=0)) == pytest.approx(1.1, abs=1e-3)
 
 
+def test_without_intervals_the_way_is_chosen(tmp_path, capsys):
+    assert run("plan", "prism", "--to-height", 1.1, "--output", tmp_path) == 0
+    assert "chosen: " in capsys.readouterr().out
+    assert ocp.Plan.load(tmp_path / "prism-plan.npz").success
+
+
 def test_tradeoff(tmp_path, capsys):
     options = ["--t-end", 0.1, "--steps", 0.01, 0.005, "--rtol", 1e-6, "--tolerance", 1e-4, "--uncompiled"]
     assert run("tradeoff", "prism", *options, "--output", tmp_path) == 0
@@ -196,7 +204,9 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
     [
         ([], "COMMAND"),
         (["fly"], "fly"),
-        (["simulate"], "SHAPE"),
+        (["completion"], "shell"),
+        (["completion", "sh"], "bash"),
+        (["simulate"], "SHAPE|FILE"),
         (["simulate", "cube"], "pendulum, double-pendulum, prism, d-bar, six-bar-ball"),
         (["info", "cube"], "six-bar-ball"),
         (["tradeoff", "cube"], "six-bar-ball"),
@@ -297,3 +307,20 @@ def test_a_reader_that_leaves_is_no_error(tmp_path):
         process.stdout.close()
         assert process.stderr.read() == ""
     assert process.returncode == 1
+
+
+def test_warnings_are_one_line_each(capsys, monkeypatch):
+    def warn(_):
+        warnings.warn("two\n  lines", stacklevel=1)
+        return 0
+
+    monkeypatch.setattr("tenscasadi.cli.parser.COMMANDS", {"info": COMMANDS["info"]._replace(run=warn)})
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert run("info", "prism") == 0
+    assert capsys.readouterr().err == "tenscasadi: warning: two lines\n"
+
+
+def test_help_is_told_without_loading_matplotlib():
+    code = "import sys; from tenscasadi.cli.parser import command_parser; command_parser().format_help(); sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0

@@ -1,0 +1,141 @@
+"""The commands of the command line: their options and their help."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+from tenscasadi.cli import commands, plan
+from tenscasadi.cli.completion import FOLDER, SOURCE, run_completion
+from tenscasadi.cli.demos import DEMOS
+
+BAD_INPUT = 2
+
+
+_Options = dict[str, dict[str, Any]]
+
+
+class _Parser(argparse.ArgumentParser):
+    """Parser that says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+class Command(NamedTuple):
+    """What runs, the one-line summary, the end of the help, what is named without a dash, and the options."""
+
+    run: Callable[[argparse.Namespace], int]
+    summary: str
+    epilog: str
+    named: _Options
+    options: _Options
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = _Parser(prog="tenscasadi", description=_DESCRIPTION, epilog=_EPILOG, allow_abbrev=False)
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    for name, command in COMMANDS.items():
+        sub = subparsers.add_parser(
+            name,
+            help=command.summary,
+            description=command.summary,
+            epilog=command.epilog,
+            allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        sub.set_defaults(run=command.run, parser=parser)
+        for option, settings in (command.named | command.options).items():
+            completed = {key: value for key, value in settings.items() if key != "complete"}
+            action = sub.add_argument(option, **completed)
+            if "complete" in settings:
+                action.complete = settings["complete"]  # type: ignore[attr-defined]  # what shtab reads
+    return parser
+
+
+def _number(text: str, kind: type = float, metavar: str = "X", **settings: Any) -> dict[str, Any]:
+    """Describe an option that takes a number; its default is told where it is a number."""
+    default = settings.get("default")
+    shown = f" (default: {default:g})" if isinstance(default, (int, float)) else ""
+    return {"type": kind, "metavar": metavar, "help": text + shown, **settings}
+
+
+_FLAG: dict[str, Any] = {"action": "store_true"}
+_OUTPUT: _Options = {
+    "--output": {
+        "type": Path,
+        "default": Path(),
+        "metavar": "DIR",
+        "help": "folder for the files it writes, made if need be (default: this one)",
+        "complete": FOLDER,
+    }
+}
+_SOURCE: _Options = {"source": {"metavar": "SHAPE|FILE", "help": "one of the shapes below, or a scene file (.toml)", "complete": SOURCE}}
+_T_END = {"--t-end": _number("end of the simulation, s (default: the scene's)", metavar="S")}
+_UNCOMPILED: _Options = {"--uncompiled": {"help": "use CasADi's virtual machine even where there is a C compiler", **_FLAG}}
+
+_PLAN_OPTIONS = {
+    **{f"--{name.replace('_', '-')}": _number(f"{text} (default: {default:g})", type(default)) for name, (text, default) in plan.PRISM.items()},
+    "--to-height": _number("prism: height at the end, m (default: 1.2 times the height at the start)"),
+    "--intervals": _number("prism: this many intervals, by multiple shooting and IPOPT (default: what suits the problem)", int, "N"),
+}
+_SIMULATE_OPTIONS: _Options = {
+    **_T_END,
+    "--step": _number("largest time step, s (default: the scene's, 0.001 for shapes)", metavar="S"),
+    "--coordinates": {"help": '"reduced" or "full": the class-one nodes and joint forces of the paper (default: the scene\'s)', "metavar": "C"},
+    "--gravity": _number("m/s² downwards, 0: none (default: the scene's)", metavar="G"),
+    "--save-every": _number("steps from one kept row to the next (default: about 1000 rows)", int, "N"),
+    "--projection": _number("put bars and joints right after every N steps (default: the scene's)", int, "N"),
+    **_UNCOMPILED,
+    "--gif": {"help": "write an animation too", **_FLAG},
+}
+_TRADEOFF_OPTIONS: _Options = {
+    **_T_END,
+    "--steps": _number("steps, s (default: 0.02 … 0.001)", metavar="S", nargs="+", default=[0.02, 0.01, 0.005, 0.002, 0.001]),
+    "--rtol": _number("tolerances (default: 1e-4 1e-7 1e-10)", metavar="R", nargs="+", default=[1e-4, 1e-7, 1e-10]),
+    "--tolerance": _number("wanted accuracy, m: names the fastest run within it"),
+    "--single": {"help": "measure everything in single precision, too", **_FLAG},
+    **_UNCOMPILED,
+}
+_SHELL: _Options = {"shell": {"choices": ("bash", "zsh"), "help": "whose script"}}
+
+_DESCRIPTION = "Tensegrity dynamics and the planning of string force densities. Units are SI."
+_EPILOG = """\
+Files are named after the shape or scene file: `tenscasadi plan reach.toml` writes reach-plan.npz. The tab key completes commands and files
+after `eval "$(tenscasadi completion bash)"`, in ~/.bashrc for good (or zsh, ~/.zshrc)."""
+
+_PLAN = """\
+The prism starts in its equilibrium shape and ends in the equilibrium shape of the other height, which the same bars allow.
+The plan is checked by a simulation in finer steps, whose distance from the goal is printed.
+Bounds near the forces that hold the prism make an easy plan; wide ones may take many iterations."""
+
+_TRADEOFF = """\
+Every scheme is run with every step (and error control with every --rtol), with and without Projection, and compared with a reference that two
+schemes agree on. Times do not hold the compilation, which is told apart. Ctrl-C ends the study and keeps what there is."""
+
+_COMPLETION = """\
+To turn it on in this shell: eval "$(tenscasadi completion bash)". For good: the same line in ~/.bashrc (zsh: after compinit in ~/.zshrc)."""
+
+_SHAPES = "\n".join(f"  {name:<16} {each.text}" for name, each in DEMOS.items())
+_STARTS = f"shapes and how they start:\n{_SHAPES}"
+
+COMMANDS = {
+    "plan": Command(
+        plan.run_plan,
+        "plan the force densities that take a prism from one height to another, from rest to rest",
+        _PLAN,
+        _SOURCE,
+        _OUTPUT | _PLAN_OPTIONS,
+    ),
+    "simulate": Command(commands.run_simulate, "simulate a shape from its default start", _STARTS, _SOURCE, _OUTPUT | _SIMULATE_OPTIONS),
+    "tradeoff": Command(
+        commands.run_tradeoff, "measure how fast and how accurate each scheme is", f"{_TRADEOFF}\n\n{_STARTS}", _SOURCE, _OUTPUT | _TRADEOFF_OPTIONS
+    ),
+    "info": Command(
+        commands.run_info, "describe a shape: members, masses, equilibrium, equations, stable step", f"shapes:\n{_SHAPES}", _SOURCE, _OUTPUT
+    ),
+    "completion": Command(run_completion, "print the script that lets a shell complete what is typed", _COMPLETION, _SHELL, {}),
+}
