@@ -6,7 +6,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Any
+from typing import TextIO
 
 from tenscasadi.cli.commands import FAILED, INTERRUPTED
 from tenscasadi.cli.output import check_folder
@@ -63,6 +63,6 @@ def _tell(text: str) -> None:
     print(f"tenscasadi: {' '.join(text.split())}", file=sys.stderr)
 
 
-def _warn(message: Warning | str, *_: Any) -> None:
+def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None, line: str | None = None) -> None:
     """Tell a warning in one line, without the line of code that it comes from."""
     _tell(f"warning: {message}")
