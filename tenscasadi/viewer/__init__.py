@@ -1,0 +1,1 @@
+"""Motions in a browser: played, compared, saved as pages, and driven while they are computed."""
