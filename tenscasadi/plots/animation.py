@@ -1,12 +1,15 @@
-"""A motion as an animated GIF."""
+"""A motion as an animated GIF, or as an mp4 film."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
-from matplotlib.animation import PillowWriter
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
@@ -16,6 +19,7 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import file_path, flag, positive_number, text, whole_number
 
 _MOST_FRAMES = 2000
+_PLAYED_EVERYWHERE = ["-pix_fmt", "yuv420p", "-movflags", "+faststart"]  # browsers and presentations refuse colours in full
 
 
 def animate(
@@ -28,7 +32,7 @@ def animate(
     title: str = "",
     progress: bool = False,
 ) -> Path:
-    """Write a motion as an animated GIF.
+    """Write a motion as an animated GIF, or as an mp4 film.
 
     Strings are coloured by tension, in one scale over the whole motion. Each frame shows the kept row next to its time.
 
@@ -37,7 +41,7 @@ def animate(
     trajectory : Trajectory
         The motion.
     path : path-like
-        File to write; its name ends in .gif.
+        File to write; its name ends in .gif or in .mp4, which takes ``pip install 'tenscasadi[video]'``.
     speed : float
         Simulated seconds in each second shown.
     frames_per_second : int
@@ -58,6 +62,8 @@ def animate(
     ------
     TypeError, ValueError
         If an argument has a wrong type or value, or there would be more than 2000 frames.
+    ImportError
+        If the film is an mp4 and imageio-ffmpeg is not installed.
     OSError
         If the file cannot be written.
 
@@ -74,8 +80,8 @@ def animate(
     target = file_path("path", path)
     text("title", title)
     flag("progress", progress)
-    if target.suffix.lower() != ".gif":
-        raise ValueError(f"path is {os.fspath(path)!r}: give a file name that ends in .gif")
+    if target.suffix.lower() not in (".gif", ".mp4"):
+        raise ValueError(f"path is {os.fspath(path)!r}: give a file name that ends in .gif or .mp4")
     rate = whole_number("frames_per_second", frames_per_second, 1)
     duration = float(trajectory.time[-1] - trajectory.time[0])
     count = 1 + round(duration / positive_number("speed", speed) * rate)
@@ -88,8 +94,7 @@ def animate(
     if np.any(trajectory.tension != 0):
         canvas.colour_bar(scale, tension_label(trajectory.tension[trajectory.tension != 0]))
     canvas.fit()
-    writer = PillowWriter(fps=rate)
-    with writer.saving(figure, str(target), dpi=100):
+    with _writer(target, rate) as writer, writer.saving(figure, str(target), dpi=100):
         for time in tqdm(times, unit=" frames", disable=not progress):
             row = int(np.argmin(np.abs(trajectory.time - time)))
             colours = tension_colours(scale, trajectory.tension[row])
@@ -97,3 +102,18 @@ def animate(
             figure.suptitle(f"{title}{', ' if title else ''}t = {trajectory.time[row]:.2f} s")
             writer.grab_frame()
     return target
+
+
+@contextmanager
+def _writer(target: Path, rate: int) -> Iterator[AbstractMovieWriter]:
+    """Writer of frames for a file of this name. Raises ImportError where there is none, OSError where the file cannot be written."""
+    if target.suffix.lower() == ".gif":
+        yield PillowWriter(fps=rate)
+        return
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+    except ImportError as error:
+        raise ImportError("a film in .mp4 needs imageio-ffmpeg: pip install 'tenscasadi[video]', or give a file name that ends in .gif") from error
+    target.open("ab").close()  # ffmpeg would say in pages that it cannot
+    with mpl.rc_context({"animation.ffmpeg_path": get_ffmpeg_exe()}):
+        yield FFMpegWriter(fps=rate, codec="libx264", extra_args=_PLAYED_EVERYWHERE)

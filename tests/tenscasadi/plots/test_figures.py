@@ -235,7 +235,7 @@ def test_no_global_state(motion):
         (lambda motion, path: plots.Convergence(3.0), TypeError, "^path is"),
         (lambda motion, path: plots.Convergence()((1, 2)), TypeError, "^now is"),
         (lambda motion, path: animate(motion, path / "motion.gif", title=3), TypeError, "^title is"),
-        (lambda motion, path: animate(motion, path / "motion.mp4"), ValueError, "path"),
+        (lambda motion, path: animate(motion, path / "motion.avi"), ValueError, "path"),
         (lambda motion, path: animate(motion, path / "motion.gif", speed=1e-5), ValueError, "speed"),
         (lambda motion, path: animate(motion, path / "motion.gif", frames_per_second=0), ValueError, "frames_per_second"),
     ],
