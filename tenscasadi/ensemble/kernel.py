@@ -178,7 +178,7 @@ def _reason(told: str) -> str:
 
 
 def _share(work: Callable[[], Any], threads: int, values: Mapping[str, Any], watch: Callable[[int], object] | None) -> None:
-    """Let `threads` threads do the work, and wait; Ctrl-C tells them to stop."""
+    """Let `threads` threads do the work, and wait; Ctrl-C, or whatever else ends the wait, tells them to stop before memory goes that they use."""
     ended: list[bool] = []
     wake = threading.Event()
 
@@ -194,9 +194,12 @@ def _share(work: Callable[[], Any], threads: int, values: Mapping[str, Any], wat
         for worker in workers:
             worker.start()
         _wait(wake, lambda: len(ended) == threads, values, watch)
-    except KeyboardInterrupt:
+    except BaseException as error:
         values["stop"][0] = 1
-        _wait(wake, lambda: len(ended) == sum(worker.ident is not None for worker in workers), values, watch)
+        interrupted = isinstance(error, KeyboardInterrupt)
+        _wait(wake, lambda: len(ended) == sum(worker.ident is not None for worker in workers), values, watch if interrupted else None)
+        if not interrupted:
+            raise
 
 
 def _wait(wake: threading.Event, over: Callable[[], bool], values: Mapping[str, Any], watch: Callable[[int], object] | None) -> None:

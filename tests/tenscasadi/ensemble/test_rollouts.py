@@ -8,6 +8,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from tqdm import tqdm
 
 import tenscasadi as tc
 from tenscasadi.ensemble import kernel as kernel_module
@@ -270,6 +271,7 @@ def test_feedback_of_another_model(prism, spring):
 @pytest.mark.usefixtures("keyboard")
 def test_ctrl_c_keeps_what_has_arrived(spring):
     """Motions of which each takes a minute are interrupted at once."""
+    tc.rollouts(spring, 1e-3, 1e-3, controls=np.ones(1))  # compiled before
     timer = threading.Timer(0.5, signal.raise_signal, [signal.SIGINT])
     timer.start()
     many = tc.rollouts(spring, 1e5, 1e-3, np.tile([1.0, 0.0], (100, 1)), np.ones(1))
@@ -278,6 +280,19 @@ def test_ctrl_c_keeps_what_has_arrived(spring):
     assert not many.success.any()
     assert many.message[0].startswith("interrupted from the keyboard after t = ")
     assert many.seconds < 10
+
+
+def test_what_ends_the_wait_stops_the_threads_first(spring, monkeypatch):
+    """Steps that go on would write into memory that nobody holds any more."""
+
+    def full(*_):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(tqdm, "update", full)
+    before = threading.active_count()
+    with pytest.raises(OSError, match="no space left"):
+        tc.rollouts(spring, t_end=1e6, step=1e-3, states=np.tile([1.0, 0.0], (20, 1)), controls=np.ones(1), threads=2, progress=True)
+    assert threading.active_count() <= before + 1  # the bar's own
 
 
 def test_progress_counts_all_steps(spring, capsys):
