@@ -16,20 +16,20 @@ from ocp.plan.actuation import reachable, replay_wound
 from ocp.plan.plan import Plan
 from ocp.plan.report import Report
 from ocp.plan.robustness import Robustness
-from ocp.problem.bar_bounds import BarForceLimits, Buckling
+from ocp.problem.bounds.bar_bounds import BarForceLimits, Buckling
+from ocp.problem.bounds.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
+from ocp.problem.bounds.ground_bounds import AboveSurface
+from ocp.problem.bounds.string_bounds import ForceDensityLimits, ForceDensityRateLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
 from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
-from ocp.problem.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
-from ocp.problem.goals import Shape, SoftGoal, StringLengths
-from ocp.problem.ground_bounds import AboveSurface
+from ocp.problem.goals.goal import Shape, SoftGoal, StringLengths
+from ocp.problem.goals.node_goals import AtRest, CentreOfMass, NodePositions, NodeVelocities
+from ocp.problem.goals.periodic import Periodic
+from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import Instant
-from ocp.problem.node_goals import AtRest, CentreOfMass, NodePositions, NodeVelocities
-from ocp.problem.periodic import Periodic
 from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
-from ocp.problem.string_bounds import ForceDensityLimits, ForceDensityRateLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
 from ocp.problem.tracking import Tracking
-from ocp.problem.waypoints import Waypoint
 from ocp.sampling.solver import Sampling
 from ocp.sampling.spline_noise import SplineNoise
 from ocp.solve import solve

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from ocp.boundary.tangents import Tangents
 from ocp.boundary.target import Target
 from ocp.boundary.unreachable import UnreachableGoal
-from ocp.problem.bounds import PathBound, PathConstraint, RateBound
+from ocp.problem.bounds.bound import PathBound, PathConstraint, RateBound
 from ocp.problem.control import control_name, winds
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem

@@ -11,7 +11,7 @@ import numpy as np
 
 import ocp
 import tenscasadi as tc
-from ocp.problem.bounds import Bound
+from ocp.problem.bounds.bound import Bound
 from ocp.problem.costs import Cost
 from ocp_problems.case import Case
 from ocp_problems.shape_changes import EFFORT, Span, ball, free_prism, free_tower, standing_prism

@@ -15,10 +15,10 @@ from ocp.condensed.motions import first_motion, states_of
 from ocp.condensed.objective import foreign_costs
 from ocp.condensed.reduced import ReducedProblem
 from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function
+from ocp.problem.bounds.string_bounds import ForceDensityLimits
 from ocp.problem.control import winds
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, typical_cost
-from ocp.problem.string_bounds import ForceDensityLimits
 from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.multipliers import Duals

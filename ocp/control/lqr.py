@@ -17,8 +17,8 @@ from ocp.control.closed_loop import run
 from ocp.control.departures import departures
 from ocp.control.holding import Rest, find_rest, stationary_cost
 from ocp.plan.plan import Plan
+from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
 from ocp.problem.control import pulled, winds
-from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.feedback import Feedback

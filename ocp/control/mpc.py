@@ -15,11 +15,11 @@ from ocp.control.holding import find_rest
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
 from ocp.plan.plan import Plan
 from ocp.problem.control import refuse_wound
-from ocp.problem.periodic import Periodic
+from ocp.problem.goals.periodic import Periodic
+from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.scaling import Scales
-from ocp.problem.waypoints import Waypoint
 from ocp.solvers.interior_point_qp import solve_qp
 from ocp.transcription.inverse_dynamics import inverse_dynamics
 from tenscasadi.dynamics.model import Model

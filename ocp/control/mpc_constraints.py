@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds import PathBound, RateBound
+from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales

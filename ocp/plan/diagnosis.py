@@ -11,7 +11,7 @@ import numpy as np
 
 from ocp.boundary.sensitivities import Reach
 from ocp.boundary.target import Target
-from ocp.problem.bounds import PathBound, RateBound
+from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.solvers.base import Solution

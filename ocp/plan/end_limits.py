@@ -7,7 +7,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds import PathBound, PathConstraint
+from ocp.problem.bounds.bound import PathBound, PathConstraint
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from tenscasadi.util.validate import Array

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds import PathBound, PathConstraint, RateBound
+from ocp.problem.bounds.bound import PathBound, PathConstraint, RateBound
 from ocp.problem.control import control_name, winds
 from ocp.problem.costs import CostAt
-from ocp.problem.goals import SoftGoal
+from ocp.problem.goals.goal import SoftGoal
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.solvers.multipliers import Duals

@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ocp.problem import bar_bounds, costs, expressions, geometric_bounds, goals, node_goals, string_bounds, waypoints
+from ocp.problem import costs, expressions
+from ocp.problem.bounds import bar_bounds, geometric_bounds, string_bounds
+from ocp.problem.bounds.ground_bounds import AboveSurface
 from ocp.problem.control import winds
-from ocp.problem.ground_bounds import AboveSurface
-from ocp.problem.periodic import Periodic
+from ocp.problem.goals import goal, node_goals, waypoints
+from ocp.problem.goals.periodic import Periodic
 from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.tracking import Tracking
@@ -36,7 +38,7 @@ from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import LARGEST, Array, instance
 
 _TABLE = (
-    *(goals.StringLengths, goals.Shape, goals.SoftGoal, costs.CostAt, Periodic, waypoints.Waypoint, FreeStart, Phase),
+    *(goal.StringLengths, goal.Shape, goal.SoftGoal, costs.CostAt, Periodic, waypoints.Waypoint, FreeStart, Phase),
     *(node_goals.NodePositions, node_goals.NodeVelocities, node_goals.CentreOfMass, node_goals.AtRest),
     *(string_bounds.ForceDensityLimits, string_bounds.TensionLimits, string_bounds.RestLengthLimits, string_bounds.RestLengthRateLimits),
     *(string_bounds.ForceDensityRateLimits, bar_bounds.BarForceLimits, bar_bounds.Buckling),

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ocp.problem.bounds import Bound, PathBound, PathConstraint
+from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint
 from ocp.problem.costs import Cost, CostAt, FinalCost, RunningCost
 from ocp.problem.instant import Instant, symbolic
 from tenscasadi.dynamics.model import Model

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds import PathBound, PathConstraint, RateBound
+from ocp.problem.bounds.bound import PathBound, PathConstraint, RateBound
+from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
 from ocp.problem.control import winds
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
-from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits
 from tenscasadi.util.validate import Array
 
 

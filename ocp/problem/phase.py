@@ -10,13 +10,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds import Bound, RateBound
+from ocp.problem.bounds.bound import Bound, RateBound
 from ocp.problem.costs import Cost, CostAt, Duration, FinalCost, RunningCost
-from ocp.problem.goals import Goal, SoftGoal
+from ocp.problem.goals.goal import Goal, SoftGoal
+from ocp.problem.goals.periodic import Periodic
+from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import symbolic
-from ocp.problem.periodic import Periodic
 from ocp.problem.tracking import Tracking
-from ocp.problem.waypoints import Waypoint
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, finite_array, instance, listed, nesting, node_index, positive_number, whole_number
 

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.bounds import Bound
+from ocp.problem.bounds.bound import Bound
+from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits, StringLimits, TensionLimits
 from ocp.problem.control import check_control, refuse_wound, winds
 from ocp.problem.costs import Cost, CostAt, Effort
 from ocp.problem.expressions import check_expressions
-from ocp.problem.goals import BAR_TOLERANCE, Goal, SoftGoal, check_bar_lengths
-from ocp.problem.periodic import Periodic
+from ocp.problem.goals.goal import BAR_TOLERANCE, Goal, SoftGoal, check_bar_lengths
+from ocp.problem.goals.periodic import Periodic
+from ocp.problem.goals.waypoints import INSTANT, Waypoint
 from ocp.problem.phase import Phase, check_phases, phases_between, read_duration, read_items
-from ocp.problem.string_bounds import ForceDensityLimits, RestLengthLimits, StringLimits, TensionLimits
-from ocp.problem.waypoints import INSTANT, Waypoint
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.validate import Array, finite_array, instance, nesting, shown

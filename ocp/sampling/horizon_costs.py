@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from ocp.problem.bounds import PathBound, RateBound
+from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.costs import ControlCost, CostAt, FinalCost, RunningCost
+from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.rows import stack
 from ocp.problem.scaling import Scales
-from ocp.problem.waypoints import Waypoint
 
 OVERSTEP = 1e5  # what overstepping a limit costs along a whole horizon, in scaled units, against 1 for a departure of a `place`
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds import PathBound, RateBound
+from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.costs import ControlCost, CostAt, FinalCost, RunningCost
 from ocp.problem.instant import symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows

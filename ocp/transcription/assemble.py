@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds import PathBound, RateBound
+from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.control import winds
 from ocp.problem.costs import ControlCost, Cost, CostAt, FinalCost, RunningCost, Smoothness
 from ocp.problem.instant import Instant, symbolic

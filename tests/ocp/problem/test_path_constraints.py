@@ -5,7 +5,7 @@ from __future__ import annotations
 from rising import MODEL
 
 import ocp
-from ocp.problem.bounds import PathBound
+from ocp.problem.bounds.bound import PathBound
 from ocp.problem.path_constraints import path_constraints
 
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds import PathBound, PathConstraint
+from ocp.problem.bounds.bound import PathBound, PathConstraint
 from ocp.problem.instant import norms, symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.bounds import PathBound, PathConstraint, broadcast_limits, replace_inf
+from ocp.problem.bounds.bound import PathBound, PathConstraint, broadcast_limits, replace_inf
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ocp.problem.goals import Goal
-from ocp.problem.periodic import Periodic
+from ocp.problem.goals.goal import Goal
+from ocp.problem.goals.periodic import Periodic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, nesting, positive_number, shown

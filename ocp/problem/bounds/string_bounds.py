@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.bounds import Bound, PathBound, PathConstraint, RateBound, broadcast_limits, replace_inf
+from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint, RateBound, broadcast_limits, replace_inf
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure

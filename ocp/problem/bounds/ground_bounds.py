@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ocp.problem.bounds import PathBound, PathConstraint
+from ocp.problem.bounds.bound import PathBound, PathConstraint
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.ground import Surface

@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 
 import ocp
 import tenscasadi as tc
-from ocp.problem.geometric_bounds import segment_distance
+from ocp.problem.bounds.geometric_bounds import segment_distance
 
 
 def test_bars_keep_clear_of_each_other(free):

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.goals import Goal
+from ocp.problem.goals.goal import Goal
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure

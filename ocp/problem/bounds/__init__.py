@@ -1,0 +1,1 @@
+"""Limits of motion, forces and their rates."""
