@@ -32,7 +32,7 @@ OCP = (
     "export",
 )
 
-OPEN_TO_OCP = {*_MODEL, "design", "ensemble"}
+OPEN_TO_OCP = {*_MODEL, "design", "ensemble", "files"}
 ENTRANCES = {"tenscasadi.__main__", "tenscasadi.animation"}  # documented paths that only lead into a room
 LINES = 400
 

@@ -1,0 +1,259 @@
+"""Forms of values in scene files: each reads a value, writes one, and tells its JSON Schema."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from tenscasadi.files.document import Item, nearest
+from tenscasadi.util.validate import shown
+
+Schema = dict[str, Any]
+Schemas = dict[str, Schema]  # of kinds, by name: what `$ref` means
+Which = Literal["node", "bar", "string"]
+
+FREE = "free"  # stands for None among coordinates
+_NUMBER: Schema = {"type": ["number", "string"]}
+_FORMULA = "a number, or a formula in quotes such as 'height / 2 * cos(30 deg)'"
+
+
+class NotWritten(ValueError):
+    """A value that no file can hold; the message says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Names:
+    """How many nodes, bars and strings there are, and which indices a name stands for: a node, or all members of a group."""
+
+    counts: Mapping[Which, int] = field(default_factory=dict)
+    named: Mapping[Which, Mapping[str, Sequence[int]]] = field(default_factory=dict)
+
+    def find(self, which: Which, word: Any, item: Item) -> list[int]:
+        """Return the indices that an index or a name stands for. Raises SceneFileError."""
+        named, count = self.named.get(which, {}), self.counts.get(which, 0)
+        if isinstance(word, str) and word in named:
+            return list(named[word])
+        if isinstance(word, str) and word.isascii() and word.isdigit() and len(word) < 10:  # a key
+            word = int(word)
+        if isinstance(word, str):
+            raise item.error(f"names {which} {shown(word)}, which is not there: {nearest(word, named) if named else f'give an index of a {which}'}")
+        if isinstance(word, bool) or not isinstance(word, int):
+            raise item.error(f"is {shown(word)}: give the name or index of a {which}")
+        if not 0 <= word < count:
+            raise item.error(f"names {which} {word}: " + (f"{which} indices run from 0 to {count - 1}" if count else f"there are no {which}s"))
+        return [word]
+
+    def one(self, which: Which, word: Any, item: Item) -> int:
+        """Return the index that an index or a name stands for. Raises SceneFileError, also where it is a group of several."""
+        found = self.find(which, word, item)
+        if len(found) != 1:
+            raise item.error(f"is {shown(word)}, a group of {len(found)} {which}s: give the index of one")
+        return found[0]
+
+
+class Form(ABC):
+    """What a value of a file looks like."""
+
+    @abstractmethod
+    def read(self, item: Item, names: Names) -> Any:
+        """Return the Python value. Raises SceneFileError."""
+
+    @abstractmethod
+    def write(self, value: Any) -> Any:
+        """Return numbers, text, lists and tables that `read` makes this value of. Raises NotWritten."""
+
+    @abstractmethod
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return the JSON Schema; tables that have a kind are put into `kinds`, once."""
+
+
+@dataclass(frozen=True)
+class Numbers(Form):
+    """A number or an array of numbers of one of some shapes (None: any size); each number may be a formula."""
+
+    shapes: tuple[tuple[int | None, ...], ...] = ((),)
+
+    def read(self, item: Item, names: Names) -> Any:
+        """Return a float or nested lists of floats."""
+        depth, sizes = 0, []
+        value = item.value
+        while isinstance(value, list):
+            depth += 1
+            sizes.append(len(value))
+            value = value[0] if value else None
+        if not any(len(shape) == depth and all(want is None or want == got for want, got in zip(shape, sizes, strict=True)) for shape in self.shapes):
+            raise item.error(f"is {shown(item.value)}: give {self.wanted}")
+        return self._read(item, sizes)
+
+    def _read(self, item: Item, sizes: list[int]) -> Any:
+        if not sizes:
+            return item.number(_FORMULA)
+        entries = item.entries(self.wanted)
+        if len(entries) != sizes[0]:
+            raise item.error(f"has {len(entries)} entries: give {sizes[0]}, as the first row has")
+        return [self._read(entry, sizes[1:]) for entry in entries]
+
+    def write(self, value: Any) -> Any:
+        """Return a number or nested lists."""
+        try:
+            array = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            raise NotWritten(f"{shown(value)} is no array of numbers") from None
+        return array.tolist()
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return the shapes."""
+        options = []
+        for shape in self.shapes:
+            option = dict(_NUMBER)
+            for size in reversed(shape):
+                option = {"type": "array", "items": option, **({} if size is None else {"minItems": size, "maxItems": size})}
+            options.append(option)
+        return options[0] if len(options) == 1 else {"anyOf": options}
+
+    @property
+    def wanted(self) -> str:
+        """The shapes in words."""
+        return " or ".join(_in_words(shape) for shape in self.shapes)
+
+
+def _in_words(shape: tuple[int | None, ...]) -> str:
+    if not shape:
+        return "a number"
+    size = "" if shape[0] is None else f"{shape[0]} "
+    return f"a list of {size}numbers" if len(shape) == 1 else f"a list of {size}rows, each {_in_words(shape[1:])}"
+
+
+NUMBER = Numbers()
+VECTOR = Numbers(((3,),))
+PER_ITEM = Numbers(((), (None,)))
+
+
+@dataclass(frozen=True)
+class Wholes(Form):
+    """A whole number, or where `lists` is True also a list of them."""
+
+    lists: bool = False
+
+    def read(self, item: Item, names: Names) -> Any:
+        """Return an int or a list of int."""
+        if self.lists and isinstance(item.value, list):
+            return [entry.whole() for entry in item.entries()]
+        return item.whole()
+
+    def write(self, value: Any) -> Any:
+        """Return an int or a list of int."""
+        return np.asarray(value).tolist()
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return integers or formulas."""
+        one: Schema = {"type": ["integer", "string"]}
+        return {"anyOf": [one, {"type": "array", "items": one}]} if self.lists else one
+
+
+WHOLE = Wholes()
+
+
+@dataclass(frozen=True)
+class Flag(Form):
+    """True or false."""
+
+    def read(self, item: Item, names: Names) -> bool:
+        """Return a bool."""
+        if not isinstance(item.value, bool):
+            raise item.error(f"is {shown(item.value)}: give true or false")
+        return item.value
+
+    def write(self, value: Any) -> bool:
+        """Return a bool."""
+        return bool(value)
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return a boolean."""
+        return {"type": "boolean"}
+
+
+@dataclass(frozen=True)
+class Word(Form):
+    """One of some words; without any, all text."""
+
+    options: tuple[str, ...] = ()
+
+    def read(self, item: Item, names: Names) -> str:
+        """Return the word."""
+        word = item.text(" or ".join(map(repr, self.options)) or "text")
+        if self.options and word not in self.options:
+            raise item.error(f"is {shown(word)}: {nearest(word, self.options)}")
+        return word
+
+    def write(self, value: Any) -> str:
+        """Return the word."""
+        return str(value)
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return the words."""
+        return {"enum": list(self.options)} if self.options else {"type": "string"}
+
+
+@dataclass(frozen=True)
+class Coordinates(Form):
+    """Three coordinates, of which some may be ``"free"``, None in Python."""
+
+    def read(self, item: Item, names: Names) -> tuple[float | None, ...]:
+        """Return three numbers or None."""
+        wanted = f'three coordinates, "{FREE}" where one is free'
+        entries = item.entries(wanted)
+        if len(entries) != 3:
+            raise item.error(f"is {shown(item.value)}: give {wanted}")
+        return tuple(None if entry.value == FREE else entry.number(f"a number, or '{FREE}'") for entry in entries)
+
+    def write(self, value: Any) -> list[Any]:
+        """Return three numbers or "free"."""
+        return [FREE if entry is None else float(entry) for entry in value]
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return three entries."""
+        return {"type": "array", "items": dict(_NUMBER), "minItems": 3, "maxItems": 3}
+
+
+@dataclass(frozen=True)
+class Index(Form):
+    """A node, bar or string by its name or index."""
+
+    which: Which
+
+    def read(self, item: Item, names: Names) -> int:
+        """Return the index."""
+        return names.one(self.which, item.value, item)
+
+    def write(self, value: Any) -> int:
+        """Return the index."""
+        return int(value)
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return an index or a name."""
+        return {"type": ["integer", "string"], "minimum": 0}
+
+
+@dataclass(frozen=True)
+class Indices(Form):
+    """A list of nodes, bars or strings by name or index; a group's name stands for all its members."""
+
+    which: Which
+
+    def read(self, item: Item, names: Names) -> list[int]:
+        """Return the indices."""
+        entries = item.entries(f"a list of names or indices of {self.which}s")
+        return [index for entry in entries for index in names.find(self.which, entry.value, entry)]
+
+    def write(self, value: Any) -> list[int]:
+        """Return the indices."""
+        return [int(index) for index in value]
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return a list of indices or names."""
+        return {"type": "array", "items": Index(self.which).schema(kinds)}
