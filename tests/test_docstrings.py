@@ -7,6 +7,7 @@ import dataclasses
 import doctest
 import importlib
 import inspect
+from collections import ChainMap
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -20,6 +21,7 @@ import ocp
 import tenscasadi
 import tenscasadi.envs
 from ocp.plan.planned_forces import PlannedForces
+from tenscasadi.util.tables import Tabular
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"tenscasadi": tenscasadi, "ocp": ocp}
@@ -45,8 +47,8 @@ def faults(name: str, codes: set[str]) -> list[str]:
 
 
 def methods(name: str, cls: type) -> Iterator[str]:
-    inherited = vars(PlannedForces) if cls is ocp.Plan else {}
-    for own, value in {**inherited, **vars(cls)}.items():
+    inherited = [vars(base) for base in (Tabular, PlannedForces) if issubclass(cls, base)]
+    for own, value in ChainMap(vars(cls), *inherited).items():
         if not own.startswith("_") and (inspect.isfunction(value) or isinstance(value, (classmethod, staticmethod))):
             yield f"{name}.{own}"
 

@@ -9,11 +9,16 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import rest_length
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.tables import Columns, Tabular, coordinates, numbered
 from tenscasadi.util.validate import Array, flag, nonnegative, per_item
 
 
-class PlannedForces:
-    """The part of a `Plan` that tells its forces; a plan has these attributes as fields."""
+class PlannedForces(Tabular):
+    """The part of a `Plan` that tells its forces; a plan has these attributes as fields.
+
+    Its table has a row for each node of the mesh. What is held from a node to the next stands in the row of the first, and once more in
+    the last row. Rest lengths are those of `rest_lengths`, and left out where none of the structure's stiffness pulls as planned.
+    """
 
     time: Array
     force_density: Array
@@ -34,6 +39,19 @@ class PlannedForces:
     def linear(self) -> bool:
         """Whether force densities are given at the nodes of the mesh, and linear between them."""
         return len(self.force_density) == len(self.time)
+
+    def _columns(self) -> Columns:
+        rows = np.minimum(np.arange(len(self.time)), len(self.force_density) - 1)
+        gamma = self.force_density[rows]
+        soft = self.rest_length is None and np.any((gamma > 0) & (gamma >= self.structure.stiffness))
+        return {
+            "time (s)": self.time,
+            **numbered("string {} force density (N/m)", gamma),
+            **numbered("string {} tension (N)", gamma * self.lengths()),
+            **({} if soft else numbered("string {} rest length (m)", self.rest_lengths()[rows])),
+            **coordinates("node {} {} (m)", self.trajectory.nodes),
+            **coordinates("node {} velocity {} (m/s)", self.trajectory.velocities),
+        }
 
     def lengths(self) -> Array:
         """Return the distances between the ends of each string.

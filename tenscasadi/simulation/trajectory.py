@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util import archive
 from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.tables import Columns, Tabular, coordinates, numbered
 from tenscasadi.util.validate import LARGEST, Array, Indices, shown
 
 _FORMAT = "tenscasadi trajectory 1"
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory(ReadOnlyArrays):
+class Trajectory(Tabular, ReadOnlyArrays):
     """Motion of n nodes, β bars and α strings at T saved times, with the errors of the numerics.
 
     `simulate` and the plans of `ocp` return it. All arrays are read-only.
@@ -184,6 +185,21 @@ class Trajectory(ReadOnlyArrays):
         """
         content = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
         return archive.save(path, _FORMAT, content)
+
+    def _columns(self) -> Columns:
+        return {
+            "time (s)": self.time,
+            **coordinates("node {} {} (m)", self.nodes),
+            **coordinates("node {} velocity {} (m/s)", self.velocities),
+            **numbered("string {} force density (N/m)", self.force_density),
+            **numbered("string {} tension (N)", self.tension),
+            "energy (J)": self.energy,
+            **dict(zip(("kinetic energy (J)", "elastic energy (J)", "gravitational energy (J)"), self.energy_parts.T, strict=True)),
+            "energy error (J)": self.energy_error,
+            "bar length error": self.bar_length_error,
+            "joint error (m)": self.joint_error,
+            **numbered("control {}", self.control),
+        }
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Trajectory:

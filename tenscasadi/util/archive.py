@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import errno
 import math
 import os
-import shutil
-import time
-import uuid
 import zipfile
 import zlib
 from collections.abc import Callable, Container, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from tenscasadi.util.validate import file_path
+from tenscasadi.util.whole_file import whole_file
 
 T = TypeVar("T")
 _LIMIT = 1_000_000_000  # bytes that a file may unpack to, however small it is
-_UNFINISHED = ".tenscasadi-"  # what files are called while they are written
-_ABANDONED = 3600.0  # s since it was written to, after which an unfinished file is nobody's any more
 _RATIO = 20  # bytes that each byte of a larger file may unpack to: numbers of real motions need less
 # Anything that reading a damaged or foreign archive may raise.
 _UNREADABLE = (
@@ -52,42 +46,18 @@ class Fields(dict[str, Any]):
 def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) -> Path:
     """Write arrays by name, and `form` as the field "format", to exactly `path`, compressed, and return it.
 
-    A file that was there stays as it is until the new one is complete. Raises OSError when it cannot be written, also where something
-    other than a regular file is there, such as a device.
+    A file that was there stays as it is until the new one is complete. Raises OSError when it cannot be written, see `whole_file`.
     """
-    target = file_path("path", path)
-    whole = Path(os.path.realpath(target))  # where a link leads to
-    if (target.exists() or whole.is_symlink()) and not target.is_file():
-        raise OSError(errno.EISDIR if target.is_dir() else errno.EINVAL, "Not a regular file, give another name", os.fspath(path))
-    _clean(whole.parent)
-    part = whole.with_name(f"{_UNFINISHED}{uuid.uuid4().hex}")
     arrays = {name: np.asarray(value) for name, value in content.items()}
     write = np.savez_compressed if sum(value.nbytes for value in arrays.values()) <= _LIMIT else np.savez  # else `load` could refuse it
-    try:
-        with open(part, "xb") as file:
-            write(file, allow_pickle=False, format=np.asarray(form), **arrays)
-            file.flush()
-            os.fsync(file.fileno())  # its name must not be on disk before its content is
-        if whole.exists():
-            shutil.copymode(whole, part)
-        os.replace(part, whole)
-    except OSError as error:
-        if error.errno is None:
-            raise
-        raise OSError(error.errno, error.strerror, os.fspath(path)) from None  # of the file, not of the one beside it
-    finally:
-        part.unlink(missing_ok=True)
-    return target
+    with whole_file(path) as file:
+        write(file, allow_pickle=False, format=np.asarray(form), **arrays)
+    return file_path("path", path)
 
 
-def _clean(folder: Path) -> None:
-    """Remove the unfinished files that processes which were killed left behind."""
-    with suppress(OSError):
-        for entry in os.scandir(folder):
-            if entry.name.startswith(_UNFINISHED):
-                with suppress(OSError):  # another process has removed it, or it is another user's
-                    if time.time() - entry.stat(follow_symlinks=False).st_mtime > _ABANDONED:
-                        os.unlink(entry)
+def unpacked_limit(path: Path) -> int:
+    """Return how many bytes a file may unpack to: 1 GB, or 20 times its own size."""
+    return max(_LIMIT, _RATIO * path.stat().st_size)
 
 
 def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fields], T], names: Container[str] | None = None) -> T:
@@ -120,7 +90,7 @@ def _read(path: Path, names: Container[str] | None) -> Fields:
     with zipfile.ZipFile(path) as packed:
         found = {info.filename.removesuffix(".npy"): info for info in packed.infolist()}
         wanted = {name: info for name, info in found.items() if names is None or name == "format" or name in names}
-        size, most = sum(info.file_size for info in wanted.values()), max(_LIMIT, _RATIO * path.stat().st_size)
+        size, most = sum(info.file_size for info in wanted.values()), unpacked_limit(path)
         if size > most:
             raise MemoryError(f"it unpacks to {size / 1e9:.3g} GB, above the limit of {most / 1e9:.3g} GB for a file of its size")
         return Fields({name: _read_array(packed, name, info) for name, info in wanted.items()})

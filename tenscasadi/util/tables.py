@@ -1,0 +1,86 @@
+"""Columns of numbers by name: as CSV, and as a pandas table."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.util.validate import Array, file_path
+from tenscasadi.util.whole_file import whole_file
+
+Columns = Mapping[str, Array]  # each (rows,), in order; the name ends in the unit, as in "time (s)"
+
+
+def numbered(template: str, values: Any) -> dict[str, Array]:
+    """Return the columns of `values` (rows, items) by the template with each item's number in it, such as "string {} tension (N)"."""
+    return {template.format(k): column for k, column in enumerate(np.asarray(values).T)}
+
+
+def coordinates(template: str, values: Any) -> dict[str, Array]:
+    """Return the columns of `values` (rows, items, 3) by the template with the item's number and x, y or z in it."""
+    rows, items = np.shape(values)[:2]
+    names = [template.format(k, axis) for k in range(items) for axis in "xyz"]
+    return dict(zip(names, np.reshape(values, (rows, 3 * items)).T, strict=True))
+
+
+class Tabular:
+    """Base of values that have a table: a column for each quantity, a row for each time."""
+
+    def _columns(self) -> Columns:
+        """Return the columns, that of time first."""
+        raise NotImplementedError
+
+    def to_csv(self, path: str | os.PathLike[str]) -> Path:
+        """Write the table as comma-separated values: a line of names with units, then a line for each time.
+
+        Numbers have as many digits as tell them apart; read back, they are the same to the last bit.
+
+        Parameters
+        ----------
+        path : str or PathLike
+            File to write; no ending is added.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written; one that was there stays as it was.
+        """
+        columns = self._columns()
+        with whole_file(path) as file:
+            text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+            writer = csv.writer(text, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))
+            text.detach()  # which writes what it holds, and leaves the file open
+        return file_path("path", path)
+
+    def to_pandas(self) -> Any:
+        """Return the table as a ``pandas.DataFrame``, with the columns of `to_csv` and time as its index.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A copy of the numbers.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed: ``pip install 'tenscasadi[exchange]'``.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise ImportError("to_pandas needs pandas: pip install 'tenscasadi[exchange]', or write a file by to_csv") from error
+        columns = self._columns()
+        return pd.DataFrame(dict(columns)).set_index(next(iter(columns)))

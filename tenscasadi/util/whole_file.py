@@ -1,0 +1,56 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from tenscasadi.util.validate import file_path
+
+_UNFINISHED = ".tenscasadi-"  # what files are called while they are written
+_ABANDONED = 3600.0  # s since it was written to, after which an unfinished file is nobody's any more
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Open a file that becomes exactly `path` where the block succeeds; one that was there stays as it is until then, and after a failure.
+
+    Raises OSError when it cannot be written, also where something other than a regular file is there, such as a device.
+    """
+    target = file_path("path", path)
+    whole = Path(os.path.realpath(target))  # where a link leads to
+    if (target.exists() or whole.is_symlink()) and not target.is_file():
+        raise OSError(errno.EISDIR if target.is_dir() else errno.EINVAL, "Not a regular file, give another name", os.fspath(path))
+    _clean(whole.parent)
+    part = whole.with_name(f"{_UNFINISHED}{uuid.uuid4().hex}")
+    try:
+        with open(part, "xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())  # its name must not be on disk before its content is
+        if whole.exists():
+            shutil.copymode(whole, part)
+        os.replace(part, whole)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, os.fspath(path)) from None  # of the file, not of the one beside it
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _clean(folder: Path) -> None:
+    """Remove the unfinished files that processes which were killed left behind."""
+    with suppress(OSError):
+        for entry in os.scandir(folder):
+            if entry.name.startswith(_UNFINISHED):
+                with suppress(OSError):  # another process has removed it, or it is another user's
+                    if time.time() - entry.stat(follow_symlinks=False).st_mtime > _ABANDONED:
+                        os.unlink(entry)
