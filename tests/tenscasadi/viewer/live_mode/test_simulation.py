@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import tenscasadi as tc
-from tenscasadi.viewer.live_simulation import LiveSimulation, Stepping
+from tenscasadi.viewer.live_mode.simulation import LiveSimulation, Stepping
 
 PRISM = tc.shapes.prism(prestress=50.0, stiffness=1000.0, damping=2.0)
 VIRTUAL = Stepping(compiled=False)

@@ -26,7 +26,7 @@ from tenscasadi.simulation.time_loop import block_steps
 from tenscasadi.simulation.trajectory import Trajectory, observe_states, record_trajectory
 from tenscasadi.util.compile import Compiled
 from tenscasadi.util.validate import SMALLEST, Array, finite_array, instance, node_index, positive_number
-from tenscasadi.viewer.live_recording import Recording
+from tenscasadi.viewer.live_mode.recording import Recording
 
 _STEP, _BOUNCE = 1e-3, 0.1  # s; radians of a node's bounce in a step
 _PULL_RATE = 2 * np.pi  # rad/s: the whole structure swings at the pointer once a second
@@ -105,7 +105,7 @@ class LiveSimulation:
     Examples
     --------
     >>> import tenscasadi as tc
-    >>> from tenscasadi.viewer.live_simulation import LiveSimulation, Stepping
+    >>> from tenscasadi.viewer.live_mode.simulation import LiveSimulation, Stepping
     >>> run = LiveSimulation(tc.Scene(tc.shapes.prism()), stepping=Stepping(compiled=False))
     >>> run.set_control([0, 1, 2], 0.8 * run.start_control[0])
     >>> run.advance(3)
@@ -141,7 +141,7 @@ class LiveSimulation:
     def pullable(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """Which nodes (n,) can be pulled: those of the structure that are not held; none where its nodal forces change over time."""
         s = self.model.scene.structure
-        return ~s.fixed.all(axis=1) & (self.model.np > 0)
+        return np.asarray(~s.fixed.all(axis=1) & bool(self.model.np))
 
     # --- what a person does ---
 
@@ -328,7 +328,14 @@ class LiveSimulation:
         nx = model.nx
         held = np.hstack([rows[:, nx + 1 :], np.broadcast_to(model.parameters.nominal, (len(rows), model.np))])
         kept = record_trajectory(
-            model, ticks * self.tick, rows[:, :nx], held, step=self.step, message="", supplied=rows[:, nx] - rows[0, nx], seconds=self.seconds
+            model,
+            np.asarray(ticks * self.tick, dtype=float),
+            rows[:, :nx],
+            held,
+            step=self.step,
+            message="",
+            supplied=rows[:, nx] - rows[0, nx],
+            seconds=self.seconds,
         )
         if stepping.correction is not None:
             shift = np.full((2, len(rows)), np.nan)

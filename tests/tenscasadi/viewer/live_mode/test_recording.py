@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscasadi.viewer.live_recording import Recording
+from tenscasadi.viewer.live_mode.recording import Recording
 
 
 def test_all_rows_are_kept_while_they_fit():

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from tenscasadi.viewer.live_pace import Pace
+from tenscasadi.viewer.live_mode.pace import Pace
 
 
 def run(pace, cost, until, frame=0.002):

@@ -24,7 +24,7 @@ class Pace:
 
     Examples
     --------
-    >>> from tenscasadi.viewer.live_pace import Pace
+    >>> from tenscasadi.viewer.live_mode.pace import Pace
     >>> pace = Pace(0.25)
     >>> pace.due(0.0), pace.due(0.25)
     (0, 1)
