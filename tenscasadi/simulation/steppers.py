@@ -71,13 +71,17 @@ class Built(NamedTuple):
 
 
 class Task(NamedTuple):
-    """Run to make: `power` and `jumps` ask for the energy supplied by forces outside `model.energy` and by changes of the control."""
+    """Run to make: `power` and `jumps` ask for the energy supplied by forces outside `model.energy` and by changes of the control.
+
+    chunk: steps of a call in machine code, a multiple of `correction.every`; None: what suits runs of any length.
+    """
 
     model: Model
     scheme: Scheme
     correction: Correction | None
     power: bool
     jumps: bool
+    chunk: int | None = None
 
 
 def check_single(scheme: Scheme) -> None:
@@ -105,7 +109,7 @@ def make_stepper(task: Task, inputs: SampledControl, compiled: Compiled) -> Buil
 
 def _build_function(task: Task, every: int, steps: int, compiled: Compiled) -> tuple[ca.Function, bool, str]:
     """Build the Function that takes `steps` steps, some at a time; tell whether it is machine code, and why not."""
-    chunk, single = chunk_steps(task.model, every), isinstance(compiled, Single)
+    chunk, single = task.chunk or chunk_steps(task.model, every), isinstance(compiled, Single)
     if single:
         check_single(task.scheme)
     note = ""
@@ -138,7 +142,7 @@ def _write_function(task: Task, steps: int) -> ca.Function:
 def _new_function(task: Task, steps: int) -> ca.Function:
     if isinstance(task.scheme, EmbeddedRungeKutta) and task.scheme.adaptive:
         return build_attempts(task.model, task.scheme, task.correction, task.power)
-    return chunk_function(*task, steps)
+    return chunk_function(*task[:5], steps)
 
 
 class LoopStepper:

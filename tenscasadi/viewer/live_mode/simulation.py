@@ -22,7 +22,6 @@ from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.control_input import SampledControl
 from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
 from tenscasadi.simulation.steppers import StepFailure, Task, make_stepper
-from tenscasadi.simulation.time_loop import block_steps
 from tenscasadi.simulation.trajectory import Trajectory, observe_states, record_trajectory
 from tenscasadi.util.compile import Compiled
 from tenscasadi.util.validate import SMALLEST, Array, finite_array, instance, node_index, positive_number
@@ -123,9 +122,9 @@ class LiveSimulation:
         self._check_lengths(self.start_control)
         self.stepping, self.tick = stepping, stepping.tick
         largest = _default_step(model, stepping.scheme, self.start_state, self.start_control) if stepping.step is None else stepping.step
-        self.substeps = _substeps(model, stepping, largest)
+        self.substeps = _substeps(stepping, largest)
         self.step = self.tick / self.substeps
-        task = Task(model, stepping.scheme, stepping.correction, model.power is not None, jumps=False)
+        task = Task(model, stepping.scheme, stepping.correction, model.power is not None, jumps=False, chunk=self.substeps)
         held = np.concatenate([self.start_control, model.parameters.nominal])
         inputs = SampledControl(self.substeps, self.tick, True, lambda first, count: np.broadcast_to(held, (count, model.nw)))
         self._stepper, self.compiled, self.note = make_stepper(task, inputs, stepping.compiled)
@@ -376,11 +375,9 @@ def _default_step(model: Model, scheme: Scheme, x: Array, u: Array) -> float:
     return float(np.nanmin([limit for limit in limits if limit > 0]))
 
 
-def _substeps(model: Model, stepping: Stepping, largest: float) -> int:
-    """Count the grid steps of a tick: whole blocks of the compiled loop, which computes no less."""
+def _substeps(stepping: Stepping, largest: float) -> int:
+    """Count the grid steps of a tick."""
     if stepping.scheme.adaptive:
         return 1
-    least = int(np.ceil(stepping.tick / largest - 1e-9))
     every = 1 if stepping.correction is None else stepping.correction.every
-    block = block_steps(model, every) if stepping.compiled is not False else every
-    return max(1, -(-least // block) * block)
+    return max(1, every * int(np.ceil(stepping.tick / largest / every - 1e-9)))
