@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -59,6 +59,10 @@ class Rollouts(ReadOnlyArrays):
         Threads that worked on them.
     interrupted : bool
         Whether the run was interrupted from the keyboard.
+    bars, strings : ndarray of int, shape (β, 2) and (α, 2)
+        Nodes at the ends of each bar and string; empty in older files.
+    pinned : ndarray of int
+        Nodes that are pinned or roll; empty in older files.
 
     See Also
     --------
@@ -90,15 +94,18 @@ class Rollouts(ReadOnlyArrays):
     note: Annotated[str, "", "U"]
     threads: Annotated[int, "", "i"]
     interrupted: Annotated[bool, "", "b"] = False
+    bars: Annotated[Indices, "β2", "i"] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
+    strings: Annotated[Indices, "α2", "i"] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
+    pinned: Annotated[Indices, "p", "i"] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def __post_init__(self) -> None:
-        _check({field.name: getattr(self, field.name) for field in fields(self)})
-        for field in fields(self):
-            value = getattr(self, field.name)
+        _check({entry.name: getattr(self, entry.name) for entry in fields(self)})
+        for entry in fields(self):
+            value = getattr(self, entry.name)
             if isinstance(value, np.ndarray):
                 view = value.view()
                 view.flags.writeable = False
-                object.__setattr__(self, field.name, view)
+                object.__setattr__(self, entry.name, view)
 
     def __repr__(self) -> str:
         n, rows, _ = self.states.shape
@@ -176,7 +183,7 @@ class Rollouts(ReadOnlyArrays):
         OSError
             The file cannot be written.
         """
-        return archive.save(path, _FORMAT, {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)})
+        return archive.save(path, _FORMAT, {entry.name: np.asarray(getattr(self, entry.name)) for entry in fields(self)})
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Rollouts:
@@ -205,8 +212,12 @@ class Rollouts(ReadOnlyArrays):
 _SHAPES = {name: hint.__metadata__ for name, hint in get_type_hints(Rollouts, include_extras=True).items()}
 
 
+_LATER: dict[str, Any] = {entry.name: entry.default_factory for entry in fields(Rollouts) if entry.default_factory is not MISSING}
+
+
 def _from_arrays(content: dict[str, Any]) -> Rollouts:
-    given = {name: content[name] for name in _SHAPES}
+    given = {name: content[name] for name in _SHAPES if name in content or name not in _LATER}
+    given |= {name: make() for name, make in _LATER.items() if name not in given}
     _check(given)
     _check_values(given)
     return Rollouts(**{name: value.item() if value.ndim == 0 else value for name, value in given.items()})
@@ -214,7 +225,7 @@ def _from_arrays(content: dict[str, Any]) -> Rollouts:
 
 def _check(content: dict[str, Any]) -> None:
     """ValueError naming the first field whose kind, shape or indices do not fit the others."""
-    sizes: dict[str, int] = {"3": 3}
+    sizes: dict[str, int] = {"2": 2, "3": 3}
     for name, (letters, kind) in _SHAPES.items():
         value = np.asarray(content[name])
         if value.dtype.kind != kind:
@@ -226,6 +237,10 @@ def _check(content: dict[str, Any]) -> None:
     place = np.asarray(content["place"])
     if place.size and not -1 <= place.min() <= place.max() < max(sizes["x"], 1):
         raise ValueError(f"field 'place' holds indices outside -1 … {sizes['x'] - 1}")
+    for name in _LATER:
+        indices = np.asarray(content[name])
+        if indices.size and not 0 <= indices.min() <= indices.max() < sizes["N"]:
+            raise ValueError(f"field {name!r} holds indices outside 0 … {sizes['N'] - 1}")
 
 
 def _check_values(content: dict[str, Any]) -> None:

@@ -225,4 +225,7 @@ def _record(run: Run, kernel: Kernel, threads: int, seconds: float) -> Rollouts:
         note=kernel.note,
         threads=threads,
         interrupted=bool(np.any(result.status == STOPPED)),
+        bars=model.structure.bars,
+        strings=model.structure.strings,
+        pinned=np.array(sorted({*model.structure.pinned, *model.structure.rollers}), dtype=np.intp),
     )

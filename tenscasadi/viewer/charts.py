@@ -1,0 +1,95 @@
+"""Curves over time as SVG: light enough for the panel of a page, the same live and saved."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from tenscasadi.util.validate import Array
+from tenscasadi.viewer.exhibit import Chart, Exhibit
+
+_WIDTH, _HEIGHT = 280, 150
+_LEFT, _RIGHT, _TOP, _BOTTOM = 44, 6, 18, 26
+_MOST_CURVES = 40
+_MOST_POINTS = 300
+_COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22", "#17becf")
+
+
+def charts(exhibit: Exhibit) -> str:
+    """Return all curves of an exhibit."""
+    return "".join(chart_svg(chart) for chart in exhibit.charts)
+
+
+def chart_svg(chart: Chart) -> str:
+    """Return one chart: curves, dashed limits, numbers at the axes, and a line of class `cursor` that marks a time."""
+    shown = _chosen(chart)
+    values = chart.values[:, shown]
+    bounds = [limit[shown][np.isfinite(limit[shown])] for limit in (chart.lower, chart.upper) if limit is not None]
+    low, high = _range(values, bounds)
+    first, last = float(chart.time[0]), float(chart.time[-1])
+    wide, tall = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
+    per_second = wide / (last - first or 1.0)
+
+    def x(time: Array) -> Array:
+        return _LEFT + (time - first) * per_second
+
+    def y(value: Array) -> Array:
+        return _TOP + tall * (high - value) / (high - low)
+
+    drawn = [_axes(chart, len(shown), low, high)]
+    held = len(values) == len(chart.time) - 1
+    times = np.repeat(chart.time, 2)[1:-1] if held else chart.time
+    for k, member in enumerate(shown):
+        curve = np.repeat(values[:, k], 2) if held else values[:, k]
+        colour = _COLOURS[k % len(_COLOURS)]
+        drawn.append(_line(x(times), y(curve), f'stroke="{colour}"', chart.names[member]))
+    for level in sorted({round(float(bound), 12) for limit in bounds for bound in limit if low <= bound <= high})[:12]:
+        at = float(y(np.array(level)))
+        drawn.append(f'<path d="M{_LEFT} {at:.1f}h{wide}" stroke="#000" stroke-dasharray="5 3" fill="none"><title>limit {level:.4g}</title></path>')
+    cursor = f'data-left="{_LEFT}" data-first="{first!r}" data-scale="{per_second!r}"'
+    drawn.append(f'<line class="cursor" {cursor} x1="{_LEFT}" x2="{_LEFT}" y1="{_TOP}" y2="{_TOP + tall}" stroke="#c0392b"/>')
+    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" style="font:9px system-ui,sans-serif">{"".join(drawn)}</svg>'
+
+
+def _chosen(chart: Chart) -> list[int]:
+    """Return the curves that are drawn: all, or those that reach furthest from 0, in their order."""
+    count = chart.values.shape[1]
+    reach = np.abs(np.nan_to_num(chart.values)).max(axis=0, initial=0.0)
+    return sorted(int(k) for k in np.argsort(-reach, kind="stable")[: min(count, _MOST_CURVES)])
+
+
+def _range(values: Array, bounds: list[Array]) -> tuple[float, float]:
+    """Return the values at the bottom and the top: limits that are far off are not made room for."""
+    known = values[np.isfinite(values)]
+    low, high = float(known.min(initial=0.0)), float(known.max(initial=0.0))
+    reach = (high - low) or 1.0
+    for bound in np.concatenate(bounds) if bounds else ():
+        if low - reach <= bound <= high + reach:
+            low, high = min(low, float(bound)), max(high, float(bound))
+    return low - 0.04 * (high - low or 1.0), high + 0.04 * (high - low or 1.0)
+
+
+def _axes(chart: Chart, drawn: int, low: float, high: float) -> str:
+    wide, tall = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
+    count = chart.values.shape[1]
+    some = f", {drawn} of {count}" if drawn < count else ""
+    right = _WIDTH - _RIGHT
+    return (
+        f'<text x="{_LEFT}" y="12" font-weight="600">{escape(chart.title)} ({escape(chart.unit)}){some}</text>'
+        f'<rect x="{_LEFT}" y="{_TOP}" width="{wide}" height="{tall}" fill="none" stroke="#ccc"/>'
+        f'<text x="{_LEFT - 3}" y="{_TOP + 8}" text-anchor="end">{high:.3g}</text>'
+        f'<text x="{_LEFT - 3}" y="{_TOP + tall}" text-anchor="end">{low:.3g}</text>'
+        f'<text x="{_LEFT}" y="{_HEIGHT - 14}">{chart.time[0]:.3g}</text>'
+        f'<text x="{right}" y="{_HEIGHT - 14}" text-anchor="end">{chart.time[-1]:.3g}</text>'
+        f'<text x="{(_LEFT + right) / 2}" y="{_HEIGHT - 14}" text-anchor="middle">time (s)</text>'
+    )
+
+
+def _line(x: Array, y: Array, stroke: str, name: str) -> str:
+    """Return one curve with its name; of many points some, where it is not finite nothing."""
+    every = max(1, len(x) // _MOST_POINTS)
+    keep = np.isfinite(y)
+    keep &= (np.arange(len(x)) % every == 0) | (np.arange(len(x)) == len(x) - 1)
+    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x[keep], y[keep], strict=True))
+    return f'<polyline points="{points}" fill="none" {stroke} stroke-width="1.1"><title>{escape(name)}</title></polyline>'
