@@ -20,6 +20,7 @@ from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.ensemble.rollouts import rollouts
 from tenscasadi.ensemble.sweep import sweep
 from tenscasadi.ensemble.sweep_table import Sweep
+from tenscasadi.files.mjcf import export_mjcf
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
@@ -95,6 +96,8 @@ __all__ = [
     "sensitivities",
     "Sensitivities",
     "CompileError",
+    # files of others
+    "export_mjcf",
     # many at once
     "rollouts",
     "Rollouts",

@@ -1,0 +1,317 @@
+"""A scene as a file that MuJoCo loads: bars as bodies, strings as spatial tendons."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree import ElementTree as ET  # to write alone
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tenscasadi.files.mjcf.contact import contact_numbers, contact_weights, touching
+from tenscasadi.files.mjcf.hanging import NO_DIRECTION, Hanging, Link, free_directions, hang, held_directions
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import ForceDensity, Linear, RestLength, Smooth
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array, choice, file_path, finite_array, instance, positive_number
+from tenscasadi.util.whole_file import whole_file
+
+_LEAST = 1e-15  # kg and kg m²: less MuJoCo does not take for a body that moves
+_AXIAL = 0.01  # times the inertia across a bar: what it has about its axis, at least, so that friction beside the axis does not spin it
+_DRAWN = 0.005  # times the mean length of members: radius of thin bars
+_SPHERE = 1e-3  # times the mean length of members: radius of what touches the ground
+_STRONGEST = 1e12  # N
+
+
+def export_mjcf(
+    scene: Scene,
+    path: str | os.PathLike[str],
+    velocities: ArrayLike | None = None,
+    joints: Literal["ball", "connect"] = "ball",
+    step: float = 1e-3,
+) -> Path:
+    """Write a scene as MuJoCo's XML, MJCF.
+
+    Bars are bodies ``bar0``, ``bar1`` …, nodes are sites ``n0``, ``n1`` …, strings (their segments, where they are cut) are spatial tendons
+    ``string0``, ``string1`` … MuJoCo starts in the structure's nodes.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to write.
+    path : str or path
+        The file, such as ``"prism.xml"``.
+    velocities : array_like, shape (n, 3), optional
+        Velocities of the nodes that are modelled at the start, m/s, in the keyframe ``start``; at rest if None.
+    joints : {"ball", "connect"}
+        Bars that share a node, or hang from a pinned one: a ball joint, which holds them exactly, and an equality ``connect`` only where a
+        loop of bars closes; or each bar as a free body, and ``connect`` for all.
+    step : float
+        MuJoCo's time step, s. Equalities have a time constant of two steps: write the file again to change it.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Where an argument is wrong, or something in the scene has no counterpart in MJCF: the message names it.
+    OSError
+        Where the file cannot be written.
+
+    Notes
+    -----
+    What differs, and by how much:
+
+    - A bar has an inertia about its own axis, m r²/2, and at least 0.01 of that across: MuJoCo takes none of 0. No force turns a
+      bar about its axis, so the motion is the same, but for friction on the spheres below.
+    - A damped string damps in MuJoCo also while it is slack, and may push then. One without damping follows `Clip` exactly, one with the law
+      `Linear` in both cases. `Smooth` is refused.
+    - `connect` is soft: two ends drift apart by a share of about 1e-4 of what would part them in two steps.
+    - On the ground, nodes are spheres of a thousandth of the mean length of the members, on a plane that is as much lower. A contact pushes as
+      `Ground` does but for 0.1 % of the other forces on the body. Friction is Coulomb's with a slip speed, too, which here belongs to
+      the weight that a body standing on three nodes has on each, and there to the push that there is.
+    - Control by rest lengths is a position actuator for each string, control by force densities a general actuator with
+      the gain −length: in both, MuJoCo's ``ctrl`` is the control of the model. Its start is in the keyframe ``start``: begin with
+      ``mujoco.mj_resetDataKeyframe(model, data, 0)``.
+
+    Pressure, forces on nodes, moved supports, height fields, gravity over time and parameters are refused, and nodes held along one or two
+    directions where MuJoCo's joints cannot slide so.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> scene = tc.Scene(tc.shapes.prism(stiffness=1000.0, prestress=50.0), gravity=tc.Gravity())
+    >>> tc.export_mjcf(scene, "prism.xml").name
+    'prism.xml'
+
+    >>> import mujoco  # doctest: +SKIP
+    >>> model = mujoco.MjModel.from_xml_path("prism.xml")  # doctest: +SKIP
+    """
+    instance("scene", scene, Scene, "a tenscasadi.Scene")
+    choice("joints", joints, "ball", "connect")
+    h = positive_number("step", step)
+    target = file_path("path", path)
+    _refuse(scene)
+    hanging = hang(scene.modelled, joints == "ball")
+    root = _Writer(scene, hanging).write(h, None if velocities is None else _velocities(scene.modelled, velocities))
+    ET.indent(root)
+    with whole_file(target) as file:
+        ET.ElementTree(root).write(file)
+    return target
+
+
+def _refuse(scene: Scene) -> None:
+    """Raise ValueError where a scene has what MJCF has not."""
+    others = {
+        "pressure": "MJCF has none across triangles: leave it out",
+        "forces": "MJCF holds no forces on nodes: leave them out, and give them to MuJoCo through data.xfrc_applied",
+        "supports": "pinned nodes stay where they are: leave it out",
+        "parameters": "MJCF holds numbers: leave it out, with the values in the structure",
+    }
+    for name, cure in others.items():
+        if getattr(scene, name) is not None:
+            raise ValueError(f"Scene.{name} has no counterpart in MJCF, {cure}")
+    if scene.gravity is not None and scene.gravity.varies:
+        raise ValueError("Scene.gravity changes over time, in MJCF it is constant: give one acceleration")
+    for ground in scene.grounds:
+        instance("Scene.ground", ground, Ground, "planes alone, tenscasadi.Ground: MJCF has them")
+    for law, strings in scene.string_laws:
+        if isinstance(law, Smooth):
+            raise ValueError(f"Scene.slack of string {strings[0]} is {law}: MuJoCo's tendons are slack or not, give Clip() or Linear()")
+    s = scene.modelled
+    if scene.control is not None and len(s.strings) > len(scene.structure.strings):
+        raise ValueError("Scene.segments: MuJoCo's actuators drive strings in one piece: give segments=1, or control=None")
+    for what, values in (("bar_mass", s.bar_mass), ("bar_inertia times length²", s.bar_inertia * s.bar_lengths**2)):
+        for bar in np.flatnonzero(values < _LEAST / _AXIAL):
+            raise ValueError(f"{what} of bar {bar} is {values[bar]:g}: MuJoCo needs {_LEAST / _AXIAL:g} or more")
+    for node in np.flatnonzero((s.node_mass < _LEAST) & (s.node_mass > 0)):
+        raise ValueError(f"node_mass of node {node} is {s.node_mass[node]:g} kg: MuJoCo needs {_LEAST:g} or more")
+
+
+def _velocities(s: Structure, given: ArrayLike) -> Array:
+    """Return velocities that bars and pins allow. Raises TypeError, ValueError."""
+    V = finite_array("velocities", given, (len(s.nodes), 3))
+    least = 1e-9 * abs(V).max(initial=0.0)
+    for node, directions in held_directions(s).items():
+        if abs(directions @ V[node]).max() > least:
+            raise ValueError(f"velocities[{node}] moves node {node} along a direction in which it is held: give {node} a velocity across it")
+    apart = np.einsum("ij,ij->i", np.diff(s.nodes[s.bars], axis=1)[:, 0], np.diff(V[s.bars], axis=1)[:, 0]) / s.bar_lengths
+    for bar in np.flatnonzero(abs(apart) > 1e-6 * abs(V).max(initial=0.0)):
+        raise ValueError(f"velocities stretch bar {bar} by {apart[bar]:g} m/s: give velocities that keep its length, such as model.velocities(x)")
+    return V
+
+
+class _Writer:
+    """The elements of one file."""
+
+    def __init__(self, scene: Scene, hanging: Hanging) -> None:
+        self.scene, self.s, self.hanging = scene, scene.modelled, hanging
+        s = self.s
+        size = float(np.mean(np.concatenate([s.bar_lengths, s.string_lengths]))) if len(s.bars) + len(s.strings) else 1.0
+        self.drawn, self.sphere = _DRAWN * size, _SPHERE * size
+        self.weights = contact_weights(scene, hanging)
+        self.touched = sorted({node for ground in scene.grounds for node in touching(ground, self.weights.inverse)})
+        self.rates: dict[ET.Element, list[float]] = {}  # of the joints of each body
+        self.root = ET.Element("mujoco", model="tenscasadi")
+
+    def write(self, step: float, velocities: Array | None) -> ET.Element:
+        """Return the whole."""
+        V = np.zeros(self.s.nodes.shape) if velocities is None else velocities
+        self._options(step)
+        world = ET.SubElement(self.root, "worldbody")
+        for k, ground in enumerate(self.scene.grounds):
+            place = (ground.height - self.sphere) * np.array(ground.normal)
+            _add(world, "geom", name=f"ground{k}", type="plane", size=[0, 0, 1], pos=place, zaxis=ground.normal, contype=0, conaffinity=0)
+        self._bars(world, V)
+        self._points(world, V)
+        self._contacts()
+        self._strings()
+        self._ties(step)
+        self._control(velocities is not None)
+        return self.root
+
+    def _options(self, step: float) -> None:
+        gravity = (0, 0, 0) if self.scene.gravity is None else self.scene.gravity.acceleration
+        option = _add(self.root, "option", timestep=step, integrator="RK4", gravity=gravity, cone="elliptic")
+        if not self.scene.grounds and not self.hanging.ties:
+            _add(option, "flag", contact="disable", constraint="disable")
+
+    def _bars(self, world: ET.Element, V: Array) -> None:
+        s, bodies, origins, turning = self.s, dict[int | None, ET.Element](), {}, {}
+        bodies[None], origins[None], turning[None] = world, np.zeros(3), np.zeros(3)
+        for link in self.hanging.links:
+            bar, (a, b) = link.bar, s.bars[link.bar]
+            along = s.nodes[b] - s.nodes[a]
+            middle, moves = (s.nodes[a] + s.nodes[b]) / 2, (V[a] + V[b]) / 2
+            origins[bar] = middle if link.node is None else s.nodes[link.node]
+            turning[bar] = np.cross(along, V[b] - V[a]) / s.bar_lengths[bar] ** 2
+            body = bodies[bar] = _add(bodies[link.parent], "body", name=f"bar{bar}", pos=origins[bar] - origins[link.parent])
+            self._joints(body, link, moves if link.node is None else V[link.node], turning[bar] - turning[link.parent])
+            self._rod(body, bar, origins[bar])
+            for node in (int(a), int(b)):
+                if self.hanging.owner.get(node) == bar:
+                    self._node(body, node, s.nodes[node] - origins[bar])
+
+    def _joints(self, body: ET.Element, link: Link, velocity: Array, turning: Array) -> None:
+        if link.still:
+            return
+        if link.node is None:
+            _add(body, "freejoint")
+            self.rates[body] = [*velocity, *turning]
+            return
+        self._slides(body, link.slides, velocity)
+        _add(body, "joint", type="ball")
+        self.rates[body] += [*turning]
+
+    def _slides(self, body: ET.Element, directions: Array, velocity: Array) -> None:
+        for direction in directions:
+            _add(body, "joint", type="slide", axis=direction)
+        self.rates[body] = [*(directions @ velocity)]
+
+    def _rod(self, body: ET.Element, bar: int, origin: Array) -> None:
+        """Give a bar its mass, and a cylinder to look at."""
+        s = self.s
+        ends, radius, mass = s.nodes[s.bars[bar]] - origin, s.bar_radius[bar], s.bar_mass[bar]
+        across = s.bar_inertia[bar] * s.bar_lengths[bar] ** 2  # J of Eq. 19 times l²
+        inertia = [across, across, max(mass * radius**2 / 2, _AXIAL * across)]
+        x, y, z = np.diff(ends, axis=0)[0] / s.bar_lengths[bar]
+        turn = np.array([1 + z, -y, x, 0.0]) if z > -0.5 else np.array([1 - z, y, -x, 0.0])  # from the z axis to the bar's, or to its opposite
+        _add(body, "inertial", pos=ends.mean(axis=0), quat=turn / np.linalg.norm(turn), mass=mass, diaginertia=inertia)
+        look = {"size": [radius or self.drawn], "contype": 0, "conaffinity": 0, "mass": 0}
+        _add(body, "geom", name=f"bar{bar}", type="cylinder", fromto=ends.ravel(), **look)
+
+    def _node(self, body: ET.Element, node: int, place: Array) -> None:
+        """Put a node of a bar into its body, with its mass in a body that is fixed to it."""
+        if self.s.node_mass[node] > 0:
+            mass = _add(body, "body", name=f"n{node}", pos=place)
+            _add(mass, "inertial", pos=[0, 0, 0], mass=self.s.node_mass[node], diaginertia=[0, 0, 0])
+        _add(body, "site", name=f"n{node}", pos=place, size=[self.sphere])
+        self._ball(body, node, place)
+
+    def _ball(self, body: ET.Element, node: int, place: Array) -> None:
+        if node in self.touched:
+            _add(body, "geom", name=f"n{node}", type="sphere", size=[self.sphere], pos=place, mass=0, contype=0, conaffinity=0)
+
+    def _points(self, world: ET.Element, V: Array) -> None:
+        """Add the nodes of no bar, and the pinned ones."""
+        s, held, here = self.s, held_directions(self.s), np.zeros(3)
+        for node in (node for node in range(len(s.nodes)) if node not in self.hanging.owner):
+            slides = free_directions(held.get(node, NO_DIRECTION))
+            if not len(slides):
+                self._node(world, node, s.nodes[node])
+                continue
+            body = _add(world, "body", name=f"n{node}", pos=s.nodes[node])
+            self._slides(body, slides, V[node])
+            _add(body, "inertial", pos=here, mass=s.node_mass[node], diaginertia=np.full(3, max(s.node_mass[node], 1.0)))  # it does not turn
+            _add(body, "site", name=f"n{node}", pos=here, size=[self.sphere])
+            self._ball(body, node, here)
+
+    def _contacts(self) -> None:
+        if not self.touched:
+            return
+        contact = ET.SubElement(self.root, "contact")
+        for k, ground in enumerate(self.scene.grounds):
+            for node in touching(ground, self.weights.inverse):
+                numbers = contact_numbers(ground, self.weights.inverse[node], self.weights.standing)
+                _add(contact, "pair", geom1=f"ground{k}", geom2=f"n{node}", **numbers)
+
+    def _strings(self) -> None:
+        s, pushing, driven = self.s, set(self.scene.pushing_strings.tolist()), self.scene.control is not None
+        if not len(s.strings):
+            return
+        tendon = ET.SubElement(self.root, "tendon")
+        for string, (a, b) in enumerate(s.strings):
+            rest = [s.rest_length[string]] if string in pushing else [0.0, s.rest_length[string]]
+            law = {} if driven else {"stiffness": s.stiffness[string], "damping": s.damping[string], "springlength": rest}
+            spatial = _add(tendon, "spatial", name=f"string{string}", **law)
+            for node in (a, b):
+                _add(spatial, "site", site=f"n{node}")
+
+    def _ties(self, step: float) -> None:
+        if not self.hanging.ties:
+            return
+        equality = ET.SubElement(self.root, "equality")
+        origins = {link.bar: self.s.nodes[self.s.bars[link.bar]].mean(axis=0) if link.node is None else self.s.nodes[link.node] for link in self.hanging.links}
+        for tie in self.hanging.ties:
+            other = {} if tie.other is None else {"body2": f"bar{tie.other}"}
+            hard = {"solref": [2 * step, 1.0], "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0]}
+            _add(equality, "connect", body1=f"bar{tie.bar}", **other, anchor=self.s.nodes[tie.node] - origins[tie.bar], **hard)
+
+    def _control(self, moving: bool) -> None:
+        scene, s = self.scene, self.s
+        start: dict[str, Any] = {}
+        if moving:  # in the order of the file, which is MuJoCo's
+            start["qvel"] = [rate for body in self.root.iter("body") for rate in self.rates.get(body, ())]
+        if scene.control is not None and len(s.strings):
+            actuator = ET.SubElement(self.root, "actuator")
+            pushing = set(scene.pushing_strings.tolist())
+            for string in range(len(s.strings)):
+                of = {"name": f"string{string}", "tendon": f"string{string}"}
+                if isinstance(scene.control, ForceDensity):
+                    _add(actuator, "general", **of, gaintype="affine", gainprm=[0, -1, 0])  # force −length × γ
+                else:
+                    pulls = {} if string in pushing else {"forcelimited": "true", "forcerange": [-_STRONGEST, 0.0]}
+                    _add(actuator, "position", **of, kp=s.stiffness[string], kv=s.damping[string], **pulls)
+            taut = s.stiffness * np.maximum(0.0, 1 - s.rest_length / s.string_lengths)  # Eq. 99 at rest
+            start["ctrl"] = s.rest_length if isinstance(scene.control, RestLength) else taut
+        if start:
+            _add(ET.SubElement(self.root, "keyframe"), "key", name="start", **start)
+
+
+def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:
+    """Add an element; numbers and lists of them become text that reads back as they are."""
+    return ET.SubElement(parent, tag, {name: _text(value) for name, value in attributes.items()})
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    numbers: Iterable[Any] = np.atleast_1d(value).tolist()
+    return " ".join(repr(number + 0) if isinstance(number, int) else repr(number + 0.0).removesuffix(".0") for number in numbers)
