@@ -15,12 +15,12 @@ from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.util.validate import Array
 
-IMPEDANCE = 0.001  # d: the share of other forces that a contact takes away, beside its push; MuJoCo takes 0.0001 or more
+IMPEDANCE = 1e-4  # d: the share of other forces that a contact takes away, beside its push; MuJoCo takes no less
 _STANDING = 3  # nodes that a body stands on
 
 
 class Weights(NamedTuple):
-    """What contacts are scaled by: the inverse mass A of each node's body, 1/kg, and the weight on a node that a body stands on, N."""
+    """Scales of contacts: the inverse mass A of each node's body, 1/kg, and the weight on a node that a body stands on, N."""
 
     inverse: Array
     standing: float

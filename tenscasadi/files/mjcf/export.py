@@ -15,7 +15,7 @@ from tenscasadi.files.mjcf.contact import contact_numbers, contact_weights, touc
 from tenscasadi.files.mjcf.hanging import NO_DIRECTION, Hanging, Link, free_directions, hang, held_directions
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity, Linear, RestLength, Smooth
+from tenscasadi.scene.strings import ForceDensity, RestLength, Smooth
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, choice, file_path, finite_array, instance, positive_number
 from tenscasadi.util.whole_file import whole_file
@@ -110,14 +110,14 @@ def export_mjcf(
 def _refuse(scene: Scene) -> None:
     """Raise ValueError where a scene has what MJCF has not."""
     others = {
-        "pressure": "MJCF has none across triangles: leave it out",
-        "forces": "MJCF holds no forces on nodes: leave them out, and give them to MuJoCo through data.xfrc_applied",
-        "supports": "pinned nodes stay where they are: leave it out",
-        "parameters": "MJCF holds numbers: leave it out, with the values in the structure",
+        "pressure": "leave it out",
+        "forces": "leave them out, and give them to MuJoCo through data.xfrc_applied",
+        "supports": "leave it out, the nodes are pinned where they are",
+        "parameters": "leave it out, the file has the values of the structure",
     }
     for name, cure in others.items():
         if getattr(scene, name) is not None:
-            raise ValueError(f"Scene.{name} has no counterpart in MJCF, {cure}")
+            raise ValueError(f"Scene.{name} has no counterpart in MJCF: {cure}")
     if scene.gravity is not None and scene.gravity.varies:
         raise ValueError("Scene.gravity changes over time, in MJCF it is constant: give one acceleration")
     for ground in scene.grounds:
@@ -153,11 +153,15 @@ class _Writer:
 
     def __init__(self, scene: Scene, hanging: Hanging) -> None:
         self.scene, self.s, self.hanging = scene, scene.modelled, hanging
+        self.grounds = [ground for ground in scene.grounds if isinstance(ground, Ground)]  # all are: `_refuse`
         s = self.s
         size = float(np.mean(np.concatenate([s.bar_lengths, s.string_lengths]))) if len(s.bars) + len(s.strings) else 1.0
         self.drawn, self.sphere = _DRAWN * size, _SPHERE * size
         self.weights = contact_weights(scene, hanging)
-        self.touched = sorted({node for ground in scene.grounds for node in touching(ground, self.weights.inverse)})
+        self.touched = sorted({node for ground in self.grounds for node in touching(ground, self.weights.inverse)})
+        self.origins: dict[int | None, Array] = {None: np.zeros(3)}
+        for link in hanging.links:
+            self.origins[link.bar] = s.nodes[s.bars[link.bar]].mean(axis=0) if link.node is None else s.nodes[link.node]
         self.rates: dict[ET.Element, list[float]] = {}  # of the joints of each body
         self.root = ET.Element("mujoco", model="tenscasadi")
 
@@ -166,7 +170,7 @@ class _Writer:
         V = np.zeros(self.s.nodes.shape) if velocities is None else velocities
         self._options(step)
         world = ET.SubElement(self.root, "worldbody")
-        for k, ground in enumerate(self.scene.grounds):
+        for k, ground in enumerate(self.grounds):
             place = (ground.height - self.sphere) * np.array(ground.normal)
             _add(world, "geom", name=f"ground{k}", type="plane", size=[0, 0, 1], pos=place, zaxis=ground.normal, contype=0, conaffinity=0)
         self._bars(world, V)
@@ -180,24 +184,24 @@ class _Writer:
     def _options(self, step: float) -> None:
         gravity = (0, 0, 0) if self.scene.gravity is None else self.scene.gravity.acceleration
         option = _add(self.root, "option", timestep=step, integrator="RK4", gravity=gravity, cone="elliptic")
-        if not self.scene.grounds and not self.hanging.ties:
+        if not self.grounds and not self.hanging.ties:
             _add(option, "flag", contact="disable", constraint="disable")
 
     def _bars(self, world: ET.Element, V: Array) -> None:
-        s, bodies, origins, turning = self.s, dict[int | None, ET.Element](), {}, {}
-        bodies[None], origins[None], turning[None] = world, np.zeros(3), np.zeros(3)
+        s = self.s
+        bodies: dict[int | None, ET.Element] = {None: world}
+        turning: dict[int | None, Array] = {None: np.zeros(3)}
         for link in self.hanging.links:
             bar, (a, b) = link.bar, s.bars[link.bar]
             along = s.nodes[b] - s.nodes[a]
-            middle, moves = (s.nodes[a] + s.nodes[b]) / 2, (V[a] + V[b]) / 2
-            origins[bar] = middle if link.node is None else s.nodes[link.node]
+            moves = (V[a] + V[b]) / 2 if link.node is None else V[link.node]
             turning[bar] = np.cross(along, V[b] - V[a]) / s.bar_lengths[bar] ** 2
-            body = bodies[bar] = _add(bodies[link.parent], "body", name=f"bar{bar}", pos=origins[bar] - origins[link.parent])
-            self._joints(body, link, moves if link.node is None else V[link.node], turning[bar] - turning[link.parent])
-            self._rod(body, bar, origins[bar])
+            body = bodies[bar] = _add(bodies[link.parent], "body", name=f"bar{bar}", pos=self.origins[bar] - self.origins[link.parent])
+            self._joints(body, link, moves, turning[bar] - turning[link.parent])
+            self._rod(body, bar, self.origins[bar])
             for node in (int(a), int(b)):
                 if self.hanging.owner.get(node) == bar:
-                    self._node(body, node, s.nodes[node] - origins[bar])
+                    self._node(body, node, s.nodes[node] - self.origins[bar])
 
     def _joints(self, body: ET.Element, link: Link, velocity: Array, turning: Array) -> None:
         if link.still:
@@ -257,7 +261,7 @@ class _Writer:
         if not self.touched:
             return
         contact = ET.SubElement(self.root, "contact")
-        for k, ground in enumerate(self.scene.grounds):
+        for k, ground in enumerate(self.grounds):
             for node in touching(ground, self.weights.inverse):
                 numbers = contact_numbers(ground, self.weights.inverse[node], self.weights.standing)
                 _add(contact, "pair", geom1=f"ground{k}", geom2=f"n{node}", **numbers)
@@ -278,11 +282,10 @@ class _Writer:
         if not self.hanging.ties:
             return
         equality = ET.SubElement(self.root, "equality")
-        origins = {link.bar: self.s.nodes[self.s.bars[link.bar]].mean(axis=0) if link.node is None else self.s.nodes[link.node] for link in self.hanging.links}
         for tie in self.hanging.ties:
             other = {} if tie.other is None else {"body2": f"bar{tie.other}"}
             hard = {"solref": [2 * step, 1.0], "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0]}
-            _add(equality, "connect", body1=f"bar{tie.bar}", **other, anchor=self.s.nodes[tie.node] - origins[tie.bar], **hard)
+            _add(equality, "connect", body1=f"bar{tie.bar}", **other, anchor=self.s.nodes[tie.node] - self.origins[tie.bar], **hard)
 
     def _control(self, moving: bool) -> None:
         scene, s = self.scene, self.s

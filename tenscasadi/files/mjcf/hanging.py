@@ -122,7 +122,8 @@ def inverse_weights(s: Structure, hanging: Hanging) -> Array:
     Of the tree without its ties, as MuJoCo computes it.
     """
     size = 3 * len(s.bars) + sum(len(link.slides) if link.node is not None else 3 for link in hanging.links if link.parent is None)
-    M, middles, points = np.zeros((size, size)), np.zeros((len(s.bars), 3, size)), {}
+    M, middles = np.zeros((size, size)), np.zeros((len(s.bars), 3, size))
+    points: dict[tuple[int, int | None], Array] = {}
     after = 3 * len(s.bars)  # rates of turning come first, then velocities along slides
     for link in hanging.links:
         middle = s.nodes[s.bars[link.bar]].mean(axis=0)
