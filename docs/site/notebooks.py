@@ -1,0 +1,25 @@
+"""Tutorials as notebooks: text becomes cells of text, Python blocks cells of code."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+BLOCK = re.compile(r"^```python\n(.*?)^```\n?", re.MULTILINE | re.DOTALL)
+
+
+def notebook(page: str) -> str:
+    """The notebook (JSON, format 4.5) of a page (Markdown)."""
+    cells = []
+    for index, part in enumerate(BLOCK.split(page)):
+        if not part.strip():
+            continue
+        cell: dict[str, Any] = {"id": f"cell-{index}", "metadata": {}, "source": part.strip().splitlines(keepends=True)}
+        if index % 2:
+            cells.append({"cell_type": "code", "execution_count": None, "outputs": [], **cell})
+        else:
+            cells.append({"cell_type": "markdown", **cell})
+    kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    metadata = {"kernelspec": kernel, "language_info": {"name": "python"}}
+    return json.dumps({"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}, indent=1, ensure_ascii=False)
