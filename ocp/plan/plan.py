@@ -13,6 +13,7 @@ import numpy as np
 
 from ocp.boundary.target import Target
 from ocp.plan.error_growth import grown_errors
+from ocp.plan.exhibit import exhibit_of_plan
 from ocp.plan.many_replays import measure_robustness
 from ocp.plan.mesh_refinement import refined
 from ocp.plan.planned_forces import PlannedForces
@@ -38,12 +39,13 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util import archive
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, flag, instance, positive_number, whole_number
+from tenscasadi.util.viewable import Viewable
 
 REPLAY_STEPS = 10  # steps of a replay for one interval of the plan
 
 
 @dataclass(frozen=True, eq=False)
-class Plan(PlannedForces, ReadOnlyArrays):
+class Plan(PlannedForces, Viewable, ReadOnlyArrays):
     """Force densities over time, the motion that they cause, and how far its replay ends from the goals.
 
     `solve` returns one; also where no plan was found: it then holds the best that there is, and says why.
@@ -115,6 +117,8 @@ class Plan(PlannedForces, ReadOnlyArrays):
     _track: ClassVar[Callable[..., Any]]  # ocp.control.lqr.track, likewise
     _replay_tracked: ClassVar[Callable[..., Trajectory]]  # ocp.control.lqr.replay_tracked
     _solve: ClassVar[Callable[..., Plan]]  # ocp.solve.solve, which names itself here: it makes plans, and refining makes another
+
+    _exhibit_ = exhibit_of_plan  # what `tenscasadi.viewer.view` shows
 
     def __post_init__(self) -> None:
         for name in ("time", "force_density", *(["rest_length"] if self.rest_length is not None else [])):

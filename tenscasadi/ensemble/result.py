@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from tenscasadi.util import archive
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices, node_index
+from tenscasadi.util.viewable import Viewable
 
 _FORMAT = "tenscasadi rollouts 1"
 _TOLD = 3  # kinds of ends that a summary names
 
 
 @dataclass(frozen=True, eq=False)
-class Rollouts(ReadOnlyArrays):
+class Rollouts(Viewable, ReadOnlyArrays):
     """Motions of one model side by side: n of them, at T saved times; `rollouts` returns them. All arrays are read-only.
 
     Attributes

@@ -18,10 +18,11 @@ from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import segment_counts
 from tenscasadi.util.validate import Indices, instance
+from tenscasadi.util.viewable import Viewable
 
 
 @dataclass(frozen=True)
-class Scene:
+class Scene(Viewable):
     """A structure, how it is driven, its loads, and how finely its strings are modelled.
 
     A load that is None builds no expression.

@@ -17,12 +17,13 @@ from tenscasadi.util import archive
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.tables import Columns, Tabular, coordinates, numbered
 from tenscasadi.util.validate import LARGEST, Array, Indices, shown
+from tenscasadi.util.viewable import Viewable
 
 _FORMAT = "tenscasadi trajectory 1"
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory(Tabular, ReadOnlyArrays):
+class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     """Motion of n nodes, β bars and α strings at T saved times, with the errors of the numerics.
 
     `simulate` and the plans of `ocp` return it. All arrays are read-only.

@@ -39,11 +39,12 @@ from tenscasadi.util.validate import (
     per_item,
     rows_of_size,
 )
+from tenscasadi.util.viewable import Viewable
 
 THICKEST = 1e3  # radius over length: beyond it M loses its positive definiteness to rounding
 
 
-class Structure(ReadOnlyArrays):
+class Structure(Viewable, ReadOnlyArrays):
     """Physical nodes, rigid bars and strings, with their masses, stiffness and pins.
 
     A structure does not change and its arrays are read-only: `replace` gives another one. One number given for an array

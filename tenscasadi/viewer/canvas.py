@@ -91,12 +91,16 @@ class Canvas:
 
     def _place_camera(self, server: viser.ViserServer) -> None:
         """Look at the middle of it all from the front, a little from above and the side; at what is flat from its broad side."""
-        extent = self.high - self.low
+        low, high = self.low, self.high
+        for centre, radius in self.exhibit.obstacles:
+            low, high = np.minimum(low, np.asarray(centre) - radius), np.maximum(high, np.asarray(centre) + radius)
+        extent = high - low
         size = float(np.linalg.norm(extent))
         thin = int(np.argmin(extent)) if extent.min() < 0.05 * extent.max() else -1
         direction = {-1: (0.45, -1.0, 0.35), 0: (1.0, -0.3, 0.2), 1: (0.3, -1.0, 0.2), 2: (0.2, -0.5, 1.0)}[thin]
         away = 0.62 * size / np.tan(_FIELD_OF_VIEW / 2) * np.array(direction) / np.linalg.norm(direction)
-        middle = (self.low + self.high) / 2
+        aside = np.cross(direction, (0.0, 0.0, 1.0))
+        middle = (low + high) / 2 - 0.13 * size * aside / np.linalg.norm(aside)  # the panel is at the right
         camera = server.initial_camera
         camera.fov = float(_FIELD_OF_VIEW)
         camera.look_at = middle

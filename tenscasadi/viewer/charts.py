@@ -76,7 +76,7 @@ def _axes(chart: Chart, drawn: int, low: float, high: float) -> str:
     some = f", {drawn} of {count}" if drawn < count else ""
     right = _WIDTH - _RIGHT
     return (
-        f'<text x="{_LEFT}" y="12" font-weight="600">{escape(chart.title)} ({escape(chart.unit)}){some}</text>'
+        f'<text x="{_LEFT}" y="12"><tspan font-weight="600">{escape(chart.title)} ({escape(chart.unit)}){some}</tspan>{_limits(chart)}</text>'
         f'<rect x="{_LEFT}" y="{_TOP}" width="{wide}" height="{tall}" fill="none" stroke="#ccc"/>'
         f'<text x="{_LEFT - 3}" y="{_TOP + 8}" text-anchor="end">{high:.3g}</text>'
         f'<text x="{_LEFT - 3}" y="{_TOP + tall}" text-anchor="end">{low:.3g}</text>'
@@ -84,6 +84,15 @@ def _axes(chart: Chart, drawn: int, low: float, high: float) -> str:
         f'<text x="{right}" y="{_HEIGHT - 14}" text-anchor="end">{chart.time[-1]:.3g}</text>'
         f'<text x="{(_LEFT + right) / 2}" y="{_HEIGHT - 14}" text-anchor="middle">time (s)</text>'
     )
+
+
+def _limits(chart: Chart) -> str:
+    """Return what the limits are, in words, where all curves have the same."""
+    told = []
+    for word, limit in (("≥", chart.lower), ("≤", chart.upper)):
+        if limit is not None and len(set(limit.tolist())) == 1 and np.isfinite(limit[0]):
+            told.append(f"{word} {limit[0]:.4g}")
+    return f", limits {', '.join(told)}" if told else ""
 
 
 def _line(x: Array, y: Array, stroke: str, name: str) -> str:

@@ -89,10 +89,10 @@ def add_targets(scene: viser.SceneApi, name: str, targets: Array, radius: float)
 
 
 def _finite_edge(edge: tuple[int, int], known: Any) -> bool:
-    """Return whether an edge lies on sides that are there, on both axes across it."""
+    """Return whether an edge lies on a side that is there."""
     first, second = edge
     along = (first ^ second).bit_length() - 1
-    return all(known[first >> axis & 1, axis] for axis in range(3) if axis != along)
+    return any(known[first >> axis & 1, axis] for axis in range(3) if axis != along)
 
 
 def _surface(scene: viser.SceneApi, name: str, vertices: Array, faces: Any) -> None:

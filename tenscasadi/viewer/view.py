@@ -15,6 +15,7 @@ from typing import Any
 
 from tenscasadi.scene.ground import Grounds, checked_grounds
 from tenscasadi.util.validate import choice, file_path, flag, positive_number, text
+from tenscasadi.util.whole_file import whole_file
 from tenscasadi.viewer.canvas import QUANTITIES, Canvas
 from tenscasadi.viewer.exhibit import Exhibit, exhibit_of, standing_on
 from tenscasadi.viewer.page import frame_times, record, with_panel
@@ -126,7 +127,9 @@ class View:
             `path` is none, or the page would have more than 3000 frames.
         """
         target = _html_path("path", path)
-        target.write_text(self.page(), encoding="utf-8")
+        page = self.page().encode()
+        with whole_file(target) as file:
+            file.write(page)
         return target
 
     def page(self) -> str:
