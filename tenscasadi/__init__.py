@@ -20,6 +20,9 @@ from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.ensemble.rollouts import rollouts
 from tenscasadi.ensemble.sweep import sweep
 from tenscasadi.ensemble.sweep_table import Sweep
+from tenscasadi.files.matlab.save import save_mat
+from tenscasadi.files.matlab.structures import load_mat
+from tenscasadi.files.matlab.trajectories import load_mat_trajectory
 from tenscasadi.files.mjcf import export_mjcf
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
@@ -98,6 +101,9 @@ __all__ = [
     "CompileError",
     # files of others
     "export_mjcf",
+    "load_mat",
+    "load_mat_trajectory",
+    "save_mat",
     # many at once
     "rollouts",
     "Rollouts",

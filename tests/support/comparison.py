@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.structure.structure import PARAMETERS, Structure
 
 BOTH = pytest.mark.parametrize("coordinates", ["reduced", "full"])
 
@@ -20,3 +21,10 @@ def accelerations(model: Model, x: np.ndarray, u: np.ndarray | None = None) -> n
 def relative(ours: np.ndarray, theirs: np.ndarray) -> float:
     """The largest difference relative to the largest entry (to 1 where everything vanishes)."""
     return float(abs(ours - theirs).max(initial=0.0) / max(abs(theirs).max(initial=0.0), 1e-12))
+
+
+def assert_same_structure(one: Structure, other: Structure) -> None:
+    """Two structures agree in every keyword, to the last bit."""
+    for name in PARAMETERS:
+        a, b = getattr(one, name), getattr(other, name)
+        assert np.array_equal(a, b) if isinstance(a, np.ndarray) else dict(a) == dict(b), name

@@ -1,0 +1,144 @@
+"""Structures and motions written as .mat files, by the names of MOTES and TsgFEM."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+
+from tenscasadi.files.matlab.mat_file import write_mat
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array, Indices, flag, instance
+
+STRUCTURE_FORM, TRAJECTORY_FORM = "tenscasadi structure 1", "tenscasadi trajectory 1"
+HISTORY = {"time": "t", "nodes": "Nhist", "velocities": "Ndhist", "force_density": "gamma"}  # as MOTES calls them; others keep their names
+LETTERS = {name: hint.__metadata__[0] for name, hint in get_type_hints(Trajectory, include_extras=True).items()}
+
+
+def save_mat(what: Structure | Trajectory, path: str | os.PathLike[str], *, class_one: bool = False) -> Path:
+    """Write a structure or a trajectory for MATLAB, with the names of MOTES and TsgFEM; nodes count from 1 there.
+
+    A structure becomes the variables N (3×n), C_b, C_s, s_0, k, c, m and pinned_nodes, with pinned_X, pinned_Y, pinned_Z, node_mass,
+    string_mass, bar_radius, roller_nodes and roller_normals, which MOTES does not know: ``load_mat`` gives the same structure back, to the
+    last bit. With `class_one` they are what ``tenseg_sim_class1open(load('x.mat'))`` or ``tenseg_sim_classkopen`` of MOTES take: a column
+    for each end of a bar, joints and pins in P and D, masses of string nodes in ms. A trajectory becomes N, C_b, C_s and MOTES' struct
+    History: Nhist (3×n×T), Ndhist, gamma, bar_len, t, and all else that it holds.
+
+    Parameters
+    ----------
+    what : Structure or Trajectory
+        The structure or the motion.
+    path : str or PathLike
+        File to write, in MATLAB's format v7; no ending is added.
+    class_one : bool
+        Whether to write a structure in the paper's split, for MOTES.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument is wrong, or MOTES has nothing for what the structure has: it is named.
+    OSError
+        The file cannot be written.
+
+    See Also
+    --------
+    load_mat : Read a structure.
+    load_mat_trajectory : Read a motion.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> prism = tc.shapes.prism()
+    >>> path = tc.save_mat(prism, "prism.mat")
+    >>> bool((tc.load_mat(path).nodes == prism.nodes).all())
+    True
+    """
+    instance("what", what, (Structure, Trajectory), "a Structure or a Trajectory")
+    flag("class_one", class_one)
+    if isinstance(what, Trajectory):
+        if class_one:
+            raise ValueError("class_one is True for a trajectory, whose nodes are the physical ones: leave it out")
+        return write_mat(path, _trajectory(what))
+    return write_mat(path, _split(what) if class_one else _physical(what))
+
+
+def _matrices(nodes: Array, bars: Indices, strings: Indices) -> dict[str, Any]:
+    return {"N": nodes.T, "C_b": connectivity(bars, len(nodes)).toarray(), "C_s": connectivity(strings, len(nodes)).toarray()}
+
+
+def _strings_and_bars(structure: Structure) -> dict[str, Any]:
+    """Return a column of rest lengths and rows of the others: MOTES takes no other shapes."""
+    rows = {"k": structure.stiffness, "c": structure.damping, "m": structure.bar_mass}
+    return {"s_0": structure.rest_length[:, None], **{key: value[None, :] for key, value in rows.items()}}
+
+
+def _physical(structure: Structure) -> dict[str, Any]:
+    more = {"node_mass": structure.node_mass, "string_mass": structure.string_mass, "bar_radius": structure.bar_radius}
+    normals = [(node + 1, normal) for node, normals in structure.rollers.items() for normal in normals]
+    if normals:
+        more |= {"roller_nodes": np.array([node for node, _ in normals], dtype=float), "roller_normals": np.array([n for _, n in normals])}
+    return {
+        "format": STRUCTURE_FORM,
+        **_matrices(structure.nodes, structure.bars, structure.strings),
+        **_strings_and_bars(structure),
+        "pinned_nodes": _from_one(structure.fixed.all(axis=1)),
+        **{f"pinned_{axis}": _from_one(structure.fixed[:, k]) for k, axis in enumerate("XYZ")},
+        **more,
+    }
+
+
+def _from_one(mask: Any) -> Array:
+    return np.flatnonzero(mask).astype(float)[:, None] + 1
+
+
+def _split(structure: Structure) -> dict[str, Any]:
+    """Return the task of a MOTES simulation. Raises ValueError for what MOTES would leave out."""
+    partly = structure.held.any(axis=1) & ~structure.fixed.all(axis=1)
+    loose = np.ones(len(structure.nodes), dtype=bool)
+    loose[structure.bars] = False
+    for unknown, what, cure in (
+        (structure.bar_radius != 0, "bar_radius of bar", "structure.replace(bar_radius=0.0)"),
+        (structure.string_mass != 0, "string_mass of string", "structure.subdivide(segments), which puts it on nodes"),
+        (~loose & (structure.node_mass != 0), "node_mass of node", "structure.replace(node_mass=0.0), as MOTES has masses where no bar ends"),
+        (loose & (structure.node_mass == 0), "node_mass of node", "a mass, as MOTES inverts the mass matrix"),
+        (partly, "the roller of node", "pins along all axes, or class_one=False"),
+    ):
+        for index in np.flatnonzero(unknown):
+            value = "" if what.startswith("the") else f" is {getattr(structure, what.partition(' ')[0])[index]:g}"
+            raise ValueError(f"class_one: {what} {index}{value}, which MOTES does not model: give {cure}")
+    split = structure.class_one()
+    on_bar = split.C_nb.any(axis=0)
+    order = np.concatenate([np.flatnonzero(on_bar), np.flatnonzero(~on_bar)])  # MOTES takes the first 2β columns for ends of bars
+    return {
+        "N": split.N[:, order],
+        "C_b": (split.C_b @ split.C_nb)[:, order],
+        "C_s": split.C_s[:, order],
+        "P": split.P[order],
+        "D": split.D,
+        **_strings_and_bars(structure),
+        "ms": structure.node_mass[split.physical[np.flatnonzero(~on_bar)]][None, :],
+    }
+
+
+def _trajectory(run: Trajectory) -> dict[str, Any]:
+    history: dict[str, Any] = {"bar_len": np.linalg.norm(run.nodes[:, run.bars[:, 1]] - run.nodes[:, run.bars[:, 0]], axis=2).T}
+    for field in fields(run):
+        if field.name not in ("bars", "strings", "pinned"):
+            value, letters = getattr(run, field.name), LETTERS[field.name]
+            history[HISTORY.get(field.name, field.name)] = value.T if len(letters) > 1 else value[None, :] if letters else value
+    return {
+        "format": TRAJECTORY_FORM,
+        **_matrices(run.nodes[0], run.bars, run.strings),
+        "pinned_nodes": run.pinned.astype(float)[:, None] + 1,
+        "History": history,
+    }

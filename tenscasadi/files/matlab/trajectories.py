@@ -1,0 +1,167 @@
+"""Motions in .mat files: those of `save_mat`, MOTES' History and TsgFEM's n_t."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.files.matlab.mat_file import read_mat
+from tenscasadi.files.matlab.save import HISTORY, LETTERS, TRAJECTORY_FORM
+from tenscasadi.files.matlab.structures import find_structure, read_indices, read_pairs
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
+from tenscasadi.util.validate import Array, finite_array, instance, shown
+
+
+class Motion(NamedTuple):
+    """Times (T,), positions and velocities (T, columns of N, 3), and force densities (T, α) or None, of another program."""
+
+    time: Array
+    nodes: Array
+    velocities: Array
+    force_density: Array | None
+
+
+def load_mat_trajectory(path: str | os.PathLike[str], model: Model | None = None) -> Trajectory:
+    """Read a motion from a MATLAB file, as `save_mat`, MOTES or TsgFEM write it.
+
+    What `save_mat` wrote comes back as it was. Of MOTES it takes Nhist, Ndhist, t and gamma, of TsgFEM n_t, nd_t and out_tspan, in a struct
+    or outside, and makes them a trajectory of the model: its forces, energies and errors are those of the model at these positions and
+    velocities. Nodes that P ties together, as in MOTES' split, are one node.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        File of MATLAB's versions 5, 6 or 7 (``save('x.mat', '-v7')``).
+    model : Model, optional
+        Model of another program's motion, such as one with gravity. Default: the structure in the file, as by `load_mat`, without loads.
+
+    Returns
+    -------
+    Trajectory
+        The motion.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    TypeError, ValueError
+        The file cannot be read, or holds no motion, or one that does not fit the model; the message names the file and the variable.
+
+    See Also
+    --------
+    load_mat : Read a structure.
+    save_mat : Write a motion.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> run = tc.simulate(tc.Model(tc.Scene(tc.shapes.prism())), 0.1, 0.01, compiled=False)
+    >>> tc.load_mat_trajectory(tc.save_mat(run, "run.mat"))
+    Trajectory(11 rows, 6 nodes, t = 0 … 0.1 s, success=True)
+    """
+    if model is not None:
+        instance("model", model, Model, "a Model or None")
+    variables = read_mat(path)
+    if variables.get("format") == TRAJECTORY_FORM and isinstance(variables.get("History"), dict):
+        try:
+            return _own(variables)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{os.fspath(path)} is no trajectory that save_mat has written: {error}") from error
+    try:
+        motion = _find(variables)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{os.fspath(path)}: {error}") from error
+    if model is None or motion.nodes.shape[1] != len(model.structure.nodes):
+        found = find_structure(path, variables, None, {})
+        try:
+            motion = motion._replace(nodes=motion.nodes[:, found.columns], velocities=motion.velocities[:, found.columns])
+        except IndexError as error:
+            raise ValueError(f"{os.fspath(path)}: its motion is of {motion.nodes.shape[1]} nodes, its N of more") from error
+        model = Model(Scene(found.structure)) if model is None else model
+    return _record(model, motion, os.fspath(path))
+
+
+def _own(variables: Mapping[str, Any]) -> Trajectory:
+    """Return a trajectory as `save_mat` wrote it. Raises KeyError, TypeError, ValueError."""
+    history, N = variables["History"], finite_array("N", variables["N"], (3, None))
+    count = N.shape[1]
+    content: dict[str, Any] = {"bars": read_pairs("C_b", variables["C_b"], count), "strings": read_pairs("C_s", variables["C_s"], count)}
+    content["pinned"] = read_indices("pinned_nodes", variables["pinned_nodes"], count)
+    sizes = {"T": np.size(history["t"]), "n": count, "3": 3, "α": len(content["strings"])}
+    for name, letters in LETTERS.items():
+        if name not in content:
+            value = history[HISTORY.get(name, name)]
+            if not letters:
+                content[name] = value if isinstance(value, str) else _KINDS[name](np.asarray(value).item())
+            else:  # MATLAB drops trailing dimensions of size one
+                shape = [sizes.get(letter, -1) for letter in letters]
+                content[name] = np.asarray(value, dtype=float).T.reshape(shape if np.size(value) else [max(0, size) for size in shape])
+    return Trajectory.from_arrays(content)
+
+
+def _find(variables: Mapping[str, Any]) -> Motion:
+    """Return the motion among variables, in a struct or outside. Raises TypeError, ValueError."""
+    scopes = {"": variables, **{name: value for name, value in variables.items() if isinstance(value, dict)}}
+    found = {name: read for name, scope in scopes.items() for keys, read in _READERS.items() if set(keys) <= set(scope)}
+    structs = [name for name in found if name] or list(found)
+    if not structs:
+        ways = " or ".join(", ".join(keys) for keys in _READERS)
+        raise ValueError(f"it holds no motion, which is {ways}, in a struct or outside: it holds {', '.join(variables) or 'nothing'}")
+    if len(structs) > 1:
+        raise ValueError(f"it holds the motions {', '.join(structs)}: keep one of them in the file")
+    return found[structs[0]](scopes[structs[0]])
+
+
+def _read_motes(scope: Mapping[str, Any]) -> Motion:
+    time = finite_array("t", np.ravel(scope["t"]), (None,))
+    given = _numbers(scope, "Nhist"), _numbers(scope, "Ndhist")
+    cubes = [value.reshape(*value.shape, *[1] * (3 - value.ndim)) for value in given]  # MATLAB drops a last dimension of one
+    nodes = finite_array("Nhist", cubes[0], (3, None, len(time))).transpose(2, 1, 0)
+    velocities = finite_array("Ndhist", cubes[1], (3, nodes.shape[1], len(time))).transpose(2, 1, 0)
+    return Motion(time, nodes, velocities, _numbers(scope, "gamma").T if "gamma" in scope else None)
+
+
+def _read_tsgfem(scope: Mapping[str, Any]) -> Motion:
+    rows = min(_numbers(scope, key).shape[-1] for key in ("n_t", "nd_t", "out_tspan"))  # its velocities end one time before its positions
+    time = finite_array("out_tspan", np.ravel(scope["out_tspan"])[:rows], (rows,))
+    size = len(scope["n_t"])
+    nodes, velocities = (finite_array(key, scope[key][..., :rows], (size - size % 3, rows)).T for key in ("n_t", "nd_t"))
+    return Motion(time, nodes.reshape(rows, -1, 3), velocities.reshape(rows, -1, 3), None)
+
+
+def _numbers(scope: Mapping[str, Any], key: str) -> Array:
+    if not isinstance(scope[key], np.ndarray):
+        raise ValueError(f"{key} is {shown(scope[key])}: give an array of numbers")
+    return np.asarray(scope[key], dtype=float)
+
+
+_READERS = {("Nhist", "Ndhist", "t"): _read_motes, ("n_t", "nd_t", "out_tspan"): _read_tsgfem}
+_KINDS: dict[str, Any] = {"success": bool, "compiled": bool, "interrupted": bool, "attempts": int, "step": float, "seconds": float}
+
+
+def _record(model: Model, motion: Motion, path: str) -> Trajectory:
+    """Return a trajectory of the model through these positions and velocities. Raises ValueError."""
+    rows = len(motion.time)
+    controlled = isinstance(model.scene.control, ForceDensity)
+    if model.nu and not controlled:
+        raise ValueError(f"model.scene.control is {model.scene.control}: give a model with control=None, or ForceDensity() to take gamma from {path}")
+    if controlled and (motion.force_density is None or motion.force_density.shape != (rows, model.nu)):
+        raise ValueError(f"{path}: its gamma does not hold {model.nu} strings at {rows} times: give a model with control=None")
+    if rows < 1 or np.any(np.diff(motion.time) <= 0):
+        raise ValueError(f"{path}: its times are none, or do not increase")
+    states = np.zeros((rows, model.nx))
+    for row in range(rows):
+        try:
+            states[row] = model.state(motion.nodes[row], motion.velocities[row])
+        except ValueError as error:
+            raise ValueError(f"{path}: at time {motion.time[row]:g} s {error}") from error
+    model.split(states)[2][:] = motion.time[:, None]
+    controls = np.array([model.held(motion.force_density[row] if controlled and motion.force_density is not None else None) for row in range(rows)])
+    step = float(motion.time[-1] - motion.time[0]) / max(1, rows - 1) or 1.0
+    return record_trajectory(model, motion.time, states, controls.reshape(rows, -1), step=step, message=f"another program's motion, read from {path}")
