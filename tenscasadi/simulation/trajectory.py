@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import os
 from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
@@ -184,8 +185,22 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
         OSError
             The file cannot be written.
         """
-        content = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
-        return archive.save(path, _FORMAT, content)
+        return archive.save(path, _FORMAT, self._content())
+
+    def to_bytes(self) -> bytes:
+        """Return what `save` writes.
+
+        Returns
+        -------
+        bytes
+            The content of the file.
+        """
+        file = io.BytesIO()
+        archive.write(file, _FORMAT, self._content())
+        return file.getvalue()
+
+    def _content(self) -> dict[str, Any]:
+        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
 
     def _columns(self) -> Columns:
         return {

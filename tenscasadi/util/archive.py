@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Container, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -48,11 +48,16 @@ def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) ->
 
     A file that was there stays as it is until the new one is complete. Raises OSError when it cannot be written, see `whole_file`.
     """
-    arrays = {name: np.asarray(value) for name, value in content.items()}
-    write = np.savez_compressed if sum(value.nbytes for value in arrays.values()) <= _LIMIT else np.savez  # else `load` could refuse it
     with whole_file(path) as file:
-        write(file, allow_pickle=False, format=np.asarray(form), **arrays)
+        write(file, form, content)
     return file_path("path", path)
+
+
+def write(file: BinaryIO, form: str, content: Mapping[str, Any]) -> None:
+    """Write what `save` does to a file that is open."""
+    arrays = {name: np.asarray(value) for name, value in content.items()}
+    savez = np.savez_compressed if sum(value.nbytes for value in arrays.values()) <= _LIMIT else np.savez  # else `load` could refuse it
+    savez(file, allow_pickle=False, format=np.asarray(form), **arrays)
 
 
 def unpacked_limit(path: Path) -> int:

@@ -1,0 +1,55 @@
+"""Around a server that runs: the browser that opens, and the script that waits."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+import webbrowser
+from typing import Any, Protocol
+
+from tenscasadi.util.validate import flag
+
+
+class Served(Protocol):
+    """Something at an address."""
+
+    url: str
+
+    def wait(self) -> None:
+        """Return when Ctrl-C is pressed."""
+
+
+def check_serving(browser: bool | None, wait: bool | None) -> None:
+    """Raise TypeError unless both are flags or None."""
+    for field, value in (("browser", browser), ("wait", wait)):
+        if value is not None:
+            flag(field, value)
+
+
+def open_and_wait(served: Served, browser: bool | None, wait: bool | None) -> None:
+    """Open the browser, where there is a display or it is asked for, and wait, in scripts or where it is asked for."""
+    if browser if browser is not None else _has_display():
+        webbrowser.open(served.url)
+    if wait if wait is not None else not (hasattr(sys, "ps1") or in_notebook()):
+        sys.stdout.write(f"viewer at {served.url}, Ctrl-C ends it\n")
+        sys.stdout.flush()
+        served.wait()
+
+
+def stop(server: Any) -> None:
+    """Stop a server; viser would print that it did."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def in_notebook() -> bool:
+    """Return whether this runs in a notebook."""
+    python = sys.modules.get("IPython")
+    shell = python.get_ipython() if python is not None else None
+    return shell is not None and hasattr(shell, "kernel")
+
+
+def _has_display() -> bool:
+    return sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
