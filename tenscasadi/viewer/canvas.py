@@ -34,7 +34,7 @@ class Canvas:
         self.layers: list[Layer] = []
         scene = server.scene
         _light(scene)
-        self._root = scene.add_frame("/shown", show_axes=False)
+        self.root = scene.add_frame("/shown", show_axes=False)
         add_grounds(scene, "/shown/ground", exhibit.grounds, self.low, self.high)
         add_obstacles(scene, "/shown/obstacle", exhibit.obstacles)
         add_boxes(scene, "/shown/box", exhibit.boxes, self.low, self.high)
@@ -72,7 +72,7 @@ class Canvas:
         """Show all motions at a time, s; those that have not begun, or have ended, as they begin or end."""
         if self.followed:
             centre = _centre(self.exhibit.motions[0].nodes_at(time))
-            self._root.position = tuple(self._centre - centre) if np.isfinite(centre).all() else (0.0, 0.0, 0.0)
+            self.root.position = tuple(self._centre - centre) if np.isfinite(centre).all() else (0.0, 0.0, 0.0)
         for motion, layer in zip(self.exhibit.motions, self.layers, strict=True):
             if not layer.root.visible:
                 continue
@@ -87,7 +87,7 @@ class Canvas:
         """Keep the first motion's middle where it is at the start, or not."""
         self.followed = followed
         if not followed:
-            self._root.position = (0.0, 0.0, 0.0)
+            self.root.position = (0.0, 0.0, 0.0)
 
     def _place_camera(self, server: viser.ViserServer) -> None:
         """Look at the middle of it all from the front, a little from above and the side; at what is flat from its broad side."""

@@ -7,18 +7,10 @@ import io
 import os
 import sys
 import webbrowser
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 from tenscasadi.util.validate import flag
-
-
-class Served(Protocol):
-    """Something at an address."""
-
-    url: str
-
-    def wait(self) -> None:
-        """Return when Ctrl-C is pressed."""
 
 
 def check_serving(browser: bool | None, wait: bool | None) -> None:
@@ -28,14 +20,14 @@ def check_serving(browser: bool | None, wait: bool | None) -> None:
             flag(field, value)
 
 
-def open_and_wait(served: Served, browser: bool | None, wait: bool | None) -> None:
-    """Open the browser, where there is a display or it is asked for, and wait, in scripts or where it is asked for."""
+def open_and_wait(url: str, hold: Callable[[], None], browser: bool | None, wait: bool | None) -> None:
+    """Open the browser, where there is a display or it is asked for, and `hold`, in scripts or where `wait` asks for it."""
     if browser if browser is not None else _has_display():
-        webbrowser.open(served.url)
+        webbrowser.open(url)
     if wait if wait is not None else not (hasattr(sys, "ps1") or in_notebook()):
-        sys.stdout.write(f"viewer at {served.url}, Ctrl-C ends it\n")
+        sys.stdout.write(f"viewer at {url}, Ctrl-C ends it\n")
         sys.stdout.flush()
-        served.wait()
+        hold()
 
 
 def stop(server: Any) -> None:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import os
-import sys
 import threading
-import webbrowser
 from html import escape
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +17,7 @@ from tenscasadi.viewer.exhibit import Exhibit, exhibit_of, standing_on
 from tenscasadi.viewer.page import frame_times, record, with_panel
 from tenscasadi.viewer.player import Player
 from tenscasadi.viewer.server import LOOPBACK, address, start_server
+from tenscasadi.viewer.serving import check_serving, in_notebook, open_and_wait, stop
 
 FilePath = str | os.PathLike[str]
 
@@ -75,18 +72,12 @@ class View:
         TypeError, ValueError
             An argument is wrong.
         """
-        for field, value in (("browser", browser), ("wait", wait)):
-            if value is not None:
-                flag(field, value)
+        check_serving(browser, wait)
         self.close()
         self._server = start_server(host, port)
         self.player = Player(self._server, self._canvas(self._server), self.title, self._speed)
         self.url = address(self._server)
-        if browser if browser is not None else _has_display():
-            webbrowser.open(self.url)
-        if wait if wait is not None else not _interactive():
-            sys.stdout.write(f"viewer at {self.url}, Ctrl-C ends it\n")
-            self.wait()
+        open_and_wait(self.url, self.wait, browser, wait)
         return self
 
     def wait(self) -> None:
@@ -101,7 +92,7 @@ class View:
         if self.player is not None:
             self.player.close()
         if self._server is not None:
-            _stop(self._server)
+            stop(self._server)
         self._server = self.player = self.url = None
 
     def save(self, path: FilePath) -> Path:
@@ -153,7 +144,7 @@ class View:
             canvas = self._canvas(server)
             return with_panel(record(server, canvas, self._speed), canvas, self.title, self._speed)
         finally:
-            _stop(server)
+            stop(server)
 
     def _canvas(self, server: Any) -> Canvas:
         canvas = Canvas(server, self.exhibit, self._colour)
@@ -246,15 +237,9 @@ def view(
     found = View(exhibit, name, colour, float(speed), follow)
     if target is not None:
         found.save(target)
-    elif not _in_notebook():
+    elif not in_notebook():
         found.show(host, port, browser, wait)
     return found
-
-
-def _stop(server: Any) -> None:
-    """Stop a server; viser would print that it did."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        server.stop()
 
 
 def _html_path(field: str, path: FilePath) -> Path:
@@ -262,17 +247,3 @@ def _html_path(field: str, path: FilePath) -> Path:
     if target.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"{field} is {os.fspath(path)!r}: give a file name that ends in .html")
     return target
-
-
-def _interactive() -> bool:
-    return hasattr(sys, "ps1") or _in_notebook()
-
-
-def _in_notebook() -> bool:
-    python = sys.modules.get("IPython")
-    shell = python.get_ipython() if python is not None else None
-    return shell is not None and hasattr(shell, "kernel")
-
-
-def _has_display() -> bool:
-    return sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

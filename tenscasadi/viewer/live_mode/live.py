@@ -274,5 +274,5 @@ def live(
     simulation = LiveSimulation(model, state, control, stepping)
     sliders_of(simulation, groups)  # what is wrong with them shows before there is a server
     found = Live(simulation, start_server(host, port), groups, save, name, float(speed))
-    open_and_wait(found, browser, wait)
+    open_and_wait(found.url, found.wait, browser, wait)
     return found

@@ -11,7 +11,6 @@ import numpy as np
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.viewer.canvas import QUANTITIES
 from tenscasadi.viewer.live_mode.pace import Pace
-from tenscasadi.viewer.live_mode.simulation import LiveSimulation
 from tenscasadi.viewer.live_mode.sliders import MOST, Slider, single
 from tenscasadi.viewer.live_mode.stage import Stage
 
@@ -156,37 +155,32 @@ class Panel:
     def _add_slider(self, gui: viser.GuiApi, slider: Slider) -> Any:
         step = (slider.high - slider.low) / _POSITIONS
         entry = gui.add_slider(slider.name, slider.low, slider.high, step, slider.read(self.simulation))
+        place = len(self._inputs)
+        self._inputs.append((slider, entry))
 
         def change(event: Any) -> None:
             if event.client is not None:  # a person, not `refresh`
                 value = float(entry.value)
-                self._do(lambda: self._drive(slider, value))
+                self._do(lambda: self._drive(self._inputs[place][0], value))
 
         entry.on_update(change)
-        self._inputs.append((slider, entry))
         return entry
 
     def _add_choice(self, gui: viser.GuiApi) -> None:
         """Add a number of a string, and the slider of that string."""
         count = self.simulation.model.nu
-        number = gui.add_number("String", 0, 0, count - 1, 1)
-        chosen = [single(self.simulation, 0)]
-        entry = self._add_slider(gui, chosen[0])
+        number = gui.add_number("String", 0, min=0, max=count - 1, step=1)
+        entry = self._add_slider(gui, single(self.simulation, 0))
         place = len(self._inputs) - 1
 
-        def choose(_: Any) -> None:
-            chosen[0] = single(self.simulation, int(np.clip(number.value, 0, count - 1)))
-            self._inputs[place] = (chosen[0], entry)
-            entry.label, entry.min, entry.max = chosen[0].name, chosen[0].low, chosen[0].high
-            entry.step = (chosen[0].high - chosen[0].low) / _POSITIONS
-            entry.value = chosen[0].read(self.simulation)
+        def choose() -> None:
+            slider = single(self.simulation, min(max(int(number.value), 0), count - 1))
+            self._inputs[place] = (slider, entry)
+            entry.label, entry.min, entry.max = slider.name, slider.low, slider.high
+            entry.step = (slider.high - slider.low) / _POSITIONS
+            self.refresh()
 
-        entry.remove_update_callback("all")
-        entry.on_update(lambda event: self._do(lambda: self._drive(chosen[0], float(entry.value))) if event.client is not None else None)
-        number.on_update(lambda _: self._do(choose_now) if number.value is not None else None)
-
-        def choose_now() -> None:
-            choose(None)
+        number.on_update(lambda _: self._do(choose))
 
     def _drive(self, slider: Slider, value: float) -> None:
         slider.apply(self.simulation, value)

@@ -103,9 +103,15 @@ def _by_length(simulation: LiveSimulation) -> bool:
 def _limits(simulation: LiveSimulation, own: Array) -> tuple[float, float]:
     largest = float(own.max())
     if _by_length(simulation):
-        return _LENGTHS[0] * largest, _LENGTHS[1] * largest
+        return _rounded(_LENGTHS[0] * largest, np.floor), _rounded(_LENGTHS[1] * largest, np.ceil)
     everywhere = float(simulation.start_control.max())
-    return 0.0, _FORCES * (largest or everywhere or _USUAL / _FORCES)
+    return 0.0, _rounded(_FORCES * (largest or everywhere or _USUAL / _FORCES), np.ceil)
+
+
+def _rounded(value: float, way: Any) -> float:
+    """Round to two digits: these stand below the slider."""
+    digit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return float(f"{way(round(value / digit, 6)) * digit:.3g}")
 
 
 def _alike(simulation: LiveSimulation) -> dict[str, tuple[int, ...]]:

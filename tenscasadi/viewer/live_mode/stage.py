@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscasadi.util.validate import Array
 from tenscasadi.viewer.canvas import QUANTITIES, Canvas
-from tenscasadi.viewer.colours import OBSTACLE, Scale
+from tenscasadi.viewer.colours import OBSTACLE, Scale, linear
 from tenscasadi.viewer.exhibit import exhibit_of
 from tenscasadi.viewer.legend import legend
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
@@ -35,13 +35,13 @@ class Stage:
         self.canvas = Canvas(server, exhibit_of(simulation.model.scene))
         self.layer = self.canvas.layers[0]
         self.followed, self.colour = False, "tension"
-        self._root = self.canvas._root
+        self._root = self.canvas.root
         self._middle = simulation.nodes.mean(axis=0)
         radius = self.canvas.radius
         self._arrow = server.scene.add_arrows(
             "/shown/pull",
             np.zeros((1, 2, 3)),
-            OBSTACLE,
+            linear(OBSTACLE),
             shaft_radius=0.6 * radius,
             head_radius=1.5 * radius,
             head_length=4.0 * radius,
