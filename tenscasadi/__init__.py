@@ -45,6 +45,7 @@ from tenscasadi.structure import shapes
 from tenscasadi.structure.class_one import ClassOne
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import CompileError, Single
+from tenscasadi.util.version import __version__ as __version__
 
 __all__ = [
     # what is modelled
