@@ -20,10 +20,13 @@ from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.ensemble.rollouts import rollouts
 from tenscasadi.ensemble.sweep import sweep
 from tenscasadi.ensemble.sweep_table import Sweep
+from tenscasadi.files.document import SceneFileError
 from tenscasadi.files.matlab.save import save_mat
 from tenscasadi.files.matlab.structures import load_mat
 from tenscasadi.files.matlab.trajectories import load_mat_trajectory
 from tenscasadi.files.mjcf import export_mjcf
+from tenscasadi.files.scene_files import load_scene, load_simulation, save_scene
+from tenscasadi.files.simulation import Simulation
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
@@ -111,6 +114,12 @@ __all__ = [
     "Feedback",
     "sweep",
     "Sweep",
+    # files of scenes
+    "load_scene",
+    "save_scene",
+    "load_simulation",
+    "Simulation",
+    "SceneFileError",
     # speed against accuracy
     "tradeoff",
     "Tradeoff",

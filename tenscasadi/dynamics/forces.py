@@ -180,7 +180,7 @@ def _rest(scene: Scene, u: Any) -> Any:
 def _per_child(scene: Scene, u: Any, factor: Array) -> Any:
     """Return u per parent string as a row over the modelled strings, times `factor`."""
     parent = scene.modelled.string_parent
-    row = u.T if len(parent) == u.shape[0] else u[parent.tolist()].T
+    row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
     return row if np.all(factor == 1) else row * ca.DM(factor).T
 
 

@@ -10,8 +10,6 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from tenscasadi.files.document import Item, SceneFileError, nearest
 from tenscasadi.files.forms import Form, Names, NotWritten, Schema, Schemas
 from tenscasadi.util.validate import shown
@@ -32,6 +30,7 @@ class Definition:
     made: type | None  # type of the values that are written as this kind; None: never written
     short: str  # field that stands for the whole table where it is no table
     take: Callable[[Any], Mapping[str, Any]]  # fields of a value
+    more: Callable[..., Any] | None  # whose docstring explains fields that `build` passes on
 
     def read(self, item: Item, names: Names, tag: str = "kind") -> Any:
         """Return the value that a table tells; `tag`: its key that tells the kind. Raises SceneFileError."""
@@ -59,12 +58,15 @@ class Definition:
         """Return the table of a value; `tag`: key that tells its kind, if any. Raises NotWritten, naming the field."""
         written: dict[str, Any] = {tag: self.kind} if tag else {}
         for name, content in self.take(value).items():
-            if content is None or (name in self.defaults and _same(content, self.defaults[name])):
+            if content is None:
                 continue
             try:
-                written[name] = self.fields[name].write(content)
+                told = self.fields[name].write(content)
             except NotWritten as error:
                 raise NotWritten(f"{self.kind}.{name}: {error}") from None
+            default = self.defaults.get(name)
+            if name == self.short or default is None or repr(self.fields[name].write(default)) != repr(told):  # −0.0 is not 0.0
+                written[name] = told
         return written
 
     def schema(self, kinds: Schemas, tag: str = "kind", tagged: bool = False) -> Schema:
@@ -101,8 +103,9 @@ class Definition:
 
     @cached_property
     def texts(self) -> Mapping[str, str]:
-        """What each field means, from the docstring."""
-        return MappingProxyType({name: text for name, text in parameter_texts(self.build).items() if name in self.fields})
+        """The meaning of each field, from the docstring."""
+        told = (parameter_texts(self.more) if self.more else {}) | parameter_texts(self.build)
+        return MappingProxyType({name: text for name, text in told.items() if name in self.fields})
 
 
 def define(
@@ -113,28 +116,33 @@ def define(
     made: type | None = None,
     short: str = "",
     take: Callable[[Any], Mapping[str, Any]] | None = None,
+    more: Callable[..., Any] | None = None,
 ) -> Definition:
     """Define a kind of value: by default `build` is its class, whose name is the kind, and its attributes are the fields."""
     own = made or (build if isinstance(build, type) else None)
     attributes = take or (lambda value: {name: getattr(value, name) for name in fields})
-    return Definition(build, MappingProxyType(dict(fields)), kind or getattr(build, "__name__", ""), own, short, attributes)
+    return Definition(build, MappingProxyType(dict(fields)), kind or getattr(build, "__name__", ""), own, short, attributes, more)
 
 
 @dataclass(frozen=True)
 class Kind(Form):
-    """A value of one of some kinds: a table whose key ``kind`` tells which, unless there is only one; a word for a kind without more."""
+    """A value of one of some kinds: a table whose key ``kind`` tells which, a word for a kind without more.
+
+    Where there is only one, or `implied`, a table without the key is of the first.
+    """
 
     definitions: tuple[Definition, ...]
     tag: str = "kind"
+    implied: bool = False
 
     def read(self, item: Item, names: Names) -> Any:
         """Return the value."""
-        if isinstance(item.value, str) and not (len(self.definitions) == 1 and self.definitions[0].short):
+        if isinstance(item.value, str) and (item.value in self._kinds or not self._short):
             return self._find(item, item.value).read(Item({}, item.key, item.document), names)
         if isinstance(item.value, dict) and self.tag in item.value:
             tag = item.child(self.tag)
             return self._find(tag, tag.text("the name of a kind")).read(item, names, self.tag)
-        if len(self.definitions) > 1:
+        if len(self.definitions) > 1 and not (self.implied and isinstance(item.value, dict)):
             wanted = f"a table with {self.tag} = one of {', '.join(self._kinds)}"
             raise item.error(f"has no {self.tag}: give {wanted}" if isinstance(item.value, dict) else f"is {shown(item.value)}: give {wanted}")
         return self.definitions[0].read(item, names, self.tag)
@@ -144,19 +152,25 @@ class Kind(Form):
         for definition in self.definitions:
             if definition.made is not None and type(value) is definition.made:
                 tagged = definition.write(value, self.tag if len(self.definitions) > 1 else "")
+                if self._short and set(tagged) == {self._short}:
+                    return tagged[self._short]
                 return definition.kind if set(tagged) <= {self.tag} else tagged
         raise NotWritten(f"{shown(value)} is none of {', '.join(self._kinds)}: files hold these only")
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return all kinds, and their words."""
         several = len(self.definitions) > 1
-        options = [definition.schema(kinds, self.tag, several) for definition in self.definitions]
+        options = [definition.schema(kinds, self.tag, several and not (self.implied and k == 0)) for k, definition in enumerate(self.definitions)]
         words = [definition.kind for definition in self.definitions if not definition.needed]
         return {"anyOf": [*options, *([{"enum": words}] if words else [])]}
 
     @property
     def _kinds(self) -> list[str]:
         return [definition.kind for definition in self.definitions]
+
+    @property
+    def _short(self) -> str:
+        return self.definitions[0].short if len(self.definitions) == 1 else ""
 
     def _find(self, item: Item, name: str) -> Definition:
         for definition in self.definitions:
@@ -199,9 +213,3 @@ def parameter_texts(build: Callable[..., Any]) -> dict[str, str]:
         elif line.strip():
             texts |= {name: f"{texts.get(name, '')} {line.strip()}".strip() for name in names}
     return texts
-
-
-def _same(one: Any, other: Any) -> bool:
-    if isinstance(one, np.ndarray):
-        return np.shape(one) == np.shape(other) and one.tobytes() == np.asarray(other, dtype=one.dtype).tobytes()
-    return type(one) is type(other) and repr(one) == repr(other)  # −0.0 is not 0.0

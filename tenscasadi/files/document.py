@@ -29,7 +29,7 @@ _LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)")
 
 
 class SceneFileError(ValueError):
-    r"""What is wrong with a scene file: in which file, line and key, the value, and the cure, on one line.
+    r"""A fault of a scene file: in which file, line and key, the value, and the cure, on one line.
 
     Parameters
     ----------
@@ -45,10 +45,11 @@ class SceneFileError(ValueError):
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
     >>> import tenscasadi as tc
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = f"{folder}/mast.toml"
-    ...     _ = open(path, "w").write("format = 1\nunits = 'SI'\nstructure.shape = 'prisn'")
+    ...     path = Path(folder, "mast.toml")
+    ...     _ = path.write_text("format = 1\nunits = 'SI'\nstructure.shape = 'prisn'")
     ...     try:
     ...         tc.load_scene(path)
     ...     except tc.SceneFileError as error:

@@ -56,7 +56,7 @@ class Names:
 
 
 class Form(ABC):
-    """What a value of a file looks like."""
+    """The look of a value of a file."""
 
     @abstractmethod
     def read(self, item: Item, names: Names) -> Any:

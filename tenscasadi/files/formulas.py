@@ -22,7 +22,7 @@ _WORD = re.compile(r"(?<![\w.])[A-Za-z_]\w*", re.ASCII)
 
 
 class _Function(NamedTuple):
-    """What a function makes of numbers and of CasADi's symbols, and how many arguments it takes."""
+    """A function, of numbers and of CasADi's symbols, and how many arguments it takes."""
 
     number: Callable[..., float]
     symbol: Callable[..., Any]
@@ -51,7 +51,7 @@ _Step = tuple[str, Any]  # ("number", value), ("name", word) or (operator or fun
 
 
 class FormulaError(ValueError):
-    """What is wrong with a formula, and the cure."""
+    """A fault of a formula, and its cure."""
 
 
 class Formula:

@@ -1,4 +1,4 @@
-"""What changes over time in scene files: tables, and arrays of formulas of t."""
+"""Quantities of scene files that change over time: tables, and arrays of formulas of t."""
 
 from __future__ import annotations
 

@@ -324,6 +324,8 @@ def membrane(p: int = 8, q: int = 5, radius: float = 1.0, length: float = 2.0, n
     (12, 28)
     """
     p, q = whole_number("p", p, 3, LARGEST_COUNT), whole_number("q", q, 2, LARGEST_COUNT)
+    if p * q > LARGEST_COUNT:
+        raise ValueError(f"p is {p} and q is {q}: they must give at most {LARGEST_COUNT} nodes")
     radius, length = positive_number("radius", radius), positive_number("length", length)
     nodes = np.concatenate([_ring(p, radius, j * np.pi / p, length * (j / (q - 1) - 0.5)) for j in range(q)])
     ring, before, after = _membrane_neighbours(p, q)

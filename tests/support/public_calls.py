@@ -72,11 +72,17 @@ MEMBERS = {"nodes": NODES, "bars": [(0, 1), (2, 3)], "strings": [(0, 2), (1, 3)]
 MATRICES = {"N": NODES.T, "C_b": np.array([[-1.0, 1, 0, 0], [0, 0, -1, 1]]), "C_s": np.array([[-1.0, 0, 1, 0], [0, -1, 0, 1]])}
 STRING_VALUES = {"stiffness": 100.0, "damping": np.array([0.1, 0.2]), "rest_length": np.array([1.0, 1.0]), "string_mass": 0.1}
 
+SIMULATION = {
+    **{"scene": tc.Scene(tc.Structure(**MEMBERS)), "t_end": 0.1, "step": 0.01, "scheme": tc.RungeKutta4(), "correction": tc.Projection()},
+    **{"save_every": 1, "coordinates": "reduced", "bar_length": "current", "nodes": NODES, "velocities": NODES, "project": False, "state": None},
+    **{"control": None, "parameters": None, "energy_balance": True},
+}
+
 
 @cache
 def quick_calls() -> dict[str, Call]:
     """Each public name whose call takes milliseconds, with input that is right."""
-    return dynamics_calls() | planning_calls() | shape_calls()
+    return dynamics_calls() | file_calls() | planning_calls() | shape_calls()
 
 
 def dynamics_calls() -> dict[str, Call]:
@@ -155,6 +161,16 @@ def dynamics_calls() -> dict[str, Call]:
         "simulate, adaptive": (tc.simulate, {**run, "scheme": tc.DormandPrince54(rtol=1e-3, max_attempts=100)}),
     }  # fmt: skip
     return found
+
+
+def file_calls() -> dict[str, Call]:
+    """Scenes as files."""
+    return {
+        "Simulation": (tc.Simulation, SIMULATION),
+        "load_scene": (tc.load_scene, {"path": "missing.toml"}),
+        "load_simulation": (tc.load_simulation, {"path": "missing.toml"}),
+        "save_scene": (tc.save_scene, {"scene": model().scene, "path": "scene.toml"}),
+    }
 
 
 def planning_calls() -> dict[str, Call]:

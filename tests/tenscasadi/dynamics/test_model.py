@@ -162,6 +162,14 @@ def test_parent_strings_are_controlled_as_a_whole() -> None:
     assert np.allclose(rest.tension(rest.initial_state).reshape(9, 3), one.tension(one.initial_state, one.initial_control)[:, None])
 
 
+@pytest.mark.parametrize("control", [ForceDensity(), RestLength()])
+def test_one_string_alone_is_controlled_in_segments_too(control) -> None:
+    ends = Structure([(0, 0, 0), (2, 0, 0)], strings=[(0, 1)], node_mass=0.5, string_mass=0.1, stiffness=10.0)
+    model = Model(Scene(ends, control=control, segments=2))
+    accelerations = model.ode(model.initial_state, [4.0 if control == ForceDensity() else 1.2])[model.nq :].full().reshape(-1, 3)
+    np.testing.assert_allclose(accelerations, [(16, 0, 0), (-16, 0, 0), (0, 0, 0)], rtol=1e-12, atol=1e-12)  # 8 N on 0.5 kg
+
+
 def test_forces_that_vary_with_time_put_a_clock_in_the_state() -> None:
     structure = Structure(**PRISM)
 

@@ -1,0 +1,191 @@
+"""A simulation as a value: a scene, its start, and how it is integrated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.scheme import Scheme, check_scheme
+from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection, projection
+from tenscasadi.scene.scene import Scene
+from tenscasadi.simulation.simulate import lay_run, simulate
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
+from tenscasadi.util.compile import Compiled
+from tenscasadi.util.validate import Array, choice, finite_array, flag, instance, positive_number, whole_number
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A scene with its start and the options of `simulate`: what a file tells from [scene] to [simulation].
+
+    Parameters
+    ----------
+    scene : Scene
+        What is simulated.
+    t_end : float
+        End of the run, s.
+    step : float, optional
+        Largest step, s, see `simulate`.
+    scheme : Scheme
+        Integration scheme.
+    correction : Projection or BarLengthCorrection, optional
+        Correction of bar lengths and joints.
+    save_every : int, optional
+        Steps from one kept row to the next, see `simulate`.
+    coordinates : {"reduced", "full"}
+        Coordinates of the state, see `Model`.
+    bar_length : {"current", "constant"}
+        The square that the bars' multipliers divide by, see `Model`.
+    nodes : array_like, shape (n, 3), optional
+        Positions at the start, m; by default those of the structure. Nodes inside strings that are cut into segments lie on a line, unless
+        they are given, too.
+    velocities : array_like, shape (n, 3), optional
+        Velocities at the start, m/s; by default at rest.
+    project : bool
+        Whether the start is moved onto bars and joints: the nearest state that keeps them.
+    state : array_like, shape (nx,), optional
+        The start as a state of the model, in place of nodes and velocities.
+    control : array_like, shape (nu,) or (K, nu), or callable, optional
+        Control, see `simulate`.
+    parameters : mapping of str to array_like, optional
+        Values of the model's parameters by name, see `simulate`.
+    energy_balance : bool
+        Whether the work of damping, contact and control is accounted for.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Where a field is wrong, by its name.
+
+    See Also
+    --------
+    load_simulation : Read one from a file.
+    simulate : Run a model with all options.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> swing = tc.Simulation(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()), t_end=0.1, step=1e-3)
+    >>> swing.run(compiled=False).message
+    'finished 100 steps of 0.001 s'
+    """
+
+    scene: Scene
+    t_end: float
+    step: float | None = None
+    scheme: Scheme = field(default_factory=RungeKutta4)
+    correction: Correction | None = None
+    save_every: int | None = None
+    coordinates: Literal["reduced", "full"] = "reduced"
+    bar_length: Literal["current", "constant"] = "current"
+    nodes: Any = None
+    velocities: Any = None
+    project: bool = False
+    state: Any = None
+    control: Any = None
+    parameters: Mapping[str, Any] | None = None
+    energy_balance: bool = True
+
+    def __post_init__(self) -> None:
+        instance("Simulation.scene", self.scene, Scene, "a tenscasadi.Scene")
+        own: dict[str, Any] = {"t_end": positive_number("Simulation.t_end", self.t_end)}
+        if self.step is not None:
+            own["step"] = positive_number("Simulation.step", self.step)
+        check_scheme(self.scheme, "Simulation.scheme")
+        if self.correction is not None:
+            instance(
+                "Simulation.correction", self.correction, (Projection, BarLengthCorrection), "Projection(every), BarLengthCorrection(weight) or None"
+            )
+        if self.save_every is not None:
+            own["save_every"] = whole_number("Simulation.save_every", self.save_every, 1)
+        choice("Simulation.coordinates", self.coordinates, "reduced", "full")
+        choice("Simulation.bar_length", self.bar_length, "current", "constant")
+        for name in ("project", "energy_balance"):
+            flag(f"Simulation.{name}", getattr(self, name))
+        if self.state is not None:
+            own["state"] = finite_array("Simulation.state", self.state, (None,))
+        for name in ("nodes", "velocities"):
+            if getattr(self, name) is not None:
+                own[name] = self._rows(name)
+                if self.state is not None:
+                    raise ValueError(f"Simulation.{name} is given beside Simulation.state, which says the same: leave one of them out")
+        if self.parameters is not None:
+            instance("Simulation.parameters", self.parameters, Mapping, 'a mapping such as {"stiffness": 120.0}')
+            own["parameters"] = dict(self.parameters)
+        for name, value in own.items():
+            object.__setattr__(self, name, value)
+
+    @cached_property
+    def model(self) -> Model:
+        """The equations of motion of the scene."""
+        return Model(self.scene, self.coordinates, self.bar_length)
+
+    @cached_property
+    def start(self) -> Array:
+        """The state (nx,) that the run starts from."""
+        state = self.model.initial_state if self.state is None else self.state
+        if self.nodes is not None or self.velocities is not None:
+            nodes = self.model.structure.nodes if self.nodes is None else self._modelled(self.nodes)
+            state = self.model.state(nodes, None if self.velocities is None else self._modelled(self.velocities))
+        if self.project:
+            state = np.asarray(projection(self.model)(state).full()).ravel()
+        return np.array(state)
+
+    def check(self) -> None:
+        """Build the model, and raise TypeError or ValueError unless start, control and parameters fit it."""
+        if len(self.start) != self.model.nx:
+            raise ValueError(f"state has {len(self.start)} entries: give the {self.model.nx} of the model, or nodes and velocities")
+        lay_run(self.model, self.start, self.t_end, self.step, self.scheme, self.control, self.model.parameters.values(self.parameters))
+
+    def run(self, progress: bool = False, compiled: Compiled = None) -> Trajectory:
+        """Simulate.
+
+        Parameters
+        ----------
+        progress : bool
+            Whether to show a progress bar.
+        compiled : bool or Single, optional
+            Whether to run as machine code, see `simulate`.
+
+        Returns
+        -------
+        Trajectory
+            The motion with its errors, see `simulate`.
+        """
+        return simulate(
+            self.model,
+            self.t_end,
+            self.step,
+            self.scheme,
+            state=None if self.state is None and self.nodes is None and self.velocities is None and not self.project else self.start,
+            control=self.control,
+            correction=self.correction,
+            save_every=self.save_every,
+            compiled=compiled,
+            progress=progress,
+            energy_balance=self.energy_balance,
+            parameters=self.parameters,
+        )
+
+    def _rows(self, name: str) -> Array:
+        """Return positions or velocities of the structure's nodes, or of all that are modelled."""
+        rows = finite_array(f"Simulation.{name}", getattr(self, name), (None, 3))
+        counts = {len(self.scene.structure.nodes), len(self.scene.modelled.nodes)}
+        if len(rows) not in counts:
+            raise ValueError(f"Simulation.{name} has {len(rows)} rows: give one for each of the {' or '.join(map(str, sorted(counts)))} nodes")
+        return rows
+
+    def _modelled(self, rows: Array) -> Array:
+        """Return rows for all modelled nodes: those inside strings lie, and move, on the line between its ends."""
+        structure = self.scene.structure
+        if len(rows) == len(self.scene.modelled.nodes):
+            return rows
+        shares = [segment_shares(count, self.scene.fractions) for count in segment_counts(self.scene.segments, len(structure.strings))]
+        return cut_strings(rows, structure.strings, structure.string_mass, shares, lumped=False)[0]

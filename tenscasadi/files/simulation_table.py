@@ -1,0 +1,160 @@
+"""The [start] and [simulation] of scene files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.files.containers import Either, MapOf, TableOf
+from tenscasadi.files.definitions import Kind, call, define
+from tenscasadi.files.document import Document
+from tenscasadi.files.forms import NUMBER, PER_ITEM, VECTOR, WHOLE, Flag, Form, Index, Names, Numbers, Word
+from tenscasadi.files.simulation import Simulation
+from tenscasadi.files.time_formula import OverTime
+from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.rattle import Rattle
+from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
+from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection
+from tenscasadi.integrators.sundials import Cvodes, Idas
+from tenscasadi.scene.parameters import QUANTITIES
+from tenscasadi.scene.scene import Scene
+from tenscasadi.util.validate import Array
+
+_TOLERANCES: Mapping[str, Form] = {"rtol": NUMBER, "atol": NUMBER}
+_EMBEDDED: Mapping[str, Form] = {**_TOLERANCES, "max_attempts": WHOLE}
+_SUNDIALS: Mapping[str, Form] = {**_TOLERANCES, "max_steps": WHOLE}
+_ROWS = Either((Mapping,), MapOf("node", VECTOR), Numbers(((None, 3),)))
+
+SCHEME = Kind(
+    (
+        define(RungeKutta4),
+        define(DormandPrince54, _EMBEDDED),
+        define(DormandPrince853, _EMBEDDED),
+        define(Rattle, {"order": WHOLE, "iterations": WHOLE}),
+        define(Collocation, {"degree": WHOLE, "points": Word(("gauss", "radau")), "tolerance": NUMBER, "iterations": WHOLE}),
+        define(Cvodes, _SUNDIALS),
+        define(Idas, _SUNDIALS),
+    )
+)
+CORRECTION = Kind((define(Projection, {"every": WHOLE, "iterations": WHOLE}), define(BarLengthCorrection, {"weight": NUMBER, "every": WHOLE})))
+SIMULATION = define(
+    Simulation,
+    {
+        "t_end": NUMBER,
+        "step": NUMBER,
+        "scheme": SCHEME,
+        "correction": CORRECTION,
+        "save_every": WHOLE,
+        "coordinates": Word(("reduced", "full")),
+        "bar_length": Word(("current", "constant")),
+        "control": OverTime((None,)),
+        "parameters": TableOf(PER_ITEM, tuple(QUANTITIES)),
+        "energy_balance": Flag(),
+    },
+)
+
+
+@dataclass(frozen=True)
+class Start:
+    """How a motion starts.
+
+    Parameters
+    ----------
+    nodes : array_like, shape (n, 3), or mapping of int to array_like, shape (3,)
+        Positions at the start, m; nodes that a table does not name are where the structure has them.
+    velocities : array_like, shape (n, 3), or mapping of int to array_like, shape (3,)
+        Velocities at the start, m/s, beside `velocity` and `spin`; nodes that a table does not name have none.
+    velocity : sequence of float, shape (3,)
+        Velocity of the whole structure, m/s.
+    spin : sequence of float, shape (3,)
+        Angular velocity of the whole structure, rad/s.
+    about : int or sequence of float, shape (3,)
+        Node or point that it spins about; by default the mean of the nodes.
+    project : bool
+        Whether the start is moved onto bars and joints: the nearest state that keeps them.
+    state : array_like, shape (nx,)
+        The start as a state of the model, in place of all others.
+    """
+
+    nodes: Any = None
+    velocities: Any = None
+    velocity: Any = None
+    spin: Any = None
+    about: Any = None
+    project: bool = False
+    state: Any = None
+
+    def __post_init__(self) -> None:
+        if self.about is not None and self.spin is None:
+            raise ValueError("about is given without spin: give spin = [x, y, z], too, or leave it out")
+        if self.state is not None:
+            for name in ("nodes", "velocities", "velocity", "spin"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name} stands beside state, which says it all: leave one of them out")
+
+    def options(self, scene: Scene) -> dict[str, Any]:
+        """Return what `Simulation` has in place of these."""
+        rest = scene.structure.nodes
+        nodes = None if self.nodes is None else self._rows(self.nodes, rest)
+        velocities = None if self.velocities is None else self._rows(self.velocities, np.zeros_like(rest))
+        if self.velocity is not None or self.spin is not None:
+            velocities = (0.0 if velocities is None else velocities) + self._rigid(rest if nodes is None else nodes)
+        return {"nodes": nodes, "velocities": velocities, "project": self.project, "state": self.state}
+
+    def _rigid(self, nodes: Array) -> Array:
+        moved = np.zeros_like(nodes) + (0.0 if self.velocity is None else np.asarray(self.velocity))
+        if self.spin is None:
+            return moved
+        middle = nodes.mean(axis=0) if self.about is None else nodes[self.about] if isinstance(self.about, int) else np.asarray(self.about)
+        return np.asarray(moved + np.cross(self.spin, nodes - middle))
+
+    @staticmethod
+    def _rows(given: Any, others: Array) -> Array:
+        if not isinstance(given, Mapping):
+            return np.array(given, dtype=float).reshape(-1, 3)
+        rows = np.array(others)
+        for node, row in given.items():
+            rows[node] = row
+        return rows
+
+
+START = define(
+    Start,
+    {
+        "nodes": _ROWS,
+        "velocities": _ROWS,
+        "velocity": VECTOR,
+        "spin": VECTOR,
+        "about": Either((list,), VECTOR, Index("node")),
+        "project": Flag(),
+        "state": Numbers(((None,),)),
+    },
+    kind="start",
+)
+
+
+def read_simulation(document: Document, scene: Scene, names: Names) -> Simulation:
+    """Return the simulation of [start] and [simulation]. Raises SceneFileError."""
+    item = document.section("simulation")
+    if item is None:
+        raise document.root.error("it has no [simulation]: give one with t_end, the end of the run in s")
+    table = item.table()
+    options = SIMULATION.read_fields(table, names)
+    first = document.section("start")
+    started = START.read(first, names).options(scene) if first is not None else {}
+    where = {**(first.table() if first is not None else {}), **table}
+    if "t_end" not in table:
+        raise item.error("has no t_end: give the end of the run, s")
+    simulation: Simulation = call(Simulation, item, where, {"scene": scene, **options, **started})
+    call(simulation.check, item, where, {})
+    return simulation
+
+
+def write_simulation(simulation: Simulation) -> dict[str, Any]:
+    """Return the tables [start] and [simulation]. Raises NotWritten."""
+    start = {name: getattr(simulation, name) for name in ("nodes", "velocities", "project", "state")}
+    tables = {"start": START.write(Start(**start)), "simulation": SIMULATION.write(simulation)}
+    return {name: table for name, table in tables.items() if table}

@@ -1,0 +1,345 @@
+"""The [structure] of scene files: a shape by its name, or nodes, bars and strings, alone or in groups with their properties."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+from tenscasadi.dynamics.serialize import structure_to_arrays
+from tenscasadi.files.containers import Either, ListOf, MapOf, TableOf
+from tenscasadi.files.definitions import Definition, Kind, call, define
+from tenscasadi.files.document import Item, nearest
+from tenscasadi.files.forms import NUMBER, PER_ITEM, VECTOR, WHOLE, Form, Indices, Names, NotWritten, Numbers, Schema, Schemas, Word
+from tenscasadi.structure import shapes
+from tenscasadi.structure.structure import PARAMETERS, Structure
+from tenscasadi.util.validate import Array
+
+_POINTS = Numbers(((None, 3),))
+
+
+@dataclass(frozen=True)
+class PerNode(Form):
+    """A number for all nodes, a list, or a table from some nodes to their numbers, 0 for the others."""
+
+    def read(self, item: Item, names: Names) -> Any:
+        """Return a float or a list of floats."""
+        if not isinstance(item.value, dict):
+            return PER_ITEM.read(item, names)
+        values = np.zeros(names.counts["node"])
+        for node, value in MapOf("node", NUMBER).read(item, names).items():
+            values[node] = value
+        return values.tolist()
+
+    def write(self, value: Any) -> Any:
+        """Return a number where all are equal, else a list."""
+        return _common(PER_ITEM.write(value))
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return a number, a list or a table."""
+        return {"anyOf": [PER_ITEM.schema(kinds), MapOf("node", NUMBER).schema(kinds)]}
+
+
+@dataclass(frozen=True)
+class PerMember(Form):
+    """A number for all members, or a list."""
+
+    def read(self, item: Item, names: Names) -> Any:
+        """Return a float or a list of floats."""
+        return PER_ITEM.read(item, names)
+
+    def write(self, value: Any) -> Any:
+        """Return a number where all are equal, else a list."""
+        return _common(PER_ITEM.write(value))
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return a number or a list."""
+        return PER_ITEM.schema(kinds)
+
+
+def _common(values: Any) -> Any:
+    return values[0] if isinstance(values, list) and values and len(set(map(repr, values))) == 1 else values
+
+
+_PAIRS = ListOf(Indices("node"))
+_BARS: Mapping[str, Form] = {"bar_mass": PerMember(), "bar_radius": PerMember()}
+_PULL: Mapping[str, Form] = {"force_density": PerMember()}  # read only: it becomes rest lengths
+_STRINGS: Mapping[str, Form] = {name: PerMember() for name in ("stiffness", "damping", "rest_length", "string_mass")}
+_NODES: Mapping[str, Form] = {
+    "node_mass": PerNode(),
+    "pinned": Either((Mapping,), MapOf("node", Word()), Indices("node")),
+    "rollers": MapOf("node", Numbers(((3,), (None, 3)))),
+}
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A rotation about an axis through the origin.
+
+    Parameters
+    ----------
+    axis : sequence of float, shape (3,)
+        Direction of the axis, of any length.
+    angle : float
+        Angle, rad, counterclockwise as seen against the axis.
+    """
+
+    axis: Any
+    angle: float
+
+    def matrix(self) -> Array:
+        """Return the rotation (3×3). Raises ValueError."""
+        size = float(np.linalg.norm(self.axis))
+        if size == 0:
+            raise ValueError("axis is (0, 0, 0): give a direction")
+        x, y, z = np.asarray(self.axis) / size
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        return np.asarray(np.eye(3) + np.sin(self.angle) * cross + (1 - np.cos(self.angle)) * cross @ cross)
+
+
+_TURN = Kind((define(Turn, {"axis": VECTOR, "angle": NUMBER}),))
+_PLACED: Mapping[str, Form] = {"turn": _TURN, "move": VECTOR}
+_OPTIONS: Mapping[str, Form] = {**_BARS, **_STRINGS, **_PULL, **_NODES, **_PLACED}
+
+
+def _shape(build: Callable[..., Structure], own: Mapping[str, Form]) -> Definition:
+    return define(build, {**own, **_OPTIONS}, more=Structure)
+
+
+SHAPES = (
+    _shape(shapes.pendulum, {"length": NUMBER, "angle": NUMBER}),
+    _shape(shapes.double_pendulum, {"lengths": Numbers(((2,),)), "angles": Numbers(((2,),))}),
+    _shape(shapes.prism, {"bars": WHOLE, "radius": NUMBER, "height": NUMBER, "twist": NUMBER, "prestress": NUMBER}),
+    _shape(shapes.d_bar, {"bar_length": NUMBER, "angle": NUMBER, "prestress": NUMBER}),
+    _shape(shapes.t_bar, {"length": NUMBER, "width": NUMBER, "prestress": NUMBER}),
+    _shape(shapes.six_bar_ball, {"bar_length": NUMBER, "prestress": NUMBER}),
+    _shape(shapes.membrane, {"p": WHOLE, "q": WHOLE, "radius": NUMBER, "length": NUMBER}),
+)
+
+
+@dataclass(frozen=True)
+class Members(Form):
+    """Pairs of nodes, or groups of them by name, each with its `members` and properties."""
+
+    which: Literal["bar", "string"]
+    properties: Mapping[str, Form]
+
+    def read(self, item: Item, names: Names) -> dict[str, tuple[list[list[int]], dict[str, Any]]]:
+        """Return (pairs, properties) of each group, by name; those without groups are the group "". Raises SceneFileError."""
+        if not isinstance(item.value, dict):
+            return {"": (_PAIRS.read(item, names), {})}
+        groups = {}
+        for name, group in item.table().items():
+            table = group.table(f"a table with members and properties of the {self.which}s")
+            for key, entry in table.items():
+                if key not in {"members", *self.properties}:
+                    raise entry.error(f"is no property of {self.which}s: {nearest(key, ('members', *self.properties))}")
+            if "members" not in table:
+                raise group.error('has no members: give pairs of nodes, such as members = [["foot", "top"]]')
+            pairs = _PAIRS.read(table.pop("members"), names)
+            found = {key: self.properties[key].read(entry, names) for key, entry in table.items()}
+            for key, value in found.items():
+                if isinstance(value, list) and len(value) != len(pairs):
+                    raise table[key].error(f"has {len(value)} entries: give one number, or one for each of the {len(pairs)} members")
+            groups[name] = (pairs, found)
+        return groups
+
+    def write(self, value: Any) -> Any:
+        """Return pairs of nodes."""
+        return np.asarray(value).tolist()
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return pairs or groups."""
+        pairs = _PAIRS.schema(kinds)
+        properties = {"members": pairs, **{name: form.schema(kinds) for name, form in self.properties.items()}}
+        group = {"type": "object", "properties": properties, "required": ["members"], "additionalProperties": False}
+        return {"anyOf": [pairs, {"type": "object", "additionalProperties": group}]}
+
+
+class _NodesForm(Form):
+    """Positions in a list, or by name in a table."""
+
+    def read(self, item: Item, names: Names) -> Any:
+        """Return the positions, and their names."""
+        if isinstance(item.value, dict):
+            table = item.table()
+            return [VECTOR.read(entry, names) for entry in table.values()], {name: [k] for k, name in enumerate(table)}
+        if not item.entries():
+            raise item.error("is empty: give at least one node")
+        return _POINTS.read(item, names), {}
+
+    def write(self, value: Any) -> Any:
+        """Return positions."""
+        return _POINTS.write(value)
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return a list or a table."""
+        return {"anyOf": [_POINTS.schema(kinds), TableOf(VECTOR).schema(kinds)]}
+
+
+def _pins(structure: Structure) -> Any:
+    """Return the nodes that are pinned, with axes where some are pinned along some only."""
+    return list(structure.pinned) if all(axes == "xyz" for axes in structure.pinned.values()) else structure.pinned
+
+
+STRUCTURE = define(
+    Structure,
+    {
+        "nodes": _NodesForm(),
+        "bars": Members("bar", _BARS),
+        "strings": Members("string", {**_STRINGS, **_PULL}),
+        **_OPTIONS,
+    },
+    kind="nodes",
+    take=lambda structure: {name: getattr(structure, name) for name in PARAMETERS} | {"pinned": _pins(structure)},
+)
+
+
+@dataclass(frozen=True)
+class StructureForm(Form):
+    """The table [structure]."""
+
+    def read(self, item: Item, names: Names) -> tuple[Structure, Names]:
+        """Return the structure, and what its parts are called."""
+        table = item.table()
+        if "shape" not in table:
+            return _read_nodes(item, table)
+        name = table["shape"].text("the name of a shape")
+        if "nodes" in table:
+            raise table["nodes"].error("stands beside shape: give one of them")
+        for definition in SHAPES:
+            if definition.kind == name:
+                return _read_shape(definition, item, {key: entry for key, entry in table.items() if key != "shape"})
+        raise table["shape"].error(f"is {name!r}: {nearest(name, [definition.kind for definition in SHAPES])}")
+
+    def write(self, value: Any) -> dict[str, Any]:
+        """Return nodes, bars and strings. Raises NotWritten where `subdivide` or `from_matrices` made the structure."""
+        plain = Structure(**{name: getattr(value, name) for name in PARAMETERS})
+        other = structure_to_arrays(plain)
+        if any(not np.array_equal(array, other[name]) for name, array in structure_to_arrays(value).items()):
+            raise NotWritten(
+                "Structure: it has columns or segments that `from_matrices` or `subdivide` made, which files do not hold: "
+                "give Scene(segments=...) in place of subdivide, or keep it in Python"
+            )
+        written = STRUCTURE.write(value)
+        written.pop("rest_length", None)
+        if not np.array_equal(value.rest_length, value.string_lengths):
+            written["rest_length"] = STRUCTURE.fields["rest_length"].write(value.rest_length)
+        return {name: content for name, content in written.items() if content not in ([], {})}
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return all shapes, and nodes."""
+        return {"anyOf": [*(shape.schema(kinds, "shape", tagged=True) for shape in SHAPES), STRUCTURE.schema(kinds, "shape")]}
+
+
+def _read_shape(definition: Definition, item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
+    own = {name: entry for name, entry in table.items() if name not in _OPTIONS}
+    arguments = definition.read_fields(own, Names())
+    bare = definition.make(item, table, {name: value for name, value in arguments.items() if name != "prestress"})
+    names = _names_of(bare, {})
+    options = definition.read_fields({name: entry for name, entry in table.items() if name in _OPTIONS}, names)
+    gamma = options.pop("force_density", None)
+    if gamma is not None and ("prestress" in arguments or "rest_length" in options):
+        raise table["force_density"].error("stands beside prestress or rest_length, which say the same: leave one of them out")
+    turn, move = options.pop("turn", None), options.pop("move", None)
+    structure = definition.make(item, table, arguments | options)
+    if gamma is not None:
+        structure = call(structure.prestressed, item, table, {"force_density": gamma})
+    return _place(structure, turn, move, item, table), names
+
+
+def _read_nodes(item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
+    for name, entry in table.items():
+        if name not in STRUCTURE.fields:
+            raise entry.error(f"is no field of a structure: {nearest(name, (*STRUCTURE.fields, 'shape'))}")
+    if "nodes" not in table:
+        raise item.error('has neither nodes nor shape: give nodes = [[0, 0, 0], [0, 0, 1]], or shape = "prism"')
+    nodes, node_names = STRUCTURE.fields["nodes"].read(table["nodes"], Names())
+    names = Names({"node": len(nodes)}, {"node": node_names})
+    groups = {part: STRUCTURE.fields[part].read(table[part], names) if part in table else {} for part in ("bars", "strings")}
+    names = _count(names, groups)
+    rest = {name: entry for name, entry in table.items() if name not in ("nodes", *groups)}
+    given: dict[str, Any] = STRUCTURE.read_fields(rest, names)
+    for part, properties in {"bars": _BARS, "strings": {**_STRINGS, **_PULL}}.items():
+        for name in properties:
+            value = _gathered(name, groups[part], given.get(name), table)
+            if value is not None:
+                given[name] = value
+    gamma, rest_length = given.pop("force_density", None), given.pop("rest_length", None)
+    turn, move = given.pop("turn", None), given.pop("move", None)
+    members = {part: [pair for pairs, _ in found.values() for pair in pairs] for part, found in groups.items()}
+    count = len(members["strings"])
+    lengths, pulls = (_per_item(name, value, count, table) for name, value in (("rest_length", rest_length), ("force_density", gamma)))
+    structure = _build(item, table, groups, {"nodes": nodes, **members, **given})
+    both = ~np.isnan(lengths) & ~np.isnan(pulls)
+    if both.any():
+        raise item.error(f"gives string {int(np.argmax(both))} rest_length and force_density, which say the same: leave one of them out")
+    if not np.isnan(pulls).all():
+        structure = _build(item, table, groups, {"force_density": np.where(np.isnan(pulls), 0.0, pulls)}, structure.prestressed)
+    if not np.isnan(lengths).all():
+        rest_lengths = np.where(np.isnan(lengths), structure.rest_length, lengths)
+        structure = _build(item, table, groups, {"rest_length": rest_lengths}, structure.replace)
+    return _place(structure, turn, move, item, table), names
+
+
+_Groups = Mapping[str, tuple[list[list[int]], dict[str, Any]]]
+
+
+def _build(item: Item, table: Mapping[str, Item], groups: Mapping[str, _Groups], given: Mapping[str, Any], build: Any = Structure) -> Structure:
+    """Return build(**given); what is wrong with a member is told with the place of its group. Raises SceneFileError."""
+    try:
+        return build(**given)  # type: ignore[no-any-return]
+    except (TypeError, ValueError) as error:
+        found = re.search(r"^(\w+) of (bar|string) (\d+) ", str(error))
+        part, index = (f"{found[2]}s", int(found[3])) if found else ("", 0)
+        for name, (pairs, properties) in groups.get(part, {}).items():
+            if 0 <= index < len(pairs) and found and found[1] in properties:
+                raise table[part].child(name).child(found[1]).error(str(error)) from error
+            index -= len(pairs)
+        return call(build, item, table, given)  # type: ignore[no-any-return]
+
+
+def _gathered(name: str, groups: _Groups, common: Any, table: Mapping[str, Item]) -> Any:
+    """Return a property of all members, NaN where nothing says it; None where no group says it."""
+    if not any(name in properties for _, properties in groups.values()):
+        return common
+    if isinstance(common, list):
+        raise table[name].error("is a list, and groups say it, too: give one number for the members of groups that do not")
+    fallback: Any = {"rest_length": np.nan, "force_density": np.nan}.get(name, STRUCTURE.defaults.get(name)) if common is None else common
+    values = [np.broadcast_to(properties.get(name, fallback), (len(pairs),)) for pairs, properties in groups.values()]
+    return np.concatenate(values)
+
+
+def _per_item(name: str, value: Any, count: int, table: Mapping[str, Item]) -> Array:
+    if isinstance(value, list) and len(value) != count:
+        raise table[name].error(f"has {len(value)} entries: give one number, or one for each of the {count} strings")
+    return np.array(np.broadcast_to(np.nan if value is None else value, (count,)), dtype=float)
+
+
+def _place(structure: Structure, turn: Turn | None, move: Any, item: Item, table: Mapping[str, Item]) -> Structure:
+    """Return the structure turned, then moved."""
+    nodes = structure.nodes
+    if turn is not None:
+        nodes = nodes @ call(turn.matrix, table["turn"], {}, {}).T
+    if move is not None:
+        nodes = nodes + np.asarray(move)
+    return structure if nodes is structure.nodes else call(structure.replace, item, table, {"nodes": nodes})
+
+
+def _count(names: Names, groups: Mapping[str, _Groups]) -> Names:
+    counts, named = dict(names.counts), dict(names.named)
+    for which, part in (("bar", "bars"), ("string", "strings")):
+        first, found = 0, {}
+        for name, (pairs, _) in groups[part].items():
+            found[name] = list(range(first, first + len(pairs)))
+            first += len(pairs)
+        counts[which], named[which] = first, {name: indices for name, indices in found.items() if name}  # type: ignore[index]
+    return replace(names, counts=counts, named=named)
+
+
+def _names_of(structure: Structure, named: Mapping[Any, Any]) -> Names:
+    return Names(MappingProxyType({"node": len(structure.nodes), "bar": len(structure.bars), "string": len(structure.strings)}), named)
