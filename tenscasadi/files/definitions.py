@@ -71,21 +71,18 @@ class Definition:
 
     def schema(self, kinds: Schemas, tag: str = "kind", tagged: bool = False) -> Schema:
         """Return a reference to the schema of this kind, which is put into `kinds`; `tagged`: its kind has to be told."""
-        if self.kind not in kinds:
-            kinds[self.kind] = {}
-            fields = {
-                name: {**form.schema(kinds), **({"description": self.texts[name]} if name in self.texts else {})}
-                for name, form in self.fields.items()
-            }
+        package = self.build.__module__.partition(".")[0]
+        name = self.kind if package == __package__.partition(".")[0] else f"{package}.{self.kind}"
+        if name not in kinds:
+            kinds[name] = {}  # a kind may hold its like
+            texts = {field: {"description": text} for field, text in self.texts.items()}
+            fields = {field: {**form.schema(kinds), **texts.get(field, {})} for field, form in self.fields.items()}
             needed = [*([tag] if tagged else []), *self.needed]
-            table: Schema = {"type": "object", "properties": {tag: {"const": self.kind}, **fields}, "additionalProperties": False}
-            table |= {"required": needed} if needed else {}
+            table: Schema = {"type": "object", "properties": {**({tag: {"const": self.kind}} if tag else {}), **fields}}
+            table |= {"additionalProperties": False, **({"required": needed} if needed else {})}
             text = {"description": summary(self.build)} if summary(self.build) else {}
-            if self.short:
-                kinds[self.kind] = {**text, "anyOf": [table, self.fields[self.short].schema(kinds)]}
-            else:
-                kinds[self.kind] = text | table
-        return {"$ref": f"#/$defs/{self.kind}"}
+            kinds[name] = text | ({"anyOf": [table, self.fields[self.short].schema(kinds)]} if self.short else table)
+        return {"$ref": f"#/$defs/{name}"}
 
     @cached_property
     def defaults(self) -> Mapping[str, Any]:
