@@ -27,6 +27,7 @@ from tenscasadi.files.matlab.trajectories import load_mat_trajectory
 from tenscasadi.files.mjcf import export_mjcf
 from tenscasadi.files.scene_files import load_scene, load_simulation, save_scene
 from tenscasadi.files.simulation import Simulation
+from tenscasadi.files.vtk import export_vtk
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
@@ -105,6 +106,7 @@ __all__ = [
     "CompileError",
     # files of others
     "export_mjcf",
+    "export_vtk",
     "load_mat",
     "load_mat_trajectory",
     "save_mat",

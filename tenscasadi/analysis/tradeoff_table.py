@@ -334,6 +334,8 @@ def _check_kinds(value: Row | Tradeoff) -> None:
             raise ValueError(f"{name} is {shown(given)}: give a number")
         if field.type in _WORDS:
             instance(name, given, *_WORDS[field.type])
+        if field.type == "int" and not abs(given) < 2**63:
+            raise ValueError(f"{name} is {shown(given)}: it must be less than 2^63 in size")
 
 
 _WORDS: dict[Any, tuple[Any, str]] = {"int": (Integral, "a whole number"), "bool": ((bool, np.bool_), "True or False"), "str": (str, "text")}

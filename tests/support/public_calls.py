@@ -140,6 +140,7 @@ def dynamics_calls() -> dict[str, Call]:
         "load_mat": (tc.load_mat, {"path": "missing.mat", "name": "task"}),
         "load_mat_trajectory": (tc.load_mat_trajectory, {"path": "missing.mat", "model": m}),
         "save_mat": (tc.save_mat, {"what": SEGMENTED, "path": "run.mat", "class_one": False}),
+        "export_vtk": (tc.export_vtk, {"trajectory": trajectory(), "path": "run.pvd", "model": m, "every": 2}),
         "Trajectory.to_csv": (trajectory().to_csv, {"path": "run.csv"}),
         "Trajectory.load": (tc.Trajectory.load, {"path": "missing.npz"}),
         "Trajectory.from_arrays": (lambda **k: tc.Trajectory.from_arrays(k), arrays_of(trajectory())),
