@@ -13,16 +13,29 @@ _WIDTH, _HEIGHT = 280, 150
 _LEFT, _RIGHT, _TOP, _BOTTOM = 44, 6, 18, 26
 _MOST_CURVES = 40
 _MOST_POINTS = 300
+_CURSOR = "#c0392b"
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22", "#17becf")
 
 
-def charts(exhibit: Exhibit) -> str:
-    """Return all curves of an exhibit."""
-    return "".join(chart_svg(chart) for chart in exhibit.charts)
+def charts(exhibit: Exhibit, marked: bool) -> str:
+    """Return all curves of an exhibit; `marked`: with a line of class "cursor" each that a script moves."""
+    return "".join(chart_svg(chart, marked) for chart in exhibit.charts)
 
 
-def chart_svg(chart: Chart) -> str:
-    """Return one chart: curves, dashed limits, numbers at the axes, and a line of class `cursor` that marks a time."""
+def cursors(exhibit: Exhibit, time: float) -> str:
+    """Return lines that mark a time in the charts, drawn over those that `charts` gave just before."""
+    lines = []
+    for chart in exhibit.charts:
+        first, last = float(chart.time[0]), float(chart.time[-1])
+        x = _LEFT + (min(max(time, first), last) - first) * (_WIDTH - _LEFT - _RIGHT) / (last - first or 1.0)
+        line = f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{_HEIGHT - _BOTTOM}" stroke="{_CURSOR}"/>'
+        lines.append(f'<svg class="marks" viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" style="display:block">{line}</svg>')
+    up = 100 * len(exhibit.charts) * _HEIGHT / _WIDTH  # percentages of a margin are of the width
+    return f'<div style="margin-top:-{up:.3f}%;position:relative;pointer-events:none">{"".join(lines)}</div>'
+
+
+def chart_svg(chart: Chart, marked: bool = False) -> str:
+    """Return one chart: curves, dashed limits, numbers at the axes, and a line of class "cursor" that can mark a time."""
     shown = _chosen(chart)
     values = chart.values[:, shown]
     bounds = [limit[shown][np.isfinite(limit[shown])] for limit in (chart.lower, chart.upper) if limit is not None]
@@ -48,8 +61,9 @@ def chart_svg(chart: Chart) -> str:
         at = float(y(np.array(level)))
         drawn.append(f'<path d="M{_LEFT} {at:.1f}h{wide}" stroke="#000" stroke-dasharray="5 3" fill="none"><title>limit {level:.4g}</title></path>')
     cursor = f'data-left="{_LEFT}" data-first="{first!r}" data-scale="{per_second!r}"'
-    drawn.append(f'<line class="cursor" {cursor} x1="{_LEFT}" x2="{_LEFT}" y1="{_TOP}" y2="{_TOP + tall}" stroke="#c0392b"/>')
-    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" style="font:9px system-ui,sans-serif">{"".join(drawn)}</svg>'
+    if marked:
+        drawn.append(f'<line class="cursor" {cursor} x1="{_LEFT}" x2="{_LEFT}" y1="{_TOP}" y2="{_TOP + tall}" stroke="{_CURSOR}"/>')
+    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" style="display:block;font:9px system-ui,sans-serif">{"".join(drawn)}</svg>'
 
 
 def _chosen(chart: Chart) -> list[int]:

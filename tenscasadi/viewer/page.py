@@ -73,7 +73,7 @@ def with_panel(page: str, canvas: Canvas, title: str, speed: float) -> str:
     """Return the page with a panel of title, time, legend and curves over it."""
     moves = canvas.exhibit.end > canvas.exhibit.start
     clock = '<div style="padding:0 8px">t = <span id="shown-time"></span></div>' if moves else ""
-    panel = f'<details id="shown" open><summary>{escape(title)}</summary>{clock}{legend(canvas)}{charts(canvas.exhibit)}</details>'
+    panel = f'<details id="shown" open><summary>{escape(title)}</summary>{clock}{legend(canvas)}{charts(canvas.exhibit, marked=True)}</details>'
     script = f"<script>{_FOLLOW % json.dumps([canvas.exhibit.start, speed])}</script>" if moves else ""
     end = page.rindex("</body>")
     named = page[:end] + f"<style>{_STYLE}</style>{panel}{script}" + page[end:]

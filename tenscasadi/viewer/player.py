@@ -7,6 +7,8 @@ import time as clock
 from typing import TYPE_CHECKING, Any
 
 from tenscasadi.viewer.canvas import QUANTITIES, Canvas
+from tenscasadi.viewer.charts import charts, cursors
+from tenscasadi.viewer.labels import KINDS, Labels
 from tenscasadi.viewer.legend import legend
 
 if TYPE_CHECKING:
@@ -36,6 +38,7 @@ class Player:
         self.moves = self._last > self._first
         self.playing = playing and self.moves
         self._server = server
+        self.labels = Labels(server, canvas)
         self._changed, self._ended = threading.Event(), threading.Event()
         self._lock = threading.Lock()  # one frame at a time
         gui = server.gui
@@ -44,6 +47,7 @@ class Player:
         if self.moves:
             self._add_controls(gui)
         self._add_looks(gui)
+        self._add_labels(gui)
         self.show(self.time)
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -53,6 +57,7 @@ class Player:
         with self._lock, self._server.atomic():
             self.time = min(max(time, self._first), self._last)
             self.canvas.show(self.time)
+            self.labels.show(self.time)
 
     def play(self, playing: bool) -> None:
         """Start or stop."""
@@ -75,10 +80,10 @@ class Player:
         self._slider.on_update(self._scrub)
         speeds = SPEEDS if f"{self.speed:g}" in SPEEDS else tuple(sorted({*SPEEDS, f"{self.speed:g}"}, key=float))
         chosen = gui.add_dropdown("Speed", speeds, initial_value=f"{self.speed:g}", hint="simulated seconds in each second shown")
-        chosen.on_update(lambda _: self._set_speed(chosen.value))
+        chosen.on_update(lambda _: self._set_speed(chosen.value, speeds))
         self._loop = gui.add_checkbox("Repeat", True)
         follow = gui.add_checkbox("Follow", self.canvas.followed, hint="keep the middle of the structure in view")
-        follow.on_update(lambda _: self._change(lambda: self.canvas.follow(follow.value)))
+        follow.on_update(lambda _: self._change(lambda: self.canvas.follow(bool(follow.value))))
 
     def _add_looks(self, gui: viser.GuiApi) -> None:
         canvas = self.canvas
@@ -89,17 +94,44 @@ class Player:
             if len(canvas.layers) > 1:
                 self._add_switch(gui, motion.name, layer.root)
         self._legend = gui.add_html(legend(canvas))
+        self._cursors: Any = None
+        if canvas.exhibit.charts:
+            gui.add_html(charts(canvas.exhibit, marked=False))
+            self._cursors = gui.add_html("")
+
+    def _add_labels(self, gui: viser.GuiApi) -> None:
+        """Add boxes that number all nodes or members, and listen to clicks on them."""
+        with gui.add_folder("Numbers", expand_by_default=False):
+            for kind in KINDS:
+                if getattr(self.canvas.layers[0], kind) is not None:
+                    self._add_number(gui, kind)
+        for k, layer in enumerate(self.canvas.layers):
+            for kind in KINDS:
+                batch = getattr(layer, kind)
+                if batch is not None:
+                    batch.on_click(lambda event, k=k, kind=kind: self._click(k, kind, event.instance_index))
+
+    def _add_number(self, gui: viser.GuiApi, kind: str) -> None:
+        box = gui.add_checkbox(f"Numbers of {kind}", False)
+        box.on_update(lambda _: self._change(lambda: self.labels.number(kind, bool(box.value))))
+
+    def _click(self, motion: int, kind: str, index: int | None) -> None:
+        if isinstance(index, int):
+            self._change(lambda: self.labels.toggle((motion, kind, index)))
 
     def _add_switch(self, gui: viser.GuiApi, name: str, root: Any) -> None:
         box = gui.add_checkbox(name, True)
-        box.on_update(lambda _: self._change(lambda: setattr(root, "visible", box.value)))
+        box.on_update(lambda _: self._change(lambda: setattr(root, "visible", bool(box.value))))
 
     def _recolour(self, colour: str) -> None:
+        if colour not in QUANTITIES:
+            return
         self._change(lambda: self.canvas.choose_colour(colour))
         self._legend.content = legend(self.canvas)
 
-    def _set_speed(self, speed: str) -> None:
-        self.speed = float(speed)
+    def _set_speed(self, speed: str, speeds: tuple[str, ...]) -> None:
+        if speed in speeds:  # a page can send any text
+            self.speed = float(speed)
 
     def _change(self, act: Any) -> None:
         with self._lock:
@@ -108,9 +140,15 @@ class Player:
 
     def _scrub(self, event: Any) -> None:
         """Go where the slider was dragged; moves that come from `_run` have no client."""
-        if event.client is not None:
+        if event.client is not None and isinstance(self._slider.value, (int, float)):
             self.play(False)
             self.show(float(self._slider.value))
+            self._mark()
+
+    def _mark(self) -> None:
+        """Move the line in the curves."""
+        if self._cursors is not None:
+            self._cursors.content = cursors(self.canvas.exhibit, self.time)
 
     def _run(self) -> None:
         before, moved = clock.perf_counter(), 0.0
@@ -125,6 +163,7 @@ class Player:
             before = now
             if now - moved > _SLIDER_PERIOD or not self.playing:
                 self._slider.value = self.time
+                self._mark()
                 moved = now
             self._ended.wait(max(0.0, now + 1 / FRAMES_PER_SECOND - clock.perf_counter()))
 

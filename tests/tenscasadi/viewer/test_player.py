@@ -89,3 +89,55 @@ def test_it_plays_pauses_and_goes_where_it_is_told(shown, motion):
     wait_until(page, lambda: found.player.playing and found.player.time != 0.5, "it plays on")
     assert page.faults == []
     assert all(url.startswith((found.url, "data:", "blob:")) for url in page.asked)
+
+
+def on_page(found, page, point):
+    """Where a point, m, is on the page: projected by the camera that pages start with."""
+    camera, size = found._server.initial_camera, page.viewport_size
+    ahead = camera.look_at - camera.position
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    away = point - camera.position
+    scale = size["height"] / 2 / np.tan(camera.fov / 2) / (away @ ahead)
+    return size["width"] / 2 + scale * (away @ right), size["height"] / 2 - scale * (away @ np.cross(right, ahead))
+
+
+def test_a_click_labels_a_string_with_its_numbers(shown, motion):
+    found, page = shown
+    press(page, "Pause")
+    wait_until(page, lambda: not found.player.playing, "it pauses")
+    go_to(page, found, 0.5)
+    settled(page)
+    nodes = motion.nodes[50]
+    x, y = on_page(found, page, nodes[motion.strings].mean(axis=1)[6])
+    page.mouse.click(x, y)
+    clicked = found.player.labels.clicked
+    wait_until(page, lambda: clicked, "something is clicked")
+    ((_, kind, index),) = clicked
+    assert kind in ("strings", "bars")
+    a, b = getattr(motion, kind)[index]
+    label = clicked[0, kind, index]
+    wait_until(page, lambda: label.text, "the label has a text")
+    assert label.text.startswith(f"{kind[:-1]} {index}, nodes {a} – {b}\nlength {np.linalg.norm(nodes[b] - nodes[a]):.4g} m")
+    assert np.hypot(*(np.array(on_page(found, page, nodes[[a, b]].mean(axis=0))) - (x, y))) < 150
+    for wrong in ((0, "strings", 10**6), (0, "strings", -1), (9, "bars", 0), (0, "feet", 0)):  # what a page can send
+        found.player.labels.toggle(wrong)
+    assert len(clicked) == 1
+    found.player._click(0, kind, index)
+    assert not clicked
+    assert page.faults == []
+
+
+def test_numbers_of_nodes_are_written_beside_them(shown, motion):
+    found, page = shown
+    press(page, "Pause")
+    go_to(page, found, 0.5)
+    before = settled(page)
+    page.get_by_text("Numbers", exact=True).click()
+    page.get_by_text("Numbers of nodes").click()
+    wait_until(page, lambda: len(found.player.labels._numbered["nodes"]) == 6, "there are six numbers")
+    for label, node in zip(found.player.labels._numbered["nodes"], motion.nodes[50], strict=True):
+        np.testing.assert_allclose(label.position, node, atol=1e-6)
+    wait_until(page, lambda: apart(canvas(page), before) > 1e-3, "the numbers are seen")
+    assert page.faults == []
