@@ -12,6 +12,7 @@ from ocp.control.lqr import Tracker, track
 from ocp.control.mpc import Mpc
 from ocp.control.mppi import Mppi
 from ocp.export import export_mpc, export_program
+from ocp.files.problem_files import load_arguments, load_problem, save_problem
 from ocp.plan.actuation import reachable, replay_wound
 from ocp.plan.plan import Plan
 from ocp.plan.report import Report
@@ -104,6 +105,10 @@ __all__ = [
     "Robustness",
     "replay_wound",
     "reachable",
+    # in files
+    "load_problem",
+    "load_arguments",
+    "save_problem",
     # in closed loop
     "Mpc",
     "Mppi",

@@ -25,7 +25,7 @@ from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import TIME_UP, Ipopt
-from ocp.starts import seeded, solve_each
+from ocp.starts import MOST_STARTS, seeded, solve_each
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess, evaluate_guess, on_mesh
 from ocp.transcription.mesh import PiecewiseConstant
@@ -35,7 +35,6 @@ from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array, flag, instance, positive_number, whole_number
 
 PHASE_INTERVALS = 20  # of each phase
-MOST_STARTS = 1000
 TOO_LATE = "no plan: stopped at the time limit before the solver began, with the guess: raise seconds"
 RELIABLE = 1e-2  # of the structure's size (and of it per duration): what a replay may miss by, unless a tolerance is stated
 

@@ -15,6 +15,8 @@ from ocp.problem.problem import Problem
 from ocp.sampling.solver import Sampling
 from ocp.transcription.initial_guess import InitialGuess, InverseDynamics
 
+MOST_STARTS = 1000
+
 
 def seeded(problem: Problem, guess: InitialGuess | None, solver: Any, chosen: bool, count: int) -> list[dict[str, Any]]:
     """Return guess and solver of each of `count` starts, which differ by their seeds. chosen: whether the package picks the solver.

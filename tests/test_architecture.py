@@ -28,7 +28,7 @@ OCP = (
     "plan",
     {"program", "phases", "condensed", "verdict"},
     {"choice", "starts"},
-    {"control", "solve"},
+    {"control", "solve", "files"},
     "export",
 )
 

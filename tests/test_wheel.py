@@ -18,7 +18,7 @@ import pytest
 import tenscasadi
 
 ROOT = Path(__file__).resolve().parents[1]
-HEADERS = {path.relative_to(ROOT).as_posix() for path in (ROOT / "tenscasadi").rglob("*.hpp")}
+HEADERS = {path.relative_to(ROOT).as_posix() for ending in ("hpp", "toml") for path in (ROOT / "tenscasadi").rglob(f"*.{ending}")}
 FILES = sorted(path.relative_to(ROOT) for package in ("tenscasadi", "ocp") for path in (ROOT / package).rglob("*.py"))
 MARKS = {"tenscasadi/py.typed", "ocp/py.typed"}
 BESIDE = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md")

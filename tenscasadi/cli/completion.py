@@ -4,26 +4,41 @@ from __future__ import annotations
 
 import argparse
 
-from tenscasadi.cli.demos import DEMOS
+from tenscasadi.cli.source import SHAPES
 
-# What the scripts complete, by shell: shapes and scene files, any file, folders.
+# What the scripts complete, by shell: shapes and scene files, shapes, shapes and any file, folders.
 SOURCE = {"bash": "_tenscasadi_scenes", "zsh": "_tenscasadi_scenes"}
-FILE = {"bash": "_shtab_compgen_files", "zsh": "_files"}
+SHAPE = {"bash": "_tenscasadi_shapes", "zsh": "_tenscasadi_shapes"}
+FILE = {"bash": "_tenscasadi_files", "zsh": "_tenscasadi_files"}
 FOLDER = {"bash": "_shtab_compgen_dirs", "zsh": "_files -/"}
 
-_NAMES = " ".join(DEMOS)
+_NAMES = " ".join(SHAPES)
 _SCENES = {
     "bash": f"""
+_tenscasadi_shapes() {{
+  compgen -W "{_NAMES}" -- "$1"
+}}
 _tenscasadi_scenes() {{
   compgen -W "{_NAMES}" -- "$1"
   compgen -f -X '!*.toml' -- "$1"
   compgen -d -- "$1"
 }}
+_tenscasadi_files() {{
+  compgen -W "{_NAMES}" -- "$1"
+  compgen -f -- "$1"
+}}
 """,
     "zsh": f"""
+_tenscasadi_shapes() {{
+  compadd {_NAMES}
+}}
 _tenscasadi_scenes() {{
   compadd {_NAMES}
   _files -g '*.toml'
+}}
+_tenscasadi_files() {{
+  compadd {_NAMES}
+  _files
 }}
 """,
 }

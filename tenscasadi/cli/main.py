@@ -8,9 +8,8 @@ import warnings
 from collections.abc import Sequence
 from typing import TextIO
 
-from tenscasadi.cli.commands import FAILED, INTERRUPTED
-from tenscasadi.cli.output import check_folder
-from tenscasadi.cli.parser import BAD_INPUT, command_parser
+from tenscasadi.cli.output import BAD_INPUT, FAILED, INTERRUPTED, check_folder
+from tenscasadi.cli.parser import command_parser
 from tenscasadi.util.compile import CompileError
 
 
@@ -60,7 +59,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _tell(text: str) -> None:
-    print(f"tenscasadi: {' '.join(text.split())}", file=sys.stderr)
+    line = " ".join(text.split())
+    print(f"tenscasadi: {''.join(c if c.isprintable() else '?' for c in line)}", file=sys.stderr)  # what files say may not steer a terminal
 
 
 def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None, line: str | None = None) -> None:

@@ -1,4 +1,4 @@
-"""What the commands write: the folder, checked before a long run, and the files, named after what they are of."""
+"""Folders and files that the commands write: checked before a long run, named after the scene."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import os
 import time
 from collections.abc import Callable
 from pathlib import Path
+
+FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes, beside 0
 
 Writers = dict[str, Callable[[Path], object]]  # what writes a file, by the end of its name
 

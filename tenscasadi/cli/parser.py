@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 from tenscasadi.cli import commands, plan
-from tenscasadi.cli.completion import FOLDER, SOURCE, run_completion
-from tenscasadi.cli.demos import DEMOS
-
-BAD_INPUT = 2
-
+from tenscasadi.cli.completion import FILE, FOLDER, SHAPE, SOURCE, run_completion
+from tenscasadi.cli.exchange import run_export
+from tenscasadi.cli.output import BAD_INPUT
+from tenscasadi.cli.source import SHAPES
+from tenscasadi.cli.texts import run_new
+from tenscasadi.cli.view import run_view
 
 _Options = dict[str, dict[str, Any]]
 
@@ -25,7 +26,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class Command(NamedTuple):
-    """What runs, the one-line summary, the end of the help, what is named without a dash, and the options."""
+    """A command: its function, the one-line summary, the end of the help, what is named without a dash, and the options."""
 
     run: Callable[[argparse.Namespace], int]
     summary: str
@@ -74,6 +75,7 @@ _OUTPUT: _Options = {
     }
 }
 _SOURCE: _Options = {"source": {"metavar": "SHAPE|FILE", "help": "one of the shapes below, or a scene file (.toml)", "complete": SOURCE}}
+_THING: _Options = {"source": {"metavar": "SHAPE|FILE", "help": "a shape, a scene file (.toml), a trajectory or plan (.npz)", "complete": FILE}}
 _T_END = {"--t-end": _number("end of the simulation, s (default: the scene's)", metavar="S")}
 _UNCOMPILED: _Options = {"--uncompiled": {"help": "use CasADi's virtual machine even where there is a C compiler", **_FLAG}}
 
@@ -91,6 +93,7 @@ _SIMULATE_OPTIONS: _Options = {
     "--projection": _number("put bars and joints right after every N steps (default: the scene's)", int, "N"),
     **_UNCOMPILED,
     "--gif": {"help": "write an animation too", **_FLAG},
+    "--mp4": {"help": "write a film too", **_FLAG},
 }
 _TRADEOFF_OPTIONS: _Options = {
     **_T_END,
@@ -101,6 +104,20 @@ _TRADEOFF_OPTIONS: _Options = {
     **_UNCOMPILED,
 }
 _SHELL: _Options = {"shell": {"choices": ("bash", "zsh"), "help": "whose script"}}
+_SHAPE: _Options = {"shape": {"metavar": "SHAPE", "help": "one of the shapes below", "complete": SHAPE}}
+_THINGS: _Options = {
+    "things": {"metavar": "SHAPE|FILE", "nargs": "+", "help": "shapes, scene files (.toml), trajectories, rollouts, plans (.npz)", "complete": FILE}
+}
+_OUT: _Options = {"out": {"metavar": "OUT", "type": Path, "help": "file to write; its ending says the format", "complete": FILE}}
+_VIEW_OPTIONS: _Options = {
+    "--html": {"type": Path, "metavar": "OUT", "help": "write one page that plays in any browser, instead of showing it now", "complete": FILE},
+    "--host": {"default": "127.0.0.1", "metavar": "HOST", "help": "address to listen on (default: 127.0.0.1, this machine alone)"},
+    "--port": _number("port (default: one that is free)", int, "N"),
+    "--no-browser": {"help": "open no browser: print the address", **_FLAG},
+    "--colour": {"choices": ("tension", "force density"), "default": "tension", "help": "what the colour of strings tells (default: tension)"},
+    "--speed": _number("simulated seconds in each second", default=1.0),
+    "--follow": {"help": "keep the first motion in the middle", **_FLAG},
+}
 
 _DESCRIPTION = "Tensegrity dynamics and the planning of string force densities. Units are SI."
 _EPILOG = """\
@@ -108,34 +125,43 @@ Files are named after the shape or scene file: `tenscasadi plan reach.toml` writ
 after `eval "$(tenscasadi completion bash)"`, in ~/.bashrc for good (or zsh, ~/.zshrc)."""
 
 _PLAN = """\
-The prism starts in its equilibrium shape and ends in the equilibrium shape of the other height, which the same bars allow.
-The plan is checked by a simulation in finer steps, whose distance from the goal is printed.
-Bounds near the forces that hold the prism make an easy plan; wide ones may take many iterations."""
+A scene file is planned as its [plan] says. The shape prism starts in its equilibrium shape and ends in the equilibrium shape of the other
+height, which the same bars allow. The plan is checked by a simulation in finer steps, whose distance from the goal is printed.
+Bounds near the forces that hold the structure make an easy plan; wide ones may take many iterations."""
 
 _TRADEOFF = """\
 Every scheme is run with every step (and error control with every --rtol), with and without Projection, and compared with a reference that two
 schemes agree on. Times do not hold the compilation, which is told apart. Ctrl-C ends the study and keeps what there is."""
 
+_NEW = """\
+    tenscasadi new prism > my.toml
+    tenscasadi simulate my.toml"""
+
+_VIEW = "Several motions lie over each other; the first one is solid. Ctrl-C ends the viewer."
+
+_EXPORT = """\
+Scenes: .xml (MuJoCo). Trajectories and plans (.npz): .csv."""
+
 _COMPLETION = """\
 To turn it on in this shell: eval "$(tenscasadi completion bash)". For good: the same line in ~/.bashrc (zsh: after compinit in ~/.zshrc)."""
 
-_SHAPES = "\n".join(f"  {name:<16} {each.text}" for name, each in DEMOS.items())
+_SHAPES = "\n".join(f"  {name:<16} {text}" for name, text in SHAPES.items())
 _STARTS = f"shapes and how they start:\n{_SHAPES}"
+_PLAIN = f"shapes:\n{_SHAPES}"
 
 COMMANDS = {
-    "plan": Command(
-        plan.run_plan,
-        "plan the force densities that take a prism from one height to another, from rest to rest",
-        _PLAN,
-        _SOURCE,
-        _OUTPUT | _PLAN_OPTIONS,
+    "new": Command(run_new, "print a commented scene file to start from", f"{_NEW}\n\n{_PLAIN}", _SHAPE, {}),
+    "info": Command(
+        commands.run_info, "describe a scene: members, masses, equilibrium, equations, stable step; check its file", _PLAIN, _SOURCE, _OUTPUT
     ),
-    "simulate": Command(commands.run_simulate, "simulate a shape from its default start", _STARTS, _SOURCE, _OUTPUT | _SIMULATE_OPTIONS),
+    "simulate": Command(commands.run_simulate, "simulate a scene from its start", _STARTS, _SOURCE, _OUTPUT | _SIMULATE_OPTIONS),
+    "plan": Command(
+        plan.run_plan, "plan force densities: as a scene file asks, or from one height of a prism to another", _PLAN, _SOURCE, _OUTPUT | _PLAN_OPTIONS
+    ),
+    "view": Command(run_view, "show scenes, motions and plans in a browser, or write them as a page", f"{_VIEW}\n\n{_PLAIN}", _THINGS, _VIEW_OPTIONS),
     "tradeoff": Command(
         commands.run_tradeoff, "measure how fast and how accurate each scheme is", f"{_TRADEOFF}\n\n{_STARTS}", _SOURCE, _OUTPUT | _TRADEOFF_OPTIONS
     ),
-    "info": Command(
-        commands.run_info, "describe a shape: members, masses, equilibrium, equations, stable step", f"shapes:\n{_SHAPES}", _SOURCE, _OUTPUT
-    ),
+    "export": Command(run_export, "write a scene, a trajectory or a plan for other tools", _EXPORT, _THING | _OUT, {}),
     "completion": Command(run_completion, "print the script that lets a shell complete what is typed", _COMPLETION, _SHELL, {}),
 }

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tenscasadi.cli.commands import FAILED
-from tenscasadi.cli.output import Writers, write_files
+from tenscasadi.cli.output import FAILED, Writers, write_files
+from tenscasadi.cli.source import find_source
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
@@ -27,14 +28,38 @@ PRISM: dict[str, tuple[str, float]] = {  # options of the prism's plan: what the
 
 
 def run_plan(arguments: argparse.Namespace) -> int:
-    """Plan how a prism changes its height; write plan and pictures."""
-    if arguments.source != "prism":
-        raise ValueError(f"unknown shape {arguments.source!r}: plans are made for prism")
-    return _plan_prism(arguments)
+    """Plan what a scene file asks for, or how a prism changes its height; write plan and pictures."""
+    if arguments.source == "prism":
+        return _plan_prism(arguments)
+    import ocp  # only here: everything else of tenscasadi works without it
+
+    source = find_source(arguments.source)
+    for name in (*PRISM, "to_height", "intervals"):
+        if getattr(arguments, name) is not None:
+            raise ValueError(f"--{name.replace('_', '-')} is for the shape prism: leave it out, and change [plan] of {source.path.name}")
+    asked = ocp.load_arguments(source.path)
+    problem = asked["problem"]
+    plan = ocp.solve(**asked)
+    print(f"{source.name}: {problem.model.scene.structure!r}, {_describe(problem)}")
+    lower, upper = problem.force_density_limits
+    return _finish(arguments, source.stem, plan, {"lower": lower, "upper": upper})
+
+
+def describe_plan(path: Path) -> str:
+    """Return what [plan] of a scene file asks for, in a line. Raises SceneFileError."""
+    import ocp
+
+    return _describe(ocp.load_problem(path))
+
+
+def _describe(problem: Any) -> str:
+    duration = f"{problem.shortest:g} s" if problem.shortest == problem.longest else f"{problem.shortest:g} to {problem.longest:g} s"
+    parts = {name: [type(value).__name__ for value in getattr(problem, name)] for name in ("phases", "goals", "bounds", "costs")}
+    return f"{duration}, " + "; ".join(f"{name}: {', '.join(kinds)}" for name, kinds in parts.items() if kinds)
 
 
 def _plan_prism(arguments: argparse.Namespace) -> int:
-    import ocp  # only here: everything else of tenscasadi works without it
+    import ocp
 
     for name, (_, default) in PRISM.items():
         if getattr(arguments, name) is None:

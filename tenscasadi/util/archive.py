@@ -88,6 +88,16 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fi
         raise ValueError(f"{refusal}: {error}") from error
 
 
+def stored_format(path: str | os.PathLike[str]) -> str:
+    """Return what a file that `save` wrote says it is, as `form` of `load`; empty for any other. Raises FileNotFoundError."""
+    try:
+        return str(_read(file_path("path", path), ()).get("format", ""))
+    except FileNotFoundError:
+        raise
+    except _UNREADABLE:
+        return ""
+
+
 def _read(path: Path, names: Container[str] | None) -> Fields:
     """Read the arrays of a file, once the sizes that it tells are known to fit each other and the limit."""
     if path.exists() and not path.is_file():  # opening a FIFO would wait for another process

@@ -237,6 +237,9 @@ def planning_calls() -> dict[str, Call]:
         "Plan.save": (plan().save, {"path": "plan.npz"}),
         "Plan.to_csv": (plan().to_csv, {"path": "plan.csv"}),
         "Plan.load": (ocp.Plan.load, {"path": "missing.npz", "problem": problem()}),
+        "load_problem": (ocp.load_problem, {"path": "missing.toml"}),
+        "load_arguments": (ocp.load_arguments, {"path": "missing.toml"}),
+        "save_problem": (ocp.save_problem, {"problem": problem(), "path": "problem.toml", "tolerance": 1e-3, "seconds": 1.0, "starts": 1}),
         "Plan.known_model": (plan().known_model, {"user": "a test"}),
         "Progress": (ocp.Progress, {"iteration": 1, "objective": 1.0, "infeasibility": 0.0}),
     }  # fmt: skip

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from tenscasadi.cli.demos import DEMOS
 from tenscasadi.cli.main import main
+from tenscasadi.cli.source import SHAPES
 
 BASH = shutil.which("bash")
 
@@ -29,6 +29,7 @@ def script(capsys):
         (["sim"], {"simulate"}),
         (["simulate", "d"], {"d-bar", "double-pendulum", "drop.toml"}),
         (["info", "pr"], {"prism"}),
+        (["new", "six"], {"six-bar-ball"}),
         (["simulate", "prism", "--grav"], {"--gravity"}),
         (["completion", ""], {"bash", "zsh"}),
     ],
@@ -48,7 +49,7 @@ def test_zsh_gets_a_script_with_all_shapes(capsys):
     assert main(["completion", "zsh"]) == 0
     out = capsys.readouterr().out
     assert out.startswith("#compdef tenscasadi")
-    assert " ".join(DEMOS) in out
+    assert " ".join(SHAPES) in out
 
 
 def test_without_shtab_it_says_what_to_install(monkeypatch, capsys):

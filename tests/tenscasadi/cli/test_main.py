@@ -16,10 +16,9 @@ from PIL import Image
 
 import ocp
 import tenscasadi as tc
-from tenscasadi.cli.demos import DEMOS
 from tenscasadi.cli.main import main
 from tenscasadi.cli.parser import COMMANDS
-from tenscasadi.dynamics.model import Model
+from tenscasadi.cli.source import SHAPES, find_source
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -32,7 +31,7 @@ def written(out: str) -> list[Path]:
     return [Path(line.strip()) for line in out.split("wrote in")[1].splitlines()[1:]]
 
 
-@pytest.mark.parametrize("shape", DEMOS)
+@pytest.mark.parametrize("shape", SHAPES)
 def test_simulate_every_shape(shape, tmp_path, capsys):
     assert run("simulate", shape, "--t-end", 0.1, "--uncompiled", "--output", tmp_path / "new" / "folder") == 0
     out = capsys.readouterr().out
@@ -44,7 +43,7 @@ def test_simulate_every_shape(shape, tmp_path, capsys):
     assert trajectory.time[-1] == pytest.approx(0.1)
     assert trajectory.success
     assert np.abs(trajectory.energy_error).max() < 1e-4
-    assert np.abs(trajectory.velocities[0] if shape not in ("pendulum", "double-pendulum") else trajectory.velocities[-1]).max() > 0.1
+    assert np.abs(trajectory.velocities[0] if "pendulum" not in shape else trajectory.velocities[-1]).max() > 0.1
     with Image.open(files[1]) as image:
         assert image.format == "PNG"
 
@@ -87,25 +86,24 @@ def test_without_a_compiler_it_says_so(tmp_path, capsys, monkeypatch):
     assert "runs uncompiled" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("shape", DEMOS)
-def test_demos_start_with_bars_that_keep_their_length(shape):
-    chosen = DEMOS[shape]
-    model = Model(chosen.scene())
-    x = chosen.start(model)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_shapes_start_with_bars_that_keep_their_length(shape):
+    simulation = find_source(shape).simulation()
+    model, x = simulation.model, simulation.start
     s, v = model.structure, model.velocities(x)
     first, second = s.bars.T
     stretching = np.einsum("bi,bi->b", s.nodes[second] - s.nodes[first], v[second] - v[first])
     assert np.abs(stretching).max() < 1e-13
 
 
-@pytest.mark.parametrize("shape", DEMOS)
+@pytest.mark.parametrize("shape", SHAPES)
 def test_info(shape, tmp_path, capsys):
     assert run("info", shape, "--output", tmp_path) == 0
     out = capsys.readouterr().out
     for words in ("nodes", "bars", "strings", "bars (λ)", "largest stable step", "C compiler"):
         assert words in out
     with np.load(tmp_path / f"{shape}-structure.npz") as saved:
-        assert saved["nodes"] == pytest.approx(DEMOS[shape].structure().nodes)
+        assert saved["nodes"] == pytest.approx(find_source(shape).scene().structure.nodes)
     assert (tmp_path / f"{shape}-structure.png") in written(out)
 
 
@@ -207,7 +205,7 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
         (["completion"], "shell"),
         (["completion", "sh"], "bash"),
         (["simulate"], "SHAPE|FILE"),
-        (["simulate", "cube"], "pendulum, double-pendulum, prism, d-bar, six-bar-ball"),
+        (["simulate", "cube"], "pendulum, double-pendulum, prism, d-bar, six-bar-ball, reach, or a scene file"),
         (["info", "cube"], "six-bar-ball"),
         (["tradeoff", "cube"], "six-bar-ball"),
         (["tradeoff", "prism", "--steps", "0"], "steps[0]"),
@@ -225,6 +223,15 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
         (["simulate", "prism", "--save-every", "0"], "save_every"),
         (["simulate", "prism", "--projection", "0"], "Projection.every"),
         (["simulate", "prism", "--speed", "3"], "--speed"),
+        (["new", "cube"], "six-bar-ball"),
+        (["simulate", "gone.toml"], "new prism > gone.toml"),
+        (["plan", "gone.toml"], "gone.toml"),
+        (["plan", "pendulum"], "[plan]"),
+        (["plan", "d-bar", "--bars", "4"], "--bars"),
+        (["view", "gone.npz", "--html", "gone.html"], "gone.npz"),
+        (["view", "prism", "--html", "page.txt"], ".html"),
+        (["view", "prism", "--html", "no/page.html"], "no/page.html"),
+        (["export", "prism", "prism.doc"], ".doc"),
         (["plan", "prism", "--bars", "2"], "bars"),
         (["plan", "prism", "--height", "-1"], "height"),
         (["plan", "prism", "--radius", "inf"], "radius"),
@@ -251,7 +258,8 @@ def test_bad_input_is_told_in_one_line(arguments, named, tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize("command", ["simulate", "tradeoff", "info", "plan"])
 def test_output_that_no_folder_can_be_is_refused_at_once(command, tmp_path, capsys, monkeypatch):
-    monkeypatch.delattr("tenscasadi.cli.commands.Model")  # nothing is built
+    monkeypatch.delattr("tenscasadi.cli.commands.find_source")  # nothing is built
+    monkeypatch.delattr("tenscasadi.cli.plan.shapes")
     (tmp_path / "file").write_text("")
     for output in ("file", "file/new/folder"):
         assert run(command, "prism", "--output", tmp_path / output) == 2
@@ -263,7 +271,7 @@ def test_output_that_cannot_be_written_to_is_refused_at_once(tmp_path, capsys, m
     tmp_path.chmod(0o500)
     if os.access(tmp_path, os.W_OK):
         pytest.skip("the superuser may write everywhere")
-    monkeypatch.delattr("tenscasadi.cli.commands.Model")
+    monkeypatch.delattr("tenscasadi.cli.commands.find_source")
     assert run("simulate", "prism", "--output", tmp_path / "new") == 2
     assert f"{tmp_path} cannot be written to" in capsys.readouterr().err
 
@@ -272,7 +280,7 @@ def test_interrupted(monkeypatch, capsys):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tenscasadi.cli.commands.demo", interrupt)
+    monkeypatch.setattr("tenscasadi.cli.commands.find_source", interrupt)
     assert run("info", "prism") == 130
     assert capsys.readouterr().err == "tenscasadi: interrupted\n"
 
@@ -283,9 +291,9 @@ def test_help_tells_every_shape_and_its_start(command, capsys):
         main([command, "--help"])
     assert leaving.value.code == 0
     out = capsys.readouterr().out
-    for name, each in DEMOS.items():
+    for name, text in SHAPES.items():
         assert name in out
-        assert each.text in out
+        assert text in out
 
 
 def test_as_a_process(tmp_path):

@@ -1,0 +1,23 @@
+"""Files of results by their names: trajectories, rollouts and plans."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tenscasadi.ensemble.result import Rollouts
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.archive import stored_format
+
+
+def load_result(path: str) -> Any:
+    """Return the trajectory, rollouts or plan that a .npz file holds. Raises ValueError, OSError."""
+    kind = " ".join(stored_format(path).split()[:2])
+    if kind == "tenscasadi plan":
+        import ocp  # only here: everything else of tenscasadi works without it
+
+        return ocp.Plan.load(path)
+    loaders = {"tenscasadi trajectory": Trajectory.load, "tenscasadi rollouts": Rollouts.load}
+    if kind not in loaders:
+        told = f"it holds a {kind.split()[-1]}" if kind.startswith("tenscasadi ") else "tenscasadi did not save it, or it is damaged"
+        raise ValueError(f"{path} is no trajectory, rollouts or plan: {told}")
+    return loaders[kind](path)
