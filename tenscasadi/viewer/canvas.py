@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscasadi.util.validate import Array
-from tenscasadi.viewer.colours import GHOSTS, Scale
+from tenscasadi.viewer.colours import GHOSTS, Rgb, Scale
 from tenscasadi.viewer.exhibit import Exhibit
 from tenscasadi.viewer.layer import Layer, Look
 from tenscasadi.viewer.motion import Motion
@@ -40,10 +40,9 @@ class Canvas:
         add_boxes(scene, "/shown/box", exhibit.boxes, self.low, self.high)
         add_targets(scene, "/shown/target", exhibit.targets, self.radius)
         for k, motion in enumerate(exhibit.motions):
-            solid = k == 0
-            ghost = None if solid and motion.copies == 1 else GHOSTS[(k - 1) % len(GHOSTS)]
-            opacity = None if solid and motion.copies == 1 else 0.4 if motion.copies == 1 else 0.25
-            look = Look(self.radius * (1.0 if solid else 0.9), ghost, opacity)
+            ghost = ghost_colour(exhibit, k)
+            opacity = None if ghost is None else 0.4 if motion.copies == 1 else 0.25
+            look = Look(self.radius * (1.0 if ghost is None else 0.9), ghost, opacity)
             name = f"/shown/motion {k}"
             self.layers.append(Layer(scene, name, motion.nodes[0], motion.bars, motion.strings, motion.pinned, look))
         self._place_camera(server)
@@ -107,6 +106,12 @@ class Canvas:
         camera.position = middle + away
         camera.near = float(0.01 * size)
         camera.far = float(100 * size)
+
+
+def ghost_colour(exhibit: Exhibit, k: int) -> Rgb | None:
+    """Return the colour that the k-th motion is seen through in; None: it is solid, as the first one is unless it is many."""
+    solid = exhibit.motions[0].copies == 1
+    return None if k == 0 and solid else GHOSTS[(k - solid) % len(GHOSTS)]
 
 
 def _light(scene: viser.SceneApi) -> None:

@@ -127,7 +127,9 @@ def _read(thing: Any, name: str) -> Exhibit:
         notes = () if thing.success else (f"{name or 'trajectory'}: {thing.message}",)
         return Exhibit((of_trajectory(thing, name or "trajectory"),), notes=notes)
     if isinstance(thing, Rollouts):
-        return Exhibit((of_rollouts(thing, name or "rollouts"),))
+        failed = np.count_nonzero(~thing.success)
+        notes = (f"{failed} of {len(thing.success)} motions failed: what is lost is not shown",) if failed else ()
+        return Exhibit((of_rollouts(thing, name or "rollouts"),), notes=notes)
     told = getattr(thing, "_exhibit_", None)
     if callable(told):
         exhibit = told()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from html import escape
 
-from tenscasadi.viewer.canvas import Canvas
-from tenscasadi.viewer.colours import BAR, GHOSTS, JOINT, OBSTACLE, PIN, PUSHING, RAMP, SLACK, TARGET, Rgb, Scale, css
+from tenscasadi.viewer.canvas import Canvas, ghost_colour
+from tenscasadi.viewer.colours import BAR, JOINT, OBSTACLE, PIN, PUSHING, RAMP, SLACK, TARGET, Rgb, Scale, css
 from tenscasadi.viewer.exhibit import Exhibit
 from tenscasadi.viewer.scenery import grid_spacing
 
@@ -33,12 +33,11 @@ def _kinds(canvas: Canvas) -> list[tuple[Rgb, str]]:
     """Return the colours that are there, with what they mean."""
     exhibit, first, scale = canvas.exhibit, canvas.exhibit.motions[0], canvas.scale
     rows: list[tuple[Rgb, str]] = []
-    if len(exhibit.motions) > 1:
-        rows.append((BAR, first.name))
-        rows += [(GHOSTS[k % len(GHOSTS)], motion.name) for k, motion in enumerate(exhibit.motions[1:])]
+    if len(exhibit.motions) > 1 or first.copies > 1:
+        rows += [(ghost_colour(exhibit, k) or BAR, motion.name) for k, motion in enumerate(exhibit.motions)]
     elif len(first.bars):
         rows.append((BAR, "bars"))
-    if scale is None and len(first.strings):
+    if scale is None and len(first.strings) and first.copies == 1:
         rows.append((SLACK, "strings"))
     if scale is not None and scale.slack:
         rows.append((SLACK, "slack strings, thin"))
@@ -46,7 +45,7 @@ def _kinds(canvas: Canvas) -> list[tuple[Rgb, str]]:
         rows.append((PUSHING, f"strings that push, up to {-scale.least:.3g} {scale.unit}"))
     if canvas.has_joints:
         rows.append((JOINT, "joints of bars"))
-    if any(len(motion.pinned) for motion in exhibit.motions):
+    if first.copies == 1 and len(first.pinned):
         rows.append((PIN, "pinned nodes and rollers"))
     if exhibit.obstacles or exhibit.boxes:
         rows.append((OBSTACLE, "obstacles, and boxes to stay in"))

@@ -31,7 +31,7 @@ _FOLLOW = """
   function tell() {
     var thumb = document.querySelector("[role=slider]");
     var now = times[0] + times[1] * (thumb ? parseFloat(thumb.getAttribute("aria-valuenow")) || 0 : 0);
-    clock.textContent = now.toPrecision(4) + " s";
+    clock.textContent = now.toFixed(times[2]) + " s";
     document.querySelectorAll(".cursor").forEach(function (line) {
       var x = Number(line.dataset.left) + (now - Number(line.dataset.first)) * Number(line.dataset.scale);
       line.setAttribute("x1", x);
@@ -74,7 +74,8 @@ def with_panel(page: str, canvas: Canvas, title: str, speed: float) -> str:
     moves = canvas.exhibit.end > canvas.exhibit.start
     clock = '<div style="padding:0 8px">t = <span id="shown-time"></span></div>' if moves else ""
     panel = f'<details id="shown" open><summary>{escape(title)}</summary>{clock}{legend(canvas)}{charts(canvas.exhibit, marked=True)}</details>'
-    script = f"<script>{_FOLLOW % json.dumps([canvas.exhibit.start, speed])}</script>" if moves else ""
+    digits = int(np.clip(2 - np.floor(np.log10(canvas.exhibit.end - canvas.exhibit.start)), 0, 9)) if moves else 0
+    script = f"<script>{_FOLLOW % json.dumps([canvas.exhibit.start, speed, digits])}</script>" if moves else ""
     end = page.rindex("</body>")
     named = page[:end] + f"<style>{_STYLE}</style>{panel}{script}" + page[end:]
     start, stop = named.index("<title>"), named.index("</title>")

@@ -15,7 +15,7 @@ from tenscasadi.viewer.poses import ball
 if TYPE_CHECKING:
     import viser
 
-_CELLS = 60  # of a height field along each side
+_FINER = 2  # cells of a height field between two lines of its grid
 _GRID: Rgb = (180, 174, 159)
 
 
@@ -33,7 +33,7 @@ def add_grounds(scene: viser.SceneApi, name: str, grounds: tuple[Surface, ...], 
         if isinstance(ground, Terrain):
             points, faces = _field(ground, centre, reach)
             _surface(scene, f"{name}/{k}", points.reshape(-1, 3), faces)
-            _lines(scene, f"{name}/{k}/grid", np.concatenate([_pairs(points[::6]), _pairs(points[:, ::6].swapaxes(0, 1))]), reach)
+            _lines(scene, f"{name}/{k}/grid", np.concatenate([_pairs(points[::_FINER]), _pairs(points[:, ::_FINER].swapaxes(0, 1))]), reach)
         elif isinstance(ground, Ground):
             corners, lines = _plane(ground, centre, reach)
             _surface(scene, f"{name}/{k}", corners, np.array([(0, 1, 2), (0, 2, 3)]))
@@ -127,14 +127,16 @@ def _plane(ground: Ground, centre: Array, reach: float) -> tuple[Array, Array]:
 
 
 def _field(ground: Terrain, centre: Array, reach: float) -> tuple[Array, Any]:
-    """Return points (k, l, 3) of a height field around `centre` and triangles between them."""
-    x, y = (np.linspace(middle - reach, middle + reach, _CELLS + 1) for middle in centre[:2])
+    """Return points (k, l, 3) of a height field around `centre` and triangles between them; every `_FINER`-th point is on a line of the grid."""
+    spacing = grid_spacing(reach)
+    first, last = np.floor((centre[:2] - reach) / spacing), np.ceil((centre[:2] + reach) / spacing)
+    x, y = (spacing / _FINER * np.arange(_FINER * low, _FINER * high + 1) for low, high in zip(first, last, strict=True))
     grid = [np.linspace(low, high, count) for low, high, count in zip(ground.lower, ground.upper, ground.heights.shape, strict=True)]
     along_x = np.array([np.interp(x, grid[0], column) for column in ground.heights.T])  # beyond the grid it goes on as it ends
     heights = np.array([np.interp(y, grid[1], row) for row in along_x.T])
     points = np.stack([*np.broadcast_arrays(x[:, None], y[None, :]), heights], axis=2)
-    a = (np.arange(_CELLS)[:, None] * (_CELLS + 1) + np.arange(_CELLS)).ravel()
-    b, c, d = a + _CELLS + 1, a + _CELLS + 2, a + 1
+    a = (np.arange(len(x) - 1)[:, None] * len(y) + np.arange(len(y) - 1)).ravel()
+    b, c, d = a + len(y), a + len(y) + 1, a + 1
     return points, np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
 
 
