@@ -16,7 +16,7 @@ from tenscasadi.cli.parser import command_parser
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCUMENTS = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))]
-GENERATED = ("api/", "command_line.md")  # pages that the site makes of the code
+GENERATED = ("api/", "command_line.md", "viewer/")  # pages that the site makes of the code
 
 
 def blocks(language: str, text: str = README) -> list[str]:
@@ -98,5 +98,12 @@ def test_folders_named_exist_and_all_are_named():
 
 
 def test_pictures_are_small():
-    for picture in (ROOT / "docs").glob("*.png"):
-        assert picture.stat().st_size < 200_000
+    sizes = [picture.stat().st_size for picture in (ROOT / "docs").rglob("*.png")]
+    assert max(sizes) < 200_000
+    assert sum(sizes) < 3_000_000
+
+
+def test_the_gallery_names_every_example():
+    text = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    for example in (ROOT / "examples").glob("*.py"):
+        assert f"`examples/{example.name}`" in text, example.name

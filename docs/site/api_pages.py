@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("tenscasadi", "ocp")
-IMPORTED_BY_NAME = ("tenscasadi.plots", "tenscasadi.envs")  # what needs more to be installed, or loaded
+IMPORTED_BY_NAME = ("tenscasadi.plots", "tenscasadi.envs", "tenscasadi.viewer")  # what needs more to be installed, or loaded
 
 
 @cache

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import os
 
-from tenscasadi.cli.main import _parser
+from tenscasadi.cli.parser import command_parser
 
 
 def command_line_page() -> str:
     """The page's Markdown: the help of the program and of each of its commands."""
     os.environ["COLUMNS"] = "100"  # which argparse reads
-    parser = _parser()
+    parser = command_parser()
     (commands,) = (action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     parts = ["# Command line", f"```text\n{parser.format_help()}```"]
     for name, command in commands.items():

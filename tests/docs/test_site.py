@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM = Path("/usr/bin/chromium")
 QUIET = ("--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync")
 
-pytestmark = pytest.mark.skipif(not all(map(find_spec, ("material", "mkdocstrings", "latex2mathml"))), reason="needs pip install 'tenscasadi[docs]'")
+pytestmark = pytest.mark.skipif(not all(map(find_spec, ("material", "mkdocstrings", "latex2mathml", "viser"))), reason="needs pip install 'tenscasadi[docs]'")
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +74,12 @@ def test_tutorials_come_as_notebooks(site):
         assert f'href="{book.name}"' in book.with_suffix(".html").read_text(encoding="utf-8")
 
 
+def test_what_can_be_played_is_there(site):
+    named = re.findall(r'href="viewer/(\w+)\.html"', (site / "gallery.html").read_text(encoding="utf-8"))
+    assert sorted(named) == sorted(page.stem for page in (site / "viewer").glob("*.html"))
+    assert len(named) > 5
+
+
 @pytest.mark.skipif(not CHROMIUM.exists() or find_spec("playwright") is None, reason="needs chromium and playwright")
 @pytest.mark.filterwarnings("default")  # those of playwright's own
 def test_pages_open_from_disk_in_a_browser(site):
@@ -97,4 +103,7 @@ def test_pages_open_from_disk_in_a_browser(site):
         page.locator("input.md-search__input").fill("collocation")
         page.locator(".md-search-result__link").first.wait_for()
         assert said == []
+        page.goto((site / "viewer" / "simulate_ball.html").as_uri())
+        page.wait_for_timeout(1000)
+        assert [each for each in said if each.startswith("asks")] == []
         browser.close()
