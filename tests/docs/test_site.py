@@ -20,7 +20,8 @@ ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM = Path("/usr/bin/chromium")
 QUIET = ("--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync")
 
-pytestmark = pytest.mark.skipif(not all(map(find_spec, ("material", "mkdocstrings", "latex2mathml", "viser"))), reason="needs pip install 'tenscasadi[docs]'")
+NEEDED = ("material", "mkdocstrings", "latex2mathml", "viser")
+pytestmark = pytest.mark.skipif(not all(map(find_spec, NEEDED)), reason="needs pip install 'tenscasadi[docs]'")
 
 
 @pytest.fixture(scope="module")
