@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from tenscasadi.dynamics.serialize import structure_to_arrays
 from tenscasadi.files.containers import Either, ListOf, MapOf, TableOf
 from tenscasadi.files.definitions import Definition, Kind, call, define
 from tenscasadi.files.document import Item, nearest
-from tenscasadi.files.forms import NUMBER, PER_ITEM, VECTOR, WHOLE, Form, Indices, Names, NotWritten, Numbers, Schema, Schemas, Word
+from tenscasadi.files.forms import NUMBER, PER_ITEM, VECTOR, WHOLE, Form, Indices, Names, NotWritten, Numbers, Schema, Schemas, Which, Word
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.validate import Array
@@ -23,16 +23,22 @@ _POINTS = Numbers(((None, 3),))
 
 
 @dataclass(frozen=True)
-class PerNode(Form):
-    """A number for all nodes, a list, or a table from some nodes to their numbers, 0 for the others."""
+class PerPart(Form):
+    """A number for all nodes, bars or strings, a list, or a table from some of them, by name or index, to their numbers.
+
+    Those that a table does not name have `others`: NaN stands for what nothing says.
+    """
+
+    which: Which
+    others: float = 0.0
 
     def read(self, item: Item, names: Names) -> Any:
         """Return a float or a list of floats."""
         if not isinstance(item.value, dict):
             return PER_ITEM.read(item, names)
-        values = np.zeros(names.counts["node"])
-        for node, value in MapOf("node", NUMBER).read(item, names).items():
-            values[node] = value
+        values = np.full(names.counts[self.which], self.others)
+        for index, value in MapOf(self.which, NUMBER).read(item, names).items():
+            values[index] = value
         return values.tolist()
 
     def write(self, value: Any) -> Any:
@@ -41,24 +47,7 @@ class PerNode(Form):
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return a number, a list or a table."""
-        return {"anyOf": [PER_ITEM.schema(kinds), MapOf("node", NUMBER).schema(kinds)]}
-
-
-@dataclass(frozen=True)
-class PerMember(Form):
-    """A number for all members, or a list."""
-
-    def read(self, item: Item, names: Names) -> Any:
-        """Return a float or a list of floats."""
-        return PER_ITEM.read(item, names)
-
-    def write(self, value: Any) -> Any:
-        """Return a number where all are equal, else a list."""
-        return _common(PER_ITEM.write(value))
-
-    def schema(self, kinds: Schemas) -> Schema:
-        """Return a number or a list."""
-        return PER_ITEM.schema(kinds)
+        return {"anyOf": [PER_ITEM.schema(kinds), MapOf(self.which, NUMBER).schema(kinds)]}
 
 
 def _common(values: Any) -> Any:
@@ -66,11 +55,15 @@ def _common(values: Any) -> Any:
 
 
 _PAIRS = ListOf(Indices("node"))
-_BARS: Mapping[str, Form] = {"bar_mass": PerMember(), "bar_radius": PerMember()}
-_PULL: Mapping[str, Form] = {"force_density": PerMember()}  # read only: it becomes rest lengths
-_STRINGS: Mapping[str, Form] = {name: PerMember() for name in ("stiffness", "damping", "rest_length", "string_mass")}
+_DEFAULTS = {name: parameter.default for name, parameter in inspect.signature(Structure).parameters.items()}
+_BARS: Mapping[str, Form] = {name: PerPart("bar", _DEFAULTS[name]) for name in ("bar_mass", "bar_radius")}
+_STRINGS: Mapping[str, Form] = {
+    **{name: PerPart("string", _DEFAULTS[name]) for name in ("stiffness", "damping", "string_mass")},
+    "rest_length": PerPart("string", np.nan),
+    "force_density": PerPart("string", np.nan),  # read only: it becomes rest lengths
+}
 _NODES: Mapping[str, Form] = {
-    "node_mass": PerNode(),
+    "node_mass": PerPart("node"),
     "pinned": Either((Mapping,), MapOf("node", Word()), Indices("node")),
     "rollers": MapOf("node", Numbers(((3,), (None, 3)))),
 }
@@ -103,7 +96,7 @@ class Turn:
 
 _TURN = Kind((define(Turn, {"axis": VECTOR, "angle": NUMBER}),))
 _PLACED: Mapping[str, Form] = {"turn": _TURN, "move": VECTOR}
-_OPTIONS: Mapping[str, Form] = {**_BARS, **_STRINGS, **_PULL, **_NODES, **_PLACED}
+_OPTIONS: Mapping[str, Form] = {**_BARS, **_STRINGS, **_NODES, **_PLACED}
 
 
 def _shape(build: Callable[..., Structure], own: Mapping[str, Form]) -> Definition:
@@ -126,7 +119,7 @@ class Members(Form):
     """Pairs of nodes, or groups of them by name, each with its `members` and properties."""
 
     which: Literal["bar", "string"]
-    properties: Mapping[str, Form]
+    properties: tuple[str, ...]
 
     def read(self, item: Item, names: Names) -> dict[str, tuple[list[list[int]], dict[str, Any]]]:
         """Return (pairs, properties) of each group, by name; those without groups are the group "". Raises SceneFileError."""
@@ -141,7 +134,7 @@ class Members(Form):
             if "members" not in table:
                 raise group.error('has no members: give pairs of nodes, such as members = [["foot", "top"]]')
             pairs = _PAIRS.read(table.pop("members"), names)
-            found = {key: self.properties[key].read(entry, names) for key, entry in table.items()}
+            found = {key: PER_ITEM.read(entry, names) for key, entry in table.items()}
             for key, value in found.items():
                 if isinstance(value, list) and len(value) != len(pairs):
                     raise table[key].error(f"has {len(value)} entries: give one number, or one for each of the {len(pairs)} members")
@@ -155,7 +148,7 @@ class Members(Form):
     def schema(self, kinds: Schemas) -> Schema:
         """Return pairs or groups."""
         pairs = _PAIRS.schema(kinds)
-        properties = {"members": pairs, **{name: form.schema(kinds) for name, form in self.properties.items()}}
+        properties = {"members": pairs, **{name: PER_ITEM.schema(kinds) for name in self.properties}}
         group = {"type": "object", "properties": properties, "required": ["members"], "additionalProperties": False}
         return {"anyOf": [pairs, {"type": "object", "additionalProperties": group}]}
 
@@ -190,13 +183,16 @@ STRUCTURE = define(
     Structure,
     {
         "nodes": _NodesForm(),
-        "bars": Members("bar", _BARS),
-        "strings": Members("string", {**_STRINGS, **_PULL}),
+        "bars": Members("bar", tuple(_BARS)),
+        "strings": Members("string", tuple(_STRINGS)),
         **_OPTIONS,
     },
     kind="nodes",
     take=lambda structure: {name: getattr(structure, name) for name in PARAMETERS} | {"pinned": _pins(structure)},
 )
+
+
+_Groups = Mapping[str, tuple[list[list[int]], dict[str, Any]]]  # members and properties of each group
 
 
 @dataclass(frozen=True)
@@ -240,16 +236,28 @@ def _read_shape(definition: Definition, item: Item, table: dict[str, Item]) -> t
     own = {name: entry for name, entry in table.items() if name not in _OPTIONS}
     arguments = definition.read_fields(own, Names())
     bare = definition.make(item, table, {name: value for name, value in arguments.items() if name != "prestress"})
-    names = _names_of(bare, {})
+    names = _names_of(definition, bare, arguments)
     options = definition.read_fields({name: entry for name, entry in table.items() if name in _OPTIONS}, names)
-    gamma = options.pop("force_density", None)
-    if gamma is not None and ("prestress" in arguments or "rest_length" in options):
-        raise table["force_density"].error("stands beside prestress or rest_length, which say the same: leave one of them out")
-    turn, move = options.pop("turn", None), options.pop("move", None)
+    for name in ("force_density", "rest_length"):
+        if name in options and "prestress" in arguments:
+            raise table[name].error("stands beside prestress, which says the same: leave one of them out")
+    later = {name: options.pop(name, None) for name in ("force_density", "rest_length", "turn", "move")}
     structure = definition.make(item, table, arguments | options)
-    if gamma is not None:
-        structure = call(structure.prestressed, item, table, {"force_density": gamma})
-    return _place(structure, turn, move, item, table), names
+    return _finish(structure, item, table, {}, **later), names
+
+
+def _names_of(definition: Definition, structure: Structure, arguments: Mapping[str, Any]) -> Names:
+    """Return what parts of a shape are called: rings of prisms and membranes, and the strings between them."""
+    counts: dict[Which, int] = {"node": len(structure.nodes), "bar": len(structure.bars), "string": len(structure.strings)}
+    if definition.kind == "prism":
+        p = len(structure.bars)
+        ends = {"bottom": range(p), "top": range(p, 2 * p)}
+        return Names(counts, {"node": ends, "string": {**ends, "vertical": range(2 * p, 3 * p)}})
+    if definition.kind == "membrane":
+        p, q = (arguments.get(name, definition.defaults[name]) for name in ("p", "q"))
+        ends = {"bottom": range(p), "top": range(p * (q - 1), p * q)}
+        return Names(counts, {"node": ends, "string": {**ends, "rings": range(p, p * (q - 1)), "helices": range(p * q, counts["string"])}})
+    return Names(counts)
 
 
 def _read_nodes(item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
@@ -264,17 +272,30 @@ def _read_nodes(item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
     names = _count(names, groups)
     rest = {name: entry for name, entry in table.items() if name not in ("nodes", *groups)}
     given: dict[str, Any] = STRUCTURE.read_fields(rest, names)
-    for part, properties in {"bars": _BARS, "strings": {**_STRINGS, **_PULL}}.items():
+    for part, properties in {"bars": _BARS, "strings": _STRINGS}.items():
         for name in properties:
             value = _gathered(name, groups[part], given.get(name), table)
             if value is not None:
                 given[name] = value
-    gamma, rest_length = given.pop("force_density", None), given.pop("rest_length", None)
-    turn, move = given.pop("turn", None), given.pop("move", None)
+    later = {name: given.pop(name, None) for name in ("force_density", "rest_length", "turn", "move")}
     members = {part: [pair for pairs, _ in found.values() for pair in pairs] for part, found in groups.items()}
-    count = len(members["strings"])
-    lengths, pulls = (_per_item(name, value, count, table) for name, value in (("rest_length", rest_length), ("force_density", gamma)))
     structure = _build(item, table, groups, {"nodes": nodes, **members, **given})
+    return _finish(structure, item, table, groups, **later), names
+
+
+def _finish(
+    structure: Structure,
+    item: Item,
+    table: Mapping[str, Item],
+    groups: Mapping[str, _Groups],
+    force_density: Any,
+    rest_length: Any,
+    turn: Turn | None,
+    move: Any,
+) -> Structure:
+    """Return the structure with the force densities or rest lengths of its strings, turned, then moved. Raises SceneFileError."""
+    count = len(structure.strings)
+    lengths, pulls = (_per_string(name, value, count, table) for name, value in (("rest_length", rest_length), ("force_density", force_density)))
     both = ~np.isnan(lengths) & ~np.isnan(pulls)
     if both.any():
         raise item.error(f"gives string {int(np.argmax(both))} rest_length and force_density, which say the same: leave one of them out")
@@ -283,10 +304,7 @@ def _read_nodes(item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
     if not np.isnan(lengths).all():
         rest_lengths = np.where(np.isnan(lengths), structure.rest_length, lengths)
         structure = _build(item, table, groups, {"rest_length": rest_lengths}, structure.replace)
-    return _place(structure, turn, move, item, table), names
-
-
-_Groups = Mapping[str, tuple[list[list[int]], dict[str, Any]]]
+    return _place(structure, turn, move, item, table)
 
 
 def _build(item: Item, table: Mapping[str, Item], groups: Mapping[str, _Groups], given: Mapping[str, Any], build: Any = Structure) -> Structure:
@@ -314,7 +332,7 @@ def _gathered(name: str, groups: _Groups, common: Any, table: Mapping[str, Item]
     return np.concatenate(values)
 
 
-def _per_item(name: str, value: Any, count: int, table: Mapping[str, Item]) -> Array:
+def _per_string(name: str, value: Any, count: int, table: Mapping[str, Item]) -> Array:
     if isinstance(value, list) and len(value) != count:
         raise table[name].error(f"has {len(value)} entries: give one number, or one for each of the {count} strings")
     return np.array(np.broadcast_to(np.nan if value is None else value, (count,)), dtype=float)
@@ -339,7 +357,3 @@ def _count(names: Names, groups: Mapping[str, _Groups]) -> Names:
             first += len(pairs)
         counts[which], named[which] = first, {name: indices for name, indices in found.items() if name}  # type: ignore[index]
     return replace(names, counts=counts, named=named)
-
-
-def _names_of(structure: Structure, named: Mapping[Any, Any]) -> Names:
-    return Names(MappingProxyType({"node": len(structure.nodes), "bar": len(structure.bars), "string": len(structure.strings)}), named)
