@@ -105,4 +105,4 @@ def _flipped(draw: Callable[..., object], content: bytes) -> bytes:
     return bytes(changed)
 
 
-_WAYS = (_odd_value, _odd_value, _odd_value, _odd_key, _gone, _twice, _added, _cut, _flipped)
+_WAYS = (*[_odd_value] * 6, _odd_key, _odd_key, _gone, _twice, _added, _added, _cut, _flipped)
