@@ -8,10 +8,12 @@ import numpy as np
 
 from tenscasadi.util.validate import Array
 from tenscasadi.viewer.exhibit import Chart, Exhibit
+from tenscasadi.viewer.scenery import grid_spacing
 
 _WIDTH, _HEIGHT = 280, 150
 _LEFT, _RIGHT, _TOP, _BOTTOM = 44, 6, 18, 26
 _MOST_CURVES = 40
+_MOST_NAMED = 14  # that fit below the axis
 _MOST_POINTS = 300
 _CURSOR = "#c0392b"
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22", "#17becf")
@@ -50,7 +52,7 @@ def chart_svg(chart: Chart, marked: bool = False) -> str:
     def y(value: Array) -> Array:
         return _TOP + tall * (high - value) / (high - low)
 
-    drawn = [_axes(chart, len(shown), low, high)]
+    drawn = [_axes(chart, len(shown), low, high), _names(chart, shown)]
     held = len(values) == len(chart.time) - 1
     times = np.repeat(chart.time, 2)[1:-1] if held else chart.time
     for k, member in enumerate(shown):
@@ -89,15 +91,35 @@ def _axes(chart: Chart, drawn: int, low: float, high: float) -> str:
     count = chart.values.shape[1]
     some = f", {drawn} of {count}" if drawn < count else ""
     right = _WIDTH - _RIGHT
+    ticks = "".join(_tick(value, _TOP + tall * (high - value) / (high - low), wide) for value in _ticks(low, high))
     return (
         f'<text x="{_LEFT}" y="12"><tspan font-weight="600">{escape(chart.title)} ({escape(chart.unit)}){some}</tspan>{_limits(chart)}</text>'
-        f'<rect x="{_LEFT}" y="{_TOP}" width="{wide}" height="{tall}" fill="none" stroke="#ccc"/>'
-        f'<text x="{_LEFT - 3}" y="{_TOP + 8}" text-anchor="end">{high:.3g}</text>'
-        f'<text x="{_LEFT - 3}" y="{_TOP + tall}" text-anchor="end">{low:.3g}</text>'
+        f'{ticks}<rect x="{_LEFT}" y="{_TOP}" width="{wide}" height="{tall}" fill="none" stroke="#ccc"/>'
         f'<text x="{_LEFT}" y="{_HEIGHT - 14}">{chart.time[0]:.3g}</text>'
         f'<text x="{right}" y="{_HEIGHT - 14}" text-anchor="end">{chart.time[-1]:.3g}</text>'
         f'<text x="{(_LEFT + right) / 2}" y="{_HEIGHT - 14}" text-anchor="middle">time (s)</text>'
     )
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Return 3 to 8 round values between two."""
+    step = grid_spacing(2.5 * (high - low))
+    return [float(step * k) for k in range(int(np.ceil(low / step)), int(np.floor(high / step)) + 1)]
+
+
+def _tick(value: float, y: float, wide: float) -> str:
+    line = f'<path d="M{_LEFT} {y:.1f}h{wide}" stroke="#eee"/>'
+    return f'{line}<text x="{_LEFT - 3}" y="{y + 3:.1f}" text-anchor="end">{value:.6g}</text>'
+
+
+def _names(chart: Chart, shown: list[int]) -> str:
+    """Return the numbers of the curves in their colours, where there is room for them."""
+    if len(shown) > _MOST_NAMED:
+        return ""
+    names = [chart.names[k] for k in shown]
+    words = [names[0], *(name.rpartition(" ")[2] for name in names[1:])]
+    spans = "".join(f'<tspan fill="{_COLOURS[k % len(_COLOURS)]}" dx="4">{escape(word)}</tspan>' for k, word in enumerate(words))
+    return f'<text x="{_LEFT}" y="{_HEIGHT - 3}">{spans}</text>'
 
 
 def _limits(chart: Chart) -> str:
