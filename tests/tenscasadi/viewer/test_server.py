@@ -5,28 +5,14 @@ from __future__ import annotations
 import http.client
 import socket
 import sys
-import time
 
 import pytest
+from visitor import CAMERA, connect, say, wait_for
 
 from tenscasadi.viewer.server import OpenToNetwork, address, is_plain, refuse, start_server
 
 viser = pytest.importorskip("viser", reason="viser is not installed: pip install 'tenscasadi[view]'")
-msgspec = pytest.importorskip("msgspec")
-sockets = pytest.importorskip("websockets.sync.client")
 refusals = pytest.importorskip("websockets.exceptions")
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": (1.0, 0.0, 0.0, 0.0),
-    "position": (3.0, 0.0, 0.0),
-    "fov": 1.0,
-    "near": 0.01,
-    "far": 100.0,
-    "image_height": 100,
-    "image_width": 100,
-    "look_at": (0.0, 0.0, 0.0),
-    "up_direction": (0.0, 0.0, 1.0),
-}
 
 
 @pytest.fixture(scope="module")
@@ -46,22 +32,6 @@ def answer(server, path, headers=None):
     body = response.read()
     connection.close()
     return response.status, body
-
-
-def connect(server, **options):
-    url = f"ws://127.0.0.1:{server.get_port()}"
-    return sockets.connect(url, subprotocols=[f"viser-v{viser.__version__}"], compression=None, max_size=None, **options)
-
-
-def say(page, **message):
-    page.send(msgspec.msgpack.encode(message))
-
-
-def wait_for(found, seconds=10.0):
-    end = time.monotonic() + seconds
-    while not found() and time.monotonic() < end:
-        time.sleep(0.01)
-    return found()
 
 
 def test_serves_its_page_to_this_machine_alone(server):
@@ -115,9 +85,9 @@ def test_its_own_page_connects_and_its_inputs_are_heard(server):
     slider.on_update(lambda event: heard.append(event.target.value))
     with connect(server, origin=address(server)) as page:
         say(page, **CAMERA)
-        assert wait_for(server.get_clients)
+        wait_for(server.get_clients, "the page is known")
         say(page, type="GuiUpdateMessage", uuid=slider._impl.uuid, updates={"value": 3.0})
-        assert wait_for(lambda: heard == [3.0])
+        wait_for(lambda: heard == [3.0], "the input is heard")
     slider.remove()
 
 
@@ -129,7 +99,7 @@ def test_a_page_cannot_upload_nor_publish_nor_change_inner_values(server, monkey
     before = state.update_cb, state.sync_cb, state.removed
     with connect(server) as page:
         say(page, **CAMERA)
-        assert wait_for(server.get_clients)
+        wait_for(server.get_clients, "the page is known")
         say(page, type="ShareUrlRequest")
         upload = {"source_component_uuid": uuid, "transfer_uuid": "t"}
         say(page, type="FileTransferStartUpload", **upload, filename="../x", mime_type="a/b", part_count=2, size_bytes=9)
@@ -137,7 +107,7 @@ def test_a_page_cannot_upload_nor_publish_nor_change_inner_values(server, monkey
         for updates in ({"update_cb": ["x"]}, {"removed": True}, {"value": 2.0, "sync_cb": "x"}, {"value": float("nan")}, {"value": {"a": 1}}):
             say(page, type="GuiUpdateMessage", uuid=uuid, updates=updates)
         say(page, type="GuiUpdateMessage", uuid=uuid, updates={"value": 4.0})  # heard after all others
-        assert wait_for(lambda: slider.value == 4.0)
+        wait_for(lambda: slider.value == 4.0, "what is right is heard")
     assert asked == []
     assert server.gui._current_file_upload_states == {}
     assert (state.update_cb, state.sync_cb, state.removed) == before
