@@ -24,7 +24,7 @@ from tenscasadi.files.document import SceneFileError
 from tenscasadi.files.matlab.save import save_mat
 from tenscasadi.files.matlab.structures import load_mat
 from tenscasadi.files.matlab.trajectories import load_mat_trajectory
-from tenscasadi.files.mjcf import export_mjcf
+from tenscasadi.files.mjcf import export_mjcf, import_mjcf
 from tenscasadi.files.scene_files import load_scene, load_simulation, save_scene
 from tenscasadi.files.simulation import Simulation
 from tenscasadi.files.vtk import export_vtk
@@ -107,6 +107,7 @@ __all__ = [
     # files of others
     "export_mjcf",
     "export_vtk",
+    "import_mjcf",
     "load_mat",
     "load_mat_trajectory",
     "save_mat",

@@ -106,6 +106,7 @@ def dynamics_calls() -> dict[str, Call]:
         "self_stress": (tc.self_stress, {"structure": SEGMENTED}),
         "Scene": (tc.Scene, scene),
         "export_mjcf": (tc.export_mjcf, {"scene": m.scene, "path": "scene.xml", "velocities": np.zeros((n, 3)), "joints": "ball", "step": 1e-3}),
+        "import_mjcf": (tc.import_mjcf, {"path": "missing.xml"}),
         "Clip": (tc.Clip, {"damping": "unclamped"}),
         "Scene, laws": (tc.Scene, {"structure": SEGMENTED, "slack": {0: tc.Linear(), 1: tc.Clip()}}),
         "Smooth": (tc.Smooth, {"width": 0.01}),

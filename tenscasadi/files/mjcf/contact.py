@@ -72,5 +72,5 @@ def _direct(solref: Array) -> tuple[float, float]:
     """Return stiffness, 1/s², and damping, 1/s, of MuJoCo's `solref`: both negated, or a time constant and a damping ratio."""
     first, second = (float(value) for value in solref)
     if first <= 0:
-        return -first, -second
+        return 0.0 - first, 0.0 - second
     return 1 / (first * second) ** 2, 2 / first

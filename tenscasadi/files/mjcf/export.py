@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET  # to write alone
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tenscasadi.files.mjcf.contact import contact_numbers, contact_weights, touching
+from tenscasadi.files.mjcf.contact import Weights, contact_numbers, contact_weights, touching
 from tenscasadi.files.mjcf.hanging import NO_DIRECTION, Hanging, Link, free_directions, hang, held_directions
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
@@ -157,7 +157,7 @@ class _Writer:
         s = self.s
         size = float(np.mean(np.concatenate([s.bar_lengths, s.string_lengths]))) if len(s.bars) + len(s.strings) else 1.0
         self.drawn, self.sphere = _DRAWN * size, _SPHERE * size
-        self.weights = contact_weights(scene, hanging)
+        self.weights = contact_weights(scene, hanging) if self.grounds else Weights(np.zeros(len(s.nodes)), 0.0)
         self.touched = sorted({node for ground in self.grounds for node in touching(ground, self.weights.inverse)})
         self.origins: dict[int | None, Array] = {None: np.zeros(3)}
         for link in hanging.links:

@@ -11,6 +11,7 @@ import numpy as np
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
+DEEPEST = 100  # bars that hang from each other: files that are nested deeper are hard to read, for MuJoCo too
 NO_DIRECTION = np.zeros((0, 3))
 
 
@@ -71,10 +72,12 @@ class _Tree:
             for node in ends:
                 self.at.setdefault(node, []).append(bar)
         self.found = Hanging([], {}, [])
+        self.depth: dict[int, int] = {}  # how many bars hang above each other
 
     def grow(self) -> Hanging:
         placed = set[int]()
         for root in sorted(range(len(self.bars)), key=lambda bar: -max(len(self.held.get(node, ())) for node in self.bars[bar])):
+            self.depth.setdefault(root, 0)
             waiting = deque([self._root(root)])
             while waiting:
                 link = waiting.popleft()
@@ -112,8 +115,10 @@ class _Tree:
                         "together slide, and none where one of their nodes is pinned: pin the node, or let it go"
                     )
                 self.found.owner[node] = link.bar
-                if self.balls:
-                    yield from (Link(bar, link.bar, node) for bar in self.at[node])
+                if self.balls and self.depth[link.bar] < DEEPEST:
+                    for bar in self.at[node]:
+                        self.depth.setdefault(bar, self.depth[link.bar] + 1)
+                        yield Link(bar, link.bar, node)
 
 
 def inverse_weights(s: Structure, hanging: Hanging) -> Array:

@@ -1,0 +1,119 @@
+"""Planes of a file as grounds of the nodes that touch them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tenscasadi.files.mjcf.bodies import Bodies, Shape
+from tenscasadi.files.mjcf.contact import Weights, ground_numbers
+from tenscasadi.files.mjcf.elements import Element
+from tenscasadi.files.mjcf.words import Defaults, check, children
+from tenscasadi.scene.ground import Ground
+from tenscasadi.util.validate import Array
+
+_SOFT = (0.02, 1.0)  # MuJoCo's solref where none is given
+_FRICTION = (1.0, 0.005, 0.0001)
+
+
+class Touch(NamedTuple):
+    """A contact of a node with a plane: how far the node is above it then, m, and the attributes that tell its law."""
+
+    node: int
+    distance: float
+    law: Element
+
+
+def read_grounds(
+    root: Element, bodies: Bodies, defaults: Defaults, node_at: Callable[[int, Array], int | None], weigh: Callable[[], Weights]
+) -> list[Ground]:
+    """Return the grounds of a file; `node_at`: the node at a place of a piece, `weigh`: the scales of contacts. Raises SceneFileError."""
+    pairs, apart = _read_contacts(root, bodies, defaults)
+    moving = [(k, shape) for k, piece in bodies.moving() for shape in piece.shapes]
+    found: list[Ground] = []
+    for shape in bodies.pieces[0].shapes:
+        touches: dict[int, Touch] = {}
+        for k, other in moving:
+            law = pairs.get(frozenset((shape.element.text("name"), other.element.text("name"))))
+            if law is None and (k in apart or not _meet(shape.element, other.element)):
+                continue
+            if shape.element.text("type", "sphere") != "plane":
+                raise shape.element.error("is touched by bodies: tenscasadi's grounds are planes", "type")
+            for touch in _touches(k, other, law or _mixed(shape.element, other.element), node_at):
+                if touch.node not in touches or touch.distance > touches[touch.node].distance:
+                    touches[touch.node] = touch
+        if touches:
+            found += _grounds(shape, list(touches.values()), weigh())
+    return found
+
+
+def _read_contacts(root: Element, bodies: Bodies, defaults: Defaults) -> tuple[Mapping[frozenset[str], Element], set[int]]:
+    """Return the pairs of geoms that are told to touch, and the pieces that are told not to touch the world."""
+    pairs: dict[frozenset[str], Element] = {}
+    apart: set[int] = set()
+    for section in root.of("contact"):
+        for child in children(section):
+            if child.tag == "exclude":
+                (one, _), (other, _) = (bodies.named(check(child), name) for name in ("body1", "body2"))
+                apart |= {one, other} if 0 in (one, other) else set()
+            else:
+                pair = check(defaults.apply(child))
+                pairs[frozenset((pair.text("geom1"), pair.text("geom2")))] = pair
+    return pairs, apart
+
+
+def _meet(one: Element, other: Element) -> bool:
+    """Return whether two geoms touch by their types and affinities."""
+    types, affinities = ([geom.whole(name, 1) for geom in (one, other)] for name in ("contype", "conaffinity"))
+    return bool(types[0] & affinities[1] or types[1] & affinities[0])
+
+
+def _mixed(one: Element, other: Element) -> Element:
+    """Return a geom with the attributes of a contact of two: those of the higher priority, else the greater friction and the mean of the laws."""
+    priorities = [geom.whole("priority", 0) for geom in (one, other)]
+    if priorities[0] != priorities[1]:
+        return one if priorities[0] > priorities[1] else other
+    friction = max(float(geom.numbers("friction", (1, 2, 3), _FRICTION)[0]) for geom in (one, other))
+    laws = np.array([geom.numbers("solref", (1, 2), _SOFT) for geom in (one, other)])
+    law = laws.mean(axis=0) if (laws[:, 0] > 0).all() else laws.min(axis=0)
+    dimensions = max(geom.whole("condim", 3) for geom in (one, other))
+    said = {"friction": repr(friction), "solref": " ".join(repr(float(x)) for x in law), "condim": str(dimensions)}
+    return other.given({**other.attributes, **said})
+
+
+def _touches(k: int, shape: Shape, law: Element, node_at: Callable[[int, Array], int | None]) -> list[Touch]:
+    """Return the contacts of the ends of a geom, of those that are nodes."""
+    if shape.rod is None:
+        return []
+    nodes = [node_at(k, end) for end in shape.rod.ends[: 1 if shape.rod.kind == "sphere" else 2]]
+    return [Touch(node, shape.rod.radius, law) for node in nodes if node is not None]
+
+
+def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Ground]:
+    """Return the grounds that a plane is, one for all nodes of the same law."""
+    normal = plane.frame.turn[:, 2]
+    touches = sorted((touch for touch in touches if weights.inverse[touch.node] > 0), key=lambda touch: touch.node)
+    if not touches:
+        return []
+    mean = float(np.mean([weights.inverse[touch.node] for touch in touches]))
+    alike: dict[Any, list[int]] = {}
+    laws: dict[Any, dict[str, Any]] = {}
+    for touch in touches:
+        solref = touch.law.numbers("solref", 2, _SOFT)
+        if (solref[0] > 0) != (solref[1] > 0) and solref.any() and solref[0] > 0:
+            raise touch.law.error("has one number above 0 and one below: give a time constant and a damping ratio, or both negated", "solref")
+        friction = float(touch.law.numbers("friction", (1, 2, 3, 4, 5), _FRICTION)[0]) if touch.law.whole("condim", 3) > 1 else 0.0
+        inverse = float(weights.inverse[touch.node]) if solref[0] <= 0 else mean  # of a time constant the stiffness goes with the mass
+        slow = touch.law.numbers("solreffriction", 2, (0, 0))
+        numbers = ground_numbers(solref, slow, friction or None, inverse, weights.standing)
+        law = {**numbers, "height": float(normal @ plane.frame.place) + touch.distance}
+        key = tuple(None if value is None else f"{value:.9g}" for value in law.values())
+        alike.setdefault(key, []).append(touch.node)
+        laws.setdefault(key, law)
+    everywhere = len(alike) == 1 and len(touches) == int(np.count_nonzero(weights.inverse))
+    try:
+        return [Ground(**law, normal=tuple(normal.tolist()), nodes=None if everywhere else alike[key]) for key, law in laws.items()]
+    except ValueError as error:
+        raise plane.element.error(str(error)) from None

@@ -1,0 +1,220 @@
+"""Tensegrities from MuJoCo's files: the same scene back, files as others write them, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tenscasadi as tc
+from tenscasadi.structure.structure import PARAMETERS
+
+LAW = {"stiffness": 1000.0, "prestress": 50.0}
+FEET = {0: "xyz", 1: "xyz", 2: "xyz"}
+masses = [0.1, 0.2, 0.3, 0.0, 0.5, 0.6]
+STRUCTURES: dict[str, tc.Structure] = {
+    "prism": tc.shapes.prism(**LAW),
+    "thick bars and masses": tc.shapes.prism(bar_radius=0.05, bar_mass=[1.0, 2.0, 3.0], node_mass=masses, damping=0.5, **LAW),
+    "thin bars": tc.shapes.prism(bar_radius=[1e-4, 1e-3, 0.0], **LAW),
+    "ball": tc.shapes.six_bar_ball(**LAW),
+    "D-bar": tc.shapes.d_bar(pinned=[0], **LAW),
+    "T-bar": tc.shapes.t_bar(node_mass=0.2, **LAW),
+    "pendulum": tc.shapes.double_pendulum(),
+    "mast": tc.shapes.prism(pinned=FEET, node_mass=masses, **LAW),
+    "rolling": tc.shapes.prism(pinned={0: "z", 1: "z", 2: "xz"}, **LAW),
+    "membrane": tc.shapes.membrane(p=4, q=3, pinned={0: "xyz", 1: "z", 2: "xy"}),
+    "point": tc.Structure([(1, 2, 3)], node_mass=2.0),
+}
+
+
+def assert_same(one: tc.Structure, other: tc.Structure) -> None:
+    for name in PARAMETERS:
+        given, found = getattr(one, name), getattr(other, name)
+        if name in ("pinned", "rollers", "string_mass"):
+            assert name == "string_mass" or given == found
+        elif name in ("bars", "strings"):
+            assert np.array_equal(given, found)
+        else:
+            assert found == pytest.approx(given, abs=1e-13, rel=1e-12), name
+
+
+@pytest.mark.parametrize("joints", ["ball", "connect"])
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_what_was_written_reads_back_the_same(name: str, joints: Any, tmp_path: Path) -> None:
+    scene = tc.Scene(STRUCTURES[name], gravity=tc.Gravity((0.5, 0, -9.81)))
+    found = tc.import_mjcf(tc.export_mjcf(scene, tmp_path / "s.xml", joints=joints))
+    assert_same(scene.structure, found.structure)
+    assert replace(found, structure=scene.structure) == scene
+
+
+def test_laws_controls_and_segments_read_back(tmp_path: Path) -> None:
+    prism, path = tc.shapes.prism(pinned=FEET, damping=1.0, string_mass=0.1, **LAW), tmp_path / "s.xml"
+    for scene in (
+        tc.Scene(prism, slack={0: tc.Linear(), 3: tc.Linear()}, segments=2),
+        tc.Scene(prism, control=tc.RestLength(), slack={1: tc.Linear()}),
+        tc.Scene(prism, slack=tc.Linear()),
+    ):
+        found = tc.import_mjcf(tc.export_mjcf(scene, path))
+        assert_same(scene.modelled, found.structure)
+        assert found.control == scene.control
+        assert found.pushing_strings.tolist() == scene.pushing_strings.tolist()
+    found = tc.import_mjcf(tc.export_mjcf(tc.Scene(prism, control=tc.ForceDensity()), path))
+    assert found.control == tc.ForceDensity()
+
+
+def test_rollers_hold_along_the_same_directions(tmp_path: Path) -> None:
+    s = tc.shapes.prism(rollers={0: (1, 0, 1), 1: [(1, 1, 0), (0, 1, 1)]}, pinned=[2])
+    found = tc.import_mjcf(tc.export_mjcf(tc.Scene(s), tmp_path / "s.xml")).structure
+    for node, normals in s.rollers.items():
+        same = [np.transpose(each) @ np.array(each) for each in (normals, found.rollers[node])]  # projectors
+        assert same[1] == pytest.approx(same[0], abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["prism", "thick bars and masses", "D-bar", "T-bar", "point"])
+def test_grounds_read_back(name: str, tmp_path: Path) -> None:
+    first = tc.Ground(2000.0, 20.0, height=-0.5, normal=(0.1, 0, 1))
+    grounds = [first, tc.Ground(100.0, friction=0.3, slip_speed=0.02, height=-3.0, nodes=[0] if name == "point" else [1, 3])]
+    found = tc.import_mjcf(tc.export_mjcf(tc.Scene(STRUCTURES[name], ground=grounds), tmp_path / "s.xml"))
+    for wanted, ground in zip(grounds, found.grounds, strict=True):
+        for field in ("stiffness", "damping", "height", "normal", *(["slip_speed"] if wanted.friction else [])):
+            assert getattr(ground, field) == pytest.approx(getattr(wanted, field), rel=1e-9), field
+        assert ground.friction == wanted.friction
+        assert ground.nodes == (None if name == "point" else wanted.nodes)
+
+
+# Files as others write them.
+
+FREE_PRISM = """<mujoco model="cell">
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="1e-4" integrator="RK4" gravity="0 0 0"/>
+  <default>
+    <geom type="capsule" contype="0" conaffinity="0" density="900" rgba="0.2 0.2 0.3 1"/>
+    <site size="0.006"/>
+    <default class="cable"> <tendon stiffness="200" width="0.0025"/> <geom size="0.01"/> </default>
+  </default>
+  <visual><headlight ambient="0.4 0.4 0.4"/></visual>
+  <worldbody>
+    <light pos="0 0 2" dir="0 0 -1"/>
+    <camera name="side" pos="1 0 0" xyaxes="0 1 0 0 0 1"/>
+    <body name="a" pos="0.1 0 0.05" childclass="cable"><freejoint/><geom fromto="0 0 0 -0.15 0.06 0.3"/>
+      <site name="a0"/><site name="a1" pos="-0.15 0.06 0.3"/></body>
+    <body name="b" pos="-0.05 0.0866 0.05"><freejoint/><geom class="cable" fromto="0 0 0 0.02 -0.16 0.3"/>
+      <site name="b0"/><site name="b1" pos="0.02 -0.16 0.3"/></body>
+    <body name="c" pos="-0.05 -0.0866 0.05"><freejoint/><geom size="0.01" fromto="0 0 0 0.13 0.1 0.3"/>
+      <site name="c0"/><site name="c1" pos="0.13 0.1 0.3"/></body>
+  </worldbody>
+  <tendon>
+    <spatial class="cable" springlength="0 0.1"><site site="a0"/><site site="b0"/></spatial>
+    <spatial class="cable" springlength="0 0.1"><site site="b0"/><site site="c0"/></spatial>
+    <spatial class="cable" springlength="0 0.1"><site site="c0"/><site site="a0"/></spatial>
+    <spatial class="cable" springlength="0 0.1"><site site="a1"/><site site="b1"/></spatial>
+    <spatial class="cable" springlength="0 0.1"><site site="b1"/><site site="c1"/></spatial>
+    <spatial class="cable" springlength="0 0.1"><site site="c1"/><site site="a1"/></spatial>
+    <spatial class="cable" damping="1" springlength="0.25"><site site="a0"/><site site="c1"/></spatial>
+    <spatial class="cable" damping="1" springlength="0.25"><site site="b0"/><site site="a1"/></spatial>
+    <spatial class="cable" damping="1" springlength="0.25"><site site="c0"/><site site="b1"/></spatial>
+  </tendon>
+</mujoco>"""
+
+ROBOT = """<mujoco model="rods with motors and end caps, told in the world's coordinates">
+  <compiler inertiafromgeom="true"/>
+  <option timestep="1e-4" integrator="RK4" gravity="0 0 -9.81"><flag contact="disable"/></option>
+  <default>
+    <geom density="1000" friction="0.5 0.005 0.9" solref="-5000 -50"/>
+    <tendon stiffness="10000" damping="10" springlength="1.5"/>
+  </default>
+  <asset><texture name="plain" builtin="flat" type="2d" width="8" height="8"/><material name="grey" texture="plain"/></asset>
+  <worldbody>
+    <geom name="floor" type="plane" size="40 40 1" material="grey"/>
+    <body name="r01">
+      <geom name="rod" type="cylinder" fromto="1 -1 2 -1 1 3" size="0.016" mass="41.8"/>
+      <freejoint name="move01"/>
+      <geom type="sphere" pos="1 -1 2" size="0.175" mass="10.5"/>
+      <geom type="sphere" pos="-1 1 3" size="0.175" mass="10.5"/>
+      <geom type="cylinder" fromto="0.8 -0.8 2.1 0.5 -0.5 2.25" size="0.175" mass="35.3"/>
+      <geom type="cylinder" fromto="-0.8 0.8 2.9 -0.5 0.5 2.75" size="0.175" mass="35.3"/>
+      <site name="s0" pos="1 -1 2"/><site name="s1" pos="-1 1 3"/>
+    </body>
+    <body name="r23">
+      <geom type="cylinder" fromto="-1 -1 2 1 1 2.5" size="0.016" mass="41.8"/>
+      <freejoint name="move23"/>
+      <geom type="sphere" pos="-1 -1 2" size="0.175" mass="10.5"/>
+      <geom type="sphere" pos="1 1 2.5" size="0.175" mass="20.5"/>
+      <site name="s2" pos="-1 -1 2"/><site name="s3" pos="1 1 2.5"/>
+    </body>
+  </worldbody>
+  <tendon>
+    <spatial><site site="s0"/><site site="s2"/></spatial>
+    <spatial><site site="s0"/><site site="s3"/></spatial>
+    <spatial><site site="s1"/><site site="s2"/></spatial>
+    <spatial stiffness="20000"><site site="s1"/><site site="s3"/></spatial>
+  </tendon>
+  <sensor><framepos objtype="site" objname="s0"/></sensor>
+</mujoco>"""
+
+MAST = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="1e-4" integrator="RK4"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 0.1" pos="0 0 -1"/>
+    <site name="tip" pos="0.1 0.1 1.2"/>
+    <body name="lower" pos="0.1 0 0" euler="0.2 0.1 -0.3">
+      <joint type="ball"/>
+      <geom type="capsule" size="0.01 0.25" pos="0 0 0.25" mass="0.3" contype="0" conaffinity="0"/>
+      <site name="middle" pos="0 0 0.5"/>
+      <body name="upper" pos="0 0 0.5" axisangle="1 1 0 0.4">
+        <joint type="ball"/>
+        <inertial pos="0.2 0 0" mass="0.5" diaginertia="0.001 0.01 0.01"/>
+        <geom type="box" size="0.2 0.01 0.01" pos="0.2 0 0"/>
+        <site name="top" pos="0.4 0 0"/>
+        <body name="payload" pos="0.4 0 0"><geom type="sphere" size="0.02" mass="0.1" contype="0" conaffinity="0"/></body>
+      </body>
+    </body>
+  </worldbody>
+  <tendon>
+    <spatial name="up" stiffness="100" springlength="0 0.5"><site site="tip"/><site site="top"/></spatial>
+    <spatial name="down" stiffness="50" springlength="0.2"><site site="tip"/><site site="middle"/></spatial>
+  </tendon>
+</mujoco>"""
+
+
+def read(text: str, tmp_path: Path) -> tc.Scene:
+    path = tmp_path / "scene.xml"
+    path.write_text(text)
+    return tc.import_mjcf(path)
+
+
+def sites(path: Path, time: float) -> np.ndarray:
+    """Places of all sites after MuJoCo's run."""
+    mujoco = pytest.importorskip("mujoco")
+    world = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(world)
+    mujoco.mj_step(world, data, round(time / world.opt.timestep))
+    mujoco.mj_kinematics(world, data)
+    return np.array(data.site_xpos)
+
+
+CASES = [(FREE_PRISM, (6, 3, 9), 0.1), (ROBOT, (4, 2, 4), 0.2), (MAST, (4, 2, 2), 0.2)]
+
+
+@pytest.mark.parametrize(("text", "size", "time"), CASES, ids=["prism", "robot", "mast"])
+def test_scenes_of_other_peoples_files_move_as_in_mujoco(text: str, size: tuple[int, ...], time: float, tmp_path: Path) -> None:
+    scene = read(text, tmp_path)
+    assert (len(scene.structure.nodes), len(scene.structure.bars), len(scene.structure.strings)) == size
+    run = tc.simulate(tc.Model(scene), time, time / 2000, correction=tc.Projection(), compiled=False)
+    theirs = sites(tmp_path / "scene.xml", time)
+    assert abs(run.nodes[-1] - run.nodes[0]).max() > 1e-3
+    moving = [node for node in range(size[0]) if node not in scene.structure.pinned]
+    away = [abs(theirs - run.nodes[-1, node]).max(axis=1).min() for node in moving]
+    assert max(away) < 1e-6
+
+
+def test_masses_are_those_that_mujoco_reckons(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    for text in (FREE_PRISM, ROBOT, MAST):
+        s = read(text, tmp_path).structure
+        world = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
+        assert s.bar_mass.sum() + s.node_mass.sum() == pytest.approx(world.body_mass.sum(), rel=1e-12)
