@@ -25,6 +25,7 @@ from tenscasadi.files.matlab.save import save_mat
 from tenscasadi.files.matlab.structures import load_mat
 from tenscasadi.files.matlab.trajectories import load_mat_trajectory
 from tenscasadi.files.mjcf import export_mjcf, import_mjcf
+from tenscasadi.files.ntrt.load import load_ntrt
 from tenscasadi.files.scene_files import load_scene, load_simulation, save_scene
 from tenscasadi.files.simulation import Simulation
 from tenscasadi.files.vtk import export_vtk
@@ -110,6 +111,7 @@ __all__ = [
     "import_mjcf",
     "load_mat",
     "load_mat_trajectory",
+    "load_ntrt",
     "save_mat",
     # many at once
     "rollouts",

@@ -1,0 +1,179 @@
+"""Structures of NTRT put together: nodes, pairs with tags, substructures that are turned, scaled and moved, and bonds between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tenscasadi.files.ntrt.yaml_tree import Entry
+from tenscasadi.util.validate import Array
+
+
+@dataclass(eq=False)
+class Node:
+    """A named point, which moves with the structure that has it."""
+
+    name: str
+    at: Array
+
+
+@dataclass(eq=False)
+class Pair:
+    """Two nodes and the tags that builders look for; `entry` is where the file says so."""
+
+    ends: tuple[Node, Node]
+    tags: frozenset[str]
+    entry: Entry
+
+
+@dataclass(eq=False)
+class Assembly:
+    """A structure: its own nodes and pairs, and substructures."""
+
+    name: str = ""
+    nodes: list[Node] = field(default_factory=list)
+    pairs: list[Pair] = field(default_factory=list)
+    children: list[Assembly] = field(default_factory=list)
+
+    def whole(self) -> Iterator[Assembly]:
+        """Itself and all substructures, level by level."""
+        level = [self]
+        while level:
+            yield from level
+            level = [child for part in level for child in part.children]
+
+    def all_nodes(self) -> list[Node]:
+        """Return the nodes of all levels."""
+        return [node for part in self.whole() for node in part.nodes]
+
+    def centre(self) -> Array:
+        """Return the mean of all nodes."""
+        return np.asarray(np.mean([node.at for node in self.all_nodes()], axis=0))
+
+    def transform(self, change: Callable[[Array], Array]) -> None:
+        """Move every node to where `change` takes it."""
+        for node in self.all_nodes():
+            node.at = change(node.at)
+
+    def child(self, name: str, entry: Entry) -> Assembly:
+        """Return the nearest substructure of this name."""
+        for part in self.whole():
+            if part is not self and part.name == name:
+                return part
+        raise entry.refusal(f"names the substructure {name!r}: there is none")
+
+    def node(self, path: str, entry: Entry) -> Node:
+        """Return the nearest node of a name, which may be that of substructures and the node's with dots between."""
+        *parents, name = path.split(".")
+        part = self
+        for parent in parents:
+            part = part.child(parent, entry)
+        for inner in part.whole():
+            for node in inner.nodes:
+                if node.name == name:
+                    return node
+        raise entry.refusal(f"names the node {path!r}: there is none")
+
+
+def turn(axis: Array, angle: float) -> Array:
+    """Return the matrix (3, 3) that turns by an angle, rad, about an axis of some length."""
+    x, y, z = axis / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+
+
+def turn_between(a: Array, b: Array, fallback: Array) -> Array:
+    """Return the matrix that turns the direction of a into that of b the short way, or half round about `fallback` where they are opposite."""
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    if np.linalg.norm(a - b) < 1e-5:  # as near as NTRT takes for equal
+        return np.eye(3)
+    if np.linalg.norm(a + b) < 1e-5:
+        return turn(fallback, np.pi)
+    return turn(np.cross(a, b), float(np.arccos(np.clip(a @ b, -1.0, 1.0))))
+
+
+def place_children(parent: Assembly, groups: list[tuple[list[str], dict[str, Entry]]]) -> None:
+    """Turn, then scale and move substructures, in NTRT's order: a group is names and attributes that they share."""
+    for names, attributes in groups:
+        if "rotation" in attributes:
+            for name in names:
+                _rotate(parent.child(name, attributes["rotation"]), attributes["rotation"])
+    for names, attributes in groups:
+        for index, name in enumerate(names):
+            if "scale" in attributes:
+                _scale(parent.child(name, attributes["scale"]), attributes["scale"].number())
+            for key, factor in (("offset", index), ("translation", 1)):
+                if key in attributes:
+                    _move(parent.child(name, attributes[key]), factor * attributes[key].vector())
+
+
+def _move(child: Assembly, shift: Array) -> None:
+    child.transform(lambda at: at + shift)
+
+
+def _rotate(child: Assembly, rotation: Entry) -> None:
+    given = dict(rotation.items("axis", "angle", "reference"))
+    if not {"axis", "angle"} <= set(given):
+        raise rotation.refusal("needs an axis and an angle")
+    axis = given["axis"].vector()
+    if not np.linalg.norm(axis) > 0:
+        raise given["axis"].refusal("is (0, 0, 0): give a direction")
+    about = given["reference"].vector() if "reference" in given else child.centre()
+    matrix = turn(axis, np.deg2rad(given["angle"].number()))
+    child.transform(lambda at: about + matrix @ (at - about))
+
+
+def _scale(child: Assembly, factor: float) -> None:
+    about = child.centre()
+    child.transform(lambda at: about + factor * (at - about))
+
+
+def bond_edges(parent: Assembly, names: tuple[str, str], pairs: Entry, tags: frozenset[str], is_rod: Callable[[Pair], bool]) -> None:
+    """Move the second substructure so that its nodes meet the middles of the first one's strings, or the other way round, and join them.
+
+    Each string of an edge "a/b" gives way to two, from a to the node and on to b; strings between the nodes are left out.
+    """
+    parts = [parent.child(name, pairs) for name in names]
+    joints, edges, places = [], [], []
+    rows = pairs.parts()
+    if len(rows) < 3:
+        raise pairs.refusal("has fewer than 3 pairs of a node and an edge: give at least 3")
+    for row in rows:
+        words = row.parts(2)
+        if sum("/" in word.word() for word in words) != 1:
+            raise row.refusal("does not pair a node with an edge, such as [top1, bottom1/bottom2]")
+        place = []
+        for part, word in zip(parts, words, strict=True):
+            ends = [part.node(path, word) for path in word.word().split("/")]
+            if len(ends) > 2:
+                raise word.refusal(f"is {word.shown()}: an edge has two ends")
+            place.append(np.mean([end.at for end in ends], axis=0))
+            (edges.append((ends[0], ends[1])) if len(ends) == 2 else joints.append(ends[0]))
+        places.append(place)
+    _meet(parts[1], np.array(places).transpose(1, 0, 2), pairs)
+    old = {frozenset(edge) for edge in edges} | {frozenset((a, b)) for a in joints for b in joints if a is not b}
+    for part in parts:
+        for inner in part.whole():
+            for pair in list(inner.pairs):
+                if frozenset(pair.ends) in old and (frozenset(pair.ends) in map(frozenset, edges) or not is_rod(pair)):
+                    if is_rod(pair):
+                        raise pairs.refusal(f"has the rod {pair.ends[0].name}/{pair.ends[1].name} for an edge: only strings can be edges")
+                    inner.pairs.remove(pair)
+    for joint, (first, last) in zip(joints, edges, strict=True):
+        parent.pairs += [Pair((first, joint), tags, pairs), Pair((joint, last), tags, pairs)]
+
+
+def _meet(moved: Assembly, places: Array, entry: Entry) -> None:
+    """Turn and move a substructure so that its places (k, 3) meet those of the other: planes first, then the first place about the normal."""
+    middles = places.mean(axis=1)
+    normals = np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
+    if not (np.linalg.norm(normals, axis=1) > 1e-12 * np.linalg.norm(places - middles[:, None], axis=2).max() ** 2).all():
+        raise entry.refusal("pairs places on one line: their first three must span a plane")
+    first = turn_between(normals[1], normals[0], places[1, 1] - places[1, 0])
+    arms = [places[0, 0] - middles[0], first @ (places[1, 0] - middles[1])]
+    if min(np.linalg.norm(arm) for arm in arms) < 1e-12 * np.linalg.norm(normals[0]) ** 0.5:
+        raise entry.refusal("pairs places whose first is in their middle: give another one first")
+    whole = turn_between(arms[1], arms[0], normals[0]) @ first
+    moved.transform(lambda at: middles[0] + whole @ (at - middles[1]))
