@@ -32,7 +32,6 @@ EXACT = 0.3  # of the tolerance: how near motions come to those of fine steps,
 MISSED = 1e-4  # and of the structure's size, at most: plans that end further from their goals than thrice this count as missing them
 NEAR = 0.02  # of the structure's size: nodes that come nearer to a ground along the guess may touch it
 CONDENSED_BARS = 5  # from here on the condensed method is the faster one
-LARGE_BARS = 15  # from here on factoring a whole program takes long
 
 Method = Solver | CondensedNewton | Sampling
 
@@ -68,8 +67,7 @@ def choose(problem: Problem, target: Target, guess: InitialGuess | None, toleran
     corrected, finer = Variational(count, accuracy=accuracy), Variational(2 * count, accuracy=accuracy)
     if bars >= CONDENSED_BARS and not applies(problem):
         yield Choice(corrected, CondensedNewton(), guess=known)
-        if bars >= LARGE_BARS:
-            yield Choice(finer, CondensedNewton(), finer=True)
+        yield Choice(finer, CondensedNewton())
     if not corrected.refusal(model):
         yield Choice(corrected, ipopt, guess=known)
         yield Choice(finer, ipopt, finer=True)

@@ -9,10 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ocp.boundary.find_target import find_target
 from ocp.boundary.target import Target
+from ocp.boundary.unreachable import UnreachableGoal
 from ocp.choice import Choice, Method, choose, matching
 from ocp.condensed.method import solve_condensed
 from ocp.phases.method import solve_phased
+from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function
 from ocp.plan.plan import Plan
 from ocp.problem.control import winds
 from ocp.problem.instant import forces_of
@@ -35,6 +38,8 @@ from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array, flag, instance, positive_number, whole_number
 
 PHASE_INTERVALS = 20  # of each phase
+MOST_TARGETS = 3  # near the ends of plans
+_MORE_GOALS = "give goals that tell more of the end, or another guess"
 TOO_LATE = "no plan: stopped at the time limit before the solver began, with the guess: raise seconds"
 RELIABLE = 1e-2  # of the structure's size (and of it per duration): what a replay may miss by, unless a tolerance is stated
 
@@ -193,7 +198,42 @@ def _worth(plan: Plan) -> tuple[bool, bool, float]:
 
 
 def _by_method(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Plan:
-    """Return the plan that the method finds which fits the solver."""
+    """Return the plan that the method finds which fits the solver.
+
+    Rows that bars repeat at the target are not imposed. Where a plan ends elsewhere, bars may point another way and not repeat them: then it is
+    found again, with the rows of a target near its end.
+    """
+    plan, iterations = _at_once(asked, way, target, scales), 0
+    for left in reversed(range(MOST_TARGETS + 1)):
+        missed = "" if plan.success or plan.duals is None else _missed_elsewhere(plan, target, asked.limit)
+        if not missed:
+            break
+        if not left or asked.late():
+            plan = replace(plan, duals=None, message=f"no plan: {missed}, far from where goals were thought to lead: {_MORE_GOALS}; {plan.message}")
+            break
+        try:
+            target = find_target(asked.problem, scales, _motion_of(plan))
+        except UnreachableGoal:
+            break
+        iterations += plan.iterations
+        plan = _at_once(asked._replace(guess=plan), way._replace(guess=None), target, scales)
+    return replace(plan, iterations=plan.iterations + iterations)
+
+
+def _missed_elsewhere(plan: Plan, target: Target, limit: float) -> str:
+    """Tell which goal the planned motion itself misses, though the rows that were imposed are met; "" where none is missed by more than a limit."""
+    state_at, duration, target = _motion_of(plan), float(plan.time[-1]), target.begin_at(plan.trajectory.states[0])
+    missed = measure_misses(target, state_at)
+    worst = max([amount for amount, _ in missed.places] + [duration * amount for amount, _ in missed.speeds], default=0.0)
+    return missed.worst() if worst > limit and goals_met(target, state_at) else ""
+
+
+def _motion_of(plan: Plan) -> StateAt:
+    return state_function(plan.known_model("solve"), plan.trajectory.states, float(plan.time[-1]), np.diff(plan.time) / plan.time[-1])
+
+
+def _at_once(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Plan:
+    """Return the plan that ends at a target, or near it."""
     problem, guess, (transcription, solver, _, first) = asked.problem, asked.guess, way
     if isinstance(solver, Sampling):
         known = None if guess is None else evaluate_guess(guess, problem, target, transcription.count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -29,12 +30,15 @@ AMPLE = 100.0  # times what nodes move by in a short time, as accelerations at t
 RIGID = ("bar", "joint", "clock")
 
 
-def find_target(problem: Problem, scales: Scales) -> Target:
-    """Return the target of a problem. Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much."""
+def find_target(problem: Problem, scales: Scales, near: Callable[[float], Array] | None = None) -> Target:
+    """Return the target of a problem: the state that meets the goals, nearest to its start or to a motion at the same share of the duration.
+
+    Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much.
+    """
     waypoints = []
     for share, part in problem.waypoints:
         try:
-            met = _find_end(part, scales)
+            met = _find_end(part, scales, near and near(share))
             _check_time(problem, met, part.longest)
         except UnreachableGoal as error:
             raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
@@ -45,17 +49,17 @@ def find_target(problem: Problem, scales: Scales) -> Target:
             _find_end(replace(problem, goals=problem.start_goals + closed * problem.final_goals, bounds=(), costs=()), scales)
         except UnreachableGoal as error:
             raise UnreachableGoal(f"free start: {error}") from None
-    end = _find_end(problem, scales)
+    end = _find_end(problem, scales, near and near(1.0))
     _check_time(problem, end, problem.longest)
     return replace(end, waypoints=tuple(waypoints), free_start=find_free_start(problem, scales))
 
 
-def _find_end(problem: Problem, scales: Scales) -> Target:
-    """Find the target at the end of a problem, without its waypoints."""
+def _find_end(problem: Problem, scales: Scales, near: Array | None = None) -> Target:
+    """Find the target at the end of a problem, without its waypoints, from the start or from a state near it."""
     model, start = problem.model, problem.first_state
     finder = _Finder(problem, start, scales)
     if finder.goals.names:
-        y, adjusted = finder.find_state()
+        y, adjusted = finder.find_state(start if near is None else near)
         return finder.impose(y, adjusted)
     x = ca.SX.sym("x", model.nx)
     empty = ca.SX(0, 1)
@@ -101,9 +105,9 @@ class _Finder:
 
     # --- the state ---
 
-    def find_state(self) -> tuple[Array, float]:
-        """Find y at the target, and by how much goals had to be adjusted (m), 0 when they are met."""
-        y = np.append(self.start, (self.problem.shortest + self.problem.longest) / 2)
+    def find_state(self, near: Array) -> tuple[Array, float]:
+        """Find y at the target near a state, and by how much goals had to be adjusted (m), 0 when they are met."""
+        y = np.append(near, (self.problem.shortest + self.problem.longest) / 2)
         rigid = [k for k, rows in enumerate(self.invariants) if rows.kind in RIGID]
         goals, miss = len(self.goals.names), 0.0
         for active in [rigid] if len(rigid) == len(self.invariants) else [rigid, list(range(len(self.invariants)))]:

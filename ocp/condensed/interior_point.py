@@ -35,6 +35,7 @@ LARGE = 10_000  # unknowns, from which on the second number of iterations counts
 SLUGGISH = 8, 0.03  # iterations and relative change of costs: barriers that are in the way are lowered before their optimum
 NEARLY_SETTLED, NEARLY_WITHIN = 1e-2, 5  # the same where no step is found any more
 LEAST_POLISHED = 1e-5  # distance from limits
+QUICKLY = 0.1  # what a step leaves at most where the next one may do with its expansion
 SETTLED_BARRIER, SETTLED, WITHIN = 1e-4, 1e-4, 3  # μ, relative change of costs, iterations: then costs are settled
 
 
@@ -268,20 +269,28 @@ def polish(of: ReducedProblem, point: Point, tolerance: float, most: int = 12) -
     for _ in range(most):
         if not point.worst > tolerance:
             break
-        expansion, rows = of.about(point.w, point.motion), point.left.rows
+        expansion = of.about(point.w, point.motion)
         low, high = limits.gaps(point.w)
         room = np.clip(np.minimum(low, high), LEAST_POLISHED, 0.5)
         projector = Projector(expansion.jacobian, Metric(np.where(limits.free, 1 / room, 1e300), None), DAMPING)
-        whole = -projector.shortest(point.left.goals + expansion.change(expansion.follow(None, rows)))
-        for share in (1.0, 0.5, 0.25, 0.1):
-            d = limits.cut(point.w, share * whole, 0.999, 0.0)
-            moved = moved_point(of, expansion, point, d, Rows(share * rows.impulses, share * rows.lengths))
-            if moved.theta < point.theta or moved.worst < point.worst:
-                break
-        else:
+        steps = (_towards(of, expansion, projector, point, share) for share in (1.0, 0.5, 0.25, 0.1))
+        moved = next((one for one in steps if one.theta < point.theta or one.worst < point.worst), None)
+        if moved is None:
             break
-        point = moved
+        before, point = point, moved
+        while point.worst > tolerance and point.theta < QUICKLY * before.theta:  # the same expansion will do
+            before, point = point, _towards(of, expansion, projector, point, 1.0)
+        if not point.theta < before.theta:
+            point = before
     return point
+
+
+def _towards(of: ReducedProblem, expansion: Expansion, projector: Projector, point: Point, share: float) -> Point:
+    """Return the point after a share of the shortest step that, by an expansion, meets goals and motion."""
+    rows = point.left.rows
+    whole = -projector.shortest(point.left.goals + expansion.change(expansion.follow(None, rows)))
+    d = Limits(of.lower, of.upper).cut(point.w, share * whole, 0.999, 0.0)
+    return moved_point(of, expansion, point, d, Rows(share * rows.impulses, share * rows.lengths))
 
 
 def moved_point(of: ReducedProblem, expansion: Expansion, point: Point, d: Array, rows: Rows) -> Point:

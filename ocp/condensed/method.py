@@ -141,11 +141,10 @@ def _outcome(
     corrected: Corrected,
 ) -> Outcome:
     """Return what was found, and why where it is no plan. targets: all that was asked, and what was imposed."""
-    (target, imposed), (point, states, gap), chain = targets, corrected, reduced.chain
+    (target, imposed), (point, states, gap) = targets, corrected
     c, duration = reduced.split(point.w)
-    clock = (chain.clock + duration * chain.time[:, None])[:, : problem.model.nx - 2 * problem.model.nq]
     if states is None:
-        states = states_of(chain, duration**2 * chain.controls.before_nodes(c), duration, point.motion, clock)
+        states = states_of(reduced.chain, c, duration, point.motion)
     lower, upper = problem.force_density_limits
     if transcription.accuracy is not None and gap > transcription.accuracy and found.status in SOLVED:
         why = TOO_COARSE.format(gap, transcription.accuracy)

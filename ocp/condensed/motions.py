@@ -20,24 +20,31 @@ def first_motion(chain: Chain, strings: Array, duration: float, states: Array) -
     return motion._replace(bars=-_along_bars(chain, directions, left))
 
 
-def states_of(chain: Chain, late: Array, duration: float, motion: Motion, clock: Array) -> Array:
-    """Return the states (K + 1, nx) of a motion that is met; late: T²σγ (K, α) that acts from before at the nodes k = 1 … K; clock (K + 1, ·).
+def states_of(chain: Chain, c: Array, duration: float, motion: Motion) -> Array:
+    """Return the states (K + 1, nx) of a motion that is met under force densities c (Kc, m).
 
     Velocities are those of the discrete momenta just before each node, along the bars.
     """
-    places = motion.places
+    places, late = motion.places, duration**2 * chain.controls.before_nodes(c)
+    clock = (chain.clock + duration * chain.time[:, None])[:, : chain.model.nx - 2 * chain.model.nq]
     before = (places[1:] - places[:-1]) / chain.shares[:, None, None]
     pull = chain.across(chain.C_sT, late[:, :, None] * chain.across(chain.C_s, places[1:])).reshape(chain.count, -1)
     loads = chain.loads_at(duration, chain.time[1:], chain.shares / 2)[0]
     rates = before.reshape(chain.count, -1)[:, :, None] - chain.by_inverse((pull - loads)[:, :, None])
     directions = bar_directions(chain, places)[1:]
-    if chain.bars:
-        rates = rates - np.matmul(chain.by_inverse(directions), _along_bars(chain, directions, rates)[:, :, None])
+    rates = without_bars(chain, directions, rates)
     velocities = np.concatenate([chain.first_rate[None], rates.reshape(-1, chain.nodes, 3) / duration])
     velocities[chain.taps] = motion.rates / duration
     free = chain.mech.free_index
     flat = (chain.mech.local(values.reshape(chain.count + 1, -1))[:, free] for values in (places, velocities))
     return np.column_stack([*flat, clock])
+
+
+def without_bars(chain: Chain, directions: Array, vectors: Array) -> Array:
+    """Return vectors (P, 3n, 1) of speeds without the parts that bars in directions (P, 3n, β) take away, by impulses along them."""
+    if not chain.bars:
+        return vectors
+    return vectors - np.matmul(chain.by_inverse(directions), _along_bars(chain, directions, vectors)[:, :, None])
 
 
 def _along_bars(chain: Chain, directions: Array, vectors: Array) -> Array:

@@ -145,3 +145,19 @@ def test_a_free_fall_is_accounted_for():
     with pytest.raises(ocp.UnreachableGoal):
         target(model, [ocp.NodePositions(fallen)], duration=0.4)
     assert target(model, [ocp.NodePositions(fallen)], duration=(0.3, 0.8)).count  # and so is its duration
+
+
+def test_a_target_near_a_motion_has_the_rows_of_its_end():
+    """A bar on a hinge comes to rest at half its height, wherever. Rows that leave out what the bar keeps on one side let it move on another."""
+    structure = tc.Structure([(0, 0, 0), (0.6, 0, 0.8), (0, 0, -1), (0, 1, -1)], [(0, 1)], [(1, 2), (1, 3)], pinned=[0, 2, 3])
+    problem = ocp.Problem(driven(structure), 1.0, goals=[ocp.NodePositions({1: (None, None, 0.5)}), ocp.AtRest()])
+    around = np.arccos(-1 / 3)
+    tip = np.array([np.sqrt(0.75) * np.cos(around), np.sqrt(0.75) * np.sin(around), 0.5])  # across the bar of the target
+    first = find_target(problem, Scales.of(problem))
+    assert problem.model.nodes(first.state)[1] == pytest.approx([np.sqrt(0.75), 0, 0.5], abs=1e-6)
+    moving = problem.model.state([(0, 0, 0), tip, *structure.nodes[2:]], [(0, 0, 0), (np.sqrt(0.75), 0, 0.5), (0, 0, 0), (0, 0, 0)])
+    assert first.rows(moving).full() == pytest.approx(0, abs=1e-6)
+    near = find_target(problem, Scales.of(problem), lambda share: moving)
+    assert near.count == first.count
+    assert problem.model.nodes(near.state)[1] == pytest.approx(tip, abs=0.1)
+    assert np.abs(near.rows(moving).full()).max() > 0.1

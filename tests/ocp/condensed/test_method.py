@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import ocp
 import tenscasadi as tc
-from ocp.condensed import interior_point, method
+from ocp.condensed import correction, interior_point, method
 from ocp.condensed.method import applies
 from tests.ocp.condensed.test_reduced import EVERY, LIMITS, ON_THE_WAY, PUSH, RISE, driven
 
@@ -168,11 +172,61 @@ def test_corrections_make_the_motion_that_of_fine_steps():
     assert fine.objective == pytest.approx(ocp.solve(problem, ocp.Variational(15, accuracy=1e-6)).objective, rel=5e-3)
 
 
-def test_corrections_that_do_not_get_there_are_said():
+def test_corrections_that_do_not_get_there_are_said(monkeypatch):
+    monkeypatch.setattr(correction, "MOST_ROUNDS", 1)
     problem, _ = CASES["ball"]
     plan = ocp.solve(problem, ocp.Variational(3, accuracy=1e-9), ocp.CondensedNewton())
     assert not plan.success
     assert "give more intervals" in plan.message
+
+
+@pytest.mark.parametrize("case", ["free duration, waypoint, all costs", "linear profile, groups", "pins of axes, loads that change", "few changes"])
+def test_few_intervals_are_corrected_to_the_motion_of_fine_steps(case):
+    """Fine steps of SciPy under the planned force densities, which know nothing of the program."""
+    problem, given = CASES[case]
+    plan = ocp.solve(problem, replace(given, intervals=5 if given.control.changes is None else 10, accuracy=1e-8), ocp.CondensedNewton())
+    assert plan.success, plan.message
+    state = plan.trajectory.states[0]
+    for k, (begin, end) in enumerate(pairwise(plan.time)):
+        after = plan.control[min(k + plan.linear, len(plan.control) - 1)]
+        state = integrated(problem.model, state, begin, end, plan.control[k], after)
+    assert np.abs(state - plan.trajectory.states[-1]).max() < 1e-6
+
+
+def integrated(model, state, begin, end, u, v):
+    """The state at the end of an interval in which the force densities run from u to v."""
+    found = solve_ivp(
+        lambda t, x: np.asarray(model.ode(x, u + (t - begin) / (end - begin) * (v - u)).full()).ravel(),
+        (begin, end), state, method="DOP853", rtol=1e-11, atol=1e-12,
+    )  # fmt: skip
+    return found.y[:, -1]
+
+
+def test_motions_along_which_errors_grow_are_corrected():
+    """Two prisms on each other rise under their weight: fine steps under the first force densities end metres away."""
+    nodes = dict.fromkeys((6, 7, 8), (None, None, 1.7))
+    model = driven(stacked(0.8).replace(pinned=[0, 1, 2]), gravity=tc.Gravity())
+    limits = ocp.ForceDensityLimits(1.0, 500.0)
+    problem = ocp.Problem(model, goals=[ocp.NodePositions(nodes), ocp.AtRest()], bounds=[limits], costs=[ocp.Effort()])
+    plain, fine = (ocp.solve(problem, ocp.Variational(60, accuracy=accuracy), ocp.CondensedNewton()) for accuracy in (None, 1e-6))
+    assert plain.replay_error > 0.1
+    assert fine.success, fine.message
+    assert "open-loop unstable" in fine.message
+    replay = fine.replay(step=fine.time[-1] / 2400)
+    assert np.abs(replay.states[-1] - fine.trajectory.states[-1])[: model.nq].max() < 1e-5
+
+
+@pytest.mark.slow
+def test_ends_at_rest_also_where_bars_point_another_way_than_thought():
+    """Only heights are asked for. Speeds that bars hinder at the target are not imposed: where the plan ends, bars would let some nodes go on."""
+    tower = tower_of(4, 0.8, pinned=range(3))
+    goals = [ocp.NodePositions(dict.fromkeys((12, 13, 14), (None, None, 3.4))), ocp.AtRest()]
+    limits = [ocp.ForceDensityLimits(1.0, 500.0)]
+    problem = ocp.Problem(driven(tower, gravity=tc.Gravity()), goals=goals, bounds=limits, costs=[ocp.Effort()])
+    plan = ocp.solve(problem, ocp.Variational(60, accuracy=1e-4), ocp.CondensedNewton())
+    assert plan.success, plan.message
+    assert np.abs(plan.trajectory.velocities[-1]).max() < 1e-3
+    assert plan.replay_speed_error < 1e-2
 
 
 def test_a_symmetric_guess_does_not_end_in_a_saddle():
@@ -187,10 +241,15 @@ def test_a_symmetric_guess_does_not_end_in_a_saddle():
 
 def stacked(height):
     """Two three-bar prisms with bars of 1.4 m that share a ring of nodes, one turned the other way."""
-    radius = np.sqrt(1.4**2 - height**2) / (2 * np.sin(5 * np.pi / 12))
-    angles = np.array([0.0, np.pi / 6, 0.0])[:, None] + 2 * np.pi * np.arange(3) / 3
-    nodes = [(radius * np.cos(a), radius * np.sin(a), j * height) for j in range(3) for a in angles[j]]
-    rings = [(3 * j + i, 3 * j + (i + 1) % 3) for j in range(3) for i in range(3)]
-    upright = [(3 * j + i, 3 * j + 3 + i) for j in range(2) for i in range(3)]
-    bars = [(3 * j + i, 3 * j + 3 + (i + (1, -1)[j]) % 3) for j in range(2) for i in range(3)]
-    return tc.Structure(nodes, bars, rings + upright)
+    return tower_of(2, height)
+
+
+def tower_of(count, height, **options):
+    """The same of any number of prisms."""
+    radius, levels = np.sqrt(1.4**2 - height**2) / (2 * np.sin(5 * np.pi / 12)), range(count + 1)
+    angles = np.array([0.0, np.pi / 6] * count + [0.0])[: count + 1, None] + 2 * np.pi * np.arange(3) / 3
+    nodes = [(radius * np.cos(a), radius * np.sin(a), j * height) for j in levels for a in angles[j]]
+    rings = [(3 * j + i, 3 * j + (i + 1) % 3) for j in levels for i in range(3)]
+    upright = [(3 * j + i, 3 * j + 3 + i) for j in range(count) for i in range(3)]
+    bars = [(3 * j + i, 3 * j + 3 + (i + (1, -1)[j % 2]) % 3) for j in range(count) for i in range(3)]
+    return tc.Structure(nodes, bars, rings + upright, **options)
