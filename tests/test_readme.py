@@ -50,7 +50,12 @@ def test_snippets_run_in_order(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_snippets_of_documents_run(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    run_snippets((ROOT / name).read_text(encoding="utf-8"), tmp_path)
+    try:
+        run_snippets((ROOT / name).read_text(encoding="utf-8"), tmp_path)
+    except ImportError as error:  # of an optional package
+        if "pip install 'tenscasadi[" not in str(error):
+            raise
+        pytest.skip(str(error))
 
 
 def test_recipes_do_what_they_say(tmp_path, monkeypatch, capsys):
