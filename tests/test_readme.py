@@ -86,7 +86,7 @@ def test_two_commands_do_all_set_up():
     assert "pytest" in tests
 
 
-COMMAND = re.compile(r"(?<![\w/.])(?:\.venv/bin/)?tenscasadi (?:plan|simulate|tradeoff|info) [^`\n]+")
+COMMAND = re.compile(r"(?<![\w/.])(?:\.venv/bin/)?tenscasadi (?:plan|simulate|tradeoff|info|new|view|export) [^`\n>]+")
 IN_DOCUMENTS = [command for name in DOCUMENTS for block in blocks("sh", (ROOT / name).read_text("utf-8")) for command in COMMAND.findall(block)]
 
 
