@@ -21,7 +21,10 @@ CHROMIUM = Path("/usr/bin/chromium")
 QUIET = ("--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync")
 
 NEEDED = ("material", "mkdocstrings", "latex2mathml", "viser")
-pytestmark = pytest.mark.skipif(not all(map(find_spec, NEEDED)), reason="needs pip install 'tenscasadi[docs]'")
+pytestmark = [
+    pytest.mark.slow,  # building the site simulates and plans what its gallery plays
+    pytest.mark.skipif(not all(map(find_spec, NEEDED)), reason="needs pip install 'tenscasadi[docs]'"),
+]
 
 
 @pytest.fixture(scope="module")
