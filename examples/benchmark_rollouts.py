@@ -4,9 +4,10 @@ The six-bar ball with elastic strings, classical Runge-Kutta steps of 1 ms, each
 ratios measured by turns in one process; whole calls are clocked, with the checks of every motion that they make. One thread is clocked in
 seconds of the processor, which other work on the machine does not lengthen; several threads in seconds of the wall.
 
-MuJoCo has each bar as a free body and each string as a tendon that pulls beyond its rest length; `mujoco.rollout` returns the state after
-each step, which it cannot leave out. On the ground two things differ: here nodes are points that a penalty with Coulomb friction holds (no
-equations to solve, but steps that a stiff ground limits), there spheres of 5 mm that a solver of soft constraints holds.
+MuJoCo reads what `tenscasadi.export_mjcf` writes: each bar a free body and each string a tendon that pulls beyond its rest length;
+`mujoco.rollout` returns the state after each step, which it cannot leave out. On the ground two things differ: here nodes are points that a
+penalty with Coulomb friction holds (no equations to solve), there small spheres on which a solver of soft constraints acts with the same
+stiffness.
 
 MuJoCo is optional: pip install 'tenscasadi[peers]'
 """
@@ -21,7 +22,9 @@ import time
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +33,6 @@ import tenscasadi as tc
 from tenscasadi.ensemble.kernel import build_kernel
 
 STEP, STEPS = 1e-3, 1000
-SIZE = 0.005  # m, of MuJoCo's spheres
 HEIGHT = 0.01  # m, of the lowest node above the ground
 
 
@@ -127,7 +129,7 @@ def against_mujoco(s: tc.Structure, n: int, repeats: int, quick: bool) -> list[R
         model = tc.Model(scene)
         ours = roll(model, throw(model, n), threads=1)
         for integrator in ("RK4",) if quick else ("RK4", "Euler"):
-            theirs = mujoco.MjModel.from_xml_string(mujoco_scene(mujoco, s, integrator, scene.ground is not None))
+            theirs = mujoco_model(mujoco, scene, integrator)
             data = mujoco.MjData(theirs)
             kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
             state = np.zeros(mujoco.mj_stateSize(theirs, kind))
@@ -138,36 +140,12 @@ def against_mujoco(s: tc.Structure, n: int, repeats: int, quick: bool) -> list[R
     return rows
 
 
-def mujoco_scene(mujoco: Any, s: tc.Structure, integrator: str, ground: bool) -> str:
-    """The structure in MuJoCo's XML; on the ground its nodes are spheres, which touch nothing but the plane."""
-    flags = "" if ground else '<flag contact="disable" constraint="disable"/>'
-    down = "0 0 -9.81" if ground else "0 0 0"
-    lines = [f'<mujoco><option timestep="{STEP}" integrator="{integrator}" gravity="{down}">{flags}</option><worldbody>']
-    lines += ['<geom type="plane" size="0 0 1" contype="1" conaffinity="0" friction="0.6"/>'] if ground else []
-    for (first, second), mass, inertia, length in zip(s.bars, s.bar_mass, s.bar_inertia, s.bar_lengths, strict=True):
-        turn = np.zeros(4)
-        mujoco.mju_quatZ2Vec(turn, (s.nodes[second] - s.nodes[first]) / length)  # bars lie along their body's z axis
-        across, middle = inertia * length**2, s.nodes[[first, second]].mean(axis=0)
-        lines += [
-            f'<body pos="{text(middle)}" quat="{text(turn)}"><freejoint/>',
-            f'<inertial pos="0 0 0" mass="{mass:.17g}" diaginertia="{text([across, across, 1e-4])}"/>',
-        ]
-        for node, end in ((first, text([-length / 2])), (second, text([length / 2]))):
-            lines.append(f'<site name="n{node}" pos="0 0 {end}"/>')
-            if ground:
-                lines.append(f'<geom type="sphere" size="{SIZE}" pos="0 0 {end}" mass="0" contype="0" conaffinity="1" friction="0.6"/>')
-        lines.append("</body>")
-    lines.append("</worldbody><tendon>")
-    for (first, second), stiffness, rest in zip(s.strings, s.stiffness, s.rest_length, strict=True):
-        lines.append(
-            f'<spatial stiffness="{text([stiffness])}" springlength="0 {text([rest])}"><site site="n{first}"/><site site="n{second}"/></spatial>'
-        )
-    return "".join([*lines, "</tendon></mujoco>"])
-
-
-def text(numbers: Any) -> str:
-    """Numbers as XML holds them."""
-    return " ".join(f"{number:.17g}" for number in numbers)
+def mujoco_model(mujoco: Any, scene: tc.Scene, integrator: str) -> Any:
+    """What MuJoCo makes of a scene."""
+    with TemporaryDirectory() as folder:
+        model = mujoco.MjModel.from_xml_path(str(tc.export_mjcf(scene, Path(folder) / "scene.xml", step=STEP)))
+    model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+    return model
 
 
 def stiffnesses(structure: tc.Structure, values: int, models: int) -> Row:

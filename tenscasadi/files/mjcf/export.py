@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.files.mjcf.contact import Weights, contact_numbers, contact_weights, touching
+from tenscasadi.files.mjcf.frames import turn_to
 from tenscasadi.files.mjcf.hanging import NO_DIRECTION, Hanging, Link, free_directions, hang, held_directions
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
@@ -159,9 +160,8 @@ class _Writer:
         self.drawn, self.sphere = _DRAWN * size, _SPHERE * size
         self.weights = contact_weights(scene, hanging) if self.grounds else Weights(np.zeros(len(s.nodes)), 0.0)
         self.touched = sorted({node for ground in self.grounds for node in touching(ground, self.weights.inverse)})
-        self.origins: dict[int | None, Array] = {None: np.zeros(3)}
-        for link in hanging.links:
-            self.origins[link.bar] = s.nodes[s.bars[link.bar]].mean(axis=0) if link.node is None else s.nodes[link.node]
+        self.turns: dict[int | None, Array] = {None: np.eye(3)}  # columns: the axes of a bar's body, whose z axis is along the bar
+        self.along: dict[tuple[int | None, int], Array] = {}  # where a node is in the body of its bar
         self.rates: dict[ET.Element, list[float]] = {}  # of the joints of each body
         self.root = ET.Element("mujoco", model="tenscasadi")
 
@@ -192,44 +192,50 @@ class _Writer:
         bodies: dict[int | None, ET.Element] = {None: world}
         turning: dict[int | None, Array] = {None: np.zeros(3)}
         for link in self.hanging.links:
-            bar, (a, b) = link.bar, s.bars[link.bar]
-            along = s.nodes[b] - s.nodes[a]
-            moves = (V[a] + V[b]) / 2 if link.node is None else V[link.node]
-            turning[bar] = np.cross(along, V[b] - V[a]) / s.bar_lengths[bar] ** 2
-            body = bodies[bar] = _add(bodies[link.parent], "body", name=f"bar{bar}", pos=self.origins[bar] - self.origins[link.parent])
+            bar, (a, b) = link.bar, s.bars[link.bar].tolist()
+            length, outer = s.bar_lengths[bar], self.turns[link.parent]
+            axis = outer.T @ (s.nodes[b] - s.nodes[a]) / length
+            self.turns[bar] = outer @ turn_to(axis)
+            start = -length / 2 if link.node is None else 0.0 if link.node == a else -length
+            self.along[bar, a], self.along[bar, b] = np.array([0, 0, start]), np.array([0, 0, start + length])
+            middle, moves = (s.nodes[a] + s.nodes[b]) / 2, (V[a] + V[b]) / 2
+            if link.node is not None:
+                middle, moves = s.nodes[link.node], V[link.node]
+            place = middle if link.parent is None else self.along[link.parent, link.node or 0]
+            turning[bar] = np.cross(s.nodes[b] - s.nodes[a], V[b] - V[a]) / length**2
+            body = bodies[bar] = _add(bodies[link.parent], "body", name=f"bar{bar}", pos=place, zaxis=axis)
             self._joints(body, link, moves, turning[bar] - turning[link.parent])
-            self._rod(body, bar, self.origins[bar])
-            for node in (int(a), int(b)):
+            self._rod(body, bar, [start, start + length])
+            for node in (a, b):
                 if self.hanging.owner.get(node) == bar:
-                    self._node(body, node, s.nodes[node] - self.origins[bar])
+                    self._node(body, node, self.along[bar, node])
 
     def _joints(self, body: ET.Element, link: Link, velocity: Array, turning: Array) -> None:
         if link.still:
             return
+        turn = self.turns[link.bar]
         if link.node is None:
             _add(body, "freejoint")
-            self.rates[body] = [*velocity, *turning]
-            return
-        self._slides(body, link.slides, velocity)
-        _add(body, "joint", type="ball")
-        self.rates[body] += [*turning]
+            self.rates[body] = [*velocity]
+        else:
+            self._slides(body, link.slides, velocity, turn)
+            _add(body, "joint", type="ball")
+        self.rates[body] += [*(turning @ turn)]  # rates of turning are told along the body's own axes
 
-    def _slides(self, body: ET.Element, directions: Array, velocity: Array) -> None:
+    def _slides(self, body: ET.Element, directions: Array, velocity: Array, turn: Array) -> None:
         for direction in directions:
-            _add(body, "joint", type="slide", axis=direction)
+            _add(body, "joint", type="slide", axis=direction @ turn)
         self.rates[body] = [*(directions @ velocity)]
 
-    def _rod(self, body: ET.Element, bar: int, origin: Array) -> None:
+    def _rod(self, body: ET.Element, bar: int, ends: list[float]) -> None:
         """Give a bar its mass, and a cylinder to look at."""
         s = self.s
-        ends, radius, mass = s.nodes[s.bars[bar]] - origin, s.bar_radius[bar], s.bar_mass[bar]
+        radius, mass = s.bar_radius[bar], s.bar_mass[bar]
         across = s.bar_inertia[bar] * s.bar_lengths[bar] ** 2  # J of Eq. 19 times l²
         inertia = [across, across, max(mass * radius**2 / 2, _AXIAL * across)]
-        x, y, z = np.diff(ends, axis=0)[0] / s.bar_lengths[bar]
-        turn = np.array([1 + z, -y, x, 0.0]) if z > -0.5 else np.array([1 - z, y, -x, 0.0])  # from the z axis to the bar's, or to its opposite
-        _add(body, "inertial", pos=ends.mean(axis=0), quat=turn / np.linalg.norm(turn), mass=mass, diaginertia=inertia)
+        _add(body, "inertial", pos=[0, 0, sum(ends) / 2], mass=mass, diaginertia=inertia)
         look = {"size": [radius or self.drawn], "contype": 0, "conaffinity": 0, "mass": 0}
-        _add(body, "geom", name=f"bar{bar}", type="cylinder", fromto=ends.ravel(), **look)
+        _add(body, "geom", name=f"bar{bar}", type="cylinder", fromto=[0, 0, ends[0], 0, 0, ends[1]], **look)
 
     def _node(self, body: ET.Element, node: int, place: Array) -> None:
         """Put a node of a bar into its body, with its mass in a body that is fixed to it."""
@@ -252,7 +258,7 @@ class _Writer:
                 self._node(world, node, s.nodes[node])
                 continue
             body = _add(world, "body", name=f"n{node}", pos=s.nodes[node])
-            self._slides(body, slides, V[node])
+            self._slides(body, slides, V[node], np.eye(3))
             _add(body, "inertial", pos=here, mass=s.node_mass[node], diaginertia=np.full(3, max(s.node_mass[node], 1.0)))  # it does not turn
             _add(body, "site", name=f"n{node}", pos=here, size=[self.sphere])
             self._ball(body, node, here)
@@ -285,7 +291,7 @@ class _Writer:
         for tie in self.hanging.ties:
             other = {} if tie.other is None else {"body2": f"bar{tie.other}"}
             hard = {"solref": [2 * step, 1.0], "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0]}
-            _add(equality, "connect", body1=f"bar{tie.bar}", **other, anchor=self.s.nodes[tie.node] - self.origins[tie.bar], **hard)
+            _add(equality, "connect", body1=f"bar{tie.bar}", **other, anchor=self.along[tie.bar, tie.node], **hard)
 
     def _control(self, moving: bool) -> None:
         scene, s = self.scene, self.s

@@ -29,6 +29,10 @@ class Frame(NamedTuple):
         """Return where a point of this frame is."""
         return np.asarray(self.place + self.turn @ point)
 
+    def seen(self, point: Array) -> Array:
+        """Return where a point of what is around this frame is in it."""
+        return np.asarray(self.turn.T @ (point - self.place))
+
     def within(self, outer: Frame) -> Frame:
         """Return this frame as seen from around the outer one."""
         return Frame(outer.at(self.place), outer.turn @ self.turn)
@@ -77,12 +81,17 @@ def _turn(element: Element, name: str, units: Units) -> Array:
         sine = float(np.linalg.norm(unit_quaternion[1:]))
         return _rotation(unit_quaternion[1:] / (sine or 1.0), 2 * np.arctan2(sine, unit_quaternion[0]))
     if name == "zaxis":
-        z = _unit(element, name, values)
-        axis = np.cross([0, 0, 1], z)
-        return _rotation(axis / np.linalg.norm(axis), np.arctan2(np.linalg.norm(axis), z[2])) if axis.any() else np.diag([1.0, z[2], z[2]])
+        return turn_to(_unit(element, name, values))
     x = _unit(element, name, values[:3])
     y = _unit(element, name, values[3:] - (values[3:] @ x) * x)
     return np.column_stack([x, y, np.cross(x, y)])
+
+
+def turn_to(z: Array) -> Array:
+    """Return the smallest turn of the z axis to a unit direction."""
+    axis = np.cross([0, 0, 1], z)
+    sine = float(np.linalg.norm(axis))
+    return _rotation(axis / sine, np.arctan2(sine, z[2])) if sine > 1e-10 else np.diag([1.0, np.sign(z[2]), np.sign(z[2])])
 
 
 def _unit(element: Element, name: str, vector: Array) -> Array:
