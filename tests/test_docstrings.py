@@ -20,6 +20,7 @@ from numpydoc.validate import validate
 import ocp
 import tenscasadi
 import tenscasadi.envs
+import tenscasadi.viewer
 from ocp.plan.planned_forces import PlannedForces
 from tenscasadi.util.tables import Tabular
 
@@ -32,7 +33,7 @@ METHODS = REQUIRED - {"EX01"}  # the class shows one
 
 
 def public() -> dict[str, Any]:
-    packages = {**PACKAGES, "tenscasadi.envs": tenscasadi.envs}
+    packages = {**PACKAGES, "tenscasadi.envs": tenscasadi.envs, "tenscasadi.viewer": tenscasadi.viewer}
     return {f"{name}.{item}": getattr(package, item) for name, package in packages.items() for item in package.__all__}
 
 

@@ -1,4 +1,4 @@
-"""What the viewer shows of a plan: its replay, the planned motion over it, obstacles, targets, and its curves with their limits."""
+"""A plan as the viewer shows it: its replay, the planned motion over it, obstacles, targets, and its curves with their limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What colours and sizes mean, with numbers and units, as HTML: the same in the live panel and in saved pages."""
+"""Legends: the meaning of colours and sizes, with numbers and units, as HTML: the same in the live panel and in saved pages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands still beside a motion: grounds with a grid, obstacles, boxes that nodes stay in, and targets."""
+"""Things that stand still beside a motion: grounds with a grid, obstacles, boxes that nodes stay in, and targets."""
 
 from __future__ import annotations
 

@@ -27,10 +27,30 @@ class View:
 
     `view` returns one.
 
+    Parameters
+    ----------
+    exhibit : Exhibit
+        Motions and what stands beside them, as `exhibit_of` gives them.
+    title : str
+        Title.
+    colour : {"tension", "force density"}
+        What the colour of strings tells.
+    speed : float
+        Simulated seconds in each second shown.
+    follow : bool
+        Whether the middle of the first motion stays in view.
+
     Attributes
     ----------
     url : str or None
         Where the viewer is, while it is shown.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> with tc.shapes.prism().view(browser=False, wait=False) as shown:
+    ...     print(shown.url.rpartition(":")[0])
+    http://127.0.0.1
     """
 
     def __init__(self, exhibit: Exhibit, title: str, colour: str, speed: float, follow: bool) -> None:

@@ -32,12 +32,38 @@ _WORDS = 0.2  # s between two times that the words change
 class Live:
     """A live motion: in the browser while it is served, and as a trajectory at any time. `live` returns one.
 
+    Parameters
+    ----------
+    simulation : LiveSimulation
+        What goes on.
+    server : viser.ViserServer
+        Server, as `start_server` gives it.
+    groups : mapping of str to sequence of int, or None
+        Strings that share a slider, as for `live`.
+    save : path-like or None
+        File that the button "Save" writes.
+    title : str
+        Title.
+    speed : float
+        Simulated seconds in each second.
+
     Attributes
     ----------
     simulation : LiveSimulation
         What goes on. It belongs to a thread of its own: hand what changes it to `do`.
     url : str
         Where the viewer is.
+
+    See Also
+    --------
+    live : Start one.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> from tenscasadi.viewer import Stepping, live
+    >>> motion = live(tc.Scene(tc.shapes.prism()), stepping=Stepping(compiled=False), browser=False, wait=False)
+    >>> motion.close()
     """
 
     def __init__(self, simulation: LiveSimulation, server: Any, groups: Groups, save: FilePath | None, title: str, speed: float) -> None:

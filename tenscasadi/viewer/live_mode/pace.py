@@ -116,7 +116,7 @@ class Pace:
 
     @property
     def words(self) -> str:
-        """What is to be said of the speed: "" where it is as asked for."""
+        """Words on the speed: "" where it is as asked for."""
         measured = self.measured
         if not measured < _AS_ASKED * self._speed:
             return ""

@@ -48,6 +48,12 @@ class Stepping:
         As for `simulate`.
     tick : float
         Time of the motion, s, between two looks at the controls.
+
+    Examples
+    --------
+    >>> from tenscasadi.viewer import Stepping
+    >>> Stepping(step=5e-4).tick < 0.02
+    True
     """
 
     step: float | None = None

@@ -1,4 +1,4 @@
-"""What is seen of a live motion: the structure, the colours of its strings, and an arrow from a node that is pulled."""
+"""A live motion on the canvas: the structure, the colours of its strings, and an arrow from a node that is pulled."""
 
 from __future__ import annotations
 
