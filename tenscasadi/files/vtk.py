@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import os
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -72,7 +72,7 @@ def export_vtk(trajectory: Trajectory, path: str | os.PathLike[str], *, model: M
     names = [f"{folder.name}/{target.stem}_{k:0{len(str(len(rows)))}d}.vtu" for k in range(len(rows))]
     for name, row in zip(names, rows, strict=True):
         meshio.vtu.write(target.parent / name, _frame(meshio, trajectory, row, pushes[row]))
-    frames = [f'    <DataSet timestep="{float(trajectory.time[row])!r}" file={quoteattr(name)}/>' for name, row in zip(names, rows, strict=True)]
+    frames = [f'    <DataSet timestep="{float(trajectory.time[row])!r}" file="{html.escape(name)}"/>' for name, row in zip(names, rows, strict=True)]
     lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>", *frames, "  </Collection>", "</VTKFile>", ""]
     with whole_file(target) as file:
         file.write("\n".join(lines).encode())

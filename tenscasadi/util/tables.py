@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import os
 from collections.abc import Mapping
@@ -56,6 +55,8 @@ class Tabular:
         OSError
             The file cannot be written; one that was there stays as it was.
         """
+        import csv  # takes a while to load
+
         columns = self._columns()
         with whole_file(path) as file:
             text = io.TextIOWrapper(file, encoding="utf-8", newline="")

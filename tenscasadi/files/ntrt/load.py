@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from tenscasadi.files.ntrt.assembly import Assembly, Node, Pair, bond_edges, place_children
 from tenscasadi.files.ntrt.yaml_tree import Entry, read_tree
@@ -251,6 +250,8 @@ def _builder_of(pair: Pair, name: str, builders: list[_Builder]) -> _Builder:
 
 def _merged(nodes: list[Node]) -> tuple[Array, dict[int, int]]:
     """Return places (n, 3), those that coincide once, and the index of each node's by its id."""
+    from scipy.spatial import cKDTree  # takes a while to load
+
     places = np.array([node.at for node in nodes])
     near = cKDTree(places).query_pairs(_SAME * float(np.ptp(places, axis=0).max()), output_type="ndarray")
     links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(nodes), len(nodes)))
