@@ -95,9 +95,9 @@ def read_elements(path: str | os.PathLike[str]) -> Element:
     source = file_path("path", path)
     if not source.exists():
         raise FileNotFoundError(2, "No such file", os.fspath(path))
-    name = source.name
+    name = source.name or str(source)
     if not source.is_file():  # opening a FIFO would wait for another process
-        raise SceneFileError("it is no regular file: give a file in MuJoCo's XML", name)
+        raise SceneFileError("it is no regular file: give the path of one in MuJoCo's XML", name)
     try:
         with open(source, "rb") as file:
             content = file.read(LARGEST_FILE + 1)

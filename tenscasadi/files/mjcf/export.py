@@ -76,7 +76,7 @@ def export_mjcf(
       `Linear` in both cases. `Smooth` is refused.
     - `connect` is soft: two ends drift apart by a share of about 1e-4 of what would part them in two steps.
     - On the ground, nodes are spheres of a thousandth of the mean length of the members, on a plane that is as much lower. A contact pushes as
-      `Ground` does but for 0.1 % of the other forces on the body. Friction is Coulomb's with a slip speed, too, which here belongs to
+      `Ground` does but for 1e-4 of the other forces on the body. Friction is Coulomb's with a slip speed, too, which here belongs to
       the weight that a body standing on three nodes has on each, and there to the push that there is.
     - Control by rest lengths is a position actuator for each string, control by force densities a general actuator with
       the gain −length: in both, MuJoCo's ``ctrl`` is the control of the model. Its start is in the keyframe ``start``: begin with
