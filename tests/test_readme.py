@@ -5,18 +5,20 @@ from __future__ import annotations
 import re
 import runpy
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import tenscasadi as tc
 from tenscasadi.cli.parser import command_parser
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCUMENTS = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))]
-GENERATED = ("api/", "command_line.md", "viewer/")  # pages that the site makes of the code
+GENERATED = ("api/", "command_line.md", "scene_fields.md", "viewer/")  # pages that the site makes of the code
 
 
 def blocks(language: str, text: str = README) -> list[str]:
@@ -56,6 +58,18 @@ def test_snippets_of_documents_run(name, tmp_path, monkeypatch, capsys):
         if "pip install 'tenscasadi[" not in str(error):
             raise
         pytest.skip(str(error))
+
+
+def test_scene_files_of_documents_run(tmp_path):
+    found = [text for name in DOCUMENTS for text in blocks("toml", (ROOT / name).read_text(encoding="utf-8")) if text.startswith("format")]
+    assert len(found) >= 3
+    for text in found:
+        (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+        if "[simulation]" in text:
+            run = replace(tc.load_simulation(tmp_path / "scene.toml"), t_end=0.05).run(compiled=False)
+            assert run.success, run.message
+        else:
+            tc.load_scene(tmp_path / "scene.toml")
 
 
 def test_recipes_do_what_they_say(tmp_path, monkeypatch, capsys):

@@ -9,6 +9,7 @@ from command_line import command_line_page
 from mathml import with_mathml
 from mkdocs.structure.files import File
 from notebooks import notebook
+from scene_fields import scene_fields_page
 from viewers import viewer_pages
 
 
@@ -20,7 +21,7 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    generated = {**api_pages(), "command_line.md": command_line_page(), **viewer_pages()}
+    generated = {**api_pages(), "command_line.md": command_line_page(), "scene_fields.md": scene_fields_page(), **viewer_pages()}
     for page in list(files.documentation_pages()):
         if page.src_uri.startswith("tutorials/"):
             generated[page.src_uri.replace(".md", ".ipynb")] = notebook(page.content_string)

@@ -30,7 +30,7 @@ class Definition:
     made: type | None  # type of the values that are written as this kind; None: never written
     short: str  # field that stands for the whole table where it is no table
     take: Callable[[Any], Mapping[str, Any]]  # fields of a value
-    more: Callable[..., Any] | None  # whose docstring explains fields that `build` passes on
+    more: tuple[Callable[..., Any], ...]  # whose docstrings explain fields that `build` passes on
 
     def read(self, item: Item, names: Names, tag: str = "kind") -> Any:
         """Return the value that a table tells; `tag`: its key that tells the kind. Raises SceneFileError."""
@@ -75,14 +75,19 @@ class Definition:
         name = self.kind if package == __package__.partition(".")[0] else f"{package}.{self.kind}"
         if name not in kinds:
             kinds[name] = {}  # a kind may hold its like
-            texts = {field: {"description": text} for field, text in self.texts.items()}
-            fields = {field: {**form.schema(kinds), **texts.get(field, {})} for field, form in self.fields.items()}
+            fields = {field: {**form.schema(kinds), **self._notes(field)} for field, form in self.fields.items()}
             needed = [*([tag] if tagged else []), *self.needed]
             table: Schema = {"type": "object", "properties": {**({tag: {"const": self.kind}} if tag else {}), **fields}}
             table |= {"additionalProperties": False, **({"required": needed} if needed else {})}
             text = {"description": summary(self.build)} if summary(self.build) else {}
             kinds[name] = text | ({"anyOf": [table, self.fields[self.short].schema(kinds)]} if self.short else table)
         return {"$ref": f"#/$defs/{name}"}
+
+    def _notes(self, field: str) -> Schema:
+        """Return the meaning and the default of a field, as a schema tells them."""
+        default = self.defaults.get(field)
+        text = {"description": self.texts[field]} if field in self.texts else {}
+        return text if default is None else {**text, "default": self.fields[field].write(default)}
 
     @cached_property
     def defaults(self) -> Mapping[str, Any]:
@@ -101,8 +106,8 @@ class Definition:
     @cached_property
     def texts(self) -> Mapping[str, str]:
         """The meaning of each field, from the docstring."""
-        told = (parameter_texts(self.more) if self.more else {}) | parameter_texts(self.build)
-        return MappingProxyType({name: text for name, text in told.items() if name in self.fields})
+        told = [parameter_texts(source) for source in (*self.more, self.build)]
+        return MappingProxyType({name: text for texts in told for name, text in texts.items() if name in self.fields})
 
 
 def define(
@@ -113,7 +118,7 @@ def define(
     made: type | None = None,
     short: str = "",
     take: Callable[[Any], Mapping[str, Any]] | None = None,
-    more: Callable[..., Any] | None = None,
+    more: tuple[Callable[..., Any], ...] = (),
 ) -> Definition:
     """Define a kind of value: by default `build` is its class, whose name is the kind, and its attributes are the fields."""
     own = made or (build if isinstance(build, type) else None)

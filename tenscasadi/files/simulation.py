@@ -130,12 +130,13 @@ class Simulation:
     @cached_property
     def start(self) -> Array:
         """The state (nx,) that the run starts from."""
-        state = self.model.initial_state if self.state is None else self.state
+        p = self.model.parameters.values(self.parameters)
+        state = self.model.start_at(p) if self.state is None else self.state
         if self.nodes is not None or self.velocities is not None:
             nodes = self.model.structure.nodes if self.nodes is None else self._modelled(self.nodes)
             state = self.model.state(nodes, None if self.velocities is None else self._modelled(self.velocities))
         if self.project:
-            state = np.asarray(projection(self.model)(state).full()).ravel()
+            state = projection(self.model)(state, *([p] if self.model.np else [])).full().ravel()
         return np.array(state)
 
     def check(self) -> None:

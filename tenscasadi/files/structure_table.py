@@ -99,8 +99,45 @@ _PLACED: Mapping[str, Form] = {"turn": _TURN, "move": VECTOR}
 _OPTIONS: Mapping[str, Form] = {**_BARS, **_STRINGS, **_NODES, **_PLACED}
 
 
+_Groups = Mapping[str, tuple[list[list[int]], dict[str, Any]]]  # members and properties of each group
+
+
+def _finish(
+    structure: Structure,
+    item: Item,
+    table: Mapping[str, Item],
+    groups: Mapping[str, _Groups],
+    force_density: Any,
+    rest_length: Any,
+    turn: Turn | None,
+    move: Any,
+) -> Structure:
+    """Return the structure with the force densities or rest lengths of its strings, turned, then moved. Raises SceneFileError.
+
+    Parameters
+    ----------
+    force_density : array_like, shape (α,)
+        Force density with which strings start, N/m, below their stiffness: it sets their rest lengths.
+    turn : table
+        Rotation of all nodes about an axis through the origin.
+    move : sequence of float, shape (3,)
+        Displacement of all nodes after that, m.
+    """
+    count = len(structure.strings)
+    lengths, pulls = (_per_string(name, value, count, table) for name, value in (("rest_length", rest_length), ("force_density", force_density)))
+    both = ~np.isnan(lengths) & ~np.isnan(pulls)
+    if both.any():
+        raise item.error(f"gives string {int(np.argmax(both))} rest_length and force_density, which say the same: leave one of them out")
+    if not np.isnan(pulls).all():
+        structure = _build(item, table, groups, {"force_density": np.where(np.isnan(pulls), 0.0, pulls)}, structure.prestressed)
+    if not np.isnan(lengths).all():
+        rest_lengths = np.where(np.isnan(lengths), structure.rest_length, lengths)
+        structure = _build(item, table, groups, {"rest_length": rest_lengths}, structure.replace)
+    return _place(structure, turn, move, item, table)
+
+
 def _shape(build: Callable[..., Structure], own: Mapping[str, Form]) -> Definition:
-    return define(build, {**own, **_OPTIONS}, more=Structure)
+    return define(build, {**own, **_OPTIONS}, more=(Structure, _finish))
 
 
 SHAPES = (
@@ -189,10 +226,8 @@ STRUCTURE = define(
     },
     kind="nodes",
     take=lambda structure: {name: getattr(structure, name) for name in PARAMETERS} | {"pinned": _pins(structure)},
+    more=(_finish,),
 )
-
-
-_Groups = Mapping[str, tuple[list[list[int]], dict[str, Any]]]  # members and properties of each group
 
 
 @dataclass(frozen=True)
@@ -281,30 +316,6 @@ def _read_nodes(item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
     members = {part: [pair for pairs, _ in found.values() for pair in pairs] for part, found in groups.items()}
     structure = _build(item, table, groups, {"nodes": nodes, **members, **given})
     return _finish(structure, item, table, groups, **later), names
-
-
-def _finish(
-    structure: Structure,
-    item: Item,
-    table: Mapping[str, Item],
-    groups: Mapping[str, _Groups],
-    force_density: Any,
-    rest_length: Any,
-    turn: Turn | None,
-    move: Any,
-) -> Structure:
-    """Return the structure with the force densities or rest lengths of its strings, turned, then moved. Raises SceneFileError."""
-    count = len(structure.strings)
-    lengths, pulls = (_per_string(name, value, count, table) for name, value in (("rest_length", rest_length), ("force_density", force_density)))
-    both = ~np.isnan(lengths) & ~np.isnan(pulls)
-    if both.any():
-        raise item.error(f"gives string {int(np.argmax(both))} rest_length and force_density, which say the same: leave one of them out")
-    if not np.isnan(pulls).all():
-        structure = _build(item, table, groups, {"force_density": np.where(np.isnan(pulls), 0.0, pulls)}, structure.prestressed)
-    if not np.isnan(lengths).all():
-        rest_lengths = np.where(np.isnan(lengths), structure.rest_length, lengths)
-        structure = _build(item, table, groups, {"rest_length": rest_lengths}, structure.replace)
-    return _place(structure, turn, move, item, table)
 
 
 def _build(item: Item, table: Mapping[str, Item], groups: Mapping[str, _Groups], given: Mapping[str, Any], build: Any = Structure) -> Structure:

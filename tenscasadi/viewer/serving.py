@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import sys
 import webbrowser
@@ -9,7 +11,6 @@ from collections.abc import Callable
 from typing import Any
 
 from tenscasadi.util.validate import flag
-from tenscasadi.viewer.server import silent
 
 
 def check_serving(browser: bool | None, wait: bool | None) -> None:
@@ -31,7 +32,7 @@ def open_and_wait(url: str, hold: Callable[[], None], browser: bool | None, wait
 
 def stop(server: Any) -> None:
     """Stop a server; viser would print that it did."""
-    with silent():
+    with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
 

@@ -8,7 +8,7 @@ import time
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tenscasadi.files.formulas import FUNCTIONS, Formula, FormulaError
@@ -46,6 +46,7 @@ def expressions() -> st.SearchStrategy[str]:
     )
 
 
+@settings(deadline=None)
 @given(expressions())
 def test_precedence_is_that_of_python(text):
     names = {**NUMBERS, "pi": math.pi, "sqrt": math.sqrt, "sin": math.sin}

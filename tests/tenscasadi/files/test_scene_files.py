@@ -120,6 +120,17 @@ def test_a_run_from_a_file_is_that_of_simulate(tmp_path):
     np.testing.assert_array_equal(run.nodes, expected.nodes)
 
 
+def test_projected_starts_keep_bars_for_the_masses_that_are_given():
+    scene = tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("bar_mass"))
+    velocities = np.random.default_rng(0).normal(size=(6, 3))
+    light, heavy = (tc.Simulation(scene, 0.1, velocities=velocities, project=True, parameters={"bar_mass": m}) for m in ([1, 1, 1], [1, 2, 30.0]))
+    for simulation in (light, heavy):
+        v = simulation.model.velocities(simulation.start)
+        bars = scene.structure.bars
+        stretch = np.sum((v[bars[:, 1]] - v[bars[:, 0]]) * (scene.structure.nodes[bars[:, 1]] - scene.structure.nodes[bars[:, 0]]), axis=1)
+        assert np.abs(stretch).max() < 1e-12
+
+
 def test_nodes_inside_strings_start_on_the_line_between_the_ends(tmp_path):
     scene = tc.Scene(tc.shapes.d_bar(string_mass=0.1), segments=3)
     moved, velocities = scene.structure.nodes + [0.1, 0.2, 0.3], np.cross([0, 0, 1.0], scene.structure.nodes)

@@ -6,7 +6,7 @@ import struct
 import sys
 from typing import Any
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tenscasadi.files.toml_writer import to_toml
@@ -39,6 +39,7 @@ def exact(value: Any) -> Any:
     return struct.pack("d", value) if isinstance(value, float) else (type(value), value)
 
 
+@settings(deadline=None)
 @given(st.dictionaries(texts, values, max_size=5))
 def test_tables_come_back(data):
     assert exact(tomllib.loads(to_toml(data))) == exact(data)
