@@ -35,6 +35,7 @@ from ocp.transcription.mesh import PiecewiseConstant
 from ocp.transcription.variational import Variational
 from ocp.verdict import judged
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
+from tenscasadi.util.blas_threads import one_blas_thread
 from tenscasadi.util.validate import Array, flag, instance, positive_number, whole_number
 
 PHASE_INTERVALS = 20  # of each phase
@@ -44,6 +45,7 @@ TOO_LATE = "no plan: stopped at the time limit before the solver began, with the
 RELIABLE = 1e-2  # of the structure's size (and of it per duration): what a replay may miss by, unless a tolerance is stated
 
 
+@one_blas_thread()
 def solve(
     problem: Problem,
     transcription: Transcription | None = None,

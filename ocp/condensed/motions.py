@@ -44,7 +44,8 @@ def without_bars(chain: Chain, directions: Array, vectors: Array) -> Array:
     """Return vectors (P, 3n, 1) of speeds without the parts that bars in directions (P, 3n, β) take away, by impulses along them."""
     if not chain.bars:
         return vectors
-    return vectors - np.matmul(chain.by_inverse(directions), _along_bars(chain, directions, vectors)[:, :, None])
+    along = np.matmul(chain.by_inverse(directions), _along_bars(chain, directions, vectors)[:, :, None])
+    return np.asarray(vectors - along)
 
 
 def _along_bars(chain: Chain, directions: Array, vectors: Array) -> Array:
