@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from importlib.util import find_spec
 from typing import Any
 
 import casadi as ca
@@ -45,6 +46,7 @@ def doubled(case: Any) -> dict[str, float]:
 def ensemble_calls() -> dict[str, Call]:
     """Each with input that is right."""
     m, opened = cross(), open_model()
+    page = {"html": "page.html", "title": "a cross", "ground": tc.Ground(), "colour": "tension", "speed": 1.0, "follow": False}
     x, u, p = m.initial_state, m.initial_control, opened.parameters.nominal
     fed = {
         "time": np.array([0.0, 0.1]),
@@ -116,6 +118,7 @@ def ensemble_calls() -> dict[str, Call]:
         ),
         "Rollouts.path": (many().path, {"node": 0}),
         "Rollouts.save": (many().save, {"path": "many.npz"}),
+        **{f"{type(thing).__name__}.view": (thing.view, page) for thing in (many(), short_plan(), m.structure) if find_spec("viser")},
         "Rollouts.load": (tc.Rollouts.load, {"path": "missing.npz"}),
         "Feedback": (tc.Feedback, fed),
         "sweep": (tc.sweep, {"function": doubled, "cases": [1.0, 2.0], "executor": THREAD, "folder": None, "progress": False}),
