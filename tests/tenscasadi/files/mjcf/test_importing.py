@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
+from tenscasadi.files.mjcf.bodies import Bodies
+from tenscasadi.files.mjcf.elements import Element, read_elements
+from tenscasadi.files.mjcf.frames import Units
+from tenscasadi.files.mjcf.words import Defaults
 from tenscasadi.structure.structure import PARAMETERS
 
 LAW = {"stiffness": 1000.0, "prestress": 50.0}
@@ -218,3 +222,94 @@ def test_masses_are_those_that_mujoco_reckons(tmp_path: Path) -> None:
         s = read(text, tmp_path).structure
         world = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
         assert s.bar_mass.sum() + s.node_mass.sum() == pytest.approx(world.body_mass.sum(), rel=1e-12)
+
+
+TURNS = {
+    "degree": [
+        'quat="0.5 -0.3 0.7 0.1"',
+        'axisangle="1 -2 0.5 70"',
+        'euler="10 -120 55"',
+        'xyaxes="1 2 0.3 -1 1 0.2"',
+        'zaxis="0.3 -1 -2"',
+        'zaxis="0 0 -3"',
+    ],
+    "radian": ['quat="0 0 -2 0"', 'axisangle="0 0 -1 3"', 'euler="1 -0.5 3"', 'xyaxes="0 0 1 0 1 0"', 'zaxis="0 0 1"', 'zaxis="1 0 0"'],
+}
+
+
+@pytest.mark.parametrize("sequence", ["xyz", "XYZ", "zYx", "xzX"])
+@pytest.mark.parametrize("angle", TURNS)
+def test_orientations_are_as_mujoco_reads_them(angle: str, sequence: str, tmp_path: Path) -> None:
+    turns = TURNS[angle]
+    rod = '<geom type="cylinder" size="0.01 0.5" pos="0.1 0.2 0.3" {} mass="1"/><joint type="ball" pos="0.1 0.2 0.3"/>'
+    bodies = ""
+    for k, turn in enumerate(turns):
+        inner = turns[k - 1]
+        place = f'pos="{k} {k % 3} {k % 2}"'
+        bodies += f'<body name="b{k}" {place} {turn}><body name="c{k}" pos="0.3 0 0" {inner}>{rod.format(turn)}</body></body>'
+    text = f'<mujoco><compiler angle="{angle}" eulerseq="{sequence}"/><worldbody>{bodies}</worldbody></mujoco>'
+    (tmp_path / "scene.xml").write_text(text)
+    mujoco = pytest.importorskip("mujoco")
+    world = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(world)
+    mujoco.mj_kinematics(world, data)
+    bodies_read = Bodies(read_elements(tmp_path / "scene.xml"), Defaults(Element("mujoco", {}, "", 1)), Units(angle == "degree", sequence), None)
+    for k, piece in bodies_read.moving():
+        assert piece.anchor == pytest.approx(data.xanchor[k - 1], abs=1e-12)
+        middle, axis = data.geom_xpos[k - 1], data.geom_xmat[k - 1].reshape(3, 3)[:, 2]
+        assert piece.shapes[0].rod.ends == pytest.approx(np.array([middle - axis / 2, middle + axis / 2]), abs=1e-12)
+
+
+FLOOR = """<mujoco>
+  <option timestep="1e-4" integrator="RK4"/>
+  <default><geom mass="0.12" type="capsule" size="0.011"/><default class="rough"><geom friction="1.7"/></default></default>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 0.1" pos="0 0 -0.4"/>
+    <geom name="wall" type="plane" size="5 5 0.1" pos="-3 0 0" zaxis="1 0 0" contype="2" conaffinity="2"/>
+    <geom name="look" type="box" size="1 1 1" pos="0 0 9" contype="0" conaffinity="0"/>
+    <body name="one" pos="0.16 0 0.35"><freejoint/>
+      <geom name="left" fromto="0 0 -0.3 0 0 0.3"/><site name="a" pos="0 0 -0.3"/><site name="b" pos="0 0 0.3"/></body>
+    <body name="two" pos="-0.16 0 0.35"><freejoint/>
+      <geom class="rough" fromto="0 0 -0.3 0 0 0.3"/><site name="c" pos="0 0 -0.3"/><site name="d" pos="0 0 0.3"/></body>
+  </worldbody>
+  <tendon><spatial stiffness="900" springlength="0 0.3"><site site="b"/><site site="d"/></spatial></tendon>
+  <equality><connect body1="one" anchor="0 0 -0.3"/></equality>
+  <contact><pair geom1="wall" geom2="left" condim="1" solref="-400 -6"/></contact>
+</mujoco>"""
+
+
+def test_planes_become_grounds_of_the_nodes_that_touch_them(tmp_path: Path) -> None:
+    scene = read(FLOOR, tmp_path)
+    s = scene.structure
+    foot = next(iter(s.pinned))
+    assert s.pinned == {foot: "xyz"}
+    assert s.nodes[foot] == pytest.approx([0.16, 0, 0.05], abs=1e-12)
+    rough = sorted(s.bars[1].tolist())
+    top = next(node for node in s.bars[0].tolist() if node != foot)
+    floor = [ground for ground in scene.grounds if ground.normal == (0, 0, 1)]
+    assert {ground.nodes: ground.friction for ground in floor} == {(top,): 1.0, tuple(rough): 1.7}  # the greater of plane and geom
+    (wall,) = (ground for ground in scene.grounds if ground.normal != (0, 0, 1))
+    assert wall.nodes == (top,)
+    assert wall.friction is None
+    assert wall.height == pytest.approx(-3 + 0.011)
+    assert wall.stiffness == pytest.approx(400 * 0.12)  # per the mass that MuJoCo reckons
+    assert wall.damping == pytest.approx(6 * 0.12)
+    assert all(ground.height == pytest.approx(-0.4 + 0.011) for ground in floor)
+    assert all(ground.stiffness == pytest.approx(0.12 / 0.02**2) for ground in floor)  # of MuJoCo's time constant and damping ratio
+
+
+def test_contacts_that_are_switched_off_leave_no_ground(tmp_path: Path) -> None:
+    off = '<flag contact="disable"/></option>'
+    assert read(FLOOR.replace('integrator="RK4"/>', 'integrator="RK4">' + off), tmp_path).ground is None
+    apart = FLOOR.replace("<contact>", '<contact><exclude body1="world" body2="two"/>')
+    assert {node for ground in read(apart, tmp_path).grounds for node in ground.nodes} <= set(read(apart, tmp_path).structure.bars[0].tolist())
+
+
+def test_a_body_that_connect_pins_swings_as_in_mujoco(tmp_path: Path) -> None:
+    scene = replace(read(FLOOR, tmp_path), ground=None)
+    hung = FLOOR.replace("<connect", '<connect solref="2e-4 1" solimp="0.9999 0.9999 0.001"')
+    (tmp_path / "scene.xml").write_text(hung.replace('integrator="RK4"/>', 'integrator="RK4"><flag contact="disable"/></option>'))
+    run = tc.simulate(tc.Model(scene), 0.1, 1e-4, correction=tc.Projection(), compiled=False)
+    theirs = sites(tmp_path / "scene.xml", 0.1)
+    assert abs(run.nodes[-1] - run.nodes[0]).max() > 0.01
+    assert max(abs(theirs - node).max(axis=1).min() for node in run.nodes[-1]) < 1e-5
