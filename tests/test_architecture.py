@@ -107,11 +107,12 @@ def test_packages_only_re_export(module):
 
 
 @pytest.mark.parametrize("module", MODULES)
-def test_matplotlib_is_imported_in_plots_only(module):
-    if not module.startswith("tenscasadi.plots"):
+@pytest.mark.parametrize(("library", "room"), [("matplotlib", "plots"), ("viser", "viewer")])
+def test_what_draws_is_imported_in_its_room_only(module, library, room):
+    if not module.startswith(f"tenscasadi.{room}"):
         text = MODULES[module].read_text(encoding="utf-8")
-        assert "import matplotlib" not in text
-        assert "from matplotlib" not in text
+        assert f"import {library}" not in text
+        assert f"from {library}" not in text
 
 
 @pytest.mark.parametrize("module", MODULES)
@@ -120,8 +121,8 @@ def test_files_hold_one_concept(module):
     assert lines <= LINES, f"{module} has {lines} lines: is there a second concept inside?"
 
 
-def test_importing_loads_no_matplotlib():
-    code = "import sys, tenscasadi, ocp; sys.exit('matplotlib' in sys.modules)"
+def test_importing_loads_nothing_that_draws():
+    code = "import sys, tenscasadi, ocp; sys.exit(bool({'matplotlib', 'viser', 'tenscasadi.viewer'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
 
 
