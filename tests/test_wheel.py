@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 HEADERS = {path.relative_to(ROOT).as_posix() for ending in ("hpp", "toml") for path in (ROOT / "tenscasadi").rglob(f"*.{ending}")}
 FILES = sorted(path.relative_to(ROOT) for package in ("tenscasadi", "ocp") for path in (ROOT / package).rglob("*.py"))
 MARKS = {"tenscasadi/py.typed", "ocp/py.typed"}
-BESIDE = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md")
+BESIDE = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "SECURITY.md", ".mkdocs.yml")
 LARGEST, LARGEST_FILE = 4_000_000, 500_000  # bytes of the sdist, and of a file in it
 
 IMPORT = """
@@ -82,10 +82,10 @@ def test_the_wheel_holds_every_module_and_the_marks_of_types(release: Release) -
 
 def test_the_sdist_holds_what_it_is_built_and_tested_from_and_nothing_large(release: Release) -> None:
     files = packed(release.sdist)
-    tests = {path.relative_to(ROOT).as_posix() for path in (ROOT / "tests").rglob("*.py")}
-    data = {path.relative_to(ROOT).as_posix() for path in (ROOT / "tests" / "data").rglob("*.npz")}
-    assert set(files) >= {path.as_posix() for path in FILES} | HEADERS | MARKS | set(BESIDE) | tests | data
-    assert not [name for name in files if re.search(r"__pycache__|\.pyc$|\.png$|\.so$|^\.|/\.", name)]
+    kinds = {"tests": ("py", "npz", "json"), "examples": ("py", "toml"), "docs": ("py", "md", "json")}
+    beside = {path.relative_to(ROOT).as_posix() for folder, ends in kinds.items() for end in ends for path in (ROOT / folder).rglob(f"*.{end}")}
+    assert set(files) >= {path.as_posix() for path in FILES} | HEADERS | MARKS | set(BESIDE) | beside
+    assert not [name for name in files if re.search(r"__pycache__|\.pyc$|\.png$|\.so$|^\.(?!mkdocs)|/\.", name)]
     assert max(files.values()) < LARGEST_FILE, max(files, key=lambda name: files[name])
     assert release.sdist.stat().st_size < LARGEST
 
