@@ -10,7 +10,7 @@ from tenscasadi.cli.parser import command_parser
 
 def command_line_page() -> str:
     """The page's Markdown: the help of the program and of each of its commands."""
-    os.environ["COLUMNS"] = "100"  # which argparse reads
+    os.environ["COLUMNS"] = "80"  # which argparse reads
     parser = command_parser()
     (commands,) = (action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     parts = ["# Command line", f"```text\n{parser.format_help()}```"]

@@ -20,6 +20,7 @@ from tenscasadi.files.containers import TableOf
 from tenscasadi.files.definitions import call, define
 from tenscasadi.files.document import Item
 from tenscasadi.files.forms import NUMBER, PER_ITEM, WHOLE, Flag, Names, NotWritten, Word
+from tenscasadi.files.json_schema import scene_schema
 from tenscasadi.files.scene_table import CONTROL
 from tenscasadi.files.simulation import Simulation
 from tenscasadi.scene.strings import ForceDensity
@@ -96,6 +97,11 @@ ASKED = {"duration": SPAN, "start": START, "goals": GOALS, "bounds": BOUNDS, "co
 WAY = {"transcription": TRANSCRIPTION, "solver": SOLVER, "guess": GUESS, "tolerance": NUMBER, "seconds": NUMBER, "starts": WHOLE, "tracked": Flag()}
 _MODEL = {"control": CONTROL, "coordinates": Word(("reduced", "full")), "bar_length": Word(("current", "constant"))}
 PLAN = define(PlanPart, {**ASKED, **_MODEL, **WAY}, kind="plan")
+
+
+def file_schema() -> dict[str, Any]:
+    """Return the JSON Schema of scene files, with [plan]."""
+    return scene_schema({"plan": PLAN})
 
 
 def read_plan(item: Item, names: Names, simulation: Simulation) -> dict[str, Any]:

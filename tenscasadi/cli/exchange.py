@@ -10,27 +10,56 @@ from typing import Any
 from tenscasadi.cli.output import check_file
 from tenscasadi.cli.results import load_result
 from tenscasadi.cli.source import find_source
-from tenscasadi.files.mjcf.export import export_mjcf
+from tenscasadi.ensemble.result import Rollouts
+from tenscasadi.files.matlab.save import save_mat
+from tenscasadi.files.matlab.structures import load_mat
+from tenscasadi.files.mjcf import export_mjcf, import_mjcf
+from tenscasadi.files.scene_files import save_scene
+from tenscasadi.files.vtk import export_vtk
+from tenscasadi.scene.scene import Scene
+from tenscasadi.simulation.trajectory import Trajectory
 
-# What writes scenes, and what writes motions and plans, by the ending of the file.
-_SCENES: dict[str, Callable[[Any, Path], object]] = {".xml": export_mjcf}
-_MOTIONS: dict[str, Callable[[Any, Path], object]] = {".csv": lambda motion, path: motion.to_csv(path)}
-_IMPORTED: dict[str, Callable[[Path], Any]] = {}
+_SCENES: dict[str, Callable[[Scene, Path], object]] = {
+    ".xml": export_mjcf,
+    ".mat": lambda scene, path: save_mat(scene.structure, path),
+    ".toml": save_scene,
+}
+_MOTIONS: dict[str, Callable[[Any, Path], object]] = {
+    ".csv": lambda motion, path: motion.to_csv(path),
+    ".mat": lambda motion, path: save_mat(_trajectory(motion), path),
+    ".pvd": lambda motion, path: export_vtk(_trajectory(motion), path),
+}
+_FOREIGN: dict[str, Callable[[str], Scene]] = {".xml": import_mjcf, ".mat": lambda path: Scene(load_mat(path))}
 
 
 def run_export(arguments: argparse.Namespace) -> int:
-    """Write a scene, a motion or a plan for another tool. Raises ValueError."""
+    """Write a scene, a motion or a plan for another tool. Raises ValueError, OSError, ImportError."""
     is_result = arguments.source.endswith(".npz")
-    writers, whose = (_MOTIONS, "motions and plans (.npz)") if is_result else (_SCENES, "scenes")
-    write = _by_ending(writers, arguments.out, f"{whose} are written as")
+    write = _by_ending(_MOTIONS if is_result else _SCENES, arguments.out, "motions and plans" if is_result else "scenes")
     check_file("OUT", arguments.out)
-    write(load_result(arguments.source) if is_result else find_source(arguments.source).scene(), arguments.out)
+    content = load_result(arguments.source) if is_result else find_source(arguments.source).scene()
+    if isinstance(content, Rollouts):
+        raise ValueError(f"{arguments.source} holds rollouts: give a trajectory or a plan")
+    write(content, arguments.out)
     print(f"wrote {arguments.out}")
     return 0
 
 
-def _by_ending(known: dict[str, Callable[..., Any]], path: Path, told: str) -> Callable[..., Any]:
-    ending = path.suffix.lower()
-    if ending not in known:
-        raise ValueError(f"{path} ends in {ending or 'nothing'}: {told} {', '.join(sorted(known))}")
-    return known[ending]
+def run_import(arguments: argparse.Namespace) -> int:
+    """Write what another tool wrote as a scene file. Raises ValueError, OSError, ImportError."""
+    read = _by_ending(_FOREIGN, Path(arguments.source), "scenes")
+    _by_ending({".toml": save_scene}, arguments.out, "scene files")
+    check_file("OUT", arguments.out)
+    save_scene(read(arguments.source), arguments.out)
+    print(f"wrote {arguments.out}")
+    return 0
+
+
+def _trajectory(motion: Any) -> Trajectory:
+    return motion if isinstance(motion, Trajectory) else motion.trajectory
+
+
+def _by_ending(known: dict[str, Callable[..., Any]], path: Path, what: str) -> Callable[..., Any]:
+    if path.suffix.lower() not in known:
+        raise ValueError(f"{path} does not end as the files of {what} do: give one of {', '.join(sorted(known))}")
+    return known[path.suffix.lower()]

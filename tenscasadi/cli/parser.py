@@ -9,10 +9,10 @@ from typing import Any, NamedTuple, NoReturn
 
 from tenscasadi.cli import commands, plan
 from tenscasadi.cli.completion import FILE, FOLDER, SHAPE, SOURCE, run_completion
-from tenscasadi.cli.exchange import run_export
+from tenscasadi.cli.exchange import run_export, run_import
 from tenscasadi.cli.output import BAD_INPUT
 from tenscasadi.cli.source import SHAPES
-from tenscasadi.cli.texts import run_new
+from tenscasadi.cli.texts import run_new, run_schema
 from tenscasadi.cli.view import run_view
 
 _Options = dict[str, dict[str, Any]]
@@ -108,9 +108,12 @@ _SHAPE: _Options = {"shape": {"metavar": "SHAPE", "help": "one of the shapes bel
 _THINGS: _Options = {
     "things": {"metavar": "SHAPE|FILE", "nargs": "+", "help": "shapes, scene files (.toml), trajectories, rollouts, plans (.npz)", "complete": FILE}
 }
+_FOREIGN: _Options = {"source": {"metavar": "FILE", "help": "file of another tool; its ending says which", "complete": FILE}}
 _OUT: _Options = {"out": {"metavar": "OUT", "type": Path, "help": "file to write; its ending says the format", "complete": FILE}}
 _VIEW_OPTIONS: _Options = {
     "--html": {"type": Path, "metavar": "OUT", "help": "write one page that plays in any browser, instead of showing it now", "complete": FILE},
+    "--live": {"help": "simulate in real time: sliders for the strings, nodes to pull at", **_FLAG},
+    "--save": {"type": Path, "metavar": "OUT", "help": "with --live: the file that the button Save writes (.npz)", "complete": FILE},
     "--host": {"default": "127.0.0.1", "metavar": "HOST", "help": "address to listen on (default: 127.0.0.1, this machine alone)"},
     "--port": _number("port (default: one that is free)", int, "N"),
     "--no-browser": {"help": "open no browser: print the address", **_FLAG},
@@ -140,7 +143,11 @@ _NEW = """\
 _VIEW = "Several motions lie over each other; the first one is solid. Ctrl-C ends the viewer."
 
 _EXPORT = """\
-Scenes: .xml (MuJoCo). Trajectories and plans (.npz): .csv."""
+Scenes: .xml (MuJoCo), .mat (MATLAB: MOTES), .toml (a scene file without formulas).
+Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd (ParaView)."""
+
+_IMPORT = """\
+MuJoCo: .xml; MATLAB: .mat of MOTES or TsgFEM. What has no place in a scene file is refused by name."""
 
 _COMPLETION = """\
 To turn it on in this shell: eval "$(tenscasadi completion bash)". For good: the same line in ~/.bashrc (zsh: after compinit in ~/.zshrc)."""
@@ -163,5 +170,7 @@ COMMANDS = {
         commands.run_tradeoff, "measure how fast and how accurate each scheme is", f"{_TRADEOFF}\n\n{_STARTS}", _SOURCE, _OUTPUT | _TRADEOFF_OPTIONS
     ),
     "export": Command(run_export, "write a scene, a trajectory or a plan for other tools", _EXPORT, _THING | _OUT, {}),
+    "import": Command(run_import, "write what another tool wrote as a scene file", _IMPORT, _FOREIGN | _OUT, {}),
+    "schema": Command(run_schema, "print the JSON Schema of scene files, for editors", "    tenscasadi schema > scene.schema.json", {}, {}),
     "completion": Command(run_completion, "print the script that lets a shell complete what is typed", _COMPLETION, _SHELL, {}),
 }

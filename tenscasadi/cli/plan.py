@@ -39,7 +39,10 @@ def run_plan(arguments: argparse.Namespace) -> int:
             raise ValueError(f"--{name.replace('_', '-')} is for the shape prism: leave it out, and change [plan] of {source.path.name}")
     asked = ocp.load_arguments(source.path)
     problem = asked["problem"]
-    plan = ocp.solve(**asked)
+    try:
+        plan = ocp.solve(**asked)
+    except ValueError as error:  # goals that nothing reaches, limits that contradict each other
+        raise ValueError(f"{source.path.name}, plan: {error}") from error
     print(f"{source.name}: {problem.model.scene.structure!r}, {_describe(problem)}")
     lower, upper = problem.force_density_limits
     return _finish(arguments, source.stem, plan, {"lower": lower, "upper": upper})

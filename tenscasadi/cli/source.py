@@ -65,6 +65,11 @@ class Source:
             changes["correction"] = Projection(projection)
         return replace(told, **{name: value for name, value in changes.items() if value is not None})
 
+    @property
+    def string_groups(self) -> dict[str, list[int]]:
+        """Strings by the names of their groups."""
+        return {name: list(strings) for name, strings in read_scene(self.document)[1].named.get("string", {}).items()}
+
     def has(self, section: str) -> bool:
         """Tell whether the file has a table of this name."""
         return self.document.section(section) is not None

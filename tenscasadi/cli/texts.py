@@ -1,8 +1,9 @@
-"""The command that prints a scene file to start from."""
+"""The commands that print text to go on with: a scene file to start from, and the JSON Schema of scene files."""
 
 from __future__ import annotations
 
 import argparse
+import json
 
 from tenscasadi.cli.source import SHAPES, STARTING_FILES
 
@@ -12,4 +13,12 @@ def run_new(arguments: argparse.Namespace) -> int:
     if arguments.shape not in SHAPES:
         raise ValueError(f"unknown shape {arguments.shape!r}: give one of {', '.join(SHAPES)}")
     print((STARTING_FILES / f"{arguments.shape}.toml").read_text(encoding="utf-8"), end="")
+    return 0
+
+
+def run_schema(_: argparse.Namespace) -> int:
+    """Print the JSON Schema of scene files."""
+    from ocp.files.plan_part import file_schema  # only here: everything else of tenscasadi works without it
+
+    print(json.dumps(file_schema(), indent=1, ensure_ascii=False))
     return 0

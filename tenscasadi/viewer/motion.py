@@ -81,8 +81,10 @@ def of_rollouts(rollouts: Rollouts, name: str) -> Motion:
     """Return at most `MOST_COPIES` of the motions, side by side as one with that many copies of each member."""
     chosen = np.unique(np.linspace(0, len(rollouts.states) - 1, min(len(rollouts.states), MOST_COPIES)).round().astype(int))
     count = len(rollouts.place)
-    paths = np.stack([rollouts.path(node)[chosen] for node in range(count)], axis=2)  # (copies, T, n, 3)
-    nodes = paths.transpose(1, 0, 2, 3).reshape(len(rollouts.time), -1, 3)
+    free = rollouts.place >= 0
+    paths = np.repeat(rollouts.given[:, None], len(chosen), axis=1)  # (T, copies, n, 3)
+    paths[:, :, free] = rollouts.states[chosen].transpose(1, 0, 2)[:, :, rollouts.place[free]]
+    nodes = paths.reshape(len(rollouts.time), -1, 3)
     offsets = count * np.arange(len(chosen))
 
     def copied(indices: Indices) -> Indices:

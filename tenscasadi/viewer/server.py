@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import ipaddress
 import math
 import socket
@@ -83,7 +82,7 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> Any:
                 OpenToNetwork,
                 stacklevel=2,
             )
-        with _guarded_serve(local) as guarded, contextlib.redirect_stdout(io.StringIO()):  # viser prints a box
+        with _guarded_serve(local) as guarded, silent():
             server = viser.ViserServer(host=host, port=free, verbose=False)
     connection = server._websock_server
     if not guarded or (port is not None and server.get_port() != port):
@@ -97,6 +96,19 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> Any:
     connection.on_client_connect(_restrict)  # what a page says is heard twice: by the server, and by its own connection
     connection.disconnect_all_clients()  # who came before that comes again
     return server
+
+
+@contextlib.contextmanager
+def silent() -> Iterator[None]:
+    """Keep to itself what viser prints when it starts and ends, on the terminal and in notebooks: rich, by which it does, has one console."""
+    import rich
+
+    console = rich.get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before
 
 
 def address(server: Any) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import os
 import sys
 import webbrowser
@@ -11,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from tenscasadi.util.validate import flag
+from tenscasadi.viewer.server import silent
 
 
 def check_serving(browser: bool | None, wait: bool | None) -> None:
@@ -32,7 +31,7 @@ def open_and_wait(url: str, hold: Callable[[], None], browser: bool | None, wait
 
 def stop(server: Any) -> None:
     """Stop a server; viser would print that it did."""
-    with contextlib.redirect_stdout(io.StringIO()):
+    with silent():
         server.stop()
 
 

@@ -138,7 +138,7 @@ class View:
             `path` is none, or the page would have more than 3000 frames.
         """
         target = _html_path("path", path)
-        page = self.page().encode()
+        page = self.page().encode(errors="replace")  # a title may hold half of a character
         with whole_file(target) as file:
             file.write(page)
         return target

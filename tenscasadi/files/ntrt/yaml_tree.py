@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.util.validate import LARGEST, Array, shown
+from tenscasadi.util.validate import Array, shown
 
 _MOST_BYTES, _MOST_ENTRIES = 5_000_000, 500_000
+_LARGEST = 1e30  # a mass is a product of four numbers
 
 
 class Entry:
@@ -54,8 +55,8 @@ class Entry:
             found = float(self.word())
         except ValueError:
             raise self.refusal(f"is {self.shown()}: give a number") from None
-        if not abs(found) <= LARGEST:
-            raise self.refusal(f"is {self.shown()}: give a finite number, at most {LARGEST:g} in size")
+        if not abs(found) <= _LARGEST:
+            raise self.refusal(f"is {self.shown()}: give a finite number, at most {_LARGEST:g} in size")
         return found
 
     def vector(self) -> Array:

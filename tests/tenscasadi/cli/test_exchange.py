@@ -1,0 +1,67 @@
+"""Export and import: files of other tools by their endings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from public_calls import table
+
+import tenscasadi as tc
+from tenscasadi.cli.main import main
+from tenscasadi.cli.source import find_source
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with a short motion."""
+    monkeypatch.chdir(tmp_path)
+    tc.simulate(tc.Model(find_source("prism").scene()), 0.02, 0.01, compiled=False).save("run.npz")
+    return tmp_path
+
+
+@pytest.mark.parametrize("ending", ["xml", "mat", "toml"])
+def test_scenes_go_out_and_come_back(ending, here, capsys):
+    assert main(["export", "prism", f"out.{ending}"]) == 0
+    assert capsys.readouterr().out == f"wrote out.{ending}\n"
+    back = f"out.{ending}"
+    if ending != "toml":
+        assert main(["import", back, "back.toml"]) == 0
+        back = "back.toml"
+    ours, theirs = find_source("prism").scene().structure, tc.load_scene(back).structure
+    assert theirs.nodes == pytest.approx(ours.nodes, abs=1e-9)
+    assert {frozenset(bar) for bar in theirs.bars.tolist()} == {frozenset(bar) for bar in ours.bars.tolist()}
+    assert np.sort(theirs.stiffness) == pytest.approx(np.sort(ours.stiffness))
+
+
+def test_motions_go_out(here):
+    pytest.importorskip("meshio", reason="ParaView's files need meshio")
+    for name in ("run.csv", "run.mat", "run.pvd"):
+        assert main(["export", "run.npz", name]) == 0
+        assert (here / name).exists()
+    assert np.loadtxt("run.csv", delimiter=",", skiprows=1)[:, 0] == pytest.approx([0.0, 0.01, 0.02])
+    assert tc.load_mat_trajectory("run.mat").time == pytest.approx([0.0, 0.01, 0.02])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["export", "prism", "out.csv"], "out.csv does not end as the files of scenes do: give one of .mat, .toml, .xml"),
+        (["export", "run.npz", "out.xml"], "give one of .csv, .mat, .pvd"),
+        (["export", "gone.npz", "out.csv"], "gone.npz"),
+        (["export", "other.npz", "out.csv"], "other.npz is no trajectory, rollouts or plan"),
+        (["export", "table.npz", "out.csv"], "table.npz is no trajectory, rollouts or plan: it holds a tradeoff"),
+        (["export", "prism", "folder/out.xml"], "there is no folder folder"),
+        (["import", "gone.mat", "out.toml"], "gone.mat"),
+        (["import", "run.npz", "out.toml"], "give one of .mat, .xml"),
+        (["import", "gone.mat", "out.txt"], "give one of .toml"),
+    ],
+)
+def test_what_cannot_be_exchanged_is_told_in_a_line(arguments, named, here, capsys):
+    np.savez("other.npz", x=np.ones(2))
+    table().save("table.npz")
+    before = sorted(here.iterdir())
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert named in error
+    assert error.count("\n") == 1
+    assert sorted(here.iterdir()) == before
