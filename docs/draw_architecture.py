@@ -14,6 +14,7 @@ from matplotlib.patches import FancyBboxPatch
 
 TENSCASADI, OCP = "#d8e6f3", "#f7e2cc"
 WIDTH, HEIGHT = 1.62, 0.92
+BOTTOM = 3.2  # the row of ocp
 
 # folder: (column, row, what is inside); rows from the top
 ROOMS = {
@@ -27,16 +28,18 @@ ROOMS = {
     "analysis": (5, 1, "modes, trade-off"),
     "cli": (6, 0, "command line"),
     "envs": (6, 1, "environments\nfor learning"),
+    "files": (5, 2, "scenes in TOML,\nMATLAB, MuJoCo,\nNTRT, CSV"),
+    "viewer": (6, 2, "motions in\na browser, live"),
     "design": (3, 1, "equilibrium,\nself-stress"),
     "util": (0, 1, "input, files,\ncompilation:\nused by all"),
 }
 PLANNING = {
-    "problem": (1, 2.35, "goals, bounds,\ncosts"),
-    "boundary": (2, 2.35, "start and end\nthat say\nsomething new"),
-    "transcription": (3, 2.35, "sparse nonlinear\nprogram"),
-    "solvers": (4, 2.35, "IPOPT, Fatrop"),
-    "plan": (5, 2.35, "replay, report,\nrefinement"),
-    "control": (6, 2.35, "LQR, MPC,\nMPPI"),
+    "problem": (1, BOTTOM, "goals, bounds,\ncosts"),
+    "boundary": (2, BOTTOM, "start and end\nthat say\nsomething new"),
+    "transcription": (3, BOTTOM, "sparse nonlinear\nprogram"),
+    "solvers": (4, BOTTOM, "IPOPT, Fatrop"),
+    "plan": (5, BOTTOM, "replay, report,\nrefinement"),
+    "control": (6, BOTTOM, "LQR, MPC,\nMPPI"),
 }
 # from, to, the value that is handed on
 FLOW = [
@@ -77,7 +80,7 @@ def draw_arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float], l
 
 def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     """Draw the picture and save it as `path`."""
-    figure = Figure(figsize=(13, 5.6), layout="constrained")
+    figure = Figure(figsize=(13, 6.9), layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.subplots()
     for rooms, colour in ((ROOMS, TENSCASADI), (PLANNING, OCP)):
@@ -91,21 +94,21 @@ def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     x, y = place(*every["dynamics"][:2])
     x1, y1 = place(*every["problem"][:2])
     draw_arrow(ax, (x - 0.5, y + below), (x1 + 0.5, y1 + above))
-    ax.text(x - 1.0, (y + y1) / 2 - 0.75, "Model", fontsize=8, style="italic", ha="right")
+    ax.text(x - 1.2, (y + y1) / 2 - 0.75, "Model", fontsize=8, style="italic", ha="right")
     x, y = place(*every["simulation"][:2])
     x1, y1 = place(*every["ensemble"][:2])
     draw_arrow(ax, (x, y + below), (x1, y1 + above))
     x, y = x1, y1
     x1, y1 = place(*every["plan"][:2])
     draw_arrow(ax, (x + 0.2, y + below), (x1 - 0.6, y1 + above), dashed=True)
-    ax.text(x + 0.9, (y + y1) / 2, "replays", fontsize=8, style="italic", ha="right")
+    ax.text(x + 0.7, (y + y1) / 2, "replays", fontsize=8, style="italic", ha="right")
     x, y = place(*every["simulation"][:2])
     x1, y1 = place(*every["analysis"][:2])
     draw_arrow(ax, (x + WIDTH / 2, y - 0.3), (x1 - WIDTH / 2, y1 + 0.1))
     left = place(-0.62, 0)[0]
-    ax.text(left, place(0, 0.5)[1], "tenscasadi", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
-    ax.text(left, place(0, 2.35)[1], "ocp", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
-    ax.set(xlim=(left - 0.4, place(6, 0)[0] + 1.1), ylim=(place(0, 2.35)[1] - 0.9, 1.0))
+    ax.text(left, place(0, 1.0)[1], "tenscasadi", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
+    ax.text(left, place(0, BOTTOM)[1], "ocp", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
+    ax.set(xlim=(left - 0.4, place(6, 0)[0] + 1.1), ylim=(place(0, BOTTOM)[1] - 0.9, 1.0))
     ax.set_title("Folders, and the values that they hand on: a folder imports only from folders to its left")
     ax.axis("off")
     figure.savefig(path, dpi=100)
