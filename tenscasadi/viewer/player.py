@@ -61,16 +61,26 @@ class Player:
 
     def play(self, playing: bool) -> None:
         """Start or stop."""
-        self.playing = playing and self.moves
-        if self.moves:
-            self._button.label = "Pause" if self.playing else "Play"
-        self._changed.set()
+        self._set_playing(playing)
+        self._tell()
 
     def close(self) -> None:
         """Stop for good."""
         self._ended.set()
         self._changed.set()
         self._thread.join(timeout=2.0)
+
+    def _set_playing(self, playing: bool) -> None:
+        self.playing = playing and self.moves
+        if self.moves:
+            self._button.label = "Pause" if self.playing else "Play"
+        self._changed.set()
+
+    def _tell(self) -> None:
+        """Move the slider, and the line in the curves, to the time that is shown."""
+        if self.moves:
+            self._slider.value = self.time
+        self._mark()
 
     def _add_controls(self, gui: viser.GuiApi) -> None:
         first, last = self._first, self._last
@@ -141,7 +151,7 @@ class Player:
     def _scrub(self, event: Any) -> None:
         """Go where the slider was dragged; moves that come from `_run` have no client."""
         if event.client is not None and isinstance(self._slider.value, (int, float)):
-            self.play(False)
+            self._set_playing(False)  # and leave the slider where it is being dragged
             self.show(float(self._slider.value))
             self._mark()
 
@@ -161,9 +171,8 @@ class Player:
             now = clock.perf_counter()
             self._advance((now - before) * self.speed)
             before = now
-            if now - moved > _SLIDER_PERIOD or not self.playing:
-                self._slider.value = self.time
-                self._mark()
+            if self.playing and now - moved > _SLIDER_PERIOD:
+                self._tell()
                 moved = now
             self._ended.wait(max(0.0, now + 1 / FRAMES_PER_SECOND - clock.perf_counter()))
 

@@ -64,6 +64,7 @@ def go_to(page, found, time):
     box.fill(f"{time:g}")
     box.press("Enter")
     wait_until(page, lambda: abs(found.player.time - time) < 1e-9, f"the player is at {time:g} s")
+    assert float(box.input_value()) == time
 
 
 def test_it_plays_pauses_and_goes_where_it_is_told(shown, motion):
