@@ -20,6 +20,8 @@ from tenscasadi.structure.subdivision import cut_strings, segment_counts, segmen
 from tenscasadi.util.compile import Compiled
 from tenscasadi.util.validate import Array, choice, finite_array, flag, instance, positive_number, whole_number
 
+MOST_KEPT = 2.5e8  # numbers in the rows of states that a run keeps: 2 GB
+
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
@@ -143,7 +145,10 @@ class Simulation:
         """Build the model, and raise TypeError or ValueError unless start, control and parameters fit it."""
         if len(self.start) != self.model.nx:
             raise ValueError(f"state has {len(self.start)} entries: give the {self.model.nx} of the model, or nodes and velocities")
-        lay_run(self.model, self.start, self.t_end, self.step, self.scheme, self.control, self.model.parameters.values(self.parameters))
+        p = self.model.parameters.values(self.parameters)
+        steps = lay_run(self.model, self.start, self.t_end, self.step, self.scheme, self.control, p).steps
+        if self.save_every is not None and steps / self.save_every * self.model.nx > MOST_KEPT:
+            raise ValueError(f"save_every is {self.save_every}: {steps} steps would keep more than {MOST_KEPT:g} numbers, give more")
 
     def run(self, progress: bool = False, compiled: Compiled = None) -> Trajectory:
         """Simulate.

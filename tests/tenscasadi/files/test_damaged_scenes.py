@@ -20,8 +20,10 @@ from hypothesis import strategies as st
 
 import tenscasadi as tc
 
-FOLDER = Path(__file__).parents[3] / "examples/scenes"
-TEXTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.toml")) if path.stem != "paper_membrane"}
+ROOT = Path(__file__).parents[3]
+GUIDE = (ROOT / "docs/scene_files.md").read_text(encoding="utf-8")
+TEXTS = [path.read_text(encoding="utf-8") for path in sorted((ROOT / "examples/scenes").glob("*.toml")) if path.stem != "paper_membrane"]
+TEXTS += re.findall(r"^```toml\n(format.*?)^```", GUIDE, flags=re.MULTILINE | re.DOTALL)
 ODD = [
     *("-1", "0", "1e300", "-1e-300", "nan", "inf", "1e9", "99999999999999999999", "true", '""', "[]", "{}", "[[]]", "[[[1]]]", "1979-05-27"),
     *('"nodes"', '"9**9**9**9"', "\"__import__('os').system('true')\"", '"1/0"', '"t"', '{ kind = "Clip" }', '["foot"]', "3.5"),
@@ -34,7 +36,7 @@ VALUE = re.compile(r"(?<== )[^\n#]+")
 @st.composite
 def damaged(draw: Any) -> str:
     """A scene with one to three faults: bytes changed, lines lost or doubled, values and keys replaced."""
-    text = draw(st.sampled_from(sorted(TEXTS.values())))
+    text = draw(st.sampled_from(TEXTS))
     for _ in range(draw(st.integers(1, 3))):
         kind = draw(st.sampled_from(["byte", "cut", "line", "double", "value", "value", "value", "key", "number", "number", "insert"]))
         lines = text.splitlines(keepends=True) or [""]
@@ -86,8 +88,8 @@ def guarded() -> Iterator[list[str]]:
 @pytest.fixture(scope="module", autouse=True)
 def _modules() -> None:
     """Import what reading imports: that runs code, of the package's own."""
-    for name in TEXTS:
-        tc.load_simulation(FOLDER / f"{name}.toml")
+    for path in (ROOT / "examples/scenes").glob("*.toml"):
+        tc.load_simulation(path)
     with pytest.raises(UnicodeDecodeError):
         b"\xff".decode("utf-8-sig")
 

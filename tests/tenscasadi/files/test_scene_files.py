@@ -237,6 +237,7 @@ def test_names_groups_and_formulas_mean_what_they_say(tmp_path):
         ("t_end = 0.5", "t_end = 1\ncontrol = [1]", "simulation.control", "give an array of shape (0,)"),
         ("t_end = 0.5", "t_end = 1\nparameters = {stiffness = [1]}", "simulation.parameters", "stiffness"),
         ("t_end = 0.5", "t_end = 1\nstep = 1e-30", "simulation.step", "larger step"),
+        ("t_end = 0.5", "t_end = 1e6\nsave_every = 1", "simulation.save_every", "give more"),
         ("velocities = { top", "velocities = { foot", "start.velocities", "moves a pinned coordinate"),
         ("[start]", "[start]\nstate = [1, 2]", "start.velocities", "beside state"),
         ("[scene]", "[scene]\nsegments = 100000000", "scene.segments", "give less"),
