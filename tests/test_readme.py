@@ -121,9 +121,3 @@ def test_pictures_are_small():
     sizes = [picture.stat().st_size for picture in (ROOT / "docs").rglob("*.png")]
     assert max(sizes) < 200_000
     assert sum(sizes) < 3_000_000
-
-
-def test_the_gallery_names_every_example():
-    text = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
-    for example in (ROOT / "examples").glob("*.py"):
-        assert f"`examples/{example.name}`" in text, example.name

@@ -9,6 +9,7 @@ from command_line import command_line_page
 from mathml import with_mathml
 from mkdocs.structure.files import File
 from notebooks import notebook
+from other_examples import with_other_examples
 from scene_fields import scene_fields_page
 from viewers import viewer_pages
 
@@ -32,7 +33,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     if not page.file.src_uri.startswith("tutorials/"):
-        return markdown
+        return with_other_examples(markdown)
     name = page.file.name + ".ipynb"
     return f"{markdown}\n\n[This page as a notebook]({name}){{: download={name} }}\n"
 

@@ -84,6 +84,12 @@ def test_what_can_be_played_is_there(site):
     assert len(named) > 5
 
 
+def test_the_gallery_names_every_example(site):
+    text = (site / "gallery.html").read_text(encoding="utf-8")
+    for example in (ROOT / "examples").glob("*.py"):
+        assert f"examples/{example.name}" in text, example.name
+
+
 @pytest.mark.skipif(not CHROMIUM.exists() or find_spec("playwright") is None, reason="needs chromium and playwright")
 @pytest.mark.filterwarnings("default")  # those of playwright's own
 def test_pages_open_from_disk_in_a_browser(site):
