@@ -59,8 +59,18 @@ def settled(page):
     return last
 
 
+def time_box(page):
+    return page.locator("input[inputmode]").first
+
+
+def pause(page, found):
+    press(page, "Pause")
+    wait_until(page, lambda: not found.player.playing, "it pauses")
+    wait_until(page, lambda: abs(float(time_box(page).input_value()) - found.player.time) < 0.002, "the page tells the time")
+
+
 def go_to(page, found, time):
-    box = page.locator("input[inputmode]").first
+    box = time_box(page)
     box.fill(f"{time:g}")
     box.press("Enter")
     wait_until(page, lambda: abs(found.player.time - time) < 1e-9, f"the player is at {time:g} s")
@@ -74,8 +84,7 @@ def test_it_plays_pauses_and_goes_where_it_is_told(shown, motion):
     wait_until(page, lambda: np.abs(places(found) - before).max() > 1e-3, "nodes move")
     moving = canvas(page)
     wait_until(page, lambda: apart(canvas(page), moving) > 0.01, "the picture moves")
-    press(page, "Pause")
-    wait_until(page, lambda: not found.player.playing, "it pauses")
+    pause(page, found)
     still = settled(page)
     pictures = {}
     for time in (0.5, 1.25):
@@ -106,8 +115,7 @@ def on_page(found, page, point):
 
 def test_a_click_labels_a_string_with_its_numbers(shown, motion):
     found, page = shown
-    press(page, "Pause")
-    wait_until(page, lambda: not found.player.playing, "it pauses")
+    pause(page, found)
     go_to(page, found, 0.5)
     settled(page)
     nodes = motion.nodes[50]
@@ -132,7 +140,7 @@ def test_a_click_labels_a_string_with_its_numbers(shown, motion):
 
 def test_numbers_of_nodes_are_written_beside_them(shown, motion):
     found, page = shown
-    press(page, "Pause")
+    pause(page, found)
     go_to(page, found, 0.5)
     before = settled(page)
     page.get_by_text("Numbers", exact=True).click()
