@@ -1,0 +1,117 @@
+"""How many frames a second the viewer draws in a headless browser without a graphics card: played by the server, and from a page of its own.
+
+Run it: python examples/benchmark_viewer.py, with Debian's chromium or one that TENSCASADI_BROWSER names, and with playwright.
+Frames are those in which WebGL draws something; the player sends 30 a second.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from benchmark_scale import chain
+
+import tenscasadi as tc
+from tenscasadi.viewer import view
+
+SECONDS = 6.0  # of counting
+SOFTWARE = (
+    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+SIZE = {"width": 1000, "height": 700}
+# Counts the animation frames in which something was drawn.
+COUNT = """
+window.drawn = 0;
+let dirty = false;
+for (const context of [WebGL2RenderingContext, WebGLRenderingContext])
+  for (const name of ["drawElements", "drawArrays", "drawElementsInstanced", "drawArraysInstanced"]) {
+    const plain = context.prototype[name];
+    if (plain) context.prototype[name] = function (...rest) { dirty = true; return plain.apply(this, rest); };
+  }
+(function look() { if (dirty) window.drawn += 1; dirty = false; requestAnimationFrame(look); })();
+"""
+
+
+class Row(NamedTuple):
+    """One motion, played one way: frames a second drawn, and the seconds from opening the page to its first frame."""
+
+    name: str
+    members: int
+    way: str
+    frames: float
+    opening: float
+
+
+def ball(seconds: float) -> tc.Trajectory:
+    """A six-bar ball that is thrown and rolls on the ground."""
+    structure = tc.shapes.six_bar_ball(prestress=50.0, stiffness=1000.0, damping=2.0)
+    scene = tc.Scene(structure, gravity=tc.Gravity(), ground=tc.Ground(height=-1.0, stiffness=3000.0, damping=30.0, friction=0.5))
+    model = tc.Model(scene)
+    start = model.state(structure.nodes, np.tile([0.5, 0.2, 0.0], (len(structure.nodes), 1)))
+    return tc.simulate(model, seconds, 5e-4, state=start, correction=tc.Projection(), save_every=10)
+
+
+def tower(seconds: float) -> tc.Trajectory:
+    """A tower of 100 prisms, 300 bars, that sways."""
+    structure = chain(100)
+    model = tc.Model(tc.Scene(structure))
+    height = structure.nodes[:, 2] / structure.nodes[:, 2].max()
+    sway = np.column_stack([4.0 * height**2, np.zeros((len(height), 2))])
+    start = tc.projection(model)(model.state(structure.nodes, sway)).full().ravel()
+    return tc.simulate(model, seconds, 1e-3, state=start, correction=tc.Projection(), save_every=10)
+
+
+def frames(browser: Any, url: str, seconds: float) -> tuple[float, float]:
+    """Frames a second that a page draws, and the seconds until its first one."""
+    page = browser.new_page(viewport=SIZE)
+    page.set_default_timeout(120_000)
+    page.add_init_script(COUNT)
+    began = time.perf_counter()
+    page.goto(url)
+    page.wait_for_function("window.drawn > 0")
+    opening = time.perf_counter() - began
+    page.wait_for_timeout(2000)
+    first, begin = page.evaluate("[window.drawn, performance.now()]")
+    page.wait_for_timeout(1000 * seconds)
+    last, end = page.evaluate("[window.drawn, performance.now()]")
+    page.close()
+    return 1000 * (last - first) / (end - begin), opening
+
+
+def measure(seconds: float = SECONDS, motions: dict[str, tc.Trajectory] | None = None) -> list[Row]:
+    """Play each motion by the server and as a page."""
+    from playwright.sync_api import sync_playwright
+
+    path = os.environ.get("TENSCASADI_BROWSER") or shutil.which("chromium") or shutil.which("google-chrome")
+    shown = {"six-bar ball, 10 s": ball(10.0), "tower of 300 bars": tower(10.0)} if motions is None else motions
+    rows = []
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
+        browser = playwright.chromium.launch(executable_path=path, headless=True, args=list(SOFTWARE))
+        for name, motion in shown.items():
+            members = len(motion.bars) + len(motion.strings)
+            with view(motion, title=name, browser=False, wait=False) as served:
+                rows.append(Row(name, members, "server", *frames(browser, str(served.url), seconds)))
+            page = Path(folder) / "page.html"
+            view(motion, title=name, html=page)
+            rows.append(Row(name, members, f"page of {page.stat().st_size / 1e6:.1f} MB", *frames(browser, page.as_uri(), seconds)))
+        browser.close()
+    return rows
+
+
+def main() -> None:
+    quick = "--quick" in sys.argv
+    rows = measure(2.0, {"six-bar ball, 1 s": ball(1.0)}) if quick else measure()
+    print(f"{'motion':24s} {'members':>8s} {'played by':>16s} {'frames/s':>9s} {'opened in':>10s}")
+    for row in rows:
+        print(f"{row.name:24s} {row.members:8d} {row.way:>16s} {row.frames:9.1f} {row.opening:8.1f} s")
+
+
+if __name__ == "__main__":
+    main()
