@@ -17,6 +17,7 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices, shown, text
 from tenscasadi.viewer.motion import Motion, of_rollouts, of_structure, of_trajectory, renamed
 
+_VISIBLE = 0.0008  # of the whole: half a pixel
 _FAR = 20.0  # times the size of the start: what goes further is lost, and not made room for
 
 
@@ -74,14 +75,15 @@ class Exhibit:
         return low - flat, high + flat
 
     def bar_radius(self) -> float:
-        """Return how thick bars are drawn, m: by the length of one in the middle, thinner in a crowd."""
+        """Return how thick bars are drawn, m: by the length of one in the middle, or as much of the whole as can be seen."""
         motion = self.motions[0]
         members: Indices = motion.bars if len(motion.bars) else motion.strings
         lengths = np.linalg.norm(motion.nodes[0][members[:, 0]] - motion.nodes[0][members[:, 1]], axis=1)
         low, high = self.corners()
-        size = float(np.median(lengths)) if len(members) else float((high - low).max())
+        whole = float((high - low).max())
+        size = float(np.median(lengths)) if len(members) else whole
         thickness = 0.014 if len(motion.bars) else 0.01
-        return thickness * (size if size > 0 and np.isfinite(size) else float((high - low).max()))
+        return max(_VISIBLE * whole, thickness * (size if size > 0 and np.isfinite(size) else whole))
 
 
 def exhibit_of(things: Any) -> Exhibit:

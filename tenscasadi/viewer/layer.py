@@ -9,7 +9,7 @@ import numpy as np
 
 from tenscasadi.util.validate import Array, Indices
 from tenscasadi.viewer.colours import BAR, JOINT, NODE, PIN, SLACK, Bytes, Rgb, linear
-from tenscasadi.viewer.poses import ball, cone, cylinder, member_poses, node_places
+from tenscasadi.viewer.poses import ball, cone, cylinder, member_poses, node_places, octahedron
 
 if TYPE_CHECKING:
     import viser
@@ -45,9 +45,9 @@ class Layer:
         if look.ghost is not None:
             colours[:] = look.ghost
         add = self._batch
-        self.bars = add(scene, f"{name}/bars", cylinder(6 if many else 12), len(bars), look.ghost or BAR)
-        self.strings = add(scene, f"{name}/strings", cylinder(4 if many else 6), len(strings), look.ghost or SLACK)
-        self.nodes = add(scene, f"{name}/nodes", ball(4, 6) if many else ball(), len(nodes), colours, np.repeat(sizes[:, None], 3, axis=1))
+        self.bars = add(scene, f"{name}/bars", cylinder(4 if many else 12), len(bars), look.ghost or BAR)
+        self.strings = add(scene, f"{name}/strings", cylinder(3 if many else 6), len(strings), look.ghost or SLACK)
+        self.nodes = add(scene, f"{name}/nodes", octahedron() if many else ball(), len(nodes), colours, np.repeat(sizes[:, None], 3, axis=1))
         self.pins = add(scene, f"{name}/pins", cone(), len(pinned), look.ghost or PIN, np.full((len(pinned), 3), 2.2 * look.radius))
         self.update(nodes)
 

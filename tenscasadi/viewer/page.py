@@ -10,6 +10,7 @@ import numpy as np
 
 from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.charts import charts
+from tenscasadi.viewer.frames import with_frames
 from tenscasadi.viewer.legend import legend
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def record(server: viser.ViserServer, canvas: Canvas, speed: float, frames_per_s
             serializer.insert_sleep(pause)
             canvas.show(float(time))
         serializer.insert_sleep(pause)
-    return serializer.as_html()
+    return with_frames(serializer.as_html())
 
 
 def frame_times(first: float, last: float, speed: float, frames_per_second: int) -> np.ndarray:

@@ -47,6 +47,13 @@ def ball(rings: int = 6, sides: int = 10) -> Mesh:
     return Mesh(round_.reshape(-1, 3), np.vstack([np.column_stack([a, a + sides, b + sides]), np.column_stack([a, b + sides, b])]))
 
 
+def octahedron() -> Mesh:
+    """Return the ball of radius 1 with the fewest faces."""
+    corners = np.vstack([np.eye(3), -np.eye(3)])
+    upper = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2)]
+    return Mesh(corners, np.array(upper + [(b, a, 5) for a, b, _ in upper]))
+
+
 def cone(sides: int = 12) -> Mesh:
     """Return a cone that stands below its tip at the origin, 2 high and 1 in radius."""
     angles = 2 * np.pi * np.arange(sides) / sides

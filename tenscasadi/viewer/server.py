@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import ipaddress
 import math
 import socket
@@ -13,6 +14,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from tenscasadi.util.validate import instance, shown, whole_number
+from tenscasadi.viewer.frames import with_frames
 
 LOOPBACK = "127.0.0.1"
 _FIRST_PORT, _PORTS = 8080, 1000
@@ -20,6 +22,7 @@ _LARGEST_MESSAGE = 2**20  # bytes of what a page may send at once: a pointer's p
 _LARGEST_TEXT, _MOST_VALUES = 4096, 64
 # All that a page may say: where its camera is, what was clicked or dragged, the value of an input.
 _HEARD = {"ViewerCameraMessage", "SceneNodeClickMessage", "SceneNodeDragMessage", "ScenePointerMessage", "GuiUpdateMessage"}
+_PAGE = ("/", "/index.html")
 _starting = threading.Lock()
 
 
@@ -172,7 +175,10 @@ def _guarded_serve(local: bool) -> Iterator[list[bool]]:
 
         def checked(connection: Any, request: Any) -> Any:
             refusal = refuse(request.path, request.headers, local)
-            return connection.respond(403, refusal + "\n") if refusal else process_request(connection, request)
+            if refusal:
+                return connection.respond(403, refusal + "\n")
+            response = process_request(connection, request)
+            return response if response is None or request.path.partition("?")[0] not in _PAGE else _with_frames(response)
 
         return original(*arguments, process_request=checked, **{**options, "max_size": _LARGEST_MESSAGE})
 
@@ -181,6 +187,16 @@ def _guarded_serve(local: bool) -> Iterator[list[bool]]:
         yield used
     finally:
         module.serve = original  # type: ignore[misc]
+
+
+def _with_frames(response: Any) -> Any:
+    """Return the answer that holds the page with what `with_frames` adds to it."""
+    packed = response.headers.get("Content-Encoding") == "gzip"
+    body = with_frames((gzip.decompress(response.body) if packed else response.body).decode()).encode()
+    response.body = gzip.compress(body, 1) if packed else body
+    del response.headers["Content-Length"]
+    response.headers["Content-Length"] = str(len(response.body))
+    return response
 
 
 def refuse(path: str, headers: Any, local: bool) -> str:

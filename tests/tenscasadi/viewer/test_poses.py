@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tenscasadi.viewer.poses import ball, cone, cylinder, member_poses, node_places
+from tenscasadi.viewer.poses import ball, cone, cylinder, member_poses, node_places, octahedron
 
 
 def test_a_cylinder_is_turned_onto_each_member():
@@ -30,7 +30,7 @@ def test_what_is_lost_has_no_size():
 
 
 def test_meshes_are_closed_and_face_outwards():
-    for mesh in (cylinder(7), ball(), cone()):
+    for mesh in (cylinder(7), ball(), cone(), octahedron()):
         corners = mesh.vertices[mesh.faces]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         middle = mesh.vertices.mean(axis=0)
