@@ -16,6 +16,8 @@ from tenscasadi.util.validate import Array
 
 _SOFT = (0.02, 1.0)  # MuJoCo's solref where none is given
 _FRICTION = (1.0, 0.005, 0.0001)
+_ALIKE = 1e-4  # relative: numbers of the same ground, in files of six digits
+_MOST = 10_000_000  # pairs of geoms
 
 
 class Touch(NamedTuple):
@@ -33,7 +35,10 @@ def read_grounds(
     pairs, apart = _read_contacts(root, bodies, defaults)
     moving = [(k, shape) for k, piece in bodies.moving() for shape in piece.shapes]
     found: list[Ground] = []
-    for shape in bodies.pieces[0].shapes:
+    fixed = bodies.pieces[0].shapes
+    if len(fixed) * len(moving) > _MOST:
+        raise root.error(f"has {len(fixed)} geoms in the world and {len(moving)} in bodies, too many to find which touch: give fewer")
+    for shape in fixed:
         touches: dict[int, Touch] = {}
         for k, other in moving:
             law = pairs.get(frozenset((shape.element.text("name"), other.element.text("name"))))
@@ -98,8 +103,7 @@ def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Groun
     if not touches:
         return []
     mean = float(np.mean([weights.inverse[touch.node] for touch in touches]))
-    alike: dict[Any, list[int]] = {}
-    laws: dict[Any, dict[str, Any]] = {}
+    alike: list[tuple[dict[str, Any], list[int]]] = []
     for touch in touches:
         solref = touch.law.numbers("solref", 2, _SOFT)
         if (solref[0] > 0) != (solref[1] > 0) and solref.any() and solref[0] > 0:
@@ -109,11 +113,20 @@ def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Groun
         slow = touch.law.numbers("solreffriction", 2, (0, 0))
         numbers = ground_numbers(solref, slow, friction or None, inverse, weights.standing)
         law = {**numbers, "height": float(normal @ plane.frame.place) + touch.distance}
-        key = tuple(None if value is None else f"{value:.9g}" for value in law.values())
-        alike.setdefault(key, []).append(touch.node)
-        laws.setdefault(key, law)
+        nodes = next((nodes for known, nodes in alike if _same(known, law)), None)
+        if nodes is None:
+            alike.append((law, [touch.node]))
+        else:
+            nodes.append(touch.node)
     everywhere = len(alike) == 1 and len(touches) == int(np.count_nonzero(weights.inverse))
     try:
-        return [Ground(**law, normal=tuple(normal.tolist()), nodes=None if everywhere else alike[key]) for key, law in laws.items()]
+        return [Ground(**law, normal=tuple(normal.tolist()), nodes=None if everywhere else nodes) for law, nodes in alike]
     except ValueError as error:
         raise plane.element.error(str(error)) from None
+
+
+def _same(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Return whether two laws are one, as told in a few digits."""
+    if one.keys() != other.keys() or (one["friction"] is None) != (other["friction"] is None):
+        return False
+    return all(abs(one[name] - other[name]) <= _ALIKE * max(abs(one[name]), 1e-3 * (name == "height")) for name in one if one[name] is not None)

@@ -12,6 +12,7 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
 DEEPEST = 100  # bars that hang from each other: files that are nested deeper are hard to read, for MuJoCo too
+MOST = 1000  # bars of a tree whose weights are computed: with a matrix of three rows and columns for each
 NO_DIRECTION = np.zeros((0, 3))
 
 
@@ -124,22 +125,28 @@ class _Tree:
 def inverse_weights(s: Structure, hanging: Hanging) -> Array:
     """Return how much a force on the middle of each bar accelerates it, the mean over all directions, 1/kg: 1/m for a bar by itself.
 
-    Of the tree without its ties, as MuJoCo computes it.
+    Of the trees without their ties, as MuJoCo computes it. Raises ValueError where too many bars hang together.
     """
-    size = 3 * len(s.bars) + sum(len(link.slides) if link.node is not None else 3 for link in hanging.links if link.parent is None)
-    M, middles = np.zeros((size, size)), np.zeros((len(s.bars), 3, size))
+    found = np.zeros(len(s.bars))
+    roots = [k for k, link in enumerate(hanging.links) if link.parent is None]
+    for first, end in zip(roots, [*roots[1:], len(hanging.links)], strict=True):
+        tree = hanging.links[first:end]
+        if len(tree) > MOST:
+            raise ValueError(f"bars: {len(tree)} of them hang together, too many to weigh what they press on the ground with: {MOST} at most")
+        found[[link.bar for link in tree]] = _weigh(s, hanging, tree)
+    return found
+
+
+def _weigh(s: Structure, hanging: Hanging, tree: list[Link]) -> list[float]:
+    """Return the inverse weights of the bars of one tree."""
+    slides = np.eye(3) if tree[0].node is None else tree[0].slides
+    size = len(slides) + 3 * len(tree)  # velocities of the root along its slides, then rates of turning
+    M, middles = np.zeros((size, size)), []
     points: dict[tuple[int, int | None], Array] = {}
-    after = 3 * len(s.bars)  # rates of turning come first, then velocities along slides
-    for link in hanging.links:
-        middle = s.nodes[s.bars[link.bar]].mean(axis=0)
-        base, place = np.zeros((3, size)), middle if link.node is None else s.nodes[link.node]
-        if link.parent is not None:
-            base = points[link.parent, link.node]
-        else:
-            slides = np.eye(3) if link.node is None else link.slides
-            base[:, after : after + len(slides)] = slides.T
-            after += len(slides)
-        turning = slice(3 * link.bar, 3 * link.bar + 3)
+    for k, link in enumerate(tree):
+        middle, turning = s.nodes[s.bars[link.bar]].mean(axis=0), slice(len(slides) + 3 * k, len(slides) + 3 * k + 3)
+        place = middle if link.node is None else s.nodes[link.node]
+        base = np.pad(slides.T, ((0, 0), (0, 3 * len(tree)))) if link.parent is None else points[link.parent, link.node]
 
         def velocity(x: Array, base: Array = base, place: Array = place, turning: slice = turning, still: bool = link.still) -> Array:
             found = base.copy()
@@ -148,11 +155,11 @@ def inverse_weights(s: Structure, hanging: Hanging) -> Array:
 
         for node in s.bars[link.bar].tolist():
             points[link.bar, node] = own = velocity(s.nodes[node])
-            if hanging.owner.get(node) == link.bar:
+            if hanging.owner.get(node) == link.bar and s.node_mass[node] > 0:
                 M += s.node_mass[node] * own.T @ own
-        middles[link.bar] = velocity(middle)
-        M += s.bar_mass[link.bar] * middles[link.bar].T @ middles[link.bar]
+        middles.append(velocity(middle))
+        M += s.bar_mass[link.bar] * middles[-1].T @ middles[-1]
         across = s.bar_inertia[link.bar] * s.bar_lengths[link.bar] ** 2
         M[turning, turning] += across * np.eye(3)  # about the axis, too: nothing turns about it
     inverse = np.linalg.inv(M)
-    return np.asarray([np.sum((J @ inverse) * J) / 3 for J in middles])
+    return [float(np.sum((J @ inverse) * J)) / 3 for J in middles]

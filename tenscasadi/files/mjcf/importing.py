@@ -142,11 +142,11 @@ def _read_string(tendon: Element, bodies: Bodies) -> String:
 
 def _read_control(root: Element, defaults: Defaults, strings: list[String]) -> tuple[Control | None, list[String]]:
     """Return how strings are driven, and the strings with the law that their actuators give them. Raises SceneFileError."""
-    driving = {}
+    driving, names = {}, {string.element.text("name") for string in strings}
     actuators = [check(defaults.apply(child)) for section in root.of("actuator") for child in children(section)]
     for k, actuator in enumerate(actuators):
         name = actuator.text("tendon")
-        if name not in {string.element.text("name") for string in strings} or name in driving:
+        if name not in names or name in driving:
             raise actuator.error(f"is {name!r}: give each tendon one actuator, and actuators to tendons alone", "tendon")
         driving[name] = k, actuator
     if not actuators:
@@ -155,24 +155,34 @@ def _read_control(root: Element, defaults: Defaults, strings: list[String]) -> t
         passive = next(string for string in strings if string.element.text("name") not in driving)
         raise passive.element.error("has no actuator, while others have: a scene drives all strings, or none")
     start = _start(root, len(actuators))
-    found, kinds = [], {actuator.tag: actuator for actuator in actuators}
-    if len(kinds) > 1:
-        raise actuators[-1].error(f"is beside {actuators[0].tag}: a scene drives all strings in one way")
+    found, controls = [], set[type[Control]]()
     for string in strings:
         k, actuator = driving[string.element.text("name")]
         if string.stiffness or string.damping:
             raise string.element.error("has stiffness or damping beside an actuator: give them to the actuator, as kp and kv", "stiffness")
-        if actuator.tag == "general":
-            words = [actuator.text(name, default) for name, default in (("gaintype", "fixed"), ("biastype", "none"), ("dyntype", "none"))]
-            gain = [*actuator.numbers("gainprm", range(1, 11), [1]), 0.0]
-            if words != ["affine", "none", "none"] or gain[:2] != [0.0, -1.0] or any(gain[2:]):
-                raise actuator.error('pulls by another law than force = −length × control: give gaintype="affine" gainprm="0 -1 0"', "gainprm")
+        servo = _servo(actuator)
+        controls.add(ForceDensity if servo is None else RestLength)
+        if len(controls) > 1:
+            raise actuator.error("drives its string in another way than others: a scene drives all in one way")
+        if servo is None:
             found.append(string._replace(stiffness=100.0, rest=None))  # a structure's own: force densities need none
         else:
             rest = None if start is None else float(start[k])
-            law = String(string.element, string.ends, actuator.number("kp", 1.0), actuator.number("kv", 0.0), rest, not _pulls_alone(actuator))
-            found.append(law)
-    return (ForceDensity() if "general" in kinds else RestLength()), found
+            found.append(String(string.element, string.ends, *servo, rest, not _pulls_alone(actuator)))
+    return controls.pop()(), found
+
+
+def _servo(actuator: Element) -> tuple[float, float] | None:
+    """Return stiffness and damping of an actuator that holds a length; None for one that holds a force density. Raises SceneFileError."""
+    if actuator.tag == "position":
+        return actuator.number("kp", 1.0), actuator.number("kv", 0.0)
+    words = [actuator.text(name, default) for name, default in (("gaintype", "fixed"), ("biastype", "none"), ("dyntype", "none"))]
+    gain, bias = (np.pad(actuator.numbers(name, range(1, 11), [first]), (0, 9))[:10] for name, first in (("gainprm", 1), ("biasprm", 0)))
+    if words == ["affine", "none", "none"] and gain[1] == -1 and np.count_nonzero(gain) == 1 and "input" not in actuator.attributes:
+        return None
+    if words == ["fixed", "affine", "none"] and not any([*gain[1:], bias[0], *bias[3:]]) and bias[1] == -gain[0]:
+        return float(gain[0]), float(0.0 - bias[2])  # as MuJoCo writes position actuators
+    raise actuator.error('pulls by another law than force = −length × control: give gaintype="affine" gainprm="0 -1 0"', "gainprm")
 
 
 def _start(root: Element, count: int) -> Array | None:
@@ -244,10 +254,9 @@ class _Reader:
         """Return the numbers of nodes: those of their sites' names, where all have one, else as they come."""
         names: dict[Place, list[str]] = {place: [] for place in places}
         for name, site in self.bodies.sites.items():
-            for end, known in enumerate(self.members.ends[site.piece]):
-                own = self.members.node(Place(site.piece, end))
-                if own in names and np.linalg.norm(known - site.place) <= self.members.close:
-                    names[own].append(name)
+            place = self.members.near(site.piece, site.place)
+            if place is not None and self.members.node(place) in names:
+                names[self.members.node(place)].append(name)
         order = by_number(list(names.values()), "n")
         return {places[k]: number for number, k in enumerate(range(len(places)) if order is None else order)}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +37,7 @@ class Members:
         self.close = CLOSE * max(float(np.ptp(points, axis=0).max()) if points else 0.0, 1e-9)
         self.ends: list[list[Array]] = [[] for _ in bodies.pieces]
         self._same: dict[Place, Place] = {}
+        self._cells: dict[tuple[int, ...], Place] = {}
         for site in attached:
             self._attach(site.piece, site.place)
         for k, piece in bodies.moving():
@@ -52,12 +54,11 @@ class Members:
 
     def place(self, piece: int, point: Array, element: Element | None = None) -> Place:
         """Return the end of a piece that is at a point. Raises SceneFileError."""
-        for end, known in enumerate(self.ends[piece]):
-            if np.linalg.norm(known - point) <= self.close:
-                return Place(piece, end)
+        found = self.near(piece, point)
+        if found is not None:
+            return found
         if piece == _WORLD:
-            self.ends[_WORLD].append(point)
-            return Place(_WORLD, len(self.ends[_WORLD]) - 1)
+            return self._add(_WORLD, point)
         raise (element or self.bodies.pieces[piece].element).error(f"holds a body at {point.round(6).tolist()}, where no end of it is")
 
     def join(self, one: Place, other: Place) -> None:
@@ -77,9 +78,24 @@ class Members:
             place = self._same[place]
         return place
 
+    def near(self, piece: int, point: Array) -> Place | None:
+        """Return the end of a piece that is as good as at a point, if one is."""
+        x, y, z = (int(v) for v in np.floor(point / (2 * self.close)))
+        for cell in product((x - 1, x, x + 1), (y - 1, y, y + 1), (z - 1, z, z + 1)):
+            found = self._cells.get((piece, *cell))
+            if found is not None and np.linalg.norm(self.ends[piece][found.end] - point) <= self.close:
+                return found
+        return None
+
+    def _add(self, piece: int, point: Array) -> Place:
+        place = Place(piece, len(self.ends[piece]))
+        self.ends[piece].append(point)
+        self._cells[(piece, *(int(v) for v in np.floor(point / (2 * self.close))))] = place
+        return place
+
     def _attach(self, piece: int, point: Array) -> None:
-        if not any(np.linalg.norm(known - point) <= self.close for known in self.ends[piece]):
-            self.ends[piece].append(point)
+        if self.near(piece, point) is None:
+            self._add(piece, point)
 
     def _complete(self, k: int, piece: Piece) -> None:
         """Find the ends of a piece to which nothing is attached, and put them in the order of its longest geom. Raises SceneFileError."""
@@ -93,15 +109,18 @@ class Members:
             for end in longest.ends:
                 near = float(np.linalg.norm(longest.ends[1] - longest.ends[0])) / 100
                 if not any(np.linalg.norm(known - end) <= near for known in ends):
-                    ends.append(end)
+                    self._add(k, end)
             if len(ends) != 2:
                 raise piece.element.error(f"has a string or joint at {ends[0].round(4).tolist()}: bars have them at their ends")
         if longest is not None and len(ends) == 2 and np.linalg.norm(ends[0] - longest.ends[0]) > np.linalg.norm(ends[1] - longest.ends[0]):
-            ends.reverse()
+            first, second = ends
+            ends.clear()
+            for end in (second, first):
+                self._add(k, end)
         if not ends:
             if not piece.masses:
                 raise piece.element.error("has no mass: give an <inertial> or a geom")
-            ends.append(np.mean([mass.centre for mass in piece.masses], axis=0))
+            self._add(k, np.mean([mass.centre for mass in piece.masses], axis=0))
 
     def _hang(self, k: int, piece: Piece) -> None:
         """Join a piece to what it hangs from. Raises SceneFileError."""

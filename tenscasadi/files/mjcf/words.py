@@ -45,7 +45,9 @@ READ: dict[str, set[str]] = {
     "exclude": {"name", "body1", "body2"},
     "actuator": set(),
     "position": _DRAWN | {"tendon", "kp", "kv", "ctrllimited", "ctrlrange", "forcelimited", "forcerange", "inheritrange"},
-    "general": _DRAWN | {"tendon", "gaintype", "gainprm", "biastype", "biasprm", "dyntype", "ctrllimited", "ctrlrange"},
+    "general": _DRAWN
+    | {"tendon", "gaintype", "gainprm", "biastype", "biasprm", "dyntype", "ctrllimited", "ctrlrange"}
+    | {"forcelimited", "forcerange"},
 }
 
 # Attributes that have no counterpart, with the values that are as if they were not given.
@@ -58,7 +60,7 @@ NEUTRAL: dict[str, dict[str, str]] = {
     "geom": {"shellinertia": "false", "fluidshape": "none"},
     "spatial": {"frictionloss": "0", "armature": "0"},
     "position": {"gear": "1", "timeconst": "0", "dampratio": "0"},
-    "general": {"gear": "1"},
+    "general": {"gear": "1", "input": "pos"},  # which MuJoCo writes of position actuators
 }
 _CHILDREN: dict[str, set[str]] = {
     "mujoco": {"compiler", "option", "default", "worldbody", "tendon", "equality", "contact", "actuator"},

@@ -313,3 +313,35 @@ def test_a_body_that_connect_pins_swings_as_in_mujoco(tmp_path: Path) -> None:
     theirs = sites(tmp_path / "scene.xml", 0.1)
     assert abs(run.nodes[-1] - run.nodes[0]).max() > 0.01
     assert max(abs(theirs - node).max(axis=1).min() for node in run.nodes[-1]) < 1e-5
+
+
+@pytest.mark.parametrize("joints", ["ball", "connect"])
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_what_mujoco_saves_reads_back(name: str, joints: Any, tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    structure = STRUCTURES[name]
+    path, saved = tmp_path / "s.xml", str(tmp_path / "saved.xml")
+    for control in (None, tc.RestLength(), tc.ForceDensity()) if len(structure.strings) else [None]:
+        ground = tc.Ground(2000.0, 20.0, friction=0.4, height=-9.0, normal=(0.1, 0, 1))
+        tc.export_mjcf(tc.Scene(structure, control=control, ground=ground), path, joints=joints)
+        mujoco.mj_saveLastXML(saved, mujoco.MjModel.from_xml_path(str(path)))  # in six digits
+        found = tc.import_mjcf(saved)
+        assert found.control == control
+        assert found.structure.nodes == pytest.approx(structure.nodes, abs=1e-5)
+        assert np.sort(found.structure.bars).tolist() == np.sort(structure.bars).tolist()
+        assert found.structure.strings.tolist() == structure.strings.tolist()
+        assert found.structure.bar_inertia == pytest.approx(structure.bar_inertia, rel=1e-5)
+        assert found.ground.stiffness == pytest.approx(2000.0, rel=1e-4)
+        if control == tc.RestLength():
+            assert found.structure.rest_length == pytest.approx(structure.rest_length, rel=1e-5)
+
+
+def test_a_servo_told_as_a_general_actuator_is_a_control_by_rest_lengths(tmp_path: Path) -> None:
+    law = 'gaintype="fixed" gainprm="50" biastype="affine" biasprm="0 -50 -2" ctrlrange="0 1"'
+    text = MAST.replace(' stiffness="100"', "").replace(' stiffness="50"', "").replace('"0 0.5"', '"-1"')
+    actuators = f'<actuator><general tendon="up" {law}/><position tendon="down" kp="50" kv="2"/></actuator></mujoco>'
+    scene = read(text.replace("</mujoco>", actuators), tmp_path)
+    assert scene.control == tc.RestLength()
+    assert scene.structure.stiffness.tolist() == [50.0, 50.0]
+    assert scene.structure.damping.tolist() == [2.0, 2.0]
+    assert scene.pushing_strings.tolist() == [0, 1]
