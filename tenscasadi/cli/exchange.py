@@ -14,6 +14,7 @@ from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.files.matlab.save import save_mat
 from tenscasadi.files.matlab.structures import load_mat
 from tenscasadi.files.mjcf import export_mjcf, import_mjcf
+from tenscasadi.files.ntrt.load import load_ntrt
 from tenscasadi.files.scene_files import save_scene
 from tenscasadi.files.vtk import export_vtk
 from tenscasadi.scene.scene import Scene
@@ -29,7 +30,17 @@ _MOTIONS: dict[str, Callable[[Any, Path], object]] = {
     ".mat": lambda motion, path: save_mat(_trajectory(motion), path),
     ".pvd": lambda motion, path: export_vtk(_trajectory(motion), path),
 }
-_FOREIGN: dict[str, Callable[[str], Scene]] = {".xml": import_mjcf, ".mat": lambda path: Scene(load_mat(path))}
+
+
+def _import_ntrt(path: str, options: dict[str, Any]) -> Scene:
+    return Scene(load_ntrt(path, **options))
+
+
+_FOREIGN: dict[str, Callable[[str, dict[str, Any]], Scene]] = {
+    ".xml": lambda path, _: import_mjcf(path),
+    ".mat": lambda path, _: Scene(load_mat(path)),
+    **dict.fromkeys((".yaml", ".yml"), _import_ntrt),
+}
 
 
 def run_export(arguments: argparse.Namespace) -> int:
@@ -50,7 +61,8 @@ def run_import(arguments: argparse.Namespace) -> int:
     read = _by_ending(_FOREIGN, Path(arguments.source), "scenes")
     _by_ending({".toml": save_scene}, arguments.out, "scene files")
     check_file("OUT", arguments.out)
-    save_scene(read(arguments.source), arguments.out)
+    options = {"length_unit": arguments.length_unit, "ball_joints": arguments.ball_joints}
+    save_scene(read(arguments.source, options), arguments.out)
     print(f"wrote {arguments.out}")
     return 0
 

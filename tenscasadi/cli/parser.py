@@ -110,6 +110,10 @@ _THINGS: _Options = {
 }
 _FOREIGN: _Options = {"source": {"metavar": "FILE", "help": "file of another tool; its ending says which", "complete": FILE}}
 _OUT: _Options = {"out": {"metavar": "OUT", "type": Path, "help": "file to write; its ending says the format", "complete": FILE}}
+_IMPORT_OPTIONS: _Options = {
+    "--length-unit": _number("NTRT: its unit of length, m", default=1.0),
+    "--ball-joints": {"help": "NTRT: rods that share a node may turn there", **_FLAG},
+}
 _VIEW_OPTIONS: _Options = {
     "--html": {"type": Path, "metavar": "OUT", "help": "write one page that plays in any browser, instead of showing it now", "complete": FILE},
     "--live": {"help": "simulate in real time: sliders for the strings, nodes to pull at", **_FLAG},
@@ -147,7 +151,7 @@ Scenes: .xml (MuJoCo), .mat (MATLAB: MOTES), .toml (a scene file without formula
 Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd (ParaView)."""
 
 _IMPORT = """\
-MuJoCo: .xml; MATLAB: .mat of MOTES or TsgFEM. What has no place in a scene file is refused by name."""
+MuJoCo: .xml; MATLAB: .mat of MOTES or TsgFEM; NTRT: .yaml. What has no place in a scene file is refused by name."""
 
 _COMPLETION = """\
 To turn it on in this shell: eval "$(tenscasadi completion bash)". For good: the same line in ~/.bashrc (zsh: after compinit in ~/.zshrc)."""
@@ -170,7 +174,7 @@ COMMANDS = {
         commands.run_tradeoff, "measure how fast and how accurate each scheme is", f"{_TRADEOFF}\n\n{_STARTS}", _SOURCE, _OUTPUT | _TRADEOFF_OPTIONS
     ),
     "export": Command(run_export, "write a scene, a trajectory or a plan for other tools", _EXPORT, _THING | _OUT, {}),
-    "import": Command(run_import, "write what another tool wrote as a scene file", _IMPORT, _FOREIGN | _OUT, {}),
+    "import": Command(run_import, "write what another tool wrote as a scene file", _IMPORT, _FOREIGN | _OUT, _IMPORT_OPTIONS),
     "schema": Command(run_schema, "print the JSON Schema of scene files, for editors", "    tenscasadi schema > scene.schema.json", {}, {}),
     "completion": Command(run_completion, "print the script that lets a shell complete what is typed", _COMPLETION, _SHELL, {}),
 }

@@ -42,6 +42,17 @@ def test_motions_go_out(here):
     assert tc.load_mat_trajectory("run.mat").time == pytest.approx([0.0, 0.01, 0.02])
 
 
+def test_ntrt_comes_in(here):
+    pytest.importorskip("yaml", reason="files of NTRT need PyYAML")
+    text = "nodes: {a: [0, 0, 0], b: [0, 10, 0], c: [5, 0, 0], d: [5, 10, 0]}\npair_groups: {rod: [[a, b], [c, d]], string: [[a, c], [b, d]]}\n"
+    (here / "two.yaml").write_text(text)
+    assert main(["import", "two.yaml", "two.toml", "--length-unit", "0.1"]) == 0
+    assert tc.load_scene("two.toml").structure.bar_lengths.tolist() == [1.0, 1.0]
+    (here / "joined.yaml").write_text(text.replace("[c, d]]", "[b, d]]").replace("[[a, c], [b, d]]", "[[a, d]]").replace("c: [5, 0, 0], ", ""))
+    assert main(["import", "joined.yaml", "joined.toml"]) == 2
+    assert main(["import", "joined.yaml", "joined.toml", "--ball-joints"]) == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
@@ -52,7 +63,7 @@ def test_motions_go_out(here):
         (["export", "table.npz", "out.csv"], "table.npz is no trajectory, rollouts or plan: it holds a tradeoff"),
         (["export", "prism", "folder/out.xml"], "there is no folder folder"),
         (["import", "gone.mat", "out.toml"], "gone.mat"),
-        (["import", "run.npz", "out.toml"], "give one of .mat, .xml"),
+        (["import", "run.npz", "out.toml"], "give one of .mat, .xml, .yaml, .yml"),
         (["import", "gone.mat", "out.txt"], "give one of .toml"),
     ],
 )
