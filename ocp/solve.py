@@ -13,6 +13,7 @@ from ocp.boundary.find_target import find_target
 from ocp.boundary.target import Target
 from ocp.boundary.unreachable import UnreachableGoal
 from ocp.choice import Choice, Method, choose, matching
+from ocp.condensed.interior_point import TIME
 from ocp.condensed.method import solve_condensed
 from ocp.phases.method import solve_phased
 from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function
@@ -183,7 +184,7 @@ def _by_choice(asked: _Asked) -> Plan:
         way, own = (choice._replace(guess=None), asked._replace(guess=best)) if optimal else (choice, asked)
         plans.append(_by_method(own, way, target, scales))
         tried.append(choice.describe())
-        if plans[-1].success:
+        if plans[-1].success or plans[-1].status == TIME:
             break
     best = max(plans, key=_worth)
     said = f"chosen: {tried[-1]}" + (f", after {', '.join(tried[:-1])}" if tried[:-1] else "")

@@ -107,7 +107,7 @@ class _Finder:
 
     def find_state(self, near: Array) -> tuple[Array, float]:
         """Find y at the target near a state, and by how much goals had to be adjusted (m), 0 when they are met."""
-        y = np.append(near, (self.problem.shortest + self.problem.longest) / 2)
+        y = np.append(near, self.problem.typical_duration)
         rigid = [k for k, rows in enumerate(self.invariants) if rows.kind in RIGID]
         goals, miss = len(self.goals.names), 0.0
         for active in [rigid] if len(rigid) == len(self.invariants) else [rigid, list(range(len(self.invariants)))]:

@@ -16,6 +16,7 @@ from ocp.condensed.reduced import Expansion, Leftover, ReducedProblem
 from ocp.condensed.tangential import Model, Step
 from tenscasadi.util.validate import Array
 
+TIME = "time"  # how it ended: the time was over
 DAMPING = 1e-12  # of J D⁻¹ Jᵀ, relative to its mean diagonal: rows that nothing moves stay harmless
 ROOM, UNEVEN = 0.3, 0.1  # of the first step: distance of the start from limits; of that: noise on it
 NEAR_LIMIT = 0.99  # the share of the way to a limit that a step may take
@@ -75,7 +76,7 @@ def solve(of: ReducedProblem, w: Array, motion: Motion, tolerance: float, most: 
     status = ""
     while not status:
         if search.iterations == most or (deadline is not None and time.perf_counter() > deadline):
-            status = "iterations" if search.iterations == most else "time"
+            status = "iterations" if search.iterations == most else TIME
         elif search.converged():
             status = search.converged()
         elif not search.advance():

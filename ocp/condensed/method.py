@@ -10,7 +10,7 @@ import numpy as np
 from ocp.boundary.sensitivities import find_controlled
 from ocp.boundary.target import Target
 from ocp.condensed.correction import Corrected, correct
-from ocp.condensed.interior_point import Found, Point, polish, solve
+from ocp.condensed.interior_point import TIME, Found, Point, polish, solve
 from ocp.condensed.motions import first_motion, states_of
 from ocp.condensed.objective import foreign_costs
 from ocp.condensed.reduced import ReducedProblem
@@ -41,7 +41,7 @@ NOT_QUITE = {
 _PASSES = "give a goal that the motion passes"
 WHY = {
     "iterations": "stopped at the iteration limit: raise max_iterations of the solver",
-    "time": "stopped at the time limit, with the best so far: raise seconds",
+    TIME: "stopped at the time limit, with the best so far: raise seconds",
     "stuck": "the solver could not go on: give a longer duration, wider limits, or a nearer goal, or more intervals",
 }
 

@@ -22,6 +22,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.validate import Array, finite_array, instance, nesting, shown
 
+WIDE = 10.0  # times the shortest duration: beyond, the mean of the limits tells nothing about motions
 SHORTEST = 1e-3  # of a string's length: the least rest length
 
 
@@ -205,6 +206,12 @@ class Problem:
     def longest(self) -> float:
         """The greatest duration, s."""
         return self.duration[1] if isinstance(self.duration, tuple) else self.duration
+
+    @property
+    def typical_duration(self) -> float:
+        """A duration to begin with, s: the mean of the limits; the geometric one where they are more than a factor of ten apart."""
+        shortest, longest = self.shortest, self.longest
+        return (shortest + longest) / 2 if longest <= WIDE * shortest else float(np.sqrt(shortest * longest))
 
     @property
     def free_start(self) -> bool:

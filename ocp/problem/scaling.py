@@ -25,10 +25,10 @@ class Scales:
 
     @staticmethod
     def of(problem: Problem) -> Scales:
-        """Return the sizes from the structure's extent and mass, and the longest duration."""
+        """Return the sizes from the structure's extent and mass, and the longest duration, or twice a typical one."""
         model = problem.model
         length = float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) or 1.0
-        time = problem.longest
+        time = min(problem.longest, 2 * problem.typical_duration)
         parts = [np.full(model.nq, length), np.full(model.nq, length / time), np.full(model.nx - 2 * model.nq, time)]
         return Scales(length, time, float(model.mechanism.M.sum()), np.concatenate(parts))
 

@@ -122,7 +122,7 @@ class InverseDynamics:
 
     @staticmethod
     def _along_path(problem: Problem, target: Target, intervals: int, given: ArrayLike) -> Guess:
-        model, duration = problem.model, (problem.shortest + problem.longest) / 2
+        model, duration = problem.model, problem.typical_duration
         path = finite_array("InverseDynamics.path", given, (None, len(model.structure.nodes), 3))
         before = np.linspace(0.0, 1.0, len(path))
         degree = min(3, len(path) - 1)
@@ -165,7 +165,7 @@ class Equilibrium:
         Guess
             States (K + 1, nx), force densities (K, α), N/m, and duration, s.
         """
-        duration = (problem.shortest + problem.longest) / 2
+        duration = problem.typical_duration
         states = np.repeat(target.start[None], intervals + 1, axis=0)
         model = problem.model
         _, _, clock = model.split(states)
@@ -242,7 +242,7 @@ class Arrays:
         gamma = finite_array("Arrays.force_density", self.force_density, (None, model.nu))
         if len(states) < 2 or not len(gamma):
             raise ValueError(f"Arrays has {len(states)} states and {len(gamma)} rows of force densities: give at least 2 and 1")
-        middle = (problem.shortest + problem.longest) / 2 if self.duration is None else self.duration
+        middle = problem.typical_duration if self.duration is None else self.duration
         return resampled(problem, target, states, np.linspace(0, 1, len(states)), gamma, np.linspace(0, 1, len(gamma) + 1), intervals, middle)
 
 
@@ -293,7 +293,7 @@ def _bearable(model: Model, guess: Guess) -> float:
 
 def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
     """Return nodes from start to target by a quintic in time, put onto bars and joints, and γ by inverse dynamics, without noise."""
-    duration = (problem.shortest + problem.longest) / 2
+    duration = problem.typical_duration
     return follow(problem, target, _line(target, problem.model, intervals, duration), duration)
 
 

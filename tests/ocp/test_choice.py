@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+import time
+
 import numpy as np
 import pytest
 from planning import driven, folding, prism, raising
@@ -9,6 +12,7 @@ from planning import driven, folding, prism, raising
 import ocp
 import tenscasadi as tc
 from ocp.choice import choose_intervals
+from ocp.condensed.method import solve_condensed
 from ocp.transcription.initial_guess import Guess
 
 
@@ -95,6 +99,24 @@ def test_what_was_tried_is_said_where_no_plan_is_found():
     assert "; tried: Variational of 30 intervals by " in plan.message
     assert "MultipleShooting of 30 intervals by Ipopt" in plan.message
     assert plan.iterations > 0
+
+
+def test_what_the_time_ends_is_not_tried_otherwise(monkeypatch):
+    """The condensed method leaves some of the time for corrections: too little for another method."""
+    of_package = sys.modules["ocp.solve"]
+    late = lambda *given: solve_condensed(*given[:-1], time.perf_counter())  # noqa: E731
+    monkeypatch.setattr(of_package, "solve_condensed", late)
+    plan = ocp.solve(widening(), seconds=1000.0)
+    assert not plan.success
+    assert "stopped at the time limit" in plan.message
+    assert plan.message.endswith("tried: Variational of 30 intervals by CondensedNewton")
+
+
+def test_wide_limits_of_the_duration_do_not_matter():
+    narrow, wide = (ocp.solve(raising(duration=limits)) for limits in ((0.3, 1.0), (0.01, 100.0)))
+    assert wide.success, wide.message
+    assert wide.objective == pytest.approx(narrow.objective, rel=1e-3)
+    assert wide.time[-1] == pytest.approx(narrow.time[-1], rel=1e-2)
 
 
 @pytest.mark.parametrize(("mass", "expected"), [(1.0, 30), (1e-4, 67)])

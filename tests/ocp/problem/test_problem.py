@@ -215,3 +215,8 @@ def test_where_nothing_is_asked_nothing_pulls(duration, start):
 def test_costs_are_added_only_where_nothing_else_keeps_force_densities_small():
     assert ocp.Problem(MODEL).costs == (ocp.Effort(),)
     assert ocp.Problem(MODEL, bounds=[ocp.ForceDensityLimits(0.0, 50.0)]).costs == ()
+
+
+@pytest.mark.parametrize(("limits", "typical"), [(2.0, 2.0), ((0.5, 1.5), 1.0), ((0.1, 1.0), 0.55), ((0.01, 100.0), 1.0)])
+def test_motions_begin_with_a_typical_duration(limits, typical):
+    assert ocp.Problem(MODEL, limits, goals=[ocp.AtRest()]).typical_duration == pytest.approx(typical)
