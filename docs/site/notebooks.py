@@ -6,6 +6,7 @@ import json
 import re
 from typing import Any
 
+LINK = re.compile(r"(\]\([\w./]+)\.md\b")  # to another page, which the site has as HTML
 BLOCK = re.compile(r"^```python\n(.*?)^```\n?", re.MULTILINE | re.DOTALL)
 
 
@@ -15,11 +16,10 @@ def notebook(page: str) -> str:
     for index, part in enumerate(BLOCK.split(page)):
         if not part.strip():
             continue
-        cell: dict[str, Any] = {"id": f"cell-{index}", "metadata": {}, "source": part.strip().splitlines(keepends=True)}
-        if index % 2:
-            cells.append({"cell_type": "code", "execution_count": None, "outputs": [], **cell})
-        else:
-            cells.append({"cell_type": "markdown", **cell})
+        code = index % 2 == 1
+        text = part.strip() if code else LINK.sub(r"\1.html", part.strip())
+        cell: dict[str, Any] = {"id": f"cell-{index}", "metadata": {}, "source": text.splitlines(keepends=True)}
+        cells.append({"cell_type": "code", "execution_count": None, "outputs": [], **cell} if code else {"cell_type": "markdown", **cell})
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     metadata = {"kernelspec": kernel, "language_info": {"name": "python"}}
     return json.dumps({"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}, indent=1, ensure_ascii=False)

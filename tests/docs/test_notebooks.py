@@ -13,9 +13,10 @@ TUTORIALS = sorted((Path(__file__).resolve().parents[2] / "docs" / "tutorials").
 
 
 def test_text_and_code_keep_their_order():
-    page = "# Title\n\ntext\n\n```python\na = 1\n\nb = 2\n```\n\n```sh\nls\n```\n\n```python\nprint(a)\n```\n"
+    page = "# Title\n\n[text](../choose.md#here)\n\n```python\na = 1\n\nb = 2\n```\n\n```sh\nls\n```\n\n```python\nprint(a)\n```\n"
     cells = json.loads(notebook(page))["cells"]
     assert [cell["cell_type"] for cell in cells] == ["markdown", "code", "markdown", "code"]
+    assert "".join(cells[0]["source"]).endswith("[text](../choose.html#here)")
     assert "".join(cells[1]["source"]) == "a = 1\n\nb = 2"
     assert "".join(cells[2]["source"]) == "```sh\nls\n```"
 
