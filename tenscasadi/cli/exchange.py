@@ -28,7 +28,7 @@ _SCENES: dict[str, Callable[[Scene, Path], object]] = {
 _MOTIONS: dict[str, Callable[[Any, Path], object]] = {
     ".csv": lambda motion, path: motion.to_csv(path),
     ".mat": lambda motion, path: save_mat(_trajectory(motion), path),
-    ".pvd": lambda motion, path: export_vtk(_trajectory(motion), path),
+    ".pvd": lambda motion, path: export_vtk(_trajectory(motion), path, model=getattr(motion, "model", None)),  # a plan's, for forces of bars
 }
 
 
