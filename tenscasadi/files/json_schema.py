@@ -10,9 +10,9 @@ from tenscasadi.files.containers import TableOf
 from tenscasadi.files.definitions import Definition
 from tenscasadi.files.document import FORMAT, SECTIONS
 from tenscasadi.files.forms import NUMBER, Schema, Schemas
-from tenscasadi.files.scene_files import STRUCTURE
 from tenscasadi.files.scene_table import SCENE
 from tenscasadi.files.simulation_table import SIMULATION, START
+from tenscasadi.files.structure_table import STRUCTURE
 
 _INCLUDE: Schema = {
     "type": "array",

@@ -216,7 +216,7 @@ def _pins(structure: Structure) -> Any:
     return list(structure.pinned) if all(axes == "xyz" for axes in structure.pinned.values()) else structure.pinned
 
 
-STRUCTURE = define(
+FROM_NODES = define(
     Structure,
     {
         "nodes": _NodesForm(),
@@ -256,15 +256,18 @@ class StructureForm(Form):
                 "Structure: it has columns or segments that `from_matrices` or `subdivide` made, which files do not hold: "
                 "give Scene(segments=...) in place of subdivide, or keep it in Python"
             )
-        written = STRUCTURE.write(value)
+        written = FROM_NODES.write(value)
         written.pop("rest_length", None)
         if not np.array_equal(value.rest_length, value.string_lengths):
-            written["rest_length"] = STRUCTURE.fields["rest_length"].write(value.rest_length)
+            written["rest_length"] = FROM_NODES.fields["rest_length"].write(value.rest_length)
         return {name: content for name, content in written.items() if content not in ([], {})}
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return all shapes, and nodes."""
-        return {"anyOf": [*(shape.schema(kinds, "shape", tagged=True) for shape in SHAPES), STRUCTURE.schema(kinds, "shape")]}
+        return {"anyOf": [*(shape.schema(kinds, "shape", tagged=True) for shape in SHAPES), FROM_NODES.schema(kinds, "shape")]}
+
+
+STRUCTURE = StructureForm()
 
 
 def _read_shape(definition: Definition, item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
@@ -297,16 +300,16 @@ def _names_of(definition: Definition, structure: Structure, arguments: Mapping[s
 
 def _read_nodes(item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
     for name, entry in table.items():
-        if name not in STRUCTURE.fields:
-            raise entry.error(f"is no field of a structure: {nearest(name, (*STRUCTURE.fields, 'shape'))}")
+        if name not in FROM_NODES.fields:
+            raise entry.error(f"is no field of a structure: {nearest(name, (*FROM_NODES.fields, 'shape'))}")
     if "nodes" not in table:
         raise item.error('has neither nodes nor shape: give nodes = [[0, 0, 0], [0, 0, 1]], or shape = "prism"')
-    nodes, node_names = STRUCTURE.fields["nodes"].read(table["nodes"], Names())
+    nodes, node_names = FROM_NODES.fields["nodes"].read(table["nodes"], Names())
     names = Names({"node": len(nodes)}, {"node": node_names})
-    groups = {part: STRUCTURE.fields[part].read(table[part], names) if part in table else {} for part in ("bars", "strings")}
+    groups = {part: FROM_NODES.fields[part].read(table[part], names) if part in table else {} for part in ("bars", "strings")}
     names = _count(names, groups)
     rest = {name: entry for name, entry in table.items() if name not in ("nodes", *groups)}
-    given: dict[str, Any] = STRUCTURE.read_fields(rest, names)
+    given: dict[str, Any] = FROM_NODES.read_fields(rest, names)
     for part, properties in {"bars": _BARS, "strings": _STRINGS}.items():
         for name in properties:
             value = _gathered(name, groups[part], given.get(name), table)
@@ -338,7 +341,7 @@ def _gathered(name: str, groups: _Groups, common: Any, table: Mapping[str, Item]
         return common
     if isinstance(common, list):
         raise table[name].error("is a list, and groups say it, too: give one number for the members of groups that do not")
-    fallback: Any = {"rest_length": np.nan, "force_density": np.nan}.get(name, STRUCTURE.defaults.get(name)) if common is None else common
+    fallback: Any = {"rest_length": np.nan, "force_density": np.nan}.get(name, FROM_NODES.defaults.get(name)) if common is None else common
     values = [np.broadcast_to(properties.get(name, fallback), (len(pairs),)) for pairs, properties in groups.values()]
     return np.concatenate(values)
 
