@@ -1,7 +1,8 @@
 """How many frames a second the viewer draws in a headless browser without a graphics card: played by the server, and from a page of its own.
 
 Run it: python examples/benchmark_viewer.py, with Debian's chromium or one that TENSCASADI_BROWSER names, and with playwright.
-Frames are those in which WebGL draws something; the player sends 30 a second.
+Frames are those in which WebGL draws something; the player sends 30 a second. What a frame costs in processor time, of all processes of the
+browser, says more than their number on a machine that does other things, too (Linux alone tells it).
 """
 
 from __future__ import annotations
@@ -40,12 +41,13 @@ for (const context of [WebGL2RenderingContext, WebGLRenderingContext])
 
 
 class Row(NamedTuple):
-    """One motion, played one way: frames a second drawn, and the seconds from opening the page to its first frame."""
+    """One motion, played one way: frames a second drawn, ms of processor time that each takes, and the seconds from opening the page to the first."""
 
     name: str
     members: int
     way: str
     frames: float
+    cost: float
     opening: float
 
 
@@ -68,8 +70,24 @@ def tower(seconds: float) -> tc.Trajectory:
     return tc.simulate(model, seconds, 1e-3, state=start, correction=tc.Projection(), save_every=10)
 
 
-def frames(browser: Any, url: str, seconds: float) -> tuple[float, float]:
-    """Frames a second that a page draws, and the seconds until its first one."""
+def processor_seconds(parent: int) -> float:
+    """Processor time of all processes below one so far; NaN where the system does not tell."""
+    if not Path("/proc/self/stat").exists():
+        return float("nan")
+    below, total = {parent}, 0
+    for path in sorted(Path("/proc").glob("[0-9]*/stat"), key=lambda path: int(path.parent.name)):  # children after their parents
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:  # it has ended
+            continue
+        if int(fields[1]) in below:
+            below.add(int(path.parent.name))
+            total += int(fields[11]) + int(fields[12])
+    return total / os.sysconf("SC_CLK_TCK")
+
+
+def frames(browser: Any, url: str, seconds: float) -> tuple[float, float, float]:
+    """Frames a second that a page draws, their cost, ms, and the seconds until the first one."""
     page = browser.new_page(viewport=SIZE)
     page.set_default_timeout(120_000)
     page.add_init_script(COUNT)
@@ -78,11 +96,12 @@ def frames(browser: Any, url: str, seconds: float) -> tuple[float, float]:
     page.wait_for_function("window.drawn > 0")
     opening = time.perf_counter() - began
     page.wait_for_timeout(2000)
-    first, begin = page.evaluate("[window.drawn, performance.now()]")
+    spent, (first, begin) = processor_seconds(os.getpid()), page.evaluate("[window.drawn, performance.now()]")
     page.wait_for_timeout(1000 * seconds)
     last, end = page.evaluate("[window.drawn, performance.now()]")
+    cost = 1000 * (processor_seconds(os.getpid()) - spent) / max(last - first, 1)
     page.close()
-    return 1000 * (last - first) / (end - begin), opening
+    return 1000 * (last - first) / (end - begin), cost, opening
 
 
 def measure(seconds: float = SECONDS, motions: dict[str, tc.Trajectory] | None = None) -> list[Row]:
@@ -108,9 +127,9 @@ def measure(seconds: float = SECONDS, motions: dict[str, tc.Trajectory] | None =
 def main() -> None:
     quick = "--quick" in sys.argv
     rows = measure(2.0, {"six-bar ball, 1 s": ball(1.0)}) if quick else measure()
-    print(f"{'motion':24s} {'members':>8s} {'played by':>16s} {'frames/s':>9s} {'opened in':>10s}")
+    print(f"{'motion':24s} {'members':>8s} {'played by':>16s} {'frames/s':>9s} {'ms each':>8s} {'opened in':>10s}")
     for row in rows:
-        print(f"{row.name:24s} {row.members:8d} {row.way:>16s} {row.frames:9.1f} {row.opening:8.1f} s")
+        print(f"{row.name:24s} {row.members:8d} {row.way:>16s} {row.frames:9.1f} {row.cost:8.0f} {row.opening:8.1f} s")
 
 
 if __name__ == "__main__":

@@ -116,7 +116,7 @@ class Panel:
         chosen.on_update(change)
 
     def _add_looks(self, gui: viser.GuiApi) -> None:
-        follow = gui.add_checkbox("Follow", False, hint="keep the middle of the structure in view")
+        follow = gui.add_checkbox("Follow", self.stage.followed, hint="keep the middle of the structure in view")
         follow.on_update(lambda _: self._do(lambda: setattr(self.stage, "followed", bool(follow.value))))
         if self.simulation.model.nu:
             colour = gui.add_dropdown("Colour", tuple(QUANTITIES), initial_value=self.stage.colour)

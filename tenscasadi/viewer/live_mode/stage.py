@@ -25,7 +25,7 @@ class Stage:
     Attributes
     ----------
     followed : bool
-        Whether the middle of the structure stays where it is at the start.
+        Whether the middle of the structure stays where it is at the start: by default where nothing holds it against gravity.
     colour : str
         What the colour of strings tells.
     """
@@ -34,7 +34,9 @@ class Stage:
         self.simulation = simulation
         self.canvas = Canvas(server, exhibit_of(simulation.model.scene))
         self.layer = self.canvas.layers[0]
-        self.followed, self.colour = False, "tension"
+        scene = simulation.model.scene
+        held = bool(scene.grounds) or scene.gravity is None or bool(scene.structure.fixed.any()) or bool(scene.structure.rollers)
+        self.followed, self.colour = not held, "tension"  # what falls without end would be out of sight
         self._root = self.canvas.root
         self._middle = simulation.nodes.mean(axis=0)
         radius = self.canvas.radius

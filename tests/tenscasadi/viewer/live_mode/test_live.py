@@ -209,13 +209,16 @@ def test_the_camera_follows():
     falling = tc.Scene(PRISM.structure, gravity=tc.Gravity())
     with quiet(falling) as motion:
         stage = motion._stage
-        motion.do(lambda: setattr(stage, "followed", True))
+        assert stage.followed  # nothing holds it: it would be out of sight soon
         wait_for(lambda: motion.simulation.time > 0.3, "it falls")
         wait_for(lambda: stage.canvas.root.position[2] > 0.2, "the scene goes up as it falls")
         motion.do(lambda: setattr(motion.panel, "running", False))
         wait_for(lambda: motion._orders.empty(), "paused")
         node = motion.simulation.nodes[2]
         np.testing.assert_allclose(stage.place(node + stage.canvas.root.position), node)
+    for held in (PRISM, tc.Scene(PRISM.structure, gravity=tc.Gravity(), ground=tc.Ground(height=-0.1))):
+        with quiet(held) as motion:
+            assert not motion._stage.followed
 
 
 def test_force_densities_have_sliders_and_colours():
