@@ -57,7 +57,7 @@ class Source:
 
     def simulation(self, gravity: float | None = None, projection: int | None = None, **changes: Any) -> Simulation:
         """Return the simulation, but for what is given here; gravity: m/s² downwards, 0: none; projection: steps from one to the next."""
-        told = read_simulation(self.document, *read_scene(self.document))
+        told = read_simulation(self.document, *read_scene(self.document), changes.get("t_end"))
         if gravity is not None:
             down = positive_number("gravity", gravity, zero=True)
             changes["scene"] = replace(told.scene, gravity=Gravity((0.0, 0.0, -down)) if down else None)

@@ -136,18 +136,20 @@ START = define(
 )
 
 
-def read_simulation(document: Document, scene: Scene, names: Names) -> Simulation:
-    """Return the simulation of [start] and [simulation]. Raises SceneFileError."""
-    item = document.section("simulation")
-    if item is None:
+def read_simulation(document: Document, scene: Scene, names: Names, t_end: float | None = None) -> Simulation:
+    """Return the simulation of [start] and [simulation]; `t_end`, s, is told where the file need not. Raises SceneFileError."""
+    told = document.section("simulation")
+    if told is None and t_end is None:
         raise document.root.error("it has no [simulation]: give one with t_end, the end of the run in s")
-    table = item.table()
+    item, table = (document.root, {}) if told is None else (told, told.table())
     options = SIMULATION.read_fields(table, names)
     first = document.section("start")
     started = START.read(first, names).options(scene) if first is not None else {}
     where = {**(first.table() if first is not None else {}), **table}
     if "t_end" not in table:
-        raise item.error("has no t_end: give the end of the run, s")
+        if t_end is None:
+            raise item.error("has no t_end: give the end of the run, s")
+        options["t_end"] = t_end
     simulation: Simulation = call(Simulation, item, where, {"scene": scene, **options, **started})
     call(simulation.check, item, where, {})
     return simulation

@@ -33,6 +33,17 @@ def test_scenes_go_out_and_come_back(ending, here, capsys):
     assert np.sort(theirs.stiffness) == pytest.approx(np.sort(ours.stiffness))
 
 
+def test_what_came_in_is_simulated_once_it_is_told_until_when(here, capsys):
+    assert main(["export", "prism", "out.mat"]) == 0
+    assert main(["import", "out.mat", "back.toml"]) == 0
+    assert main(["simulate", "back.toml", "--t-end", "0.01", "--uncompiled"]) == 0
+    assert tc.Trajectory.load("back-simulation.npz").time[-1] == pytest.approx(0.01)
+    assert main(["simulate", "back.toml"]) == 2
+    assert "it has no [simulation]: give one with t_end" in capsys.readouterr().err
+    assert main(["simulate", "back.toml", "--t-end", "-1"]) == 2
+    assert "t_end" in capsys.readouterr().err
+
+
 def test_motions_go_out(here):
     pytest.importorskip("meshio", reason="ParaView's files need meshio")
     for name in ("run.csv", "run.mat", "run.pvd"):
