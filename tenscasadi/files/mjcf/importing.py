@@ -251,14 +251,23 @@ class _Reader:
         return (piece, place), (other_piece, place)
 
     def _numbered(self, places: list[Place]) -> dict[Place, int]:
-        """Return the numbers of nodes: those of their sites' names, where all have one, else as they come."""
-        names: dict[Place, list[str]] = {place: [] for place in places}
-        for name, site in self.bodies.sites.items():
-            place = self.members.near(site.piece, site.place)
-            if place is not None and self.members.node(place) in names:
-                names[self.members.node(place)].append(name)
-        order = by_number(list(names.values()), "n")
-        return {places[k]: number for number, k in enumerate(range(len(places)) if order is None else order)}
+        """Return the numbers of nodes: those of their sites' names, where all have one, else as they come.
+
+        Sites of the world that nothing is attached to are nodes where they go on with the numbers.
+        """
+        members, sites = self.members, self.bodies.sites
+        lone = [site.place for name, site in sites.items() if site.piece == 0 and name[:1] == "n" and members.near(0, site.place) is None]
+        for found in ([*places, *(members.place(0, place) for place in lone)], places):
+            names: dict[Place, list[str]] = {place: [] for place in found}
+            for name, site in sites.items():
+                place = members.near(site.piece, site.place)
+                if place is not None and members.node(place) in names:
+                    names[members.node(place)].append(name)
+            order = by_number(list(names.values()), "n")
+            if order is not None:
+                members.pinned.update(found[len(places) :])
+                return {found[k]: number for number, k in enumerate(order)}
+        return {place: number for number, place in enumerate(places)}
 
     def structure(self) -> Structure:
         """Return bars, points and strings as a structure."""

@@ -30,6 +30,7 @@ STRUCTURES: dict[str, tc.Structure] = {
     "mast": tc.shapes.prism(pinned=FEET, node_mass=masses, **LAW),
     "rolling": tc.shapes.prism(pinned={0: "z", 1: "z", 2: "xz"}, **LAW),
     "membrane": tc.shapes.membrane(p=4, q=3, pinned={0: "xyz", 1: "z", 2: "xy"}),
+    "pinned nodes alone": tc.Structure([(0, 0, 0), (0, 0, -1), (1, 0, 0), (2, 0, 0)], [(0, 1)], node_mass=[0, 0, 1, 2], pinned=[0, 2, 3]),
     "point": tc.Structure([(1, 2, 3)], node_mass=2.0),
 }
 
