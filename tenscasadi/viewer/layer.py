@@ -9,12 +9,13 @@ import numpy as np
 
 from tenscasadi.util.validate import Array, Indices
 from tenscasadi.viewer.colours import BAR, JOINT, NODE, PIN, SLACK, Bytes, Rgb, linear
-from tenscasadi.viewer.poses import ball, cone, cylinder, member_poses, node_places, octahedron
+from tenscasadi.viewer.poses import Poses, ball, coarse, cone, cylinder, member_poses, node_places, octahedron
 
 if TYPE_CHECKING:
     import viser
 
 _MANY = 400  # members beyond which they get fewer sides
+_TURN = 2.0**-13  # what turns are rounded to where places are
 _STILL = np.array([(1.0, 0.0, 0.0, 0.0)])
 
 
@@ -31,10 +32,16 @@ class Layer:
     """Bars, strings, joints and pins under the name `name` of a scene's tree; `update` moves them.
 
     Each kind is one batch of copies of one mesh: a frame is a handful of arrays, whatever the number of members.
+
+    Attributes
+    ----------
+    grain : float
+        What places and lengths are rounded to, m; 0: not at all.
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, nodes: Array, bars: Indices, strings: Indices, pinned: Indices, look: Look) -> None:
         self._bars, self._strings, self._pinned, self._look = bars, strings, pinned, look
+        self.grain = 0.0
         self.root = scene.add_frame(name, show_axes=False)
         many = len(bars) + len(strings) > _MANY
         ends, meeting = np.unique(bars, return_counts=True)
@@ -54,18 +61,21 @@ class Layer:
     def update(self, nodes: Array, string_colours: Bytes | None = None, taut: Any = True) -> None:
         """Move to nodes (n, 3), m. Strings take colours (α, 3), and are thin where they are not `taut` (α,)."""
         look = self._look
-        if self.bars is not None:
-            poses = member_poses(nodes, self._bars, look.radius)
-            self.bars.batched_positions, self.bars.batched_wxyzs, self.bars.batched_scales = poses
-        if self.strings is not None:
-            poses = member_poses(nodes, self._strings, np.where(taut, 0.4, 0.2) * look.radius)
-            self.strings.batched_positions, self.strings.batched_wxyzs, self.strings.batched_scales = poses
-            if string_colours is not None and look.ghost is None:
-                self.strings.batched_colors = linear(string_colours)
+        self._turn(self.bars, member_poses(nodes, self._bars, look.radius))
+        self._turn(self.strings, member_poses(nodes, self._strings, np.where(taut, 0.4, 0.2) * look.radius))
+        if self.strings is not None and string_colours is not None and look.ghost is None:
+            self.strings.batched_colors = linear(string_colours)
         if self.nodes is not None:
-            self.nodes.batched_positions = node_places(nodes)
+            self.nodes.batched_positions = coarse(node_places(nodes), self.grain)
         if self.pins is not None:
-            self.pins.batched_positions = node_places(nodes[self._pinned])
+            self.pins.batched_positions = coarse(node_places(nodes[self._pinned]), self.grain)
+
+    def _turn(self, batch: Any, poses: Poses) -> None:
+        """Bring the copies of a batch into poses."""
+        if batch is not None:
+            batch.batched_positions = coarse(poses.places, self.grain)
+            batch.batched_wxyzs = coarse(poses.turns, _TURN if self.grain else 0.0)
+            batch.batched_scales = coarse(poses.scales, self.grain)
 
     def _batch(self, scene: viser.SceneApi, name: str, mesh: Any, count: int, colour: Any, scales: Any = None) -> Any:
         """Add `count` copies of a mesh; None where there are none."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 FRAMES_PER_SECOND = 30
 MOST_FRAMES = 3000
+_GRAIN = 3e-5  # of the size, what places are rounded to: a small part of a pixel; pages of large structures are then a third as long
 
 _STYLE = """
 #shown{position:fixed;right:12px;top:12px;width:300px;max-height:calc(100vh - 90px);overflow:auto;z-index:5;background:#fffffff0;
@@ -48,6 +49,8 @@ _FOLLOW = """
 def record(server: viser.ViserServer, canvas: Canvas, speed: float, frames_per_second: int = FRAMES_PER_SECOND) -> str:
     """Return the page of all that a canvas shows, from its first time to its last."""
     first, last = canvas.exhibit.start, canvas.exhibit.end
+    for layer in canvas.layers:
+        layer.grain = _GRAIN * float((canvas.high - canvas.low).max())
     canvas.show(first)
     serializer = server.get_scene_serializer()
     moves = last > first

@@ -81,6 +81,14 @@ def member_poses(nodes: Array, members: Indices, radius: float | Array) -> Poses
     return Poses(((first + second) / 2).astype(np.float32), turns.astype(np.float32), scales.astype(np.float32))
 
 
+def coarse(values: Floats, grain: float) -> Floats:
+    """Round values to multiples of a power of two, at most `grain`; 0: leave them. Their last bits are then 0, and take no room when packed."""
+    if grain == 0:
+        return values
+    step = np.float32(2.0 ** np.floor(np.log2(grain)))
+    return np.asarray(np.round(values / step) * step, dtype=np.float32)
+
+
 def node_places(nodes: Array) -> Floats:
     """Return places (n, 3) of nodes; those that are not finite lie at the origin."""
     known: NDArray[np.bool_] = np.asarray(np.isfinite(nodes).all(axis=1))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import zlib
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tenscasadi.viewer.poses import ball, cone, cylinder, member_poses, node_places, octahedron
+from tenscasadi.viewer.poses import ball, coarse, cone, cylinder, member_poses, node_places, octahedron
 
 
 def test_a_cylinder_is_turned_onto_each_member():
@@ -36,3 +38,12 @@ def test_meshes_are_closed_and_face_outwards():
         middle = mesh.vertices.mean(axis=0)
         outward = np.einsum("ij,ij->i", normal, corners.mean(axis=1) - middle)
         assert (outward[np.linalg.norm(normal, axis=1) > 1e-12] > 0).all()  # at the poles of a ball half of the triangles are lines
+
+
+def test_rounded_places_stay_near_and_pack_well():
+    values = np.random.default_rng(0).normal(size=(5000, 3)).astype(np.float32)
+    rounded = coarse(values, 1e-4)
+    assert rounded.dtype == np.float32
+    assert np.abs(rounded - values).max() <= 0.5e-4
+    assert len(zlib.compress(rounded.tobytes())) < 0.9 * len(zlib.compress(values.tobytes()))
+    assert coarse(values, 0.0) is values
