@@ -51,7 +51,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains once more when it ends
         return FAILED
     except (ValueError, TypeError, OSError, ImportError, MemoryError, CompileError) as error:
-        _tell(str(error) or "not enough memory")
+        if isinstance(error, OSError) and error.filename is not None and error.strerror:
+            _tell(f"{error.filename}: {error.strerror}")
+        else:
+            _tell(str(error) or "not enough memory")
         return BAD_INPUT
     except KeyboardInterrupt:
         _tell("interrupted")

@@ -73,7 +73,7 @@ def test_ntrt_comes_in(here):
         (["export", "other.npz", "out.csv"], "other.npz is no trajectory, rollouts or plan"),
         (["export", "table.npz", "out.csv"], "table.npz is no trajectory, rollouts or plan: it holds a tradeoff"),
         (["export", "prism", "folder/out.xml"], "there is no folder folder"),
-        (["import", "gone.mat", "out.toml"], "gone.mat"),
+        (["import", "gone.mat", "out.toml"], "tenscasadi: gone.mat: No such file"),
         (["import", "run.npz", "out.toml"], "give one of .mat, .xml, .yaml, .yml"),
         (["import", "gone.mat", "out.txt"], "give one of .toml"),
     ],
