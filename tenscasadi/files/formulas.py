@@ -112,7 +112,8 @@ class _Parser:
     def steps(self) -> tuple[_Step, ...]:
         self._sum()
         if self._peek():
-            self._fail(f"{self._peek()!r} is not expected")
+            units = ", units are SI and not written" if self._tokens[self._at][0] == "name" else ""
+            self._fail(f"{self._peek()!r} is not expected{units}")
         return tuple(self._steps)
 
     def _split(self) -> Iterator[tuple[str, str]]:

@@ -145,7 +145,9 @@ def read_simulation(document: Document, scene: Scene, names: Names, t_end: float
     options = SIMULATION.read_fields(table, names)
     first = document.section("start")
     started = START.read(first, names).options(scene) if first is not None else {}
-    where = {**(first.table() if first is not None else {}), **table}
+    begun = first.table() if first is not None else {}
+    moved = [begun[name] for name in ("velocities", "velocity", "spin") if name in begun]
+    where = {**begun, **({"velocities": moved[0]} if moved else {}), **table}
     if "t_end" not in table:
         if t_end is None:
             raise item.error("has no t_end: give the end of the run, s")

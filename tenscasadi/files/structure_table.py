@@ -153,7 +153,7 @@ SHAPES = (
 
 @dataclass(frozen=True)
 class Members(Form):
-    """Pairs of nodes, or groups of them by name, each with its `members` and properties."""
+    """Pairs of nodes, or groups of them by name: pairs, or a table with its `members` and properties."""
 
     which: Literal["bar", "string"]
     properties: tuple[str, ...]
@@ -162,8 +162,11 @@ class Members(Form):
         """Return (pairs, properties) of each group, by name; those without groups are the group "". Raises SceneFileError."""
         if not isinstance(item.value, dict):
             return {"": (_PAIRS.read(item, names), {})}
-        groups = {}
+        groups: dict[str, tuple[list[list[int]], dict[str, Any]]] = {}
         for name, group in item.table().items():
+            if isinstance(group.value, list):
+                groups[name] = (_PAIRS.read(group, names), {})
+                continue
             table = group.table(f"a table with members and properties of the {self.which}s")
             for key, entry in table.items():
                 if key not in {"members", *self.properties}:
@@ -187,7 +190,7 @@ class Members(Form):
         pairs = _PAIRS.schema(kinds)
         properties = {"members": pairs, **{name: PER_ITEM.schema(kinds) for name in self.properties}}
         group = {"type": "object", "properties": properties, "required": ["members"], "additionalProperties": False}
-        return {"anyOf": [pairs, {"type": "object", "additionalProperties": group}]}
+        return {"anyOf": [pairs, {"type": "object", "additionalProperties": {"anyOf": [pairs, group]}}]}
 
 
 class _NodesForm(Form):

@@ -156,8 +156,8 @@ top = [0, 0, "height"]
 a = [1, 0, 0]
 b = ["-cos(60 deg)", "sin(60 deg)", 0]
 c = ["-cos(60 deg)", "-sin(60 deg)", 0]
-[structure.bars.mast]
-members = [["foot", "top"]]
+[structure.bars]
+mast = [["foot", "top"]]
 [structure.strings.front]
 members = [["top", "a"]]
 stiffness = 500
@@ -238,6 +238,8 @@ def test_names_groups_and_formulas_mean_what_they_say(tmp_path):
         ("t_end = 0.5", "t_end = 1\nparameters = {stiffness = [1]}", "simulation.parameters", "stiffness"),
         ("t_end = 0.5", "t_end = 1\nstep = 1e-30", "simulation.step", "larger step"),
         ("t_end = 0.5", "t_end = 1e6\nsave_every = 1", "simulation.save_every", "give more"),
+        ("velocities = { top = [0.1, 0, 0] }", "spin = [0, 0, 1]", "start.spin", "moves a pinned coordinate"),
+        ("t_end = 0.5", "t_end = '10 s'", "simulation.t_end", "units are SI"),
         ("velocities = { top", "velocities = { foot", "start.velocities", "moves a pinned coordinate"),
         ("[start]", "[start]\nstate = [1, 2]", "start.velocities", "beside state"),
         ("[scene]", "[scene]\nsegments = 100000000", "scene.segments", "give less"),
