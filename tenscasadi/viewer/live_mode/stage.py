@@ -38,6 +38,7 @@ class Stage:
         held = bool(scene.grounds) or scene.gravity is None or bool(scene.structure.fixed.any()) or bool(scene.structure.rollers)
         self.followed, self.colour = not held, "tension"  # what falls without end would be out of sight
         self._root = self.canvas.root
+        self._grounded, self._shift = bool(scene.grounds), np.zeros(3)
         self._middle = simulation.nodes.mean(axis=0)
         radius = self.canvas.radius
         self._arrow = server.scene.add_arrows(
@@ -66,7 +67,11 @@ class Stage:
         """Show the present state; tell whether the legend has changed."""
         simulation = self.simulation
         nodes, changed = simulation.nodes, self._grow()
-        self._root.position = tuple(self._middle - nodes.mean(axis=0)) if self.followed else (0.0, 0.0, 0.0)
+        away = self._middle - nodes.mean(axis=0) if self.followed else np.zeros(3)
+        # Pages move a frame and what is in it one picture apart, which shows in a fast fall: a ground alone needs the frame.
+        self._root.position = tuple(away) if self._grounded else (0.0, 0.0, 0.0)
+        self._shift = np.zeros(3) if self._grounded else away
+        nodes = nodes + self._shift
         values, scale = self._values(), self.canvas.scale
         if scale is None:
             self.layer.update(nodes)
@@ -75,12 +80,12 @@ class Stage:
         pull = simulation.pull
         self._arrow.visible = pull is not None
         if pull is not None:
-            self._arrow.points = np.array([[nodes[pull.node], pull.target]], dtype=np.float32)
+            self._arrow.points = np.array([nodes[pull.node], pull.target + self._shift], dtype=np.float32)[None]
         return changed
 
     def place(self, seen: Any) -> Array:
         """Return where a point that a page sees is in the coordinates of the structure."""
-        return np.asarray(seen, dtype=float) - np.asarray(self._root.position)
+        return np.asarray(seen, dtype=float) - np.asarray(self._root.position) - self._shift
 
     def node_at(self, part: str, index: int, seen: Any) -> int:
         """Return the node of the structure nearest to a point of one of the "nodes", "bars" or "strings" that a page has got hold of."""

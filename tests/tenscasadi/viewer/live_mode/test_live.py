@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 
 import numpy as np
 import pytest
@@ -205,20 +206,37 @@ def test_a_motion_that_is_too_slow_says_by_how_much():
         assert 0 < motion._pace.measured < 0.9
 
 
-def test_the_camera_follows():
+def pause(motion):
+    done = []
+    motion.do(lambda: motion.panel.run(False))
+    motion.do(lambda: done.append(True))
+    wait_for(lambda: done, "it pauses")
+    time.sleep(0.1)  # until it is shown
+
+
+def test_what_falls_is_followed():
     falling = tc.Scene(PRISM.structure, gravity=tc.Gravity())
     with quiet(falling) as motion:
         stage = motion._stage
         assert stage.followed  # nothing holds it: it would be out of sight soon
+        wait_for(lambda: motion.simulation.time > 0.5, "it falls")
+        pause(motion)
+        assert motion.simulation.nodes[:, 2].max() < 0
+        shown = np.array(stage.layer.nodes.batched_positions)
+        np.testing.assert_allclose(shown.mean(axis=0), PRISM.structure.nodes.mean(axis=0), atol=1e-5)
+        np.testing.assert_allclose(stage.place(shown), motion.simulation.nodes, atol=1e-5)
+    grounded = tc.Scene(PRISM.structure, gravity=tc.Gravity(), ground=tc.Ground(height=-2.0))
+    with quiet(grounded) as motion:
+        stage = motion._stage
+        assert not stage.followed
+        motion.do(lambda: setattr(stage, "followed", True))
         wait_for(lambda: motion.simulation.time > 0.3, "it falls")
-        wait_for(lambda: stage.canvas.root.position[2] > 0.2, "the scene goes up as it falls")
-        motion.do(lambda: setattr(motion.panel, "running", False))
-        wait_for(lambda: motion._orders.empty(), "paused")
-        node = motion.simulation.nodes[2]
-        np.testing.assert_allclose(stage.place(node + stage.canvas.root.position), node)
-    for held in (PRISM, tc.Scene(PRISM.structure, gravity=tc.Gravity(), ground=tc.Ground(height=-0.1))):
-        with quiet(held) as motion:
-            assert not motion._stage.followed
+        pause(motion)
+        shown = np.array(stage.layer.nodes.batched_positions) + stage.canvas.root.position
+        np.testing.assert_allclose(shown.mean(axis=0), PRISM.structure.nodes.mean(axis=0), atol=1e-5)
+        np.testing.assert_allclose(stage.place(shown), motion.simulation.nodes, atol=1e-5)
+    with quiet() as motion:
+        assert not motion._stage.followed
 
 
 def test_force_densities_have_sliders_and_colours():
