@@ -95,11 +95,11 @@ class Panel:
         if content != self._status.content:
             self._status.content = content
 
-    def refresh(self) -> None:
-        """Bring the sliders to the present control."""
-        for slider, entry in self._inputs:
+    def refresh(self, moved: int | None = None) -> None:
+        """Bring the sliders to the present control, but for the one that somebody moves: it is further by now."""
+        for place, (slider, entry) in enumerate(self._inputs):
             value = slider.read(self.simulation)
-            if abs(value - entry.value) > 0.5 * entry.step:
+            if place != moved and not abs(value - entry.value) <= 0.5 * entry.step:
                 entry.value = value
 
     # --- building ---
@@ -158,10 +158,10 @@ class Panel:
         place = len(self._inputs)
         self._inputs.append((slider, entry))
 
-        def change(event: Any) -> None:
+        async def change(event: Any) -> None:  # at once and in order: `refresh` must not come in between
             if event.client is not None:  # a person, not `refresh`
                 value = float(entry.value)
-                self._do(lambda: self._drive(self._inputs[place][0], value))
+                self._do(lambda: self._drive(place, value))
 
         entry.on_update(change)
         return entry
@@ -182,6 +182,6 @@ class Panel:
 
         number.on_update(lambda _: self._do(choose))
 
-    def _drive(self, slider: Slider, value: float) -> None:
-        slider.apply(self.simulation, value)
-        self.refresh()
+    def _drive(self, place: int, value: float) -> None:
+        self._inputs[place][0].apply(self.simulation, value)
+        self.refresh(place)
