@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 FRAMES_PER_SECOND = 30
 MOST_FRAMES = 3000
-_GRAIN = 3e-5  # of the size, what places are rounded to: a small part of a pixel; pages of large structures are then a third as long
+_GRAIN = 3e-5  # of the size, what places are rounded to: a small part of a pixel; pages of large structures are then half as long
 
 _STYLE = """
 #shown{position:fixed;right:12px;top:12px;width:300px;max-height:calc(100vh - 90px);overflow:auto;z-index:5;background:#fffffff0;

@@ -26,6 +26,14 @@ def test_a_page_plays_and_goes_where_it_is_told(motion, open_page, tmp_path):
     wait_until(page, lambda: float(clock.inner_text().split()[0]) != told, "the clock runs")
     before = picture(page, **canvas)
     wait_until(page, lambda: (np.abs(picture(page, **canvas) - before).max(axis=2) > 0.2).mean() > 1e-3, "the picture moves")
+    page.keyboard.press("Space")  # while it plays, what is typed would be overwritten
+
+    def stands():
+        before = clock.inner_text()
+        page.wait_for_timeout(1000)
+        return clock.inner_text() == before
+
+    wait_until(page, stands, "it pauses")
     box = page.locator("input[inputmode]").first  # of the player: in seconds shown, two for each simulated one
     box.fill("1.2")
     box.press("Enter")
