@@ -28,7 +28,8 @@ ROOMS = {
     "analysis": (5, 1, "modes, trade-off"),
     "cli": (6, 0, "command line"),
     "envs": (6, 1, "environments\nfor learning"),
-    "files": (5, 2, "scenes in TOML,\nMATLAB, MuJoCo,\nNTRT, CSV"),
+    "files": (3, 2, "scenes in TOML"),
+    "exchange": (5, 2, "MuJoCo, MATLAB,\nNTRT, ParaView"),
     "viewer": (6, 2, "motions in\na browser, live"),
     "design": (3, 1, "equilibrium,\nself-stress"),
     "util": (0, 1, "input, files,\ncompilation:\nused by all"),
@@ -37,7 +38,7 @@ PLANNING = {
     "problem": (1, BOTTOM, "goals, bounds,\ncosts"),
     "boundary": (2, BOTTOM, "start and end\nthat say\nsomething new"),
     "transcription": (3, BOTTOM, "sparse nonlinear\nprogram"),
-    "solvers": (4, BOTTOM, "IPOPT, Fatrop"),
+    "solvers": (4, BOTTOM, "IPOPT, Fatrop;\nalso condensed,\nsampling, phases"),
     "plan": (5, BOTTOM, "replay, report,\nrefinement"),
     "control": (6, BOTTOM, "LQR, MPC,\nMPPI"),
 }

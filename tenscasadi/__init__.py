@@ -20,15 +20,15 @@ from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.ensemble.rollouts import rollouts
 from tenscasadi.ensemble.sweep import sweep
 from tenscasadi.ensemble.sweep_table import Sweep
+from tenscasadi.exchange.matlab.save import save_mat
+from tenscasadi.exchange.matlab.structures import load_mat
+from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
+from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
+from tenscasadi.exchange.ntrt.load import load_ntrt
+from tenscasadi.exchange.vtk import export_vtk
 from tenscasadi.files.document import SceneFileError
-from tenscasadi.files.matlab.save import save_mat
-from tenscasadi.files.matlab.structures import load_mat
-from tenscasadi.files.matlab.trajectories import load_mat_trajectory
-from tenscasadi.files.mjcf import export_mjcf, import_mjcf
-from tenscasadi.files.ntrt.load import load_ntrt
 from tenscasadi.files.scene_files import load_scene, load_simulation, save_scene
 from tenscasadi.files.simulation import Simulation
-from tenscasadi.files.vtk import export_vtk
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4

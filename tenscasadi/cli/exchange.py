@@ -11,12 +11,12 @@ from tenscasadi.cli.output import check_file
 from tenscasadi.cli.results import load_result
 from tenscasadi.cli.source import find_source
 from tenscasadi.ensemble.result import Rollouts
-from tenscasadi.files.matlab.save import save_mat
-from tenscasadi.files.matlab.structures import load_mat
-from tenscasadi.files.mjcf import export_mjcf, import_mjcf
-from tenscasadi.files.ntrt.load import load_ntrt
+from tenscasadi.exchange.matlab.save import save_mat
+from tenscasadi.exchange.matlab.structures import load_mat
+from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
+from tenscasadi.exchange.ntrt.load import load_ntrt
+from tenscasadi.exchange.vtk import export_vtk
 from tenscasadi.files.scene_files import save_scene
-from tenscasadi.files.vtk import export_vtk
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.trajectory import Trajectory
 

@@ -1,1 +1,1 @@
-"""Files: scenes in TOML, their definitions and JSON Schema, and the formats of other programs."""
+"""Scene files in TOML, their definitions and their JSON Schema."""

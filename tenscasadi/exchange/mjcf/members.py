@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tenscasadi.files.mjcf.bodies import Bodies, Piece, Site
-from tenscasadi.files.mjcf.elements import Element
+from tenscasadi.exchange.mjcf.bodies import Bodies, Piece, Site
+from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.util.validate import Array
 
 CLOSE = 1e-5  # times the size of a structure: places that are as close are one

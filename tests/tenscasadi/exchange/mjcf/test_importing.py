@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.files.mjcf.bodies import Bodies
-from tenscasadi.files.mjcf.elements import Element, read_elements
-from tenscasadi.files.mjcf.frames import Units
-from tenscasadi.files.mjcf.words import Defaults
+from tenscasadi.exchange.mjcf.bodies import Bodies
+from tenscasadi.exchange.mjcf.elements import Element, read_elements
+from tenscasadi.exchange.mjcf.frames import Units
+from tenscasadi.exchange.mjcf.words import Defaults
 from tenscasadi.structure.structure import PARAMETERS
 
 LAW = {"stiffness": 1000.0, "prestress": 50.0}

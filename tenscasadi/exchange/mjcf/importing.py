@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tenscasadi.exchange.mjcf.bodies import Bodies, Site
+from tenscasadi.exchange.mjcf.contact import Weights, contact_weights
+from tenscasadi.exchange.mjcf.elements import Element, read_elements
+from tenscasadi.exchange.mjcf.frames import Units
+from tenscasadi.exchange.mjcf.grounds import read_grounds
+from tenscasadi.exchange.mjcf.hanging import hang
+from tenscasadi.exchange.mjcf.members import Members, Place, by_number, unique
+from tenscasadi.exchange.mjcf.words import Defaults, check, children
 from tenscasadi.files.document import SceneFileError
-from tenscasadi.files.mjcf.bodies import Bodies, Site
-from tenscasadi.files.mjcf.contact import Weights, contact_weights
-from tenscasadi.files.mjcf.elements import Element, read_elements
-from tenscasadi.files.mjcf.frames import Units
-from tenscasadi.files.mjcf.grounds import read_grounds
-from tenscasadi.files.mjcf.hanging import hang
-from tenscasadi.files.mjcf.members import Members, Place, by_number, unique
-from tenscasadi.files.mjcf.words import Defaults, check, children
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, Control, ForceDensity, Linear, RestLength

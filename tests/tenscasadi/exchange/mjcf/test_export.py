@@ -13,7 +13,7 @@ from scenes import every_term
 from structures import chain
 
 import tenscasadi as tc
-from tenscasadi.files.mjcf.hanging import hang, inverse_weights
+from tenscasadi.exchange.mjcf.hanging import hang, inverse_weights
 
 LAW = {"stiffness": 1000.0, "prestress": 50.0}
 DOWN = {"gravity": tc.Gravity()}

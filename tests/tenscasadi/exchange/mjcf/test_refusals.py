@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.files.mjcf.elements import DEEPEST
+from tenscasadi.exchange.mjcf.elements import DEEPEST
 
 FREE = '<joint type="free"/>'
 INERTIAL = FREE + '<inertial pos="0.5 0 0" mass="1" diaginertia="{}"/>'

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.sparse import issparse
 
-from tenscasadi.files.matlab.mat_file import read_mat
+from tenscasadi.exchange.matlab.mat_file import read_mat
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.validate import Array, Indices, finite_array, shown, text

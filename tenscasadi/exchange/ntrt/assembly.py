@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tenscasadi.files.ntrt.yaml_tree import Entry
+from tenscasadi.exchange.ntrt.yaml_tree import Entry
 from tenscasadi.util.validate import Array
 
 

@@ -11,9 +11,9 @@ from xml.etree import ElementTree as ET  # to write alone
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tenscasadi.files.mjcf.contact import Weights, contact_numbers, contact_weights, touching
-from tenscasadi.files.mjcf.frames import turn_to
-from tenscasadi.files.mjcf.hanging import NO_DIRECTION, Hanging, Link, free_directions, hang, held_directions
+from tenscasadi.exchange.mjcf.contact import Weights, contact_numbers, contact_weights, touching
+from tenscasadi.exchange.mjcf.frames import turn_to
+from tenscasadi.exchange.mjcf.hanging import NO_DIRECTION, Hanging, Link, free_directions, hang, held_directions
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength, Smooth

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.files.matlab.mat_file import read_mat
-from tenscasadi.files.matlab.save import HISTORY, LETTERS, TRAJECTORY_FORM
-from tenscasadi.files.matlab.structures import find_structure, read_indices, read_pairs
+from tenscasadi.exchange.matlab.mat_file import read_mat
+from tenscasadi.exchange.matlab.save import HISTORY, LETTERS, TRAJECTORY_FORM
+from tenscasadi.exchange.matlab.structures import find_structure, read_indices, read_pairs
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory

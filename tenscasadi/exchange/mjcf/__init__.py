@@ -1,6 +1,6 @@
 """MuJoCo's XML format, MJCF: scenes to it, and back from what maps."""
 
-from tenscasadi.files.mjcf.export import export_mjcf
-from tenscasadi.files.mjcf.importing import import_mjcf
+from tenscasadi.exchange.mjcf.export import export_mjcf
+from tenscasadi.exchange.mjcf.importing import import_mjcf
 
 __all__ = ["export_mjcf", "import_mjcf"]

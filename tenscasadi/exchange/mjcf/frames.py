@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tenscasadi.files.mjcf.elements import Element
+from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.util.validate import Array
 
 _DENSITY = 1000.0  # kg/m³, of geoms that say nothing

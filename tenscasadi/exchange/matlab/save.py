@@ -9,7 +9,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from tenscasadi.files.matlab.mat_file import write_mat
+from tenscasadi.exchange.matlab.mat_file import write_mat
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure

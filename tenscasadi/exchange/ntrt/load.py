@@ -11,8 +11,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from tenscasadi.files.ntrt.assembly import Assembly, Node, Pair, bond_edges, place_children
-from tenscasadi.files.ntrt.yaml_tree import Entry, read_tree
+from tenscasadi.exchange.ntrt.assembly import Assembly, Node, Pair, bond_edges, place_children
+from tenscasadi.exchange.ntrt.yaml_tree import Entry, read_tree
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices, file_path, flag, positive_number
 

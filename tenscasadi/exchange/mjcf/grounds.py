@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tenscasadi.files.mjcf.bodies import Bodies, Shape
-from tenscasadi.files.mjcf.contact import Weights, ground_numbers
-from tenscasadi.files.mjcf.elements import Element
-from tenscasadi.files.mjcf.words import Defaults, check, children
+from tenscasadi.exchange.mjcf.bodies import Bodies, Shape
+from tenscasadi.exchange.mjcf.contact import Weights, ground_numbers
+from tenscasadi.exchange.mjcf.elements import Element
+from tenscasadi.exchange.mjcf.words import Defaults, check, children
 from tenscasadi.scene.ground import Ground
 from tenscasadi.util.validate import Array
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tenscasadi.files.mjcf.elements import Element
-from tenscasadi.files.mjcf.frames import WORLD, Frame, Mass, Rod, Units, read_frame, read_inertial, read_rod, rod_mass
-from tenscasadi.files.mjcf.words import Defaults, check, children
+from tenscasadi.exchange.mjcf.elements import Element
+from tenscasadi.exchange.mjcf.frames import WORLD, Frame, Mass, Rod, Units, read_frame, read_inertial, read_rod, rod_mass
+from tenscasadi.exchange.mjcf.words import Defaults, check, children
 from tenscasadi.util.validate import Array
 
 

@@ -17,7 +17,7 @@ from scipy.io import loadmat, savemat
 from scipy.sparse import csc_array, issparse
 
 import tenscasadi as tc
-from tenscasadi.files.matlab.mat_file import read_mat, write_mat
+from tenscasadi.exchange.matlab.mat_file import read_mat, write_mat
 
 MATLAB = Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"  # files that MATLAB itself has written
 CROSS = {"N": np.eye(3, 4), "C_b": np.array([[-1.0, 0, 1, 0], [0, -1, 0, 1]]), "C_s": np.array([[-1.0, 1, 0, 0]]), "s_0": 1.0}

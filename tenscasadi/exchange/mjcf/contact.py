@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tenscasadi.files.mjcf.hanging import Hanging, free_directions, held_directions, inverse_weights
+from tenscasadi.exchange.mjcf.hanging import Hanging, free_directions, held_directions, inverse_weights
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.util.validate import Array

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from tenscasadi.files.mjcf.elements import Element
+from tenscasadi.exchange.mjcf.elements import Element
 
 # Elements that draw, measure, or keep states of runs.
 SILENT = {"visual", "asset", "statistic", "size", "custom", "sensor", "keyframe", "light", "camera", "lengthrange"}
