@@ -28,7 +28,7 @@ ROOMS = {
     "analysis": (5, 1, "modes, trade-off"),
     "cli": (6, 0, "command line"),
     "envs": (6, 1, "environments\nfor learning"),
-    "files": (3, 2, "scenes in TOML"),
+    "files": (4, 2, "scenes in TOML"),
     "exchange": (5, 2, "MuJoCo, MATLAB,\nNTRT, ParaView"),
     "viewer": (6, 2, "motions in\na browser, live"),
     "design": (3, 1, "equilibrium,\nself-stress"),
@@ -101,8 +101,8 @@ def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     draw_arrow(ax, (x, y + below), (x1, y1 + above))
     x, y = x1, y1
     x1, y1 = place(*every["plan"][:2])
-    draw_arrow(ax, (x + 0.2, y + below), (x1 - 0.6, y1 + above), dashed=True)
-    ax.text(x + 0.7, (y + y1) / 2, "replays", fontsize=8, style="italic", ha="right")
+    draw_arrow(ax, (x + WIDTH / 2, y - 0.3), (x1 - 0.7, y1 + above), dashed=True)
+    ax.text(x + 0.95, y1 + 0.8, "replays", fontsize=8, style="italic", ha="right")
     x, y = place(*every["simulation"][:2])
     x1, y1 = place(*every["analysis"][:2])
     draw_arrow(ax, (x + WIDTH / 2, y - 0.3), (x1 - WIDTH / 2, y1 + 0.1))
