@@ -14,7 +14,7 @@ from tenscasadi.files.structure_table import SHAPES, StructureForm
 from tenscasadi.files.time_formula import OverTime, TimeFormula
 from tenscasadi.util.validate import shown
 
-_NAMES_A_FILE = ("file", "lib", "path", "plugin", "dir", "load")  # parts of the names of options
+_NAMES_A_FILE = ("file", "lib", "path", "plugin", "dir", "load", "dump", "write")  # parts of the names of options
 
 
 @dataclass(frozen=True)

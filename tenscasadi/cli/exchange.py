@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -48,12 +49,22 @@ def run_export(arguments: argparse.Namespace) -> int:
     is_result = arguments.source.endswith(".npz")
     write = _by_ending(_MOTIONS if is_result else _SCENES, arguments.out, "motions and plans" if is_result else "scenes")
     check_file("OUT", arguments.out)
-    content = load_result(arguments.source) if is_result else find_source(arguments.source).scene()
+    source = None if is_result else find_source(arguments.source)
+    if source is not None and arguments.out.exists() and arguments.out.samefile(source.path):
+        raise ValueError(f"OUT is {arguments.out}, the file that is read: give another")
+    content = load_result(arguments.source) if source is None else source.scene()
     if isinstance(content, Rollouts):
         raise ValueError(f"{arguments.source} holds rollouts: give a trajectory or a plan")
     write(content, arguments.out)
     print(f"wrote {arguments.out}")
+    if source is not None and (left := [f"[{name}]" for name in _not_held(arguments.out) if source.has(name)]):
+        print(f"tenscasadi: left out: {', '.join(left)}", file=sys.stderr)
     return 0
+
+
+def _not_held(path: Path) -> tuple[str, ...]:
+    """Return the tables of a scene file that have no place in the exported file."""
+    return (*(("scene",) if path.suffix.lower() == ".mat" else ()), "start", "simulation", "plan")
 
 
 def run_import(arguments: argparse.Namespace) -> int:

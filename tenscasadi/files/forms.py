@@ -44,7 +44,7 @@ class Names:
         if isinstance(word, bool) or not isinstance(word, int):
             raise item.error(f"is {shown(word)}: give the name or index of a {which}")
         if not 0 <= word < count:
-            raise item.error(f"names {which} {word}: " + (f"{which} indices run from 0 to {count - 1}" if count else f"there are no {which}s"))
+            raise item.error(f"names {which} {shown(word)}: " + (f"{which} indices run from 0 to {count - 1}" if count else f"there are no {which}s"))
         return [word]
 
     def one(self, which: Which, word: Any, item: Item) -> int:

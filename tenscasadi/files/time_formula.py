@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from tenscasadi.files.document import Item, nearest
 from tenscasadi.files.forms import Form, Names, NotWritten, Numbers, Schema, Schemas
-from tenscasadi.files.formulas import LONGEST, RESERVED, Formula
+from tenscasadi.files.formulas import RESERVED, Formula, FormulaError
 from tenscasadi.util.validate import shown
 
 
@@ -86,8 +86,11 @@ def _checked(entries: Any) -> Any:
     for entry in entries if isinstance(entries, list) else [entries]:
         if isinstance(entry, list):
             _checked(entry)
-        elif isinstance(entry, str) and len(entry) > LONGEST:
-            raise NotWritten(f"a formula of {len(entry)} characters with its numbers: at most {LONGEST}, write it shorter")
+        elif isinstance(entry, str):
+            try:
+                Formula(entry)  # with the numbers in their parentheses it is longer, and deeper
+            except FormulaError as error:
+                raise NotWritten(f"with its numbers {error}") from None
     return entries
 
 

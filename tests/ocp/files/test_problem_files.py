@@ -245,6 +245,7 @@ WRONG = {  # what stands in [plan]: the key, and words of the message
     "transcription = { kind = 'Variational', intervals = 1000000000 }": ("plan.transcription.intervals", "must be"),
     "solver = { kind = 'Ipopt', options = { hsllib = 'evil.so' } }": ("plan.solver.options.hsllib", "leave it out"),
     "solver = { kind = 'Ipopt', options = { output_file = 'out' } }": ("plan.solver.options.output_file", "leave it out"),
+    "solver = { kind = 'Ipopt', options = { ma97_dump_matrix = 'yes' } }": ("plan.solver.options.ma97_dump_matrix", "leave it out"),
     "solver = { kind = 'Ipopt', watch = 1 }": ("plan.solver.watch", "is no field"),
     "starts = 1e9": ("plan.starts", "must be"),
     "tolerance = 0": ("plan.tolerance", "must be"),

@@ -33,6 +33,24 @@ def test_scenes_go_out_and_come_back(ending, here, capsys):
     assert np.sort(theirs.stiffness) == pytest.approx(np.sort(ours.stiffness))
 
 
+def test_a_scene_file_is_not_written_over_itself(here, capsys):
+    assert main(["new", "prism"]) == 0
+    text = capsys.readouterr().out
+    (here / "p.toml").write_text(text)
+    assert main(["export", "p.toml", "./p.toml"]) == 2
+    assert "OUT is p.toml, the file that is read: give another" in capsys.readouterr().err
+    assert (here / "p.toml").read_text() == text
+
+
+def test_what_an_exported_scene_does_not_hold_is_told(here, capsys):
+    assert main(["export", "prism", "out.toml"]) == 0
+    assert capsys.readouterr().err == "tenscasadi: left out: [start], [simulation], [plan]\n"
+    assert main(["export", "pendulum", "out.mat"]) == 0
+    assert capsys.readouterr().err == "tenscasadi: left out: [scene], [simulation]\n"
+    assert main(["export", "out.toml", "out.xml"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_what_came_in_is_simulated_once_it_is_told_until_when(here, capsys):
     assert main(["export", "prism", "out.mat"]) == 0
     assert main(["import", "out.mat", "back.toml"]) == 0

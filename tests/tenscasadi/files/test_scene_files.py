@@ -78,6 +78,14 @@ def test_what_files_cannot_hold_is_refused_by_name(scene, words, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_formulas_that_their_numbers_make_too_deep_are_not_written(tmp_path):
+    path = tmp_path / "deep.toml"
+    path.write_text(f"{HEAD}numbers.a = -1.0\nstructure.shape = 'pendulum'\nscene.gravity = [0, 0, '{'(' * 39}a{')' * 39} * t']")
+    with pytest.raises(ValueError, match=r"Gravity.acceleration: with its numbers .* inside each other"):
+        tc.save_scene(tc.load_scene(path), tmp_path / "again.toml")
+    assert not (tmp_path / "again.toml").exists()
+
+
 def _own_scheme() -> tc.RungeKutta4:
     class Own(tc.RungeKutta4):
         pass
@@ -273,6 +281,7 @@ def test_faults_tell_key_and_cure(old, new, key, words, tmp_path):
         ("[structure]\nshape = 'membrane'\np = 90000\nq = 90000", "at most"),
         ("[structure]\nshape = 'prism'\nradus = 2", "did you mean 'radius'?"),
         ("[structure]\nshape = 'prism'\npinned = [9]", "run from 0 to 5"),
+        (f"[structure]\nshape = 'prism'\npinned = [0x{'f' * 6000}]", "run from 0 to 5"),  # too long for Python to show
         ("[structure]\nshape = 'prism'\nprestress = 5\nforce_density = 3", "leave one of them out"),
         ("[structure]\nshape = 'prism'\nturn = {axis = [0, 0, 0], angle = 1}", "give a direction"),
         ("[structure]\nnodes = []", "at least one node"),
