@@ -32,12 +32,13 @@ class Definition:
     take: Callable[[Any], Mapping[str, Any]]  # fields of a value
     more: tuple[Callable[..., Any], ...]  # whose docstrings explain fields that `build` passes on
 
-    def read(self, item: Item, names: Names, tag: str = "kind") -> Any:
-        """Return the value that a table tells; `tag`: its key that tells the kind. Raises SceneFileError."""
+    def read(self, item: Item, names: Names, tag: str | None = None) -> Any:
+        """Return the value that a table tells; `tag`: its key that tells the kind, if any. Raises SceneFileError."""
         if self.short and not isinstance(item.value, dict):
             return self.make(item, {self.short: item}, {self.short: self.fields[self.short].read(item, names)})
         table = item.table(f"a table with {', '.join(self.fields) or tag}")
-        table.pop(tag, None)
+        if tag is not None:
+            table.pop(tag, None)
         return self.make(item, table, self.read_fields(table, names))
 
     def read_fields(self, table: Mapping[str, Item], names: Names) -> dict[str, Any]:

@@ -115,7 +115,7 @@ def refuse_massless_nodes(node_mass: Array, still: Any, bars: Indices, heavy_str
     heavy[bars] = True
     heavy[heavy_strings] = True
     for node in np.flatnonzero(~heavy):
-        cure = "give it a mass, pin it in all axes, or give its strings a string_mass"
+        cure = "give it a mass, pin it in all axes, or give its strings a string_mass, which the scene lumps there with ends='lumped'"
         raise ValueError(f"node_mass of node {node} is {node_mass[node]:g} and no bar ends there: {cure}")
 
 

@@ -251,6 +251,7 @@ WRONG = {  # what stands in [plan]: the key, and words of the message
     "tolerance = 0": ("plan.tolerance", "must be"),
     "seconds = -3": ("plan.seconds", "must be"),
     "tracked = 1": ("plan.tracked", "true or false"),
+    "kind = 'Effort'": ("plan.kind", "is no field of plan"),
     "gaols = []": ("plan.gaols", "did you mean 'goals'?"),
 }
 

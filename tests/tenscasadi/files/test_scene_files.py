@@ -249,6 +249,7 @@ def test_names_groups_and_formulas_mean_what_they_say(tmp_path):
         ("velocities = { top = [0.1, 0, 0] }", "spin = [0, 0, 1]", "start.spin", "moves a pinned coordinate"),
         ("t_end = 0.5", "t_end = '10 s'", "simulation.t_end", "units are SI"),
         ("velocities = { top", "velocities = { foot", "start.velocities", "moves a pinned coordinate"),
+        ("[start]", "[start]\nkind = 'Clip'", "start.kind", "is no field of start"),
         ("[start]", "[start]\nstate = [1, 2]", "start.velocities", "beside state"),
         ("[scene]", "[scene]\nsegments = 100000000", "scene.segments", "give less"),
         ("[scene]", "[scene]\nsegments = 0", "scene.segments", "at least 1"),
