@@ -164,6 +164,7 @@ class Members(Form):
             return {"": (_PAIRS.read(item, names), {})}
         groups: dict[str, tuple[list[list[int]], dict[str, Any]]] = {}
         for name, group in item.table().items():
+            _refuse_digits(name, group, f"a group of {self.which}s")
             if isinstance(group.value, list):
                 groups[name] = (_PAIRS.read(group, names), {})
                 continue
@@ -193,6 +194,12 @@ class Members(Form):
         return {"anyOf": [pairs, {"type": "object", "additionalProperties": {"anyOf": [pairs, group]}}]}
 
 
+def _refuse_digits(name: str, entry: Item, what: str) -> None:
+    """Raise SceneFileError where a name could be taken for the index of another node or member."""
+    if name.isascii() and name.isdigit():
+        raise entry.error(f"is the name of {what}, and an index, too: give a name with letters, such as 'n{name[:9]}'")
+
+
 class _NodesForm(Form):
     """Positions in a list, or by name in a table."""
 
@@ -200,6 +207,9 @@ class _NodesForm(Form):
         """Return the positions, and their names."""
         if isinstance(item.value, dict):
             table = item.table()
+            for k, (name, entry) in enumerate(table.items()):
+                if name != str(k):
+                    _refuse_digits(name, entry, f"node {k}")
             return [VECTOR.read(entry, names) for entry in table.values()], {name: [k] for k, name in enumerate(table)}
         if not item.entries():
             raise item.error("is empty: give at least one node")

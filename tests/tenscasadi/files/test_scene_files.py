@@ -288,6 +288,11 @@ def test_faults_tell_key_and_cure(old, new, key, words, tmp_path):
         ("[structure]\nnodes = []", "at least one node"),
         ("[structure]\nnodes = [[0, 0, 0], [1, 0]]", "has 2 entries"),
         ("structure = 3", "give a table"),
+        (
+            "[structure]\nnodes = {1 = [0, 0, 0], 2 = [0, 0, 1], 3 = [0, 1, 0]}\nbars = [[1, 2]]",
+            "structure.nodes.1: is the name of node 0, and an index",
+        ),
+        ("[structure]\nnodes = [[0, 0, 0], [0, 0, 1]]\nbars = {1 = [[0, 1]]}", "structure.bars.1: is the name of a group of bars, and an index"),
     ],
 )
 def test_faults_of_structures(text, words, tmp_path):
