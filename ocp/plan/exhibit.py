@@ -9,6 +9,7 @@ import numpy as np
 
 from ocp.problem.bounds.geometric_bounds import InsideBox, Obstacle
 from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits, StringLimits, TensionLimits
+from ocp.problem.costs import CostAt
 from ocp.problem.goals.goal import SoftGoal
 from ocp.problem.goals.node_goals import NodePositions
 from ocp.problem.goals.waypoints import Waypoint
@@ -16,6 +17,7 @@ from tenscasadi.util.validate import Array
 
 if TYPE_CHECKING:
     from tenscasadi.viewer.exhibit import Chart, Exhibit
+    from tenscasadi.viewer.motion import Motion
 
 
 def exhibit_of_plan(plan: Any) -> Exhibit:
@@ -28,30 +30,43 @@ def exhibit_of_plan(plan: Any) -> Exhibit:
     motions = (planned,) if replay is None else (of_trajectory(replay, "replay, tracked" if plan.tracked else "replay"), planned)
     problem = plan.problem
     bounds = [] if problem is None else [*problem.bounds, *(bound for phase in problem.phases for bound in phase.bounds)]
-    goals = [] if problem is None else [*problem.goals, *(goal for phase in problem.phases for goal in phase.goals)]
     found = "" if plan.success else "no plan was found that meets its goals; the best there is: "
     return Exhibit(
         motions,
         () if plan.model is None else plan.model.scene.grounds,
         tuple((bound.centre, bound.radius) for bound in bounds if isinstance(bound, Obstacle)),
         tuple(bound.corners() for bound in bounds if isinstance(bound, InsideBox)),
-        _targets(goals, plan.trajectory.nodes[-1]),
+        _targets(_timed(plan), planned),
         tuple(_charts(plan, replay, bounds)),
         (f"{found}the replay ends {plan.replay_error:.2g} m and {plan.replay_speed_error:.2g} m/s from the goals",),
     )
 
 
-def _targets(goals: Iterable[Any], end: Array) -> Array:
+def _timed(plan: Any) -> Iterator[tuple[float, Any]]:
+    """Yield the goals with the times at which they are to be met, s."""
+    problem, first, last = plan.problem, float(plan.time[0]), float(plan.time[-1])
+    if problem is None:
+        return
+    for k, phase in enumerate(problem.phases, start=1):
+        end = float(plan.time[k * (len(plan.time) - 1) // len(problem.phases)])  # each has as many intervals
+        yield from ((end, goal) for goal in phase.goals)
+    for goal in problem.goals:
+        share = goal.at(problem.shortest, problem.longest) if isinstance(goal, Waypoint) else 1.0
+        yield from ((first + share * (last - first), part) for part in (goal.goals if isinstance(goal, Waypoint) else [goal]))
+    for cost in problem.costs:  # soft goals are among them
+        share, wish = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
+        if isinstance(wish, SoftGoal):
+            yield first + share * (last - first), wish.goal
+
+
+def _targets(timed: Iterable[tuple[float, Any]], planned: Motion) -> Array:
     """Return the places (k, 3) where goals want nodes to be; along axes that are free, where the plan brings them."""
     places = []
-    for goal in goals:
-        if isinstance(goal, Waypoint):
-            places += list(_targets(goal.goals, end))
-        elif isinstance(goal, SoftGoal):
-            places += list(_targets([goal.goal], end))
-        elif isinstance(goal, NodePositions):
+    for time, goal in timed:
+        if isinstance(goal, NodePositions):
+            nodes = planned.nodes_at(time)
             given = goal.positions.items() if isinstance(goal.positions, dict) else enumerate(np.asarray(goal.positions))
-            places += [[end[node, axis] if value is None else float(value) for axis, value in enumerate(place)] for node, place in given]
+            places += [[nodes[node, axis] if value is None else float(value) for axis, value in enumerate(place)] for node, place in given]
     return np.array(places, dtype=float).reshape(-1, 3)
 
 

@@ -65,7 +65,7 @@ class Exhibit:
         if not len(first):
             return np.full(3, -0.5), np.full(3, 0.5)
         low, high = first.min(axis=0), first.max(axis=0)
-        room = _FAR * float((high - low).max())
+        room = _FAR * (float((high - low).max()) or 1.0)  # one node has no size
         for motion in self.motions:
             points = _known(motion.nodes.reshape(-1, 3))
             points = points[(np.abs(points - (low + high) / 2) <= room).all(axis=1)]

@@ -60,6 +60,32 @@ def test_a_plan_is_its_replay_with_the_plan_over_it(plan):
     assert exhibit.charts[1].upper.tolist() == [500.0] * 9
 
 
+def test_targets_on_the_way_lie_where_the_plan_is_then(plan):
+    wanted = ocp.NodePositions({0: (None, None, 1.0)})
+    half, end = len(plan.time) // 2, len(plan.time) - 1
+    for goal, row in ((ocp.Waypoint([wanted], share=0.5), half), (ocp.Waypoint([wanted.soft()], share=0.5), half), (wanted.soft(), end)):
+        asked = ocp.Problem(plan.model, goals=[goal])
+        place = plan.trajectory.nodes[row, 0]
+        np.testing.assert_allclose(exhibit_of(dataclasses.replace(plan, problem=asked)).targets, [(place[0], place[1], 1.0)], atol=1e-12)
+
+
+def test_targets_of_phases_lie_where_the_plan_is_at_their_ends(plan):
+    phases = [ocp.Phase(0.5, goals=[ocp.NodePositions({k: (None, None, 1.0)})]) for k in (0, 1)]
+    model = tc.Model(tc.Scene(PRISM, control=tc.ForceDensity()))
+    asked = ocp.Problem(model, phases=phases)
+    ends = [plan.trajectory.nodes[row, k] for row, k in ((len(plan.time) // 2, 0), (-1, 1))]
+    targets = exhibit_of(dataclasses.replace(plan, problem=asked)).targets
+    np.testing.assert_allclose(targets, [(x, y, 1.0) for x, y, _ in ends], atol=1e-12)
+
+
+def test_a_node_alone_is_given_the_room_of_its_motion():
+    node = tc.Structure([[0.0, 0.0, 1.0]], [], [], node_mass=1.0)
+    fall = tc.simulate(tc.Model(tc.Scene(node, gravity=tc.Gravity())), 1.0, 0.01, compiled=False)
+    low, high = exhibit_of(fall).corners()
+    assert low[2] == fall.nodes[-1, 0, 2]
+    assert high[2] == 1.0
+
+
 def test_a_plan_that_was_not_found_says_so(plan):
     lost = dataclasses.replace(plan, success=False)
     assert any("no plan was found" in note for note in exhibit_of(lost).notes)
