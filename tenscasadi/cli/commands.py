@@ -98,7 +98,7 @@ def run_info(arguments: argparse.Namespace) -> int:
     model, s = Model(scene) if simulation is None else simulation.model, scene.structure
     print(f"{source.name}: {source.text}")
     print(f"nodes         {len(s.nodes)}, pinned: {', '.join(map(str, sorted({*s.pinned, *s.rollers}))) or 'none'}")
-    print(f"bars          {len(s.bars)}, lengths {_range(s.bar_lengths)} m, mass {s.bar_mass.sum():g} kg in all")
+    print(f"bars          {len(s.bars)}" + (f", lengths {_range(s.bar_lengths)} m, mass {s.bar_mass.sum():g} kg in all" if len(s.bars) else ""))
     print(
         f"strings       {len(s.strings)}" + (f", lengths {_range(s.string_lengths)} m, stiffness {_range(s.stiffness)} N/m" if len(s.strings) else "")
     )

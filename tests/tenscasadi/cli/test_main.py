@@ -107,6 +107,13 @@ def test_info(shape, tmp_path, capsys):
     assert (tmp_path / f"{shape}-structure.png") in written(out)
 
 
+@pytest.mark.parametrize("text", ["nodes = [[0, 0, 0], [0, 0, 1]]\nnode_mass = 1", "shape = 'membrane'\np = 3\nq = 2\nnode_mass = 0.1"])
+def test_info_without_bars(text, tmp_path, capsys):
+    (tmp_path / "scene.toml").write_text(f'format = 1\nunits = "SI"\n[structure]\n{text}\n')
+    assert run("info", tmp_path / "scene.toml", "--output", tmp_path) == 0
+    assert "bars          0\n" in capsys.readouterr().out
+
+
 def test_info_of_the_prism_knows_its_self_stress(tmp_path, capsys):
     run("info", "prism", "--output", tmp_path)
     assert "1 : 1.732" in capsys.readouterr().out
