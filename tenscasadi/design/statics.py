@@ -12,7 +12,6 @@ from scipy.linalg import lstsq, null_space
 from scipy.optimize import nnls
 
 from tenscasadi.design.least_force_density import least_force_density
-from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.sparse_null_space import RankError, sparse_null_space
 from tenscasadi.util.validate import Array, finite_array, instance, item_mask, nonnegative, per_item
@@ -160,15 +159,14 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
 
 def _balance(structure: Structure) -> Any:
     """Return N K of one unit of each force density: free coordinates × (α + β), sparse."""
-    n = len(structure.nodes)
-    blocks = []
-    for pairs, sign in ((structure.strings, 1.0), (structure.bars, -1.0)):
-        C = sp.coo_array(connectivity(pairs, n))
-        vectors = C @ structure.nodes
-        rows, columns = 3 * C.col[:, None] + np.arange(3), np.repeat(C.row, 3)
-        values = sign * (C.data[:, None] * vectors[C.row])
-        blocks.append(sp.coo_array((values.ravel(), (rows.ravel(), columns)), shape=(3 * n, len(pairs))))
-    return sp.csc_array(_free_directions(structure).T @ sp.csc_array(sp.hstack(blocks)))
+    pairs = np.concatenate([structure.strings, structure.bars])
+    members, coordinates = len(pairs), structure.nodes.size
+    vectors = structure.nodes[pairs[:, 1]] - structure.nodes[pairs[:, 0]]
+    vectors[len(structure.strings) :] *= -1  # bars push
+    rows = 3 * pairs[:, :, None] + np.arange(3)
+    values = np.stack([-vectors, vectors], axis=1)  # s C_s: what balances the member at its first and its second node
+    columns = np.repeat(np.arange(members), 6)
+    return sp.csc_array(_free_directions(structure).T @ sp.csc_array((values.ravel(), (rows.ravel(), columns)), shape=(coordinates, members)))
 
 
 def _is_small(balance: Any) -> bool:
@@ -177,6 +175,8 @@ def _is_small(balance: Any) -> bool:
 
 def _free_directions(structure: Structure) -> sp.csr_array:
     """Return an orthonormal basis (3n × free coordinates) of the displacements that pins and rollers allow."""
+    if not structure.rollers:
+        return sp.eye_array(structure.fixed.size, format="csr")[:, np.flatnonzero(~structure.fixed)]
     blocks = [np.eye(3)[:, ~fixed] for fixed in structure.fixed]
     for node, normals in structure.rollers.items():
         blocks[node] = null_space(np.array(normals))

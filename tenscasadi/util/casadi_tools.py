@@ -60,8 +60,8 @@ def sparse(matrix: Any) -> Any:
     """Return a matrix of SciPy or NumPy as a sparse one of CasADi; what is CasADi's as it is."""
     if is_expression(matrix):
         return matrix
-    csc = sp.csc_array(matrix)
-    csc.sort_indices()
+    csc = matrix.tocsc() if sp.issparse(matrix) else sp.csc_array(matrix)
+    csc = csc if csc.has_sorted_indices else csc.sorted_indices()
     rows, columns = csc.shape
     return ca.DM(ca.Sparsity(rows, columns, csc.indptr.tolist(), csc.indices.tolist()), csc.data)
 
@@ -165,19 +165,26 @@ def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
     """Invert M (n×n) on the free coordinates, block by block, as bars rarely all hang together; zeros elsewhere."""
     n = M.shape[0]
     index = np.flatnonzero(free)
-    inner = sp.csr_array(M)[index][:, index]
-    count, label = sp.csgraph.connected_components(inner, directed=False)
-    order = np.argsort(label, kind="stable")
-    sizes = np.bincount(label, minlength=count)
-    rows, columns, data = [], [], []
-    for block in np.split(order, np.cumsum(sizes)[:-1]) if len(index) else []:
-        inverse = np.linalg.inv(inner[block][:, block].toarray())
-        nodes = index[block]
-        rows.append(np.repeat(nodes, len(nodes)))
-        columns.append(np.tile(nodes, len(nodes)))
-        data.append(((inverse + inverse.T) / 2).ravel())
-    if not rows:
+    if not len(index):
         return sp.csr_array((n, n))
+    inner = sp.csr_array(M)[index][:, index].tocoo()
+    inner.sum_duplicates()
+    _, label = sp.csgraph.connected_components(inner, directed=False)
+    order, sizes = np.argsort(label, kind="stable"), np.bincount(label)
+    first = np.cumsum(sizes) - sizes
+    place = np.empty(len(index), dtype=np.intp)  # in the block
+    place[order] = np.arange(len(index)) - first[label[order]]
+    rows, columns, data = [], [], []
+    for size in np.unique(sizes):
+        blocks, inside = np.flatnonzero(sizes == size), sizes[label[inner.row]] == size
+        row, column, number = inner.row[inside], inner.col[inside], np.cumsum(sizes == size) - 1
+        dense = np.zeros((len(blocks), size, size))
+        dense[number[label[row]], place[row], place[column]] = inner.data[inside]
+        inverse = np.linalg.inv(dense)
+        nodes = index[order[first[blocks, None] + np.arange(size)]]
+        rows.append(np.repeat(nodes, size, axis=1).ravel())
+        columns.append(np.tile(nodes, size).ravel())
+        data.append(((inverse + inverse.transpose(0, 2, 1)) / 2).ravel())
     return sp.csr_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from tenscasadi.util.casadi_tools import (
     ArrayCallback,
@@ -86,6 +87,17 @@ def test_inverses_by_blocks_leave_out_what_is_held():
     assert not inverse[3].any()
     assert not inverse[:, 3].any()
     assert block_inverse(M, [False] * 4).nnz == 0
+
+
+def test_blocks_of_several_sizes_lie_among_each_other():
+    random = np.random.default_rng(0)
+    order = random.permutation(17)
+    blocks = [random.normal(size=(size, size)) for size in (1, 2, 3, 2, 1, 3, 5)]
+    M = sp.block_diag([block @ block.T + np.eye(len(block)) for block in blocks]).toarray()[order][:, order]
+    free = np.flatnonzero(random.uniform(size=17) > 0.2)
+    expected = np.zeros((17, 17))
+    expected[np.ix_(free, free)] = np.linalg.inv(M[np.ix_(free, free)])
+    assert block_inverse(sp.csr_array(M), np.isin(np.arange(17), free)).toarray() == pytest.approx(expected, abs=1e-13)
 
 
 def test_numpy_evaluates_a_function():
