@@ -63,8 +63,8 @@ class Dynamics:
         self._order = np.lexsort((row, column))  # row by row of the transpose
         pointers = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=nx + model.nu))])
         self._transposed = sp.csr_array((np.zeros(len(row)), row[self._order], pointers), shape=(nx + model.nu, nq + count))
-        self._values = ArrayFunction(ca.Function("values", [x, u], [ca.densify(part) for part in (force, bias, J.nz[:])]))
-        self._slopes = ArrayFunction(ca.Function("slopes", [x, u, mu, a], [ca.densify(slopes.nz[:])]))
+        self._values = ca.Function("values", [x, u], [ca.vec(ca.densify(part)) for part in (force, bias, J.nz[:])])
+        self._slopes = ca.Function("slopes", [x, u, mu, a], [ca.vec(ca.densify(slopes.nz[:]))])
         mass = model.mechanism.free_mass
         held = sp.diags_array(np.where(mass.diagonal() == 0, mass.diagonal().max(initial=0.0) or 1.0, 0.0))  # nodes without mass are pinned
         self._inverse_mass = block_inverse(mass + held, np.ones(nq, bool))
@@ -83,10 +83,9 @@ class Dynamics:
 
     def linearise(self, states: Array, controls: Array) -> Linearised:
         """Return what moves at states (P, nx) under controls (P, nu)."""
-        values = [self._values(x, u) for x, u in zip(states, controls, strict=True)]
-        forces, bias, entries = (np.array([value[k].ravel() for value in values]) for k in range(3))
-        accelerations, mu = forces @ self._inverse_mass, bias
-        count, P, nq = bias.shape[1], len(states), self.model.nq
+        P, nq = len(states), self.model.nq
+        forces, bias, entries = ArrayFunction(self._values.map(P))(states, controls)
+        accelerations, mu, count = forces @ self._inverse_mass, bias, bias.shape[1]
         weighted, inverse = np.zeros((P, count, nq)), np.zeros((P, count, count))
         if count:
             J = np.zeros((P, count, nq))
@@ -95,9 +94,9 @@ class Dynamics:
             inverse[:] = _inverted(J @ weighted.transpose(0, 2, 1))
             mu = -_times(inverse, _times(J, accelerations) + bias)
             accelerations = accelerations + _times(weighted.transpose(0, 2, 1), mu)
-        slopes = [self._slopes(*point)[0].ravel() for point in zip(states, controls, mu, accelerations, strict=True)]
+        (slopes,) = ArrayFunction(self._slopes.map(P))(states, controls, mu, accelerations)
         _, v, clock = self.model.split(states)
-        return Linearised(np.column_stack([v, accelerations, np.ones_like(clock)]), weighted, inverse, np.array(slopes)[:, self._order])
+        return Linearised(np.column_stack([v, accelerations, np.ones_like(clock)]), weighted, inverse, slopes[:, self._order])
 
     def _accelerated(self, forces: Array) -> Array:
         """Return M⁻¹ forces (nq, m)."""

@@ -23,7 +23,7 @@ from tenscasadi.util.validate import Array, Indices
 
 RANK = 1e-3  # smallest singular value, relative to rows of norm one, that counts: below it a row has two solutions closer than a plan resolves
 
-SMALL = 50  # rows or columns of a matrix that is not looked at in parts
+SMALL = 50  # rows or columns of a matrix that is taken as a whole, and dense
 
 
 class RowFunction:
