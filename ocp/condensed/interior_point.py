@@ -212,7 +212,7 @@ class Search:
                 drift = self.expansion.change(self.expansion.follow(None, left.rows))
                 back = self.limits.cut(point.w, -projector.shortest(left.goals + drift), self._most(), self._room())
                 corrected = moved_point(self.of, self.expansion, point, back, left.rows)
-                if not corrected.theta < point.theta:
+                if not corrected.theta < point.theta or (self._better(point, step, share) and not self._better(corrected, step, share)):
                     break
                 point = corrected
             if self._better(point, step, share):

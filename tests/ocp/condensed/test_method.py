@@ -14,6 +14,7 @@ import tenscasadi as tc
 from ocp.condensed import correction, interior_point, method
 from ocp.condensed.method import applies
 from tests.ocp.condensed.test_reduced import EVERY, LIMITS, ON_THE_WAY, PUSH, RISE, driven
+from tests.support import planning
 
 BALL = tc.shapes.six_bar_ball()
 PRISM = tc.shapes.prism()
@@ -253,3 +254,26 @@ def tower_of(count, height, **options):
     upright = [(3 * j + i, 3 * j + 3 + i) for j in range(count) for i in range(3)]
     bars = [(3 * j + i, 3 * j + 3 + (i + (1, -1)[j % 2]) % 3) for j in range(count) for i in range(3)]
     return tc.Structure(nodes, bars, rings + upright, **options)
+
+
+def scattered(bars):
+    """Bars at random, each end held by strings to its nearest neighbours; an end of the first is pinned."""
+    drawn = np.random.default_rng(0)
+    middles, ways = drawn.uniform(-1.5, 1.5, (bars, 3)), drawn.normal(size=(bars, 3))
+    ways /= 2 * np.linalg.norm(ways, axis=1)[:, None]
+    nodes = np.vstack([middles - ways, middles + ways])
+    apart = np.linalg.norm(nodes[:, None] - nodes, axis=2)
+    pairs = {(min(a, b), max(a, b)) for a in range(2 * bars) for b in np.argsort(apart[a])[1:5].tolist() if abs(a - b) != bars}
+    return tc.Structure(nodes, [(k, k + bars) for k in range(bars)], sorted(pairs), pinned=[0])
+
+
+def test_steps_are_taken_whose_corrections_lead_out_of_the_funnel():
+    structure = scattered(6)
+    goals = [ocp.NodePositions({5: (None, None, structure.nodes[5, 2] + 0.3)}), ocp.NodeVelocities({5: (0.3, -0.2, 0.1)})]
+    limits, costs = [ocp.ForceDensityLimits(0.05, 400.0)], [ocp.Effort(), ocp.Duration(100.0)]
+    problem = ocp.Problem(driven(structure), (0.08, 12.0), goals=goals, bounds=limits, costs=costs)
+    plan = ocp.solve(problem, ocp.Variational(20), ocp.CondensedNewton())
+    assert plan.success, plan.message
+    end = planning.integrated(plan)
+    missed = np.append(plan.model.nodes(end)[5, 2] - structure.nodes[5, 2] - 0.3, plan.model.velocities(end)[5] - [0.3, -0.2, 0.1])
+    assert abs(missed).max() < 1.01 * max(plan.replay_error, plan.replay_speed_error) + 1e-6
