@@ -146,7 +146,9 @@ class Simulation:
         if len(self.start) != self.model.nx:
             raise ValueError(f"state has {len(self.start)} entries: give the {self.model.nx} of the model, or nodes and velocities")
         p = self.model.parameters.values(self.parameters)
-        steps = lay_run(self.model, self.start, self.t_end, self.step, self.scheme, self.control, p).steps
+        inputs = lay_run(self.model, self.start, self.t_end, self.step, self.scheme, self.control, p)
+        inputs.sample(0, 1)  # calls a function of time, whose result nothing else checks before the run
+        steps = inputs.steps
         if self.save_every is not None and steps / self.save_every * self.model.nx > MOST_KEPT:
             raise ValueError(f"save_every is {self.save_every}: {steps} steps would keep more than {MOST_KEPT:g} numbers, give more")
 

@@ -243,6 +243,7 @@ def test_names_groups_and_formulas_mean_what_they_say(tmp_path):
         ("t_end = 0.5", "t_end = 1\nscheme = {kind = 'Ratle'}", "simulation.scheme.kind", "did you mean 'Rattle'?"),
         ("t_end = 0.5", "t_end = 1\nscheme = {rtol = 1}", "simulation.scheme", "has no kind"),
         ("t_end = 0.5", "t_end = 1\ncontrol = [1]", "simulation.control", "give an array of shape (0,)"),
+        ("t_end = 0.5", "t_end = 1\ncontrol = ['1 + t']", "simulation.control", "give an array of shape (0,)"),
         ("t_end = 0.5", "t_end = 1\nparameters = {stiffness = [1]}", "simulation.parameters", "stiffness"),
         ("t_end = 0.5", "t_end = 1\nstep = 1e-30", "simulation.step", "larger step"),
         ("t_end = 0.5", "t_end = 1e6\nsave_every = 1", "simulation.save_every", "give more"),
