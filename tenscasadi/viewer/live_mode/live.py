@@ -86,7 +86,7 @@ class Live:
         Parameters
         ----------
         order : callable
-            What to do; what it raises as TypeError, ValueError or IndexError is dropped: it came from a page.
+            What to do; what it raises as TypeError, ValueError, IndexError or OverflowError is dropped: it came from a page.
         """
         self._orders.put(order)
         self._ordered.set()
@@ -99,11 +99,12 @@ class Live:
         Trajectory
             See `LiveSimulation.trajectory`.
         """
-        if not self._thread.is_alive():
-            return self.simulation.trajectory()
         answer: queue.SimpleQueue[Trajectory] = queue.SimpleQueue()
         self.do(lambda: answer.put(self.simulation.trajectory()))
-        return answer.get()
+        while self._thread.is_alive():
+            with contextlib.suppress(queue.Empty):
+                return answer.get(timeout=0.1)  # it may end before it gets there
+        return self.simulation.trajectory()
 
     def wait(self) -> None:
         """Return when Ctrl-C is pressed, and close the viewer."""
@@ -160,7 +161,7 @@ class Live:
             except queue.Empty:
                 break
             obeyed = True
-            with contextlib.suppress(TypeError, ValueError, IndexError):  # whatever a page has sent
+            with contextlib.suppress(TypeError, ValueError, IndexError, OverflowError):  # whatever a page has sent
                 order()
         return obeyed
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 
 import numpy as np
@@ -171,7 +172,7 @@ def test_messages_that_no_page_of_ours_sends_do_nothing(tmp_path):
             drag = {"type": "SceneNodeDragMessage", "start_screen_pos": (0.5, 0.5), "end_screen_pos": (0.5, 0.5), "button": "left", "modifier": None}
             drag |= {"owner": layer.nodes._impl.api._owner_id, "start_position": (0.0, 0.0, 0.0), "end_position": (1.0, 0.0, 0.0)}
             for name in (layer.nodes.name, layer.bars.name, layer.strings.name):
-                for index in (10**9, -5, None):
+                for index in (10**9, -5, None, np.inf):
                     say(page, **drag, name=name, phase="start", instance_index=index)
                 for place in ((np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0), (1e300, 1e300, 1e300)):
                     say(page, **{**drag, "end_position": place}, name=name, phase="start", instance_index=0)
@@ -187,6 +188,20 @@ def test_messages_that_no_page_of_ours_sends_do_nothing(tmp_path):
             say(page, **drag, name=layer.nodes.name, phase="start", instance_index=2)
             wait_for(lambda: motion.simulation.pull is not None and motion.simulation.pull.node == 2, "what is right is heard")
         assert os.listdir(tmp_path) == []
+
+
+def test_whoever_waits_for_the_trajectory_gets_it_when_the_viewer_closes():
+    with quiet() as motion:
+        begun, going = threading.Event(), threading.Event()
+        motion.do(lambda: (begun.set(), going.wait(20.0)))
+        assert begun.wait(20.0)
+        found = []
+        waiting = threading.Thread(target=lambda: found.append(motion.trajectory()), daemon=True)
+        waiting.start()
+        motion._ended = True  # as by close, in the middle of an order
+        going.set()
+        waiting.join(20.0)
+        assert len(found) == 1
 
 
 def test_what_cannot_be_saved_is_said(tmp_path):
