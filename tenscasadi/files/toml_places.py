@@ -10,13 +10,13 @@ Key = tuple[str | int, ...]
 DEEPEST = 12  # lists and tables inside each other, and words of a dotted key
 
 _BLANK = re.compile(r"[ \t]*")
-_SPACE = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
+_SPACE = re.compile(r"(?:[ \t\r\n]+|#[^\n]*){1,1000}")  # a match remembers each turn: without a limit it takes 100 bytes of memory a byte
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _PLAIN = re.compile(r"[^,\]}\n#]*")
 _TEXTS = [  # the longer quotes first
-    re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}', re.DOTALL),
+    re.compile(r'"""[^"\\]*(?:(?:\\.|"{1,2}(?!"))[^"\\]*)*"{3,5}', re.DOTALL),
     re.compile(r"'''.*?'{3,5}", re.DOTALL),
-    re.compile(r'"((?:[^"\\\n]|\\.)*)"'),
+    re.compile(r'"([^"\\\n]*(?:\\.[^"\\\n]*)*)"'),
     re.compile(r"'([^'\n]*)'"),
 ]
 
@@ -144,8 +144,8 @@ class _Scanner:
                 self._expect(",")
 
     def _skip(self, form: re.Pattern[str]) -> int:
-        found = form.match(self.text, self.at)
-        self.at = found.end() if found else self.at
+        while (found := form.match(self.text, self.at)) and found.end() > self.at:
+            self.at = found.end()
         return self.at
 
     def _expect(self, mark: str) -> None:

@@ -88,3 +88,11 @@ def test_malformed_texts_come_to_an_end(text):
     began = time.process_time()
     assert find_lines("ok = 1\n" + text)["ok",] == 1
     assert time.process_time() - began < 5.0
+
+
+def test_lines_after_many_comments_are_right():
+    assert find_lines("# note\n" * 5000 + "a = 1\n" + "\n# note\n" * 3000 + 'b = """\n' + '"" \\"\n' * 3000 + '"""\nc = 1') == {
+        ("a",): 5001,
+        ("b",): 11002,
+        ("c",): 14004,
+    }
