@@ -124,7 +124,7 @@ def _read(thing: Any, name: str) -> Exhibit:
     if isinstance(thing, Model):
         thing = thing.scene
     if isinstance(thing, Scene):
-        return Exhibit((of_structure(thing.modelled, name or "scene"),), thing.grounds)
+        return Exhibit((of_structure(thing.modelled, name or "scene", thing.string_laws),), thing.grounds)
     if isinstance(thing, Trajectory):
         notes = () if thing.success else (f"{name or 'trajectory'}: {thing.message}",)
         return Exhibit((of_trajectory(thing, name or "trajectory"),), notes=notes)

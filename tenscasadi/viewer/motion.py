@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tenscasadi.ensemble.result import Rollouts
+from tenscasadi.scene.strings import Slack
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices
@@ -61,11 +63,18 @@ class Motion:
             return np.asarray(first + s**2 * (3 - 2 * s) * (second - first) + h * slope)
 
 
-def of_structure(structure: Structure, name: str) -> Motion:
-    """Return a structure that stands still, with the forces that its rest lengths give it."""
+def of_structure(structure: Structure, name: str, laws: Iterable[tuple[Slack, Indices]] = ()) -> Motion:
+    """Return a structure that stands still, with the forces that its rest lengths give it; `laws`: those of its strings, if not `Clip`."""
+    lengths, rest, stiffness = structure.string_lengths, structure.rest_length, structure.stiffness
+    tension = np.maximum(stiffness * (lengths - rest), 0.0)
+    for law, some in laws:
+        if law.pushes:
+            tension[some] = stiffness[some] * (lengths[some] - rest[some])
+        elif not law.switches:
+            found = law.force_density(lengths[some] ** 2, rest[some], stiffness[some], None, lengths[some])
+            tension[some] = lengths[some] * np.asarray(found).ravel()
     with np.errstate(divide="ignore", invalid="ignore"):
-        tension = np.maximum(structure.stiffness * (structure.string_lengths - structure.rest_length), 0.0)
-        density = np.where(structure.string_lengths > 0, tension / structure.string_lengths, 0.0)
+        density = np.where(lengths > 0, tension / lengths, 0.0)
     pinned = np.array(sorted({*structure.pinned, *structure.rollers}), dtype=np.intp)
     still = np.zeros(1), structure.nodes[None]
     return Motion(name, *still, structure.bars, structure.strings, pinned, tension=tension[None], force_density=density[None])

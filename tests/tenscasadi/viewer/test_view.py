@@ -86,6 +86,16 @@ def test_a_node_alone_is_given_the_room_of_its_motion():
     assert high[2] == 1.0
 
 
+def test_scenes_bear_what_the_laws_of_their_strings_give_them():
+    loose = PRISM.replace(rest_length=1.1 * PRISM.string_lengths)
+    for slack in (tc.Clip(), tc.Linear(), tc.Smooth(0.1), {0: tc.Linear(), 4: tc.Smooth(0.1)}):
+        scene = tc.Scene(loose, slack=slack)
+        begun = tc.simulate(tc.Model(scene), 0.002, 0.001, compiled=False)
+        shown = exhibit_of(scene).motions[0]
+        np.testing.assert_allclose(shown.tension[0], begun.tension[0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(shown.force_density[0], begun.force_density[0], rtol=1e-9, atol=1e-9)
+
+
 def test_a_plan_that_was_not_found_says_so(plan):
     lost = dataclasses.replace(plan, success=False)
     assert any("no plan was found" in note for note in exhibit_of(lost).notes)
