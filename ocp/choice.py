@@ -65,12 +65,15 @@ def choose(problem: Problem, target: Target, guess: InitialGuess | None, toleran
     bars = model.mechanism.bars
     accuracy = min(EXACT * tolerance, MISSED * Scales.of(problem).length)
     corrected, finer = Variational(count, accuracy=accuracy), Variational(2 * count, accuracy=accuracy)
-    if bars >= CONDENSED_BARS and not applies(problem):
+    condensed = not applies(problem)
+    if condensed and bars >= CONDENSED_BARS:
         yield Choice(corrected, CondensedNewton(), guess=known)
         yield Choice(finer, CondensedNewton())
     if not corrected.refusal(model):
         yield Choice(corrected, ipopt, guess=known)
         yield Choice(finer, ipopt, finer=True)
+    if condensed and bars < CONDENSED_BARS:
+        yield Choice(corrected, CondensedNewton(), guess=known)
     yield Choice(MultipleShooting(count), ipopt, guess=known)
     yield Choice(MultipleShooting(count, scheme=DormandPrince853(), substeps=2), ipopt, finer=True)
     if sampled and not near:

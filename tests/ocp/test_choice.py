@@ -101,6 +101,17 @@ def test_what_was_tried_is_said_where_no_plan_is_found():
     assert plan.iterations > 0
 
 
+def test_few_bars_are_left_to_the_condensed_method_where_ipopt_fails(monkeypatch):
+    of_package = sys.modules["ocp.solve"]
+    solved = of_package.solve_program
+    monkeypatch.setattr(of_package, "solve_program", lambda *given: solved(*given)._replace(success=False, duals=None, why="no plan"))
+    plan = ocp.solve(raising())
+    assert plan.success, plan.message
+    assert "chosen: Variational of 30 intervals by CondensedNewton, after Variational of 30 intervals by Ipopt" in plan.message
+    monkeypatch.undo()
+    assert plan.objective == pytest.approx(ocp.solve(raising()).objective, rel=2e-3)
+
+
 def test_what_the_time_ends_is_not_tried_otherwise(monkeypatch):
     """The condensed method leaves some of the time for corrections: too little for another method."""
     of_package = sys.modules["ocp.solve"]
