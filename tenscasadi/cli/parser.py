@@ -14,6 +14,7 @@ from tenscasadi.cli.output import BAD_INPUT
 from tenscasadi.cli.source import SHAPES
 from tenscasadi.cli.texts import run_new, run_schema
 from tenscasadi.cli.view import run_view
+from tenscasadi.util.version import __version__
 
 _Options = dict[str, dict[str, Any]]
 
@@ -38,6 +39,7 @@ class Command(NamedTuple):
 def command_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = _Parser(prog="tenscasadi", description=_DESCRIPTION, epilog=_EPILOG, allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"tenscasadi {__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, command in COMMANDS.items():
         sub = subparsers.add_parser(

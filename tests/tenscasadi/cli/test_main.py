@@ -339,3 +339,9 @@ def test_warnings_are_one_line_each(capsys, monkeypatch):
 def test_help_is_told_without_loading_matplotlib():
     code = "import sys; from tenscasadi.cli.parser import command_parser; command_parser().format_help(); sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--version"])
+    assert capsys.readouterr().out == f"tenscasadi {tc.__version__}\n"
