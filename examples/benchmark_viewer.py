@@ -124,13 +124,13 @@ def measure(seconds: float = SECONDS, motions: dict[str, tc.Trajectory] | None =
     return rows
 
 
-def main() -> None:
-    quick = "--quick" in sys.argv
-    rows = measure(2.0, {"six-bar ball, 1 s": ball(1.0)}) if quick else measure()
+def main(quick: bool = False) -> list[Row]:
+    rows = measure(1.0, {"six-bar ball, 0.2 s": ball(0.2)}) if quick else measure()
     print(f"{'motion':24s} {'members':>8s} {'played by':>16s} {'frames/s':>9s} {'ms each':>8s} {'opened in':>10s}")
     for row in rows:
         print(f"{row.name:24s} {row.members:8d} {row.way:>16s} {row.frames:9.1f} {row.cost:8.0f} {row.opening:8.1f} s")
+    return rows
 
 
 if __name__ == "__main__":
-    main()
+    main(quick="--quick" in sys.argv)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import chromium
 from loading import EXAMPLES, load_example
 
 
@@ -162,8 +163,14 @@ CLAIMS = (
 )
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in EXAMPLES.glob("*.py")))
+IN_A_BROWSER = "benchmark_viewer"
+NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == IN_A_BROWSER)) for name in NAMES])
 def test_example(name, tmp_path, monkeypatch, capsys):
+    if name == IN_A_BROWSER and chromium() is None:
+        pytest.skip("there is no browser: install chromium, or name one in TENSCASADI_BROWSER")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, name, ModuleType(name))  # leaves with the test
     main = load_example(name).main

@@ -31,7 +31,7 @@ def guess_phases(parts: Sequence[Problem], targets: Sequence[Target], count: int
         lower, upper = part.force_density_limits
         pull = np.clip(typical, 1.5 * lower, np.maximum(0.5 * upper, lower))
         gamma = np.clip(pull * (1 + DISTURBED * drawn.uniform(-1.0, 1.0, (count, len(pull)))), lower, upper)
-        found.append(Guess(states, gamma, part.typical_duration))
+        found.append(Guess(states, gamma, (part.shortest + part.longest) / 2))
         at = states[-1]
     return found
 

@@ -100,6 +100,7 @@ def scenes(draw: Any) -> tc.Scene:
         moved = TimeFormula((f"({x!r}) + amount * sin(t)", y, f"({z!r}) - t**3"), (("amount", 0.2),))
         scene["supports"] = draw(st.one_of(st.none(), st.just(tc.SupportMotion({held[0]: moved}))))
     if draw(st.booleans()) and not structure.rollers:
-        groups = draw(st.sampled_from([{}, {"bar_mass": "all"}, {"bar_mass": [[0]]}]))
+        shared = [{"bar_mass": "all"}] if len(set(structure.bar_mass.tolist())) == 1 else []  # one entry for all needs one value
+        groups = draw(st.sampled_from([{}, {"bar_mass": [[0]]}, *shared]))
         scene["parameters"] = tc.Parameters("bar_mass", "node_mass", scale=("stiffness",) if count else (), groups=groups)
     return tc.Scene(structure, **scene)
