@@ -84,7 +84,9 @@ def find_fault(draw: Callable[[Any], Any], calls: dict[str, Call]) -> str:
             with limited(name):
                 result = function(**changed)
         except OWN as error:
-            words = [*right, *HINTS.get(name, ()), "Problem.start", name]
+            path = changed.get("path")
+            file = [path] if isinstance(path, str) and os.path.isfile(path) else []  # another call has written it
+            words = [*right, *HINTS.get(name, ()), "Problem.start", name, *file]
             named = any(re.search(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])", str(error)) for word in words)
             return "" if named else f"{name}: no field in {error}"
         except OSError as error:

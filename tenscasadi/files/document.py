@@ -229,7 +229,7 @@ class _Reader:
         if self._files > MOST_FILES:
             raise SceneFileError(f"more than {MOST_FILES} files include each other: write fewer", name)
         if not path.is_file():  # opening a FIFO would wait for another process
-            raise SceneFileError("it is no regular file: give a file in TOML", name)
+            raise SceneFileError("path is no regular file: give a file in TOML", name or '""')
         try:
             with open(path, "rb") as file:
                 content = file.read(LARGEST_FILE - self._bytes + 1)

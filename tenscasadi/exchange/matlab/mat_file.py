@@ -39,7 +39,7 @@ def read_mat(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     place = file_path("path", path)
     if place.exists() and not place.is_file():  # opening a FIFO would wait for another process
-        raise ValueError(f"{place} is no .mat file: it is no regular file")
+        raise ValueError(f"path is {place}, no regular file: give a .mat file")
     with open(place, "rb") as file:
         _check_version(place, file.read(_HEADER))
     try:

@@ -75,7 +75,7 @@ def read_tree(path: Path, users: str) -> Entry:
     except ImportError as error:
         raise ImportError(f"{users} needs PyYAML: pip install 'tenscasadi[exchange]'") from error
     if path.exists() and not path.is_file():
-        raise ValueError(f"{path} is no regular file")
+        raise ValueError(f"path is {path}, no regular file: give one in YAML")
     if path.stat().st_size > _MOST_BYTES:
         raise ValueError(f"{path} has more than {_MOST_BYTES / 1e6:g} MB: no structure needs as much")
     try:

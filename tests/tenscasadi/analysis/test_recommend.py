@@ -220,7 +220,7 @@ def test_events_are_left_to_schemes_that_locate_them(scene, tolerance, monkeypat
 def test_the_search_ends_in_time():
     model, start = bouncing_mass()
     began = time.perf_counter()
-    with pytest.raises(tc.NoScheme, match="seconds = 1 were too few for RungeKutta4: give more"):
+    with pytest.raises((tc.NoScheme, tc.NoReference), match="seconds = 1 were too few"):  # on a slow machine for the reference already
         tc.recommend(model, 3.0, 1e-9, start, schemes=[tc.RungeKutta4()], compiled=False, seconds=1.0)
     assert time.perf_counter() - began < 10  # a search to the end takes minutes
 
