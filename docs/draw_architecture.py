@@ -14,7 +14,7 @@ from matplotlib.patches import FancyBboxPatch
 
 TENSCASADI, OCP = "#d8e6f3", "#f7e2cc"
 WIDTH, HEIGHT = 1.62, 0.92
-BOTTOM = 3.2  # the row of ocp
+BOTTOM = 4.2  # the row of ocp
 
 # folder: (column, row, what is inside); rows from the top
 ROOMS = {
@@ -24,11 +24,12 @@ ROOMS = {
     "integrators": (3, 0, "steps in time"),
     "simulation": (4, 0, "loop in C,\nerrors, export"),
     "plots": (5, 0, "pictures"),
-    "ensemble": (4, 1, "many motions,\nsweeps"),
+    "ensemble": (4, 1, "many motions\nof one model"),
     "analysis": (5, 1, "modes, trade-off"),
     "cli": (6, 0, "command line"),
     "envs": (6, 1, "environments\nfor learning"),
     "files": (4, 2, "scenes in TOML"),
+    "sweeps": (4, 3, "independent cases\non many cores"),
     "exchange": (5, 2, "MuJoCo, MATLAB,\nNTRT, ParaView"),
     "viewer": (6, 2, "motions in\na browser, live"),
     "design": (3, 1, "equilibrium,\nself-stress"),
@@ -81,7 +82,7 @@ def draw_arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float], l
 
 def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     """Draw the picture and save it as `path`."""
-    figure = Figure(figsize=(13, 6.9), layout="constrained")
+    figure = Figure(figsize=(13, 8.2), layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.subplots()
     for rooms, colour in ((ROOMS, TENSCASADI), (PLANNING, OCP)):

@@ -18,8 +18,6 @@ from tenscasadi.dynamics.state_space import Constraints
 from tenscasadi.ensemble.feedback import Feedback
 from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.ensemble.rollouts import rollouts
-from tenscasadi.ensemble.sweep import sweep
-from tenscasadi.ensemble.sweep_table import Sweep
 from tenscasadi.exchange.matlab.save import save_mat
 from tenscasadi.exchange.matlab.structures import load_mat
 from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
@@ -49,6 +47,8 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure import shapes
 from tenscasadi.structure.class_one import ClassOne
 from tenscasadi.structure.structure import Structure
+from tenscasadi.sweeps.sweep import sweep
+from tenscasadi.sweeps.sweep_table import Sweep
 from tenscasadi.util.compile import CompileError, Single
 from tenscasadi.util.version import __version__ as __version__
 

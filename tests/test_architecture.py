@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # From left to right; names in one set do not import each other.
 _MODEL = ("util", "structure", "scene", "dynamics", "integrators", "simulation")
-TENSCASADI = (*_MODEL, {"design", "ensemble", "files"}, {"exchange", "plots", "envs"}, "analysis", "viewer", "cli")
+TENSCASADI = (*_MODEL, {"design", "ensemble", "sweeps", "files"}, {"exchange", "plots", "envs"}, "analysis", "viewer", "cli")
 OCP = (
     "problem",
     "boundary",

@@ -1,1 +1,1 @@
-"""Many motions at once, and many jobs on many machines."""
+"""Many motions of one model at once."""

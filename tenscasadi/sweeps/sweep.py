@@ -9,9 +9,9 @@ from typing import Any
 
 from tqdm import tqdm
 
-from tenscasadi.ensemble.case_files import CaseFiles, Outcome
-from tenscasadi.ensemble.sweep_table import Sweep
-from tenscasadi.ensemble.workers import run_in_processes, run_on_executor
+from tenscasadi.sweeps.case_files import CaseFiles, Outcome
+from tenscasadi.sweeps.sweep_table import Sweep
+from tenscasadi.sweeps.workers import run_in_processes, run_on_executor
 from tenscasadi.util.interrupts import on_interrupt
 from tenscasadi.util.validate import file_path, flag, instance, listed, shown
 

@@ -15,7 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
-from tenscasadi.ensemble.case_files import Outcome, check_results
+from tenscasadi.sweeps.case_files import Outcome, check_results
 from tenscasadi.util.validate import shown
 
 Function = Callable[[Any], Any]

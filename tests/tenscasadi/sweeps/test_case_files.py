@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tenscasadi as tc
-from tenscasadi.ensemble.case_files import CaseFiles, Outcome, case_key, check_results
+from tenscasadi.sweeps.case_files import CaseFiles, Outcome, case_key, check_results
 
 PLAIN = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=5))
 NAMES = st.text(max_size=3)
