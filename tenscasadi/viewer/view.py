@@ -14,10 +14,10 @@ from tenscasadi.util.validate import choice, file_path, flag, positive_number, t
 from tenscasadi.util.whole_file import whole_file
 from tenscasadi.viewer.canvas import QUANTITIES, Canvas
 from tenscasadi.viewer.exhibit import Exhibit, exhibit_of, standing_on
-from tenscasadi.viewer.page import frame_times, record, with_panel
 from tenscasadi.viewer.player import Player
-from tenscasadi.viewer.server import LOOPBACK, address, start_server
-from tenscasadi.viewer.serving import check_serving, in_notebook, open_and_wait, stop
+from tenscasadi.viewer.web.page import frame_times, record, with_panel
+from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
+from tenscasadi.viewer.web.serving import check_serving, in_notebook, open_and_wait, stop
 
 FilePath = str | os.PathLike[str]
 

@@ -20,8 +20,8 @@ from tenscasadi.viewer.live_mode.panel import Panel
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation, Stepping
 from tenscasadi.viewer.live_mode.sliders import Groups, sliders_of
 from tenscasadi.viewer.live_mode.stage import Stage
-from tenscasadi.viewer.server import LOOPBACK, address, start_server
-from tenscasadi.viewer.serving import check_serving, open_and_wait, stop
+from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
+from tenscasadi.viewer.web.serving import check_serving, open_and_wait, stop
 
 FilePath = str | os.PathLike[str]
 

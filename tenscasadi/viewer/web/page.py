@@ -10,8 +10,8 @@ import numpy as np
 
 from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.charts import charts
-from tenscasadi.viewer.frames import with_frames
 from tenscasadi.viewer.legend import legend
+from tenscasadi.viewer.web.frames import with_frames
 
 if TYPE_CHECKING:
     import viser

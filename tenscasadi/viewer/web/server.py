@@ -14,7 +14,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from tenscasadi.util.validate import instance, shown, whole_number
-from tenscasadi.viewer.frames import with_frames
+from tenscasadi.viewer.web.frames import with_frames
 
 LOOPBACK = "127.0.0.1"
 _FIRST_PORT, _PORTS = 8080, 1000

@@ -8,7 +8,7 @@ from browser import coloured, picture, wait_until
 from moving import thrown
 
 from tenscasadi.viewer import view
-from tenscasadi.viewer.page import MOST_FRAMES, frame_times
+from tenscasadi.viewer.web.page import MOST_FRAMES, frame_times
 
 
 @pytest.fixture(scope="module")

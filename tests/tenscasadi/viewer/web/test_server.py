@@ -9,7 +9,7 @@ import sys
 import pytest
 from visitor import CAMERA, connect, say, wait_for
 
-from tenscasadi.viewer.server import OpenToNetwork, address, is_plain, refuse, start_server
+from tenscasadi.viewer.web.server import OpenToNetwork, address, is_plain, refuse, start_server
 
 viser = pytest.importorskip("viser", reason="viser is not installed: pip install 'tenscasadi[view]'")
 refusals = pytest.importorskip("websockets.exceptions")

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from tenscasadi.util.validate import flag
-from tenscasadi.viewer.server import silent
+from tenscasadi.viewer.web.server import silent
 
 
 def check_serving(browser: bool | None, wait: bool | None) -> None:

@@ -1,0 +1,1 @@
+"""Pages: written as files, or served to the browsers of this machine."""
