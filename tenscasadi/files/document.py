@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from tenscasadi.files.formulas import RESERVED, Formula, FormulaError
-from tenscasadi.files.toml_places import Key, TooDeep, find_lines
+from tenscasadi.files.toml_places import MOST_PLACES, Key, TooMuch, find_lines
 from tenscasadi.util.validate import LARGEST, file_path, shown
 
 FORMAT = 1
@@ -203,12 +203,13 @@ class _Reader:
     """Counts what is read, so that includes have an end."""
 
     def __init__(self) -> None:
-        self._bytes = self._files = 0
+        self._bytes = self._files = self._places = 0
 
     def read(self, path: Path, name: str, above: tuple[Path, ...]) -> tuple[dict[str, Any], dict[Key, Place]]:
         """Return the data of a file, that of its includes below it, and the places of all keys; `above`: files that include it."""
         text = self._text(path, name)
-        own, places = _parse(text, name)
+        own, places = _parse(text, name, MOST_PLACES - self._places)
+        self._places += len(places)
         document = Document(Path(name), own, {}, places)
         _check_head(document)
         data: dict[str, Any] = {}
@@ -245,14 +246,14 @@ class _Reader:
             raise SceneFileError("it is no text in UTF-8: give a file in TOML", name, line) from None
 
 
-def _parse(text: str, name: str) -> tuple[dict[str, Any], dict[Key, Place]]:
+def _parse(text: str, name: str, most: int) -> tuple[dict[str, Any], dict[Key, Place]]:
     if sys.version_info >= (3, 11):
         import tomllib
     else:
         import tomli as tomllib
     try:
-        lines = find_lines(text)
-    except TooDeep as error:
+        lines = find_lines(text, most)
+    except TooMuch as error:
         raise SceneFileError(str(error), name, error.line) from None
     try:
         data = tomllib.loads(text)

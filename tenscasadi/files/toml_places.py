@@ -8,6 +8,7 @@ from contextlib import suppress
 Key = tuple[str | int, ...]
 
 DEEPEST = 12  # lists and tables inside each other, and words of a dotted key
+MOST_PLACES = 1_000_000  # keys, words of dotted keys, entries of lists: what a text of 2 bytes each would cost the parser is more than half a minute
 
 _BLANK = re.compile(r"[ \t]*")
 _SPACE = re.compile(r"(?:[ \t\r\n]+|#[^\n]*){1,1000}")  # a match remembers each turn: without a limit it takes 100 bytes of memory a byte
@@ -21,11 +22,11 @@ _TEXTS = [  # the longer quotes first
 ]
 
 
-class TooDeep(ValueError):
-    """A key or a value is nested deeper than files of this format need; `line` says where."""
+class TooMuch(ValueError):
+    """Keys and values are nested deeper, or are more, than files of this format need; `line` says where that begins."""
 
-    def __init__(self, line: int) -> None:
-        super().__init__(f"more than {DEEPEST} lists, tables or words of a dotted key lie inside each other: write it flatter")
+    def __init__(self, message: str, line: int) -> None:
+        super().__init__(message)
         self.line = line
 
 
@@ -33,12 +34,12 @@ class _Malformed(Exception):
     """The text is no TOML: the parser says how."""
 
 
-def find_lines(text: str) -> dict[Key, int]:
-    """Return the line, from 1 on, of each key and list entry of a TOML text; where it is malformed, of those before.
+def find_lines(text: str, most: int = MOST_PLACES) -> dict[Key, int]:
+    """Return the line, from 1 on, of each of at most so many keys and list entries of a TOML text; where it is malformed, of those before.
 
-    Raises TooDeep before a parser would get lost in the text.
+    Raises TooMuch before a parser would get lost in the text.
     """
-    scanner = _Scanner(text)
+    scanner = _Scanner(text, most)
     with suppress(_Malformed):
         scanner.read()
     return scanner.lines
@@ -47,8 +48,9 @@ def find_lines(text: str) -> dict[Key, int]:
 class _Scanner:
     """One pass over the text, with the place `at` that it has come to."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, most: int) -> None:
         self.text, self.at = text, 0
+        self._left = most
         self.lines: dict[Key, int] = {}
         self._line, self._counted = 1, 0
         self._lengths: dict[Key, int] = {}  # of arrays of tables
@@ -98,7 +100,7 @@ class _Scanner:
                 raise _Malformed
             words.append(found[found.lastindex or 0])
             if len(words) > DEEPEST:
-                raise TooDeep(self._here())
+                raise self._too_deep()
             self.at = found.end()
             self._skip(_BLANK)
             if not self.text.startswith(".", self.at):
@@ -107,7 +109,7 @@ class _Scanner:
 
     def _value(self, key: Key, depth: int) -> None:
         if depth > DEEPEST:
-            raise TooDeep(self._here())
+            raise self._too_deep()
         self._skip(_BLANK)
         first = self.text[self.at : self.at + 1]
         if first in ("[", "{") and first:
@@ -160,4 +162,10 @@ class _Scanner:
         return self._line
 
     def _tell(self, key: Key) -> None:
+        self._left -= 1
+        if self._left < 0:
+            raise TooMuch(f"more than {MOST_PLACES} keys and entries of lists, with those of includes: give fewer", self._here())
         self.lines.setdefault(key, self._here())
+
+    def _too_deep(self) -> TooMuch:
+        return TooMuch(f"more than {DEEPEST} lists, tables or words of a dotted key lie inside each other: write it flatter", self._here())

@@ -101,6 +101,15 @@ def test_circles_and_floods_of_includes_are_refused(write, monkeypatch):
     assert "MB" in str(fault(write('include = ["half.toml"]\n#' + "#" * 600)))
 
 
+def test_a_flood_of_entries_is_refused_also_where_includes_share_it(write, monkeypatch):
+    monkeypatch.setattr(document, "MOST_PLACES", 100)
+    write("x = [" + "1," * 60 + "]", "half.toml")
+    assert "more than" in str(fault(write("x = [" + "1," * 100 + "]")))
+    found = fault(write('include = ["half.toml"]\nx = [' + "1," * 60 + "]"))
+    assert found.file == "half.toml"
+    assert found.line == 3
+
+
 def test_pipes_and_folders_are_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.toml")
     assert "no regular file" in str(fault(tmp_path / "pipe.toml"))

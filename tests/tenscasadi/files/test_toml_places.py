@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tenscasadi.files.toml_places import Key, TooDeep, find_lines
+from tenscasadi.files.toml_places import Key, TooMuch, find_lines
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -75,10 +75,22 @@ def test_every_key_has_a_line():
 @pytest.mark.parametrize("text", ["a." * 3_000_000 + "a = 1", "x = " + "[" * 1_000_000, "x = " + "{a=" * 1_000_000, "[" + "a." * 100_000 + "a]"])
 def test_deep_texts_are_refused_before_a_parser_gets_lost(text):
     began = time.process_time()
-    with pytest.raises(TooDeep) as fault:
+    with pytest.raises(TooMuch) as fault:
         find_lines("ok = 1\n" + text)
     assert fault.value.line == 2
     assert time.process_time() - began < 5.0
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("x = [" + "1," * 8_000_000 + "]", 2), ("a.a.a.a.a.a.a.a.a.a = 1\n" * 600_000, 2000), ("[a.b.c.d]\n" * 1_000_000, 5000), ("[[a]]\n" * 2_000_000, 10_001)],
+)
+def test_floods_of_entries_are_refused_before_a_parser_reads_them(text, line):
+    began = time.process_time()
+    with pytest.raises(TooMuch, match="more than .* keys and entries of lists") as fault:
+        find_lines("ok = 1\n" + text, 20_000)
+    assert abs(fault.value.line - line) <= 2
+    assert time.process_time() - began < 2.0
 
 
 @pytest.mark.parametrize(
