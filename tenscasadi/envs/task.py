@@ -138,7 +138,7 @@ class Task:
             k = int(np.argmax(crossed))
             raise ValueError(f"Task.lower of string {k} is not below upper: give lower < upper")
         if self.winds != (self.speed is not None):
-            raise ValueError(f"Task.speed is {self.speed}: give the greatest rate, m/s, for RestLength(), and None for ForceDensity()")
+            raise ValueError(f"Task.speed is {shown(self.speed)}: give the greatest rate, m/s, for RestLength(), and None for ForceDensity()")
         if self.speed is not None:
             own["speed"] = nonnegative("Task.speed", per_item("Task.speed", self.speed, model.nu), "string")
         own["period"] = positive_number("Task.period", self.period)

@@ -13,7 +13,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex, check_ode, check_relative_tolerance, equations, extent, stability_limit
 from tenscasadi.integrators.tableaux import CLASSICAL, DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
-from tenscasadi.util.validate import instance, positive_number, whole_number
+from tenscasadi.util.validate import instance, positive_number, shown, whole_number
 
 SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
 
@@ -145,7 +145,7 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
             object.__setattr__(self, "rtol", check_relative_tolerance(f"{name}.rtol", self.rtol))
         if self.atol is not None:
             if self.rtol is None:
-                raise ValueError(f"{name}.atol is {self.atol}, but rtol is None: give both for control of the error, or neither")
+                raise ValueError(f"{name}.atol is {shown(self.atol)}, but rtol is None: give both for control of the error, or neither")
             object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol, zero=True))
         whole_number(f"{name}.max_attempts", self.max_attempts, 1)
 
