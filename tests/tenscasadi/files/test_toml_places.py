@@ -83,11 +83,16 @@ def test_deep_texts_are_refused_before_a_parser_gets_lost(text):
 
 @pytest.mark.parametrize(
     ("text", "line"),
-    [("x = [" + "1," * 8_000_000 + "]", 2), ("a.a.a.a.a.a.a.a.a.a = 1\n" * 600_000, 2000), ("[a.b.c.d]\n" * 1_000_000, 5000), ("[[a]]\n" * 2_000_000, 10_001)],
+    [
+        ("x = [" + "1," * 8_000_000 + "]", 2),
+        ("a.a.a.a.a.a.a.a.a.a = 1\n" * 600_000, 2000),
+        ("[a.b.c.d]\n" * 1_000_000, 5000),
+        ("[[a]]\n" * 2_000_000, 10_001),
+    ],
 )
 def test_floods_of_entries_are_refused_before_a_parser_reads_them(text, line):
     began = time.process_time()
-    with pytest.raises(TooMuch, match="more than .* keys and entries of lists") as fault:
+    with pytest.raises(TooMuch, match="keys and entries of lists") as fault:
         find_lines("ok = 1\n" + text, 20_000)
     assert abs(fault.value.line - line) <= 2
     assert time.process_time() - began < 2.0
