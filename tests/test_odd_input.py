@@ -105,7 +105,7 @@ HINTS: dict[str, tuple[str, ...]] = {  # fields that are asked about in place of
     "ParameterLayout.values": ("parameters",),
     "Plan.robustness": ("Parameters",),
     "Parameters": ("Parameters",),
-    "Mppi": ("SplineNoise.deviation",),
+    **dict.fromkeys(("Mppi", "Mppi, of a cost"), ("SplineNoise.deviation",)),
     "Trajectory.load": ("trajectory",),
     "Plan.load": ("plan",),
     "Tradeoff.load": ("trade-off",),

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.control import refuse_wound
+from ocp.problem.costs import Cost
+from ocp.problem.expressions import Integral
+from ocp.problem.instant import Instant
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -18,9 +23,10 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.kernel import build_kernel
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.validate import Array, finite_array, instance, nonnegative, per_item, positive_number, whole_number
+from tenscasadi.util.validate import Array, finite_array, instance, nonnegative, per_item, positive_number, shown, whole_number
 
 MOST, MOST_SAMPLES = 1000, 1_000_000  # periods of a horizon, improvements of a decision and steps of a period; motions
+Asked: TypeAlias = Cost | ca.Function | Callable[[Instant], Any]
 RANGE = 0.1  # of the limits' range: the deviation of the noise where none is given
 
 
@@ -33,9 +39,11 @@ class Mppi:
 
     Parameters
     ----------
-    problem : Problem
-        What is asked. Its costs are integrated over the horizon, at whose end its goals are to be met as nearly as they can. Limits of force
-        densities are kept; overstepping its other bounds at the decisions' times costs much. Its duration is a scale only.
+    problem : Problem, Cost, casadi.Function, callable, or a list of the last three
+        What is asked. Costs are integrated over the horizon, at whose end goals are to be met as nearly as they can. Limits of force
+        densities are kept; overstepping other bounds at the decisions' times costs much. The duration of a problem is a scale only. Without
+        a problem force densities are not limited but by 0: a CasADi Function (x, u) or (x, u, t), or a function of an `Instant`, is then a
+        cost per second.
     period : float
         Time from one decision to the next, s.
     horizon : float
@@ -58,6 +66,8 @@ class Mppi:
         size.
     seed : int
         Seed of the noise: the same run has the same decisions.
+    model : Model, optional
+        The model, where no problem has it.
 
     Attributes
     ----------
@@ -78,7 +88,8 @@ class Mppi:
     With costs S of samples γ, weights are w ∝ exp(−(S − min S)/λ) [1]_. Noise is about the last decision, for which the term of importance
     sampling vanishes, and smooth: splines through random knots, of many sizes. λ is `temperature` times the difference of the median and the
     least cost, so that it does not depend on the costs' units. One of the samples has no noise. Costs are integrated by the rectangle rule,
-    at the ends of the periods.
+    at the ends of the periods. A motion that diverges, or whose bars are off by more than 10 % of their length at the end of a period, does not
+    count.
 
     References
     ----------
@@ -97,11 +108,18 @@ class Mppi:
     >>> controller = ocp.Mppi(problem, period=0.1, horizon=0.5, samples=32)
     >>> controller.control(0.0, cross.initial_state).shape
     (2,)
+
+    A cost of one's own, without a problem:
+
+    >>> import casadi as ca
+    >>> controller = ocp.Mppi(lambda now: ca.sumsqr(now.lengths - lengths), 0.1, 0.5, 32, model=cross, noise=2.0)
+    >>> ocp.run(controller, 0.5).trajectory.success
+    True
     """
 
     def __init__(
         self,
-        problem: Problem,
+        problem: Problem | Asked | Sequence[Asked],
         period: float = 0.05,
         horizon: float = 0.5,
         samples: int = 64,
@@ -113,8 +131,9 @@ class Mppi:
         steps: int = 10,
         place: float | None = None,
         seed: int = 0,
+        model: Model | None = None,
     ) -> None:
-        instance("problem", problem, Problem, "an ocp.Problem")
+        problem = _problem(problem, model)
         refuse_phases(problem.phases, "Mppi")
         refuse_wound(problem.model, "Mppi")
         self.model: Model = problem.model
@@ -244,6 +263,34 @@ def softmin(costs: Array, temperature: float) -> Array:
     scale = temperature * float(np.median(excess[finite]))
     weights = np.exp(-excess / scale) if scale > 0 else (excess == 0).astype(float)
     return np.asarray(weights / weights.sum())
+
+
+def _problem(asked: Any, model: Any) -> Problem:
+    """Return the problem, or that of costs with a model. Raises TypeError, ValueError."""
+    if isinstance(asked, Problem):
+        if model is not None and model is not asked.model:
+            raise ValueError("model is given, and the problem has one: leave model= out")
+        return asked
+    several = list(asked) if isinstance(asked, (list, tuple)) else [asked]
+    example = "an ocp.Problem, or with model= a cost: of ocp, a casadi.Function (x, u), or a function of an ocp.Instant"
+    for k, one in enumerate(several):
+        if isinstance(one, type) or not (isinstance(one, Cost) or callable(one)):
+            raise TypeError(f"problem{f'[{k}]' * (one is not asked)} is {shown(one)}: give {example}")
+    if model is None or not several:
+        raise TypeError(f"problem is {shown(asked)}, model is {shown(model)}: give {example}")
+    instance("model", model, Model, "a tenscasadi.Model")
+    return Problem(model, costs=[one if isinstance(one, Cost) else _own(k, one, model) for k, one in enumerate(several)])
+
+
+def _own(k: int, cost: Any, model: Model) -> Cost:
+    """Return the cost of a Function (x, u) or (x, u, t), or of a function of an Instant. Raises ValueError."""
+    name = f"problem[{k}]"
+    if not isinstance(cost, ca.Function):
+        return Integral(name, cost)
+    sizes = [cost.size_in(i) for i in range(cost.n_in())]
+    if sizes not in (wanted := [(model.nx, 1), (model.nu, 1)], [*wanted, (1, 1)]) or cost.n_out() != 1:
+        raise ValueError(f"{name} is {cost}: give a casadi.Function (x[{model.nx}], u[{model.nu}]) or (x, u, t) that returns a scalar")
+    return Integral(name, lambda now: cost(*now.symbols[: cost.n_in()]))
 
 
 def _held(problem: Problem) -> Array:

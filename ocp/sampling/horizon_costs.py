@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.costs import ControlCost, CostAt, FinalCost, RunningCost
@@ -14,6 +15,7 @@ from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.rows import stack
 from ocp.problem.scaling import Scales
+from tenscasadi.simulation.diagnosis import BROKEN_BARS
 
 OVERSTEP = 1e5  # what overstepping a limit costs along a whole horizon, in scaled units, against 1 for a departure of a `place`
 
@@ -21,9 +23,9 @@ OVERSTEP = 1e5  # what overstepping a limit costs along a whole horizon, in scal
 class HorizonCosts(NamedTuple):
     """The costs of a motion over a horizon, in parts that are summed.
 
-    stage: Function (x, w) → cost per second, w = [γ; time]; final: Function (x, w) → cost of the end. control: Function γ (α, K) → cost
-    of the force densities alone. rates: Function (x, γ, x⁺, γ⁺) → cost of what changes from one period to the next; None where nothing is
-    limited.
+    stage: Function (x, w) → cost per second, w = [γ; time], infinite where bars are broken; final: Function (x, w) → cost of the end.
+    control: Function γ (α, K) → cost of the force densities alone. rates: Function (x, γ, x⁺, γ⁺) → cost of what changes from one period to
+    the next; None where nothing is limited.
     """
 
     stage: ca.Function
@@ -44,7 +46,8 @@ def horizon_costs(problem: Problem, scales: Scales, period: float, intervals: in
     last = [rows for rows in scaled_rows(problem, PathBound, scales, strength) if rows.ends == ("last",)]
     final += OVERSTEP * sum((_excess(rows, *now.symbols) for rows in last), ca.DM(0))
     misses = _misses(problem, now, {"m": place, "m/s": 10 * place / scales.time})
-    stage = ca.Function("stage", [now.state, given], [running_cost(problem, scales, length, strength)(now.state, given) + misses / length])
+    rate = running_cost(problem, scales, length, strength)(now.state, given) + misses / length
+    stage = ca.Function("stage", [now.state, given], [rate + ca.if_else(_broken(now), ca.inf, 0.0)])
     ending = ca.Function("final", [now.state, given], [ca.densify(final + misses)], ["x", "w"], ["cost"])
     return HorizonCosts(stage, ending, control_cost(problem, period, intervals), rate_cost(problem, scales, period, intervals, strength))
 
@@ -75,6 +78,18 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
     rows = stack(goal.rows(structure, model.nodes(x), model.velocities(x)) for goal in problem.final_goals)
     misses = ca.Function("misses", [x], [ca.sumsqr(rows.value / ca.DM(rows.sizes(sizes)))]) if rows.names else None
     return misses(now.state) if misses is not None else ca.DM(0)
+
+
+def _broken(now: Instant) -> Any:
+    """Return whether a bar is off its length as no motion can be that is still one."""
+    structure = now.model.scene.structure
+    if not len(structure.bars):
+        return ca.DM(0)
+    start, end = structure.bars.T
+    along = now.nodes[:, end.tolist()] - now.nodes[:, start.tolist()]
+    ratio = ca.sum1(along * along) / ca.DM(structure.bar_lengths**2).T
+    least, most = (1 + np.array([-BROKEN_BARS, BROKEN_BARS])) ** 2
+    return ca.logic_or(ca.mmin(ratio) < least, ca.mmax(ratio) > most)
 
 
 def _excess(rows: ScaledRows, *given: Any) -> Any:

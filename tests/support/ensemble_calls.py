@@ -129,6 +129,7 @@ def ensemble_calls() -> dict[str, Call]:
         ),
         "Robustness.quantiles": (robust().quantiles, {"shares": [0.5, 0.9]}),
         "Mppi": (ocp.Mppi, decided),
+        "Mppi, of a cost": (ocp.Mppi, {"problem": ocp.Effort(), "model": m, "noise": 1.0, "samples": 2, "period": 0.1, "horizon": 0.1}),
         "Mppi.control": (ocp.Mppi(**decided).control, {"time": 0.0, "state": x}),
         "SplineNoise": (
             lambda **k: ocp.Mppi(turned(), 0.05, 0.1, 4, noise=ocp.SplineNoise(**k)),

@@ -155,11 +155,75 @@ def test_it_says_how_many_samples_count():
     assert 1.0 <= controller.effective_samples < 32.0
 
 
+# --- what is asked ---
+
+
+X, U, T = ca.SX.sym("x", CROSS.nx), ca.SX.sym("u", CROSS.nu), ca.SX.sym("t")
+ASIDE = (CROSS.nodes(X)[0, 2] - 0.3) ** 2  # a CasADi expression
+OWN = {
+    "Function of state and control": ca.Function("aside", [X, U], [ASIDE]),
+    "Function of time, too": ca.Function("aside", [X, U, T], [ASIDE]),
+    "function of an instant": lambda now: (now.nodes[0, 2] - 0.3) ** 2,
+    "cost": ocp.Tracking({2: (0.3, None, None)}),
+}
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_a_cost_alone_is_as_a_problem_of_it(name):
+    asked = ocp.Problem(CROSS, costs=[OWN["cost"], ocp.Effort(1e-3)])
+    problem, costs = (
+        ocp.Mppi(given, 0.1, 0.4, 32, noise=3.0, **kind) for given, kind in ((asked, {}), ([OWN[name], ocp.Effort(1e-3)], {"model": CROSS}))
+    )
+    runs = [ocp.run(controller, 1.0).trajectory for controller in (problem, costs)]
+    assert runs[1].nodes[-1] == pytest.approx(runs[0].nodes[-1], abs=1e-6)
+    assert abs(runs[1].nodes[-1, 2, 0] - 0.3) < 0.5 * abs(runs[1].nodes[0, 2, 0] - 0.3)
+
+
+def test_motions_whose_bars_break_do_not_count():
+    away = ocp.AtEnd("away", lambda end: -ca.sumsqr(end.nodes))  # what flies apart is the best of all
+    asked = ocp.Problem(CROSS, bounds=[ocp.ForceDensityLimits(0.0, 3000.0)], costs=[away])
+    controller = ocp.Mppi(asked, 0.1, 0.5, samples=32, steps=2, noise=500.0)
+    tried = controller._perturbed()
+    off = np.array([bars_off_by(gamma) for gamma in tried])
+    broken, whole = off > 0.5, off < 0.05
+    assert broken.sum() > 3
+    assert whole.sum() > 3
+    costs = controller._costs(0.0, CROSS.initial_state, tried)
+    assert np.all(np.isinf(costs[broken]))
+    assert np.all(np.isfinite(costs[whole]))
+
+
+def bars_off_by(force_density, period=0.1, steps=2):
+    """The largest relative error of a bar at the ends of the periods, of the motion in steps of RK4."""
+    x, h, worst, lengths = CROSS.initial_state, period / steps, 0.0, CROSS.structure.bar_lengths
+    for gamma in force_density:
+        for _ in range(steps):
+            k1 = CROSS.ode(x, gamma).full().ravel()
+            k2 = CROSS.ode(x + h / 2 * k1, gamma).full().ravel()
+            k3 = CROSS.ode(x + h / 2 * k2, gamma).full().ravel()
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + CROSS.ode(x + h * k3, gamma).full().ravel())
+        ends = CROSS.nodes(x)[CROSS.structure.bars]
+        found = abs(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / lengths - 1).max()
+        worst = max(worst, found if np.isfinite(found) else np.inf)
+    return worst
+
+
 STATE = CROSS.initial_state
 
 
 BAD = {
     "of no problem": (lambda: ocp.Mppi(CROSS), TypeError, "problem is"),
+    "of a cost without a model": (lambda: ocp.Mppi(OWN["cost"]), TypeError, "model is None: give an ocp.Problem, or with model= a cost"),
+    "of nothing": (lambda: ocp.Mppi([], model=CROSS), TypeError, r"problem is \[\]"),
+    "of an expression": (lambda: ocp.Mppi([OWN["cost"], ASIDE], model=CROSS), TypeError, r"problem\[1\] is SX.*a casadi.Function \(x, u\)"),
+    "of a goal": (lambda: ocp.Mppi(ocp.AtRest(), model=CROSS), TypeError, r"problem is AtRest\(\): give an ocp.Problem"),
+    "of a Function of other arguments": (
+        lambda: ocp.Mppi(ca.Function("f", [U, X], [ASIDE]), model=CROSS),
+        ValueError,
+        r"problem\[0\] is f.*: give a casadi.Function \(x\[18\], u\[2\]\)",
+    ),
+    "of a Function that is no scalar": (lambda: ocp.Mppi(ca.Function("f", [X, U], [X]), model=CROSS, noise=1.0), ValueError, "gives 18 entries"),
+    "of two models": (lambda: ocp.Mppi(folding(), model=MODEL), ValueError, "model is given, and the problem has one"),
     "at a state too short": (lambda: ocp.Mppi(folding()).control(0.0, STATE[:3]), ValueError, r"state has shape \(3,\)"),
     "at a state that is no number": (lambda: ocp.Mppi(folding()).control(0.0, STATE * np.nan), ValueError, r"state\[0\] is nan"),
     "before the beginning": (lambda: ocp.Mppi(folding()).control(-1.0, STATE), ValueError, "time is -1"),
