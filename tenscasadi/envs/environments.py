@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscasadi.envs.episodes import FARTHEST, Episodes
 from tenscasadi.envs.task import Task
-from tenscasadi.util.validate import instance, whole_number
+from tenscasadi.util.validate import instance, real_array, whole_number
 
 try:
     import gymnasium
@@ -146,14 +146,14 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         self._over = np.ones(num_envs, dtype=bool)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin all episodes.
+        """Begin all episodes, or some of them.
 
         Parameters
         ----------
         seed : int, optional
             Seed of all draws from now on.
         options : dict, optional
-            Not used.
+            ``{"reset_mask": ...}`` with an array of bool (n,): only these begin, the others go on.
 
         Returns
         -------
@@ -162,9 +162,10 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         info : dict
             Which episodes ``diverged``.
         """
+        begun = self._asked(options)
         super().reset(seed=seed)
-        self._episodes.reset(np.arange(self.num_envs), self.np_random)
-        self._over = np.zeros(self.num_envs, dtype=bool)
+        self._episodes.reset(np.flatnonzero(begun), self.np_random)
+        self._over = self._over & ~begun
         return self._episodes.observe(), {"diverged": np.zeros(self.num_envs, dtype=bool)}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -196,6 +197,15 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         self._over = over | late
         return self._episodes.observe(), rewards, over, late, {"diverged": lost & ~begun}
 
+    def _asked(self, options: dict[str, Any] | None) -> Any:
+        """Return which episodes begin (n,). Raises ValueError."""
+        if options is None or "reset_mask" not in options:
+            return np.ones(self.num_envs, dtype=bool)
+        mask = np.asarray(options["reset_mask"])
+        if mask.dtype != bool or mask.shape != (self.num_envs,):
+            raise ValueError(f"options['reset_mask'] is {mask.dtype} of shape {mask.shape}: give bool of shape ({self.num_envs},)")
+        return mask
+
 
 def _spaces(episodes: Episodes) -> tuple[Any, Any]:
     """Return the spaces of observations and actions of one episode."""
@@ -205,7 +215,7 @@ def _spaces(episodes: Episodes) -> tuple[Any, Any]:
 
 def _clipped(action: Any, shape: tuple[int, int]) -> Any:
     """Return actions (n, α) as numbers from −1 to 1. Raises ValueError."""
-    values = np.asarray(action, dtype=float)
+    values = real_array("action", action, f"{shape if shape[0] > 1 else shape[1:]} numbers from -1 to 1")
     if values.size != shape[0] * shape[1] or values.shape not in (shape, shape[1:]) or not np.all(np.isfinite(values)):
         raise ValueError(f"action has shape {values.shape}: give {shape if shape[0] > 1 else shape[1:]} finite numbers from -1 to 1")
     return np.clip(values.reshape(shape), -1.0, 1.0)

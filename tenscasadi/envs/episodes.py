@@ -35,6 +35,7 @@ class Episodes:
         self._kernel = build_kernel(model, RungeKutta4(), correction)
         self._project = ArrayFunction(projection(model, 10))
         self._spread = task.spread
+        self._width: int | None = None
         self.nodes, self.velocities = self._places(self.states)
 
     def reset(self, which: Any, rng: np.random.Generator) -> None:
@@ -67,7 +68,8 @@ class Episodes:
         self.states = np.where(lost[:, None], self.states, rolled.states)
         self.nodes, self.velocities = (np.where(lost[:, None, None], *places) for places in zip(before, after, strict=True))
         self.decided = self.decided + 1
-        return Transition(self.nodes, self.velocities, *before, self.control, action, self.decided * task.period), lost
+        shown = map(_read_only, (self.nodes, self.velocities, *before, self.control, action))
+        return Transition(*shown, self.decided * task.period), lost
 
     def observe(self) -> Any:
         """Return what is seen of all episodes (n, k), in single precision."""
@@ -75,8 +77,10 @@ class Episodes:
         if task.observation is not None:
             cure = "give a function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns (n, k)"
             see = task.observation
-            given = call_user_function("Task.observation", lambda places: see(*places), (self.nodes, self.velocities, self.control), cure)
-            seen = finite_array("what Task.observation gives", given, (n, None))
+            places = tuple(map(_read_only, (self.nodes, self.velocities, self.control)))
+            given = call_user_function("Task.observation", lambda places: see(*places), places, cure)
+            seen = finite_array("what Task.observation gives", given, (n, self._width))
+            self._width = seen.shape[1]  # as in the space of observations
         else:
             rows = [self.nodes.reshape(n, -1), self.velocities.reshape(n, -1), *([self.control] if task.winds else [])]
             seen = np.concatenate(rows, axis=1)
@@ -123,6 +127,13 @@ class Episodes:
             self.control = lower + (action + 1) / 2 * (upper - lower)
             inputs[:, 0, : model.nu] = self.control
         return inputs
+
+
+def _read_only(array: Array) -> Array:
+    """Return the array as functions of a task may see it: changing it would change the motion."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _per_episode(name: str, function: Callable[[Transition], Any], now: Transition) -> Array:

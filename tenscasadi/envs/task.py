@@ -81,8 +81,8 @@ class Task:
     parameters : mapping of str to float, optional
         Relative spreads of the model's parameters by name, at least 0 and less than 1: each episode has its own values (domain randomisation).
     observation : callable, optional
-        Function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns what is seen (n, k). Default: all of it, under force
-        densities without the control.
+        Function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns what is seen (n, k), which is kept within ±1e6.
+        Default: all of it, under force densities without the control.
     terminated : callable, optional
         Function of a `Transition` that tells which episodes end (n,). Default: none but those that diverge.
     correction : Projection or BarLengthCorrection, optional

@@ -193,6 +193,50 @@ def test_what_is_seen_and_when_it_ends_are_functions():
     assert [env.step(np.zeros(9))[2] for _ in range(3)] == [False, False, True]
 
 
+def overwrite(array):
+    array[:] = 7.0
+    return array
+
+
+@pytest.mark.parametrize("name", ["nodes", "velocities", "nodes_before", "velocities_before", "control", "action"])
+def test_a_reward_cannot_change_the_motion(name):
+    env = TensegrityEnv(Task(DRIVEN, lambda now: overwrite(getattr(now, name)), 5.0, 80.0))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"Task.reward fails with ValueError: .*read-only"):
+        env.step(np.zeros(9))
+
+
+def test_an_observation_cannot_change_the_motion():
+    with pytest.raises(ValueError, match=r"Task.observation fails with ValueError: .*read-only"):
+        TensegrityEnv(driven(observation=lambda nodes, velocities, control: overwrite(nodes)[:, 0]))
+
+
+def test_an_observation_that_grows_is_refused():
+    seen = []
+
+    def more(nodes, velocities, control):
+        seen.append(0.0)
+        return np.zeros((len(nodes), 1 + len(seen) // 3))
+
+    env = TensegrityEnv(driven(observation=more))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"what Task.observation gives has shape \(1, 2\): give an array of shape \(1, 1\)"):
+        env.step(np.zeros(9))
+
+
+def test_some_episodes_begin_anew_where_a_mask_says_so():
+    envs = TensegrityVectorEnv(driven(), 3)
+    envs.reset(seed=0)
+    before = envs.step(np.ones((3, 9)))[0]
+    mask = np.array([False, True, False])
+    seen, _ = envs.reset(options={"reset_mask": mask})
+    assert np.array_equal(seen[~mask], before[~mask])
+    assert abs(seen[1, : 3 * len(PRISM.nodes)] - PRISM.nodes.ravel()).max() < 0.05  # near the start
+    assert envs._episodes.decided.tolist() == [1, 0, 1]
+    with pytest.raises(ValueError, match=r"options\['reset_mask'\] is int64 of shape \(2,\): give bool of shape \(3,\)"):
+        envs.reset(options={"reset_mask": np.array([1, 0])})
+
+
 def test_an_episode_that_diverges_ends():
     wild = Task(DRIVEN, forward, 0.0, 1e30, steps=1, correction=None)
     envs = TensegrityVectorEnv(wild, 3)
@@ -210,6 +254,7 @@ BAD = {
     "no task": (lambda: TensegrityEnv(DRIVEN), TypeError, "task is"),
     "no environments": (lambda: TensegrityVectorEnv(driven(), 0), ValueError, "num_envs"),
     "actions of other strings": (lambda: TensegrityEnv(driven()).step(np.zeros(4)), ValueError, r"action has shape \(4,\): give \(9,\)"),
+    "actions that are text": (lambda: TensegrityEnv(driven()).step("right"), TypeError, "action is not an array of real numbers"),
     "actions that are no numbers": (lambda: TensegrityEnv(driven()).step(np.full(9, np.nan)), ValueError, "finite numbers"),
     "a reward of other shape": (
         lambda: TensegrityEnv(Task(DRIVEN, lambda now: 1.0, 0.0, 1.0)).step(np.zeros(9)),
