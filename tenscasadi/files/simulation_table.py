@@ -25,7 +25,7 @@ from tenscasadi.util.validate import Array
 
 _TOLERANCES: Mapping[str, Form] = {"rtol": NUMBER, "atol": NUMBER}
 _EMBEDDED: Mapping[str, Form] = {**_TOLERANCES, "max_attempts": WHOLE}
-_SUNDIALS: Mapping[str, Form] = {**_TOLERANCES, "max_steps": WHOLE}
+_SUNDIALS: Mapping[str, Form] = {**_TOLERANCES, "max_steps": WHOLE, "locate_events": Flag()}
 _ROWS = Either((Mapping,), MapOf("node", VECTOR), Numbers(((None, 3),)))
 
 SCHEME = Kind(

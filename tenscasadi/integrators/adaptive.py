@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import build_held_ode, build_potential, build_switching
+from tenscasadi.integrators.events import build_held_ode, build_hidden, build_potential, build_root, build_switching
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta, build_trial
 from tenscasadi.integrators.scheme import equations
 from tenscasadi.integrators.stabilization import Correction, correct
-from tenscasadi.util.casadi_tools import hermite_cubic
 
 ATTEMPTS = 64  # a call: those that are not needed cost next to nothing
 _BLOCK = 8
@@ -19,7 +18,6 @@ _LARGEST, _SMALLEST, _SAFETY = 8.0, 0.2, 0.9  # change of the step from one atte
 _EVENT_SHARE = 0.1  # of the tolerance that a step may lose by ending after an event instead of at it
 _SHORTEST = 1e-9  # of the largest step: events that are over after less are not looked for
 _HALVING = 6  # trials of a bracket after which it is halved, whatever the interpolation says
-_RIDDERS = 8  # iterations to the root of an interpolation
 
 
 class Memory(NamedTuple):
@@ -126,15 +124,15 @@ def _norm(errors: list[Any]) -> Any:
 
 
 def _find_events(model: Model, gaps: ca.Function, ode: ca.Function, m: Memory, path: tuple[Any, ...], after: Any, scale: Any, longest: Any) -> Events:
-    """Find the events of a trial; path: see `_path`; after: z at its end; scale: of errors."""
+    """Find the events of a trial; path: see `build_root`; after: z at its end; scale: of errors."""
     _, _, end, _, u, trial, mode = path
     mode_after = gaps(end, u) > 0
     changed = ca.sum1(mode_after != mode)
     jump = _jump(ode, scale.shape[0])(after, ca.vertcat(u, mode), ca.vertcat(u, mode_after), scale, changed)
     bracket = ca.if_else(changed > 0, m.low, trial), ca.if_else(changed > 0, trial, m.high)
-    root = _root(gaps, model)(*path, *bracket, ca.logic_or(changed > 0, m.high > 0))
+    root = build_root(gaps, model)(*path, *bracket, ca.logic_or(changed > 0, m.high > 0))
     negligible = ca.logic_or((trial - root) * jump <= _EVENT_SHARE, trial - root <= 1e-15 * longest)
-    return Events(changed, ca.logic_and(changed > 0, negligible), _hidden(gaps, model)(*path), root, jump)
+    return Events(changed, ca.logic_and(changed > 0, negligible), build_hidden(gaps, model)(*path), root, jump)
 
 
 def _decide(m: Memory, trial: Any, error: Any, events: Events, order: int, longest: Any) -> tuple[Any, Any]:
@@ -179,45 +177,3 @@ def _jump(ode: ca.Function, moving: int) -> ca.Function:
     changed = ca.MX.sym("changed")
     choice = ca.Function.if_else("jump_choice", difference, nothing)
     return ca.Function("jump", [*arguments, changed], [choice(changed > 0, *arguments)])
-
-
-def _hidden(gaps: ca.Function, model: Model) -> ca.Function:
-    """Return the earliest quarter of a step, as a fraction, at which its cubic interpolation is in another mode; 0 when none is."""
-    x, slope, after, end, u, h, mode = path = _path(gaps, model)
-    found = ca.MX(0)
-    for t in (0.75, 0.5, 0.25):
-        found = ca.if_else(ca.sum1((gaps(hermite_cubic(x, slope, after, end, h, t), u) > 0) != mode) > 0, t, found)
-    return ca.Function("hidden", path, [found])
-
-
-def _root(gaps: ca.Function, model: Model) -> ca.Function:
-    """Return (a step, low, high, wanted) -> time, s, of the first event that its cubic interpolation meets in between; at no cost unless wanted."""
-    x, slope, after, end, u, h, mode = path = _path(gaps, model)
-    low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
-    sign = 2 * mode - 1
-    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(hermite_cubic(x, slope, after, end, h, t / h), u))])
-    a, b, at_a, at_b = (ca.MX.sym(name) for name in ("a", "b", "at_a", "at_b"))
-    middle = (a + b) / 2
-    at_middle = value(middle, *path)
-    new = middle + (middle - a) * at_middle / ca.sqrt(at_middle**2 - at_a * at_b + 1e-300)
-    at_new = value(new, *path)
-    before, half = at_new > 0, at_middle > 0
-    ends = [ca.if_else(before, new, ca.if_else(half, middle, a)), ca.if_else(before, ca.if_else(half, b, middle), new)]
-    ends += [ca.if_else(before, at_new, ca.if_else(half, at_middle, at_a)), ca.if_else(before, ca.if_else(half, at_b, at_middle), at_new)]
-    ridders = ca.Function("ridders", [a, b, at_a, at_b, *path], ends)
-    bracket = [low, high, value(low, *path), value(high, *path)]
-    sure = ca.logic_and(bracket[2] > 0, bracket[3] < 0)
-    outside = ca.if_else(bracket[2] > 0, high, low)
-    for _ in range(_RIDDERS):
-        bracket = list(ridders(*bracket, *path))
-    arguments = [*path, low, high]
-    found = ca.Function("found", arguments, [ca.if_else(sure, bracket[1], outside)])
-    nothing = ca.Function("nothing", arguments, [ca.MX(0)])
-    wanted = ca.MX.sym("wanted")
-    return ca.Function("root", [*arguments, wanted], [ca.Function.if_else("root_choice", found, nothing)(wanted, *arguments)])
-
-
-def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:
-    """Symbols for a step: x and its slope, where it ends and the slope there, u, the step's length, s, and the mode."""
-    ends = [ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end")]
-    return [*ends, ca.MX.sym("u", model.nw), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]

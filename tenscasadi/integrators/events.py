@@ -14,7 +14,9 @@ from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.binding import bind
-from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.casadi_tools import hermite_cubic, sparse
+
+_RIDDERS = 8  # iterations to the root of an interpolation
 
 
 def build_switching(model: Model) -> ca.Function | None:
@@ -71,3 +73,45 @@ def count_switches(model: Model) -> tuple[int, int]:
     scene = model.scene
     contacts = forces.contacts(scene, model.mechanism)
     return len(scene.switching_strings), contacts[-1][2].stop if contacts else 0
+
+
+def build_hidden(gaps: ca.Function, model: Model) -> ca.Function:
+    """Return the earliest quarter of a step, as a fraction, at which its cubic interpolation is in another mode; 0 when none is."""
+    x, slope, after, end, u, h, mode = path = _path(gaps, model)
+    found = ca.MX(0)
+    for t in (0.75, 0.5, 0.25):
+        found = ca.if_else(ca.sum1((gaps(hermite_cubic(x, slope, after, end, h, t), u) > 0) != mode) > 0, t, found)
+    return ca.Function("hidden", path, [found])
+
+
+def build_root(gaps: ca.Function, model: Model) -> ca.Function:
+    """Return (a step, low, high, wanted) -> time, s, of the first event that its cubic interpolation meets in between; at no cost unless wanted."""
+    x, slope, after, end, u, h, mode = path = _path(gaps, model)
+    low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
+    sign = 2 * mode - 1
+    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(hermite_cubic(x, slope, after, end, h, t / h), u))])
+    a, b, at_a, at_b = (ca.MX.sym(name) for name in ("a", "b", "at_a", "at_b"))
+    middle = (a + b) / 2
+    at_middle = value(middle, *path)
+    new = middle + (middle - a) * at_middle / ca.sqrt(at_middle**2 - at_a * at_b + 1e-300)
+    at_new = value(new, *path)
+    before, half = at_new > 0, at_middle > 0
+    ends = [ca.if_else(before, new, ca.if_else(half, middle, a)), ca.if_else(before, ca.if_else(half, b, middle), new)]
+    ends += [ca.if_else(before, at_new, ca.if_else(half, at_middle, at_a)), ca.if_else(before, ca.if_else(half, at_b, at_middle), at_new)]
+    ridders = ca.Function("ridders", [a, b, at_a, at_b, *path], ends)
+    bracket = [low, high, value(low, *path), value(high, *path)]
+    sure = ca.logic_and(bracket[2] > 0, bracket[3] < 0)
+    outside = ca.if_else(bracket[2] > 0, high, low)
+    for _ in range(_RIDDERS):
+        bracket = list(ridders(*bracket, *path))
+    arguments = [*path, low, high]
+    found = ca.Function("found", arguments, [ca.if_else(sure, bracket[1], outside)])
+    nothing = ca.Function("nothing", arguments, [ca.MX(0)])
+    wanted = ca.MX.sym("wanted")
+    return ca.Function("root", [*arguments, wanted], [ca.Function.if_else("root_choice", found, nothing)(wanted, *arguments)])
+
+
+def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:
+    """Symbols for a step: x and its slope, where it ends and the slope there, u, the step's length, s, and the mode."""
+    ends = [ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end")]
+    return [*ends, ca.MX.sym("u", model.nw), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]

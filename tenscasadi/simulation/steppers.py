@@ -14,10 +14,12 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.adaptive import ATTEMPTS, Limits, Memory, build_attempts
 from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.integrators.sundials import Sundials
+from tenscasadi.integrators.sundials_events import EventSteps
 from tenscasadi.simulation.control_input import SampledControl
 from tenscasadi.simulation.time_loop import chunk_function, chunk_steps
 from tenscasadi.util.compile import Compiled, CompileError, CompileTimeout, Single, compile_function, find_compiler
@@ -275,6 +277,8 @@ class SundialsStepper:
         self._start = scheme.algebraic_start(model)
         self._advance = scheme.advance(model, power)
         self._step = step
+        gaps = build_switching(model) if scheme.locate_events else None
+        self._events = None if gaps is None else EventSteps(scheme, model, gaps, power is not None, self._pause)
 
     def hold(self, controls: Array, lengths: Array) -> None:
         """See `Stepper.hold`."""
@@ -286,12 +290,15 @@ class SundialsStepper:
         start = z[: len(z) - self._extra]
         try:
             if (u[:count] == u[0]).all() and (lengths == self._step).all():
-                rows = self._run(start, u[:count])
+                rows = self._run(start, u[:count]) if self._events is None else self._events(start, u[0], lengths)
                 self._correct(rows[self._every - 1 :: self._every])
             else:  # CVODES steps over a change of the control: each grid step starts anew
                 parts = [start]
                 for k, (control, length) in enumerate(zip(u[:count], lengths, strict=True), 1):
-                    parts.append(np.asarray(self._advance(parts[-1], control, length).full()).ravel())
+                    if self._events is None:
+                        parts.append(np.asarray(self._advance(parts[-1], control, length).full()).ravel())
+                    else:
+                        parts.append(self._events(parts[-1], control, lengths[k - 1 : k])[0])
                     if k % self._every == 0:
                         self._correct(parts[-1][None])
                 rows = np.array(parts[1:])
@@ -326,4 +333,10 @@ class SundialsStepper:
 
     def report(self, taken: int, step: float) -> Report:
         """See `Stepper.report`."""
-        return Report(f"{taken} times {step:g} s apart, by {type(self._scheme).__name__}", step, taken)
+        events = self._events.events if self._events else 0
+        located = f", {self._events.trials} trials to locate {events} events" if self._events and events else ""
+        return Report(f"{taken} times {step:g} s apart, by {type(self._scheme).__name__}{located}", step, taken)
+
+    def _pause(self) -> None:
+        if time.perf_counter() > self.deadline:
+            raise OutOfTime

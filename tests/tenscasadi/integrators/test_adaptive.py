@@ -104,8 +104,8 @@ def test_events_are_located_even_where_interpolation_is_of_no_help(monkeypatch: 
         arguments = exact(gaps, model).mx_in()
         return ca.Function("root", arguments, [arguments[-3]])  # the start of the bracket
 
-    exact = adaptive._root
-    monkeypatch.setattr(adaptive, "_root", useless)
+    exact = adaptive.build_root
+    monkeypatch.setattr(adaptive, "build_root", useless)
     error, run = solve_certified("net4", DormandPrince853(1e-10))
     assert error < 1e-8
     assert located(run, EVENTS["net4"]) > 5 * EVENTS["net4"]
