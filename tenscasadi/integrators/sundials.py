@@ -93,10 +93,10 @@ class Sundials:
         instance("model", model, Model, "a tenscasadi.Model")
         return self._step(self.equations(model, power), self.absolute(model), self.algebraic_start(model))
 
-    def advance_held(self, model: Model, power: bool, parts: int) -> ca.Function:
-        """Build a step in one mode: (z, w, h) → z (nz, parts) at equal times, with w = (u, mode); `power`: work of the forces below x."""
+    def advance_held(self, model: Model, work: ca.Function | None, parts: int) -> ca.Function:
+        """Build a step in one mode: (z, w, h) → z (nz, parts) at equal times, with w = (u, mode); work: `build_held_ode` with work, or None."""
         shares = [(k + 1) / parts for k in range(parts)]
-        return self._step(self.equations(model, power, held=True), self.absolute(model), self.algebraic_start(model), shares)
+        return self._step(self.equations(model, work, held=True), self.absolute(model), self.algebraic_start(model), shares)
 
     def _step(self, equations: dict[str, Any], atol: float, start: ca.Function | None, shares: Sequence[float] = (1.0,)) -> ca.Function:
         """Equations (x, u, and z where they are algebraic) over a step of any length h: in time t/h."""
@@ -111,9 +111,9 @@ class Sundials:
         """Return 0, of the shape of z: the integrator keeps its steps stable by itself."""
         return np.zeros(np.shape(z), dtype=complex)
 
-    def equations(self, model: Model, power: ca.Function | bool | None, held: bool = False) -> dict[str, Any]:
+    def equations(self, model: Model, power: ca.Function | None, held: bool = False) -> dict[str, Any]:
         """Return x, u and ode for CasADi's integrator; held: see `advance_held`."""
-        ode = build_held_ode(model, bool(power)) if held else equations(model, power or None)
+        ode = (power or build_held_ode(model)) if held else equations(model, power)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
         return {"x": x, "u": u, "ode": ode(x, u)}
 
@@ -241,7 +241,7 @@ class Idas(Sundials):
     def _options(self, atol: float) -> dict[str, Any]:
         return super()._options(atol) | {"suppress_algebraic": True}  # λ jumps with the damping of a contact: that is no error of the motion
 
-    def equations(self, model: Model, power: ca.Function | bool | None, held: bool = False) -> dict[str, Any]:
+    def equations(self, model: Model, power: ca.Function | None, held: bool = False) -> dict[str, Any]:
         """Return x, z, u, ode and alg for CasADi's integrator: Eqs. 85-87 before the multipliers are eliminated.
 
         Parameters
@@ -251,7 +251,7 @@ class Idas(Sundials):
         power : casadi.Function or None
             Function (x, u) → power, W, whose work is one more state; None: no work.
         held : bool
-            See `advance_held`; `power` is then True or False.
+            See `advance_held`; `power` is its `work` then.
 
         Returns
         -------
@@ -271,8 +271,7 @@ class Idas(Sundials):
                 f"{type(self).__name__} cannot tell redundant constraints apart, use another scheme, such as Cvodes(): {model.redundancy}"
             )
         kind: Any = ca.MX if mech.large else ca.SX
-        work = build_held_ode(model, True) if held and power else power
-        state, w = kind.sym("x", model.nx + bool(work)), kind.sym("u", model.nw + held * sum(count_switches(model)))
+        state, w = kind.sym("x", model.nx + (power is not None)), kind.sym("u", model.nw + held * sum(count_switches(model)))
         u, mode = split_mode(model, w) if held else (w, FREE)
         mech = model.weighted(u)
         z = kind.sym("z", mech.bars + 3 * mech.joints)
@@ -283,7 +282,7 @@ class Idas(Sundials):
         A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + moved
         stretching = ca.sum1(Bd * Bd) + ca.sum1(B * mech.bar_vectors(A))  # Eq. 28
         gaping = mech.along_held(ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2]) + Omega - mech.along_held(Omega)
-        xdot = [model.pack(V, A, 1)] + ([work(state[: work.size1_in(0)], w)[-1]] if work else [])
+        xdot = [model.pack(V, A, 1)] + ([] if power is None else [power(state[: power.size1_in(0)], w)[-1]])
         rows = ca.densify(ca.vertcat(stretching.T, ca.vec(gaping)))
         equations = ca.Function("equations", [state, z, w], [ca.vertcat(*xdot), rows])
         symbols = [ca.MX.sym(name, value.shape[0]) for name, value in (("x", state), ("z", z), ("u", w))]

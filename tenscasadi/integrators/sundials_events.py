@@ -49,9 +49,10 @@ class EventSteps:
     def __init__(self, scheme: Sundials, model: Model, gaps: ca.Function, power: bool, pause: Callable[[], None]) -> None:
         self._scheme, self._nx, self._gaps, self._pause = scheme, model.nx, gaps, pause
         self._rtol, self._atol, self._moving = scheme.rtol, scheme.absolute(model), slice(0, 2 * model.nq)
-        self._equations = scheme.equations(model, power, held=True)
+        work = build_held_ode(model, work=True) if power else None
+        self._equations = scheme.equations(model, work, held=True)
         self._start, self._power = scheme.algebraic_start(model), power
-        self._advance = scheme.advance_held(model, power, 2 * _PARTS)
+        self._advance = scheme.advance_held(model, work, 2 * _PARTS)
         self._ode, self._potential = build_held_ode(model), build_potential(model)
         self._look_at = _build_look(model, gaps, self._ode, 10.0 * (self._atol + self._rtol * extent(model)))
         self._root = build_root(gaps, model)
@@ -82,7 +83,8 @@ class EventSteps:
         return np.array(rows)
 
     def _mode(self, z: Array, u: Array) -> Array:
-        return (self._gaps(z[: self._nx], u).full() > 0).astype(float).ravel()
+        mode: Array = (self._gaps(z[: self._nx], u).full() > 0).astype(float).ravel()
+        return mode
 
     def _integrate(self, z: Array, u: Array, step: float, many: int) -> list[Array]:
         """Return z after each of `many` grid steps, up to the first in which something may happen."""
