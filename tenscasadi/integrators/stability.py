@@ -132,9 +132,11 @@ def fastest_damped(model: Model, x: Any, u: Any, parameters: Any = None) -> floa
 
 
 def _largest_log(scheme: Scheme, z: NDArray[Any]) -> float:
+    if not np.isfinite(z).all():
+        return 0.0  # not known
     with np.errstate(all="ignore"):
         largest = float(np.abs(scheme.amplification(z)).max(initial=1.0))
-    return float(np.log(largest)) if largest > 1 + _ROUNDED else 0.0  # NaN: not known
+    return float(np.log(largest)) if largest > 1 + _ROUNDED else 0.0
 
 
 def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:

@@ -131,6 +131,12 @@ def find_jumps(load: OverTime | SupportMotion, times: Array, around: float, firs
     return np.asarray(abs(after - before).max(axis=0) > _JUMP * max(abs(values).max(initial=0.0) for values in (some, before, after)))
 
 
+def is_finite(load: OverTime | SupportMotion, time: float) -> bool:
+    """Return whether a load that may be a function of time is finite at a time, s."""
+    functions = _derivatives(load)
+    return functions is None or bool(np.isfinite(functions.samples(np.array([time]))).all())
+
+
 class _Functions(NamedTuple):
     """A function of time as a column of m entries, and the derivative of it that is bounded; None: of no order."""
 

@@ -40,7 +40,7 @@ class SampledControl:
     """The `steps` steps of a run to `t_end`, s, with the control held in each; `varies`: it may change from step to step.
 
     ends (steps + 1,): where steps begin and end, s, None: all are equally long. unseen: which functions of time change too fast for them, as
-    messages tell it.
+    messages tell it. early: s, by which the last step is shorter than these say, of which rounding leaves nothing to be seen.
     """
 
     steps: int
@@ -49,6 +49,7 @@ class SampledControl:
     sample: Callable[[int, int], Array]
     ends: Array | None = None
     unseen: str = ""
+    early: float = 0.0
 
     @property
     def step(self) -> float:
@@ -73,7 +74,7 @@ class SampledControl:
         if self.ends is None:
             return np.full(count, self.step)
         indices = np.minimum(np.arange(first, first + count), self.steps - 1)
-        return np.asarray(np.diff(self.ends)[indices])
+        return np.asarray(np.diff(self.ends)[indices] - self.early * (indices == self.steps - 1))
 
     def times(self, rows: Indices) -> Array:
         """Return the times, s, at which these steps, counted from 0, begin; at `steps` the run ends."""

@@ -17,6 +17,7 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl, append_constants, sample_control
 from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
+from tenscasadi.simulation.missed_events import describe_missed_events
 from tenscasadi.simulation.steppers import OutOfTime, Report, StepFailure, Stepper, Task, make_stepper
 from tenscasadi.simulation.time_grid import cut_at_changes
 from tenscasadi.simulation.trajectory import Trajectory, first_rows, observe_states, record_trajectory
@@ -139,6 +140,8 @@ def simulate(  # noqa: PLR0913  the options of a run
             model, run.time, run.rows[:, : model.nx], run.controls, step=run.report.step, message="", supplied=supplied, seconds=run.seconds
         )
     good, success, message = _judge(model, scheme, run, recorded, compiled, inputs.unseen)
+    if success and "try" not in message:
+        message += describe_missed_events(model, built.stepper, inputs, run.rows, recorded)
     kept = first_rows(recorded, good)
     if correction is not None:
         unknown = scheme.adaptive or inputs.ends is not None

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from tenscasadi.scene.over_time import OverTime
-from tenscasadi.scene.pulses import Resolution, find_jumps, find_pulses
+from tenscasadi.scene.pulses import Resolution, find_jumps, find_pulses, is_finite
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.scene.time_functions import clock_error
 from tenscasadi.simulation.control_input import SampledControl, cut_steps
@@ -70,7 +70,11 @@ def cut_at_changes(changing: Sequence[OverTime | SupportMotion], inputs: Sampled
     jumps = [times[find_jumps(load, times, 2 * error, first, last)] for load, times in zip(changing, breaks, strict=True)]
     inputs = cut_steps(inputs, np.concatenate(jumps) - first, error / 2)
     cuts, unseen = _find_cuts(changing, lambda rows: first + inputs.times(rows), inputs.steps, error, resolution)
-    return replace(cut_steps(inputs, cuts - first), unseen=unseen)
+    inputs = replace(cut_steps(inputs, cuts - first), unseen=unseen)
+    if all(is_finite(load, last + error) for load in changing):
+        return inputs
+    # What is finite up to the end alone is not to be asked for a time beyond it, where rounding may take the clock.
+    return replace(inputs, ends=inputs.times(np.arange(inputs.steps + 1)), early=error)
 
 
 def unseen_changes(changing: Sequence[OverTime | SupportMotion], first: float, last: float, steps: int, resolution: Resolution) -> str:

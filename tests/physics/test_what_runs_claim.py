@@ -49,7 +49,7 @@ def hung(draw: Callable[[Any], Any]) -> tc.Structure:
 
 
 def check_steps(data: st.DataObject) -> None:
-    """Fixed steps above the stability limit that the structure has where all strings are taut, up to fifty times that."""
+    """Fixed steps from a thirtieth to fifty times of the stability limit that the structure has where all strings are taut."""
     structure, scheme = hung(data.draw), data.draw(st.sampled_from(SCHEMES))
     model = tc.Model(tc.Scene(structure, gravity=data.draw(st.sampled_from([None, tc.Gravity()]))))
     speed = data.draw(st.sampled_from([0.0, 1.0, 10.0]))
@@ -58,7 +58,7 @@ def check_steps(data: st.DataObject) -> None:
     start = np.asarray(tc.projection(model)(model.state(structure.nodes, velocities)).full()).ravel()
     taut = tc.Model(tc.Scene(structure.replace(rest_length=0.5 * structure.rest_length)))
     limit, steps = tc.stable_step(taut, start, scheme=scheme, safety=1.0), data.draw(st.integers(10, 1000))
-    step = limit * 10 ** data.draw(st.floats(0.02, 1.7))
+    step = limit * 10 ** data.draw(st.one_of(st.floats(0.02, 1.7), st.floats(-1.5, 0.0)))
     assume(np.isfinite(step) and 1e-4 < step * steps < 2.0)
     run = tc.simulate(model, step * steps, step, scheme, state=start, compiled=False)
     if not run.success or ";" in run.message:
@@ -72,12 +72,12 @@ def check_steps(data: st.DataObject) -> None:
     assert error < 0.01 + 3 * claimed, run.message
 
 
-def test_steps_above_the_stability_limit_end_right_or_with_a_word() -> None:
+def test_steps_near_the_stability_limit_end_right_or_with_a_word() -> None:
     on_examples(check_steps, 15)
 
 
 @pytest.mark.slow
-def test_many_steps_above_the_stability_limit_end_right_or_with_a_word() -> None:
+def test_many_steps_near_the_stability_limit_end_right_or_with_a_word() -> None:
     on_examples(check_steps, 600)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 from tenscasadi.analysis.certify import NoReference, certify
 from tenscasadi.analysis.recommend import recommend
@@ -184,3 +184,17 @@ def test_supports_may_move_along_splines() -> None:
         runs.append(simulate(Model(Scene(SPRING, supports=motion)), 1.0, 0.01, compiled=False))
     assert runs[0].success
     assert runs[0].nodes[-1] == pytest.approx(runs[1].nodes[-1], abs=1e-6)
+
+
+@pytest.mark.parametrize("scheme", [RungeKutta4(), DormandPrince853(), DormandPrince853(1e-9), Rattle(), Collocation(2, "radau"), Cvodes(1e-9)])
+def test_functions_that_are_finite_up_to_the_end_alone(scheme: Any) -> None:
+    """Rounding takes the clock beyond it: arcsin and roots are not defined there."""
+    weight = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 2.0], pinned=[0], stiffness=1e-9, rest_length=5.0)
+    for function in (lambda t: np.arcsin(t / 2), lambda t: np.sqrt(2 - t)):
+        moved = quad(lambda t, function=function: (2 - t) * function(t), 0.0, 2.0)[0] / 2
+        model = Model(Scene(weight, forces=NodalForce(lambda t, function=function: [[0, 0, 0], [0, function(t), 0]])))
+        for step in (0.1, 0.03, 0.0007):
+            run = simulate(model, 2.0, step, scheme, compiled=False)
+            assert run.success, run.message
+            assert run.time[-1] == 2.0
+            assert run.nodes[-1, 1, 1] == pytest.approx(moved, rel=2e-2 if step == 0.1 else 3e-3)
