@@ -21,10 +21,11 @@ from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, control_scale
 from ocp.solvers.base import Outcome, Solution, Solver
-from ocp.solvers.deferred_correction import check_correctable, solve_corrected
+from ocp.solvers.deferred_correction import Corrected, check_correctable, solve_corrected
 from ocp.solvers.fatrop import Fatrop
-from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.ipopt import TIME_UP, Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
+from ocp.solvers.wider_rates import TOO_SLOW, Patience, from_wider
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
 from ocp.transcription.mesh import Profile, group_matrix, held_values, spans
@@ -155,17 +156,43 @@ def _attempt(task: _Task, imposed: Target, guess: Guess, deadline: float | None,
     problem, transcription, solver = task.problem, task.transcription, task.solver
     program = transcription.program(problem, imposed, task.scales, guess)
     known = program if duals is None else warm_started(program, imposed, duals)
-    if transcription.accuracy is None or not isinstance(solver, Ipopt):
-        limited = {} if deadline is None else {"deadline": deadline}  # own solvers may know none
-        solution, states, gap = solver.solve(known, **limited), None, 0.0
+    if isinstance(solver, Ipopt) and program.rows("rate"):
+        solution, states, gap = _within_rates(task, known, solver, deadline)
     else:
-        solution, states, gap = solve_corrected(known, solver, problem.model, transcription.fractions, transcription.accuracy, deadline)
+        solution, states, gap = _solved(task, known, solver, deadline)
     planned, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
     lower, upper = problem.control_limits
     # Interior-point methods overstep limits by their tolerance.
     duration = np.clip(duration.squeeze(), problem.shortest, problem.longest)
     says = Guess(planned.T if states is None else states, np.clip(controls.T, lower, upper), float(duration))
     return _Found(imposed, program, solution, says, gap)
+
+
+def _solved(task: _Task, program: Program, solver: Solver, deadline: float | None) -> Corrected:
+    """Solve the program, corrected where an accuracy is asked for."""
+    accuracy = task.transcription.accuracy
+    if accuracy is not None and isinstance(solver, Ipopt):
+        return solve_corrected(program, solver, task.problem.model, task.transcription.fractions, accuracy, deadline)
+    limited = {} if deadline is None else {"deadline": deadline}  # own solvers may know none
+    return Corrected(solver.solve(program, **limited), None, 0.0)
+
+
+def _within_rates(task: _Task, program: Program, solver: Ipopt, deadline: float | None) -> Corrected:
+    """Solve a program with limits of rates. Where the solver hardly gets within them, find by how much they have to be wider, or start there."""
+    patience = Patience(program, solver, deadline)
+    found = _solved(task, program, replace(solver, watch=patience), deadline)
+    if patience.wider is None or found.solution.success or found.solution.status == TIME_UP:
+        return found
+    iterations = found.solution.iterations + patience.wider.iterations
+    if patience.too_slow:
+        return Corrected(Solution(patience.wider.w, False, TOO_SLOW, iterations), None, 0.0)
+    solution = from_wider(program, patience.wider, solver, deadline)
+    iterations += solution.iterations
+    if not solution.success:
+        return Corrected(solution._replace(iterations=iterations), None, 0.0)
+    known = replace(program, first=solution.w, multipliers=solution.multipliers)
+    found = _solved(task, known, replace(solver, warm=True), deadline)
+    return found._replace(solution=found.solution._replace(iterations=iterations + found.solution.iterations))
 
 
 def _planned(task: _Task, found: _Found) -> StateAt:

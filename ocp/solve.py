@@ -29,6 +29,7 @@ from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import TIME_UP, Ipopt
+from ocp.solvers.wider_rates import TOO_SLOW
 from ocp.starts import MOST_STARTS, seeded, solve_each
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess, evaluate_guess, on_mesh
@@ -184,7 +185,7 @@ def _by_choice(asked: _Asked) -> Plan:
         way, own = (choice._replace(guess=None), asked._replace(guess=best)) if optimal else (choice, asked)
         plans.append(_by_method(own, way, target, scales))
         tried.append(choice.describe())
-        if plans[-1].success or plans[-1].status == TIME:
+        if plans[-1].success or plans[-1].status in (TIME, TOO_SLOW):
             break
     best = max(plans, key=_worth)
     said = f"chosen: {tried[-1]}" + (f", after {', '.join(tried[:-1])}" if tried[:-1] else "")

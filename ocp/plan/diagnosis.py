@@ -16,6 +16,7 @@ from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import STOPPED, TIME_UP
+from ocp.solvers.wider_rates import TOO_SLOW, rate_rows, widening
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import hermite_state, locate_share
 from ocp.transcription.sparse_nlp import Program
@@ -118,14 +119,20 @@ def explain_failure(
     f, g = (np.asarray(value.full()).ravel() for value in values)
     violation = np.maximum(np.maximum(program.lower - g, g - program.upper), 0.0)
     held = _held(program.w_names, solution.w, program.w_lower, program.w_upper) + _held(program.names, g, program.lower, program.upper)
-    cause = _STOPS.get(solution.status) or _not_finite(program, solution, f, g) or too_long or _runaway(program, solution)
+    slow = [name for name in held if " rate " in name]
+    cause = _STOPS.get(solution.status) or _not_finite(program, solution, f, g)
+    if solution.status == TOO_SLOW:
+        rates = rate_rows(program)
+        beyond, times = program.names[rates[np.argmax(violation[rates])]], 1 + widening(program, solution.w)
+        cause = f"{_slow(beyond)}; with limits of rates {times:.3g} times as wide this mesh has a way, which is this plan"
+        cause += f", but {too_long}" if too_long else ""
+    cause = cause or too_long or _runaway(program, solution)
     if not cause:
         cause = _CAUSES.get(solution.status, _STEPS)
         if held and solution.status == "Maximum_Iterations_Exceeded":
             cause += f", or {_ROOM}"
-        slow = [name for name in held if " rate " in name]
         if slow and violation.max(initial=0.0) > VIOLATED and solution.status in _CAUSES and solution.iterations >= PATIENT:
-            cause = f"limits of rates leave no way that was found: allow a faster {slow[0].split(',')[0]}, or a longer duration"
+            cause = _slow(slow[0])
     parts = [f"no plan: {cause}"]
     if not np.all(np.isfinite(g)):
         return parts[0]
@@ -148,6 +155,10 @@ def explain_failure(
             rank = len(reach.controlled(imposed.single, imposed.weights, imposed.start, found.force_density, found.duration))
             parts.append(f"the strings move {rank} of {imposed.count} rows of the goals")
     return "; ".join(parts)
+
+
+def _slow(rate: str) -> str:
+    return f"limits of rates leave no way that was found: allow a faster {rate.split(',')[0]}, or a longer duration"
 
 
 def units_of(problem: Problem) -> dict[str, str]:

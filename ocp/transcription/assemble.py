@@ -148,7 +148,7 @@ def _between(v: Variables, rows: ScaledRows) -> Block:
     duration = v.repeated(v.duration, pairs)
     index = np.hstack([v.states[:pairs], v.controls[:-1], v.states[1 : pairs + 1], v.controls[1:], duration, v.share[:pairs]])
     names = tuple(f"{name}, end of interval {k}" for k in range(pairs) for name in rows.names)
-    return Block(ca.Function("between", [z], [value]), index, names, rows.lower, rows.upper, rows.scale, kind="path")
+    return Block(ca.Function("between", [z], [value]), index, names, rows.lower, rows.upper, rows.scale, kind="rate")
 
 
 def _cost(v: Variables, cost: Cost) -> Block:

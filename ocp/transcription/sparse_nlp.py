@@ -17,7 +17,7 @@ import numpy as np
 
 from tenscasadi.util.validate import Array, Indices
 
-Kind = Literal["start", "defect", "path", "waypoint", "end", "periodic", "cost"]  # what rows are of
+Kind = Literal["start", "defect", "path", "rate", "waypoint", "end", "periodic", "cost"]  # what rows are of
 
 
 @dataclass(frozen=True, eq=False)
