@@ -54,7 +54,7 @@ def correct(of: ReducedProblem, point: Point, linear: bool, accuracy: float, met
         before = size
         rows = of.chain.rows(of.strings(point.w), of.split(point.w)[1], point.motion)
         of.shift = Rows(rows.impulses - jumps, rows.lengths)
-        point = polish(of, point_at(of, point.w, point.motion), met)
+        point = polish(of, point_at(of, point.w, point.motion, point.slack), met)
         if point.worst > met:
             break
     return best

@@ -8,17 +8,20 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from ocp.condensed.chain import Motion, Rows
 from ocp.condensed.limits import LimitDuals, Limits
 from ocp.condensed.metric import Metric, Projector
 from ocp.condensed.reduced import Expansion, Leftover, ReducedProblem
 from ocp.condensed.tangential import Model, Step
-from tenscasadi.util.validate import Array
+from ocp.condensed.working_rows import WorkingRows
+from tenscasadi.util.validate import Array, Indices
 
 TIME = "time"  # how it ended: the time was over
 DAMPING = 1e-12  # of J D⁻¹ Jᵀ, relative to its mean diagonal: rows that nothing moves stay harmless
 ROOM, UNEVEN = 0.3, 0.1  # of the first step: distance of the start from limits; of that: noise on it
+PATH_ROOM = 1e-2  # in order-one rows: how far slacks begin from limits along the way
 NEAR_LIMIT = 0.99  # the share of the way to a limit that a step may take
 LEAST_ROOM = 1e-2  # before limits, times μ in units of the costs' curvature
 SPREAD = 100.0  # how far multipliers of limits may be from μ over the distance
@@ -41,10 +44,11 @@ SETTLED_BARRIER, SETTLED, WITHIN = 1e-4, 1e-4, 3  # μ, relative change of costs
 
 
 class Point(NamedTuple):
-    """Unknowns, motion, what is not met: its sum θ and its largest entry; and J."""
+    """Unknowns, motion, slacks (p,): what is limited along the way as it is to be; what is not met: its sum θ and its largest entry; and J."""
 
     w: Array
     motion: Motion
+    slack: Array
     left: Leftover
     theta: float
     worst: float
@@ -58,16 +62,17 @@ class Found:
     point: Point
     multipliers: Array
     duals: LimitDuals
+    of_paths: LimitDuals
     iterations: int
     status: str
     error: float
 
 
-def point_at(of: ReducedProblem, w: Array, motion: Motion) -> Point:
+def point_at(of: ReducedProblem, w: Array, motion: Motion, slack: Array) -> Point:
     """Evaluate a point."""
     with np.errstate(all="ignore"):
-        left = of.leftover(w, motion)
-        return Point(w, motion, left, *of.size_of(left), of.cost(w))
+        left = of.leftover(w, motion, slack)
+        return Point(w, motion, slack, left, *of.size_of(left), of.cost(w))
 
 
 def solve(of: ReducedProblem, w: Array, motion: Motion, tolerance: float, most: int, deadline: float | None, verbose: bool) -> Found:
@@ -83,7 +88,7 @@ def solve(of: ReducedProblem, w: Array, motion: Motion, tolerance: float, most: 
             status = "nearly settled" if search.still(NEARLY_WITHIN, NEARLY_SETTLED) else "stuck"
         if verbose and not status:
             sys.stdout.write(search.line() + "\n")
-    return Found(search.point, search.multipliers, search.duals, search.iterations, status, search.error(0.0))
+    return Found(search.point, search.multipliers, search.duals, search.of_paths, search.iterations, status, search.error(0.0))
 
 
 class Search:
@@ -98,11 +103,15 @@ class Search:
         pull = np.abs(of.slope(w)) * np.minimum(np.minimum(low, high), 1.0)
         self.mu = 0.5 * max(float(pull.mean()), 0.01 * self.unit)
         self.duals = LimitDuals(self.limits, w, self.mu)
+        c, duration = of.split(w)
+        slack = of.paths.limits.inside(of.paths.value(c, duration, motion), PATH_ROOM, 0.2)
+        self.of_paths = LimitDuals(of.paths.limits, slack, self.mu)
+        self.working = WorkingRows(of.paths)
         self.radius = 1e3 * float(np.sqrt(np.maximum(w @ (self.base * w), len(w) * self.unit)))
         self.stiffened, self.iterations, self.lowered = 0.0, 0, 0
         self.history: list[tuple[float, float]] = []
         self.multipliers = np.zeros(of.goals.count)
-        self._stand(point_at(of, w, motion))
+        self._stand(point_at(of, w, motion, slack))
         self.funnel = max(1.0, 2 * self.point.worst)
         self.last: Step | None = None
 
@@ -113,9 +122,10 @@ class Search:
         """
         of = self.of
         w = self.limits.inside(w, 0.05, 0.05)
-        point, expansion = point_at(of, w, motion), of.about(w, motion)
-        drift = expansion.change(expansion.follow(None, point.left.rows))
-        first = self._projector(expansion, np.zeros_like(w)).shortest(point.left.goals + drift)
+        expansion, goals = of.about(w, motion), of.goals.value(motion, of.split(w)[1])
+        drift = expansion.change(expansion.follow(None, of.rows_of(w, motion)))
+        metric = Metric(np.where(self.limits.free, self.base, 1e300), self.coupling)
+        first = Projector(expansion.jacobian, np.zeros(len(goals)), metric, DAMPING).shortest(goals + drift)
         level = ROOM * float(np.sqrt(np.mean(first**2)))
         inside = self.limits.inside(w, level, 0.2)
         inside = self.limits.inside(inside + UNEVEN * level * np.random.default_rng(0).uniform(size=len(w)), 0.05, 0.05)
@@ -123,30 +133,49 @@ class Search:
             inside[-1] = w[-1]
         return inside
 
-    def _projector(self, expansion: Expansion, stiffness: Array) -> Projector:
+    def _projector(self, stiffness: Array) -> Projector:
         metric = Metric(np.where(self.limits.free, self.base + stiffness, 1e300), self.coupling)
-        return Projector(expansion.jacobian, metric, DAMPING)
+        return Projector(self.rows, self.give, metric, DAMPING)
 
     def _stand(self, point: Point) -> None:
         """Move to a point."""
         self.point = point
         self.expansion = self.of.about(point.w, point.motion)
         self.slope = self.of.slope(point.w) * self.limits.free
-        self.gradient = self.slope + self.mu * self.limits.barrier_slope(point.w)
         self.history.append((point.cost, point.worst))
         self.stiffness = self.duals.stiffness(point.w) * self.limits.free
-        self.projector = self._projector(self.expansion, self.stiffness)
+        self._stand_between(point)
+        self.gradient = self._gradient()
+        self.projector = self._projector(self.stiffness)
+        self.working.learn(self.projector.sizes[self.of.goals.count :])
         if self.iterations:
             nearest = self.projector.multipliers(self.gradient)
             if self.iterations < 3 or np.abs(nearest).max(initial=0.0) < 3 * np.abs(self.multipliers).max(initial=0.0):
                 self.multipliers = nearest
 
+    def _stand_between(self, point: Point) -> None:
+        """Take up what limits along the way do to force densities."""
+        limits, left, expansion = self.of.paths.limits, point.left.paths, self.expansion
+        self.path_stiffness = self.of_paths.stiffness(point.slack)
+        self.chosen = self.working.choose(self.path_stiffness, left)
+        pulls = np.array([limits.barrier_slope(point.slack), self.path_stiffness * left, self.of_paths.net])
+        every = sp.csr_array((np.ones(len(self.chosen)), (self.chosen, np.arange(len(self.chosen)))), shape=(len(left), len(self.chosen)))
+        found = expansion.of_paths(np.hstack([pulls.T, every.toarray()]))
+        self.path_slope, self.path_pull, self.path_force = found[:3] * self.limits.free
+        self.rows = np.vstack([expansion.jacobian, found[3:]])
+        self.give = np.append(np.zeros(len(expansion.jacobian)), 1 / self.path_stiffness[self.chosen])
+
+    def _gradient(self) -> Array:
+        """Return the slope of the cost with barriers, whose slacks make up for what they lack."""
+        return self.slope + self.mu * (self.limits.barrier_slope(self.point.w) + self.path_slope) + self.path_pull
+
     def error(self, mu: float) -> float:
         """Return how far the point is from the optimum with barriers μ, in units of the costs' curvature."""
         duals = self.duals
-        gap = (self.slope + self.multipliers @ self.expansion.jacobian - duals.lower + duals.upper) * self.limits.free
+        gap = (self.slope + self.multipliers @ self.expansion.jacobian + self.path_force - duals.lower + duals.upper) * self.limits.free
         scale = max(1.0, float(duals.lower.mean() + duals.upper.mean()) / self.unit / 100)
-        return max(float(np.abs(gap).max(initial=0.0)), duals.error(self.point.w, mu)) / self.unit / scale
+        unmet = max(duals.error(self.point.w, mu), self.of_paths.error(self.point.slack, mu))
+        return max(float(np.abs(gap).max(initial=0.0)), unmet) / self.unit / scale
 
     def converged(self) -> str:
         """Return "optimal", "settled" where costs no longer fall, "nearly settled" where they hardly do, "unsettled" where slowly, or ""."""
@@ -177,16 +206,16 @@ class Search:
         if centred or self.still(2, SETTLED) or (self.iterations >= self.lowered + SLUGGISH[0] and self.still(*SLUGGISH)):
             self.lowered = self.iterations
             self.mu = max(LEAST_BARRIER * self.unit, FEWER * self.mu)
-            self.gradient = self.slope + self.mu * self.limits.barrier_slope(self.point.w)
+            self.gradient = self._gradient()
         stiffness, more = self.stiffness, self.stiffened / 3 if self.stiffened > 0.1 * self.unit else 0.0
         self.stiffened = more
         exact = self.iterations > 0 and self.point.worst < WIDE  # far from the goals, multipliers lead astray
         if exact:
-            self.expansion.weigh(self.multipliers)
+            self.expansion.weigh(self.multipliers, self.of_paths.net, self.path_stiffness)
         while more <= GIVEN_UP * self.unit:
-            projector = self._projector(self.expansion, stiffness + more) if more else self.projector
-            model = Model(self.expansion, stiffness + more, projector, self.gradient, exact)
-            step = model.step(*self.point.left, self.radius)
+            projector = self._projector(stiffness + more) if more else self.projector
+            model = Model(self.expansion, stiffness + more, projector, self.chosen, self.gradient, exact)
+            step = model.step(self.point.left, self.radius)
             if step.bent and more < STIFFENING * self.unit:
                 more = max(4 * more, 0.05 * self.unit)
                 self.stiffened = more
@@ -201,43 +230,47 @@ class Search:
     def _tried(self, step: Step, projector: Projector) -> tuple[Point, float] | None:
         """Return the first point along a step, cut at the limits and corrected, that is better, and the share of the step taken."""
         share = 1.0
-        rows = self.point.left.rows
+        self.falling = float((self.slope + self.mu * self.limits.barrier_slope(self.point.w)) @ step.d)
+        self.falling += self.mu * float(self.of.paths.limits.barrier_slope(self.point.slack) @ step.slack)
         for _ in range(10):
-            d = self.limits.cut(self.point.w, share * step.d, self._most(), self._room())
-            point = moved_point(self.of, self.expansion, self.point, d, Rows(share * rows.impulses, share * rows.lengths))
+            point = self._moved(self.point, share * step.d, share)
             for _ in range(CORRECTIONS):
-                if (self._better(point, step, share) and self._close(point)) or not point.theta < 10 * max(self.point.theta, 100.0):
+                if (self._better(point, share) and self._close(point)) or not point.theta < 10 * max(self.point.theta, 100.0):
                     break
-                left = point.left
-                drift = self.expansion.change(self.expansion.follow(None, left.rows))
-                back = self.limits.cut(point.w, -projector.shortest(left.goals + drift), self._most(), self._room())
-                corrected = moved_point(self.of, self.expansion, point, back, left.rows)
-                if not corrected.theta < point.theta or (self._better(point, step, share) and not self._better(corrected, step, share)):
+                drift = self.expansion.follow(None, point.left.rows)
+                paths = (point.left.paths + self.expansion.path_change(drift, None))[self.chosen]
+                back = -projector.shortest(np.append(point.left.goals + self.expansion.change(drift), paths))
+                corrected = self._moved(point, back, 1.0)
+                if not corrected.theta < point.theta or (self._better(point, share) and not self._better(corrected, share)):
                     break
                 point = corrected
-            if self._better(point, step, share):
+            if self._better(point, share):
                 return point, share
             share /= 2
         return None
 
+    def _moved(self, point: Point, d: Array, share: float) -> Point:
+        most, room = self._most(), LEAST_ROOM * self.mu / self.unit
+        return moved_point(self.of, self.expansion, point, self.limits.cut(point.w, d, most, room), share, most, room)
+
     def _most(self) -> float:
         return max(NEAR_LIMIT, 1 - self.mu / self.unit)
-
-    def _room(self) -> float:
-        return LEAST_ROOM * self.mu / self.unit
 
     def _close(self, point: Point) -> bool:
         nearly = min(NEARLY_MET, max(1e-6, 0.1 * self.mu / self.unit))
         return point.worst < nearly or (point.theta < 0.5 * self.point.theta and self.point.worst > 10 * nearly)
 
-    def _better(self, point: Point, step: Step, share: float) -> bool:
+    def _better(self, point: Point, share: float) -> bool:
         """Tell whether a point lies in the funnel and costs less, or, where goals are far from met, meets them better."""
         if not np.isfinite(point.theta) or point.worst > self.funnel:
             return False
-        if (step.slope < 0 and self.point.worst < 0.1 * self.funnel) or self.point.worst < 1e-7:
-            before, after = (one.cost + self.mu * self.limits.barrier(one.w) for one in (self.point, point))
-            return bool(after <= before + 1e-4 * share * step.slope + 1e-10 * abs(before))
+        if (self.falling < 0 and self.point.worst < 0.1 * self.funnel) or self.point.worst < 1e-7:
+            before, after = (self._with_barriers(one) for one in (self.point, point))
+            return bool(after <= before + 1e-4 * share * self.falling + 1e-10 * abs(before))
         return point.theta <= (1 - 0.1 * share) * self.point.theta
+
+    def _with_barriers(self, point: Point) -> float:
+        return point.cost + self.mu * (self.limits.barrier(point.w) + self.of.paths.limits.barrier(point.slack))
 
     def _move(self, step: Step, point: Point, share: float) -> None:
         before = self.point
@@ -249,6 +282,7 @@ class Search:
             least = min(WIDE, self.mu / self.unit)
             self.funnel = min(self.funnel, max(0.5 * self.funnel, 10 * point.worst, least))
         self.duals.follow(before.w, point.w, step.d, self.mu, self._most(), SPREAD)
+        self.of_paths.follow(before.slack, point.slack, step.slack, self.mu, self._most(), SPREAD)
         self.multipliers = self.multipliers + share * (step.multipliers - self.multipliers)
         self.iterations += 1
         self.last, self.share = step, share
@@ -273,29 +307,45 @@ def polish(of: ReducedProblem, point: Point, tolerance: float, most: int = 12) -
         expansion = of.about(point.w, point.motion)
         low, high = limits.gaps(point.w)
         room = np.clip(np.minimum(low, high), LEAST_POLISHED, 0.5)
-        projector = Projector(expansion.jacobian, Metric(np.where(limits.free, 1 / room, 1e300), None), DAMPING)
-        steps = (_towards(of, expansion, projector, point, share) for share in (1.0, 0.5, 0.25, 0.1))
+        near = np.clip(np.minimum(*of.paths.limits.gaps(point.slack)), LEAST_POLISHED, 0.5)
+        chosen = WorkingRows(of.paths).choose(1 / near, point.left.paths)
+        every = np.eye(of.paths.count)[:, chosen]
+        rows = np.vstack([expansion.jacobian, expansion.of_paths(every)])
+        give = np.append(np.zeros(len(expansion.jacobian)), near[chosen] ** 2)
+        projector = Projector(rows, give, Metric(np.where(limits.free, 1 / room, 1e300), None), DAMPING)
+        steps = (_towards(of, expansion, projector, chosen, point, share) for share in (1.0, 0.5, 0.25, 0.1))
         moved = next((one for one in steps if one.theta < point.theta or one.worst < point.worst), None)
         if moved is None:
             break
         before, point = point, moved
         while point.worst > tolerance and point.theta < QUICKLY * before.theta:  # the same expansion will do
-            before, point = point, _towards(of, expansion, projector, point, 1.0)
+            before, point = point, _towards(of, expansion, projector, chosen, point, 1.0)
         if not point.theta < before.theta:
             point = before
     return point
 
 
-def _towards(of: ReducedProblem, expansion: Expansion, projector: Projector, point: Point, share: float) -> Point:
+def _towards(of: ReducedProblem, expansion: Expansion, projector: Projector, chosen: Indices, point: Point, share: float) -> Point:
     """Return the point after a share of the shortest step that, by an expansion, meets goals and motion."""
-    rows = point.left.rows
-    whole = -projector.shortest(point.left.goals + expansion.change(expansion.follow(None, rows)))
+    drift = expansion.follow(None, point.left.rows)
+    paths = (point.left.paths + expansion.path_change(drift, None))[chosen]
+    whole = -projector.shortest(np.append(point.left.goals + expansion.change(drift), paths))
     d = Limits(of.lower, of.upper).cut(point.w, share * whole, 0.999, 0.0)
-    return moved_point(of, expansion, point, d, Rows(share * rows.impulses, share * rows.lengths))
+    return moved_point(of, expansion, point, d, share, 0.999, 0.0)
 
 
-def moved_point(of: ReducedProblem, expansion: Expansion, point: Point, d: Array, rows: Rows) -> Point:
-    """Return the point after a step d of w, which the motion follows, by the expansion, while it takes away rows."""
+def moved_point(of: ReducedProblem, expansion: Expansion, point: Point, d: Array, share: float, most: float, room: float) -> Point:
+    """Return the point after a step d of w, which the motion follows, by the expansion, while it takes away a share of its rows.
+
+    Slacks follow as far as limits let them (`Limits.cut`), and then are what they stand for, where that is farther from limits.
+    """
+    left = point.left
+    rows = Rows(share * left.rows.impulses, share * left.rows.lengths)
     step = expansion.follow(d, rows)
     shaped = Motion(*(one.reshape(other.shape) for one, other in zip(step, point.motion, strict=True)))
-    return point_at(of, point.w + d, point.motion.moved(shaped))
+    w, motion, slack, paths = point.w + d, point.motion.moved(shaped), point.slack, of.paths
+    if paths.count:
+        with np.errstate(all="ignore"):
+            true = paths.value(*of.split(w), motion)
+        slack = paths.limits.followed(slack, expansion.path_change(step, d) + share * left.paths, true, most, room)
+    return point_at(of, w, motion, slack)

@@ -42,6 +42,11 @@ class Limits:
         low, high = (np.where(gap > 2 * room, np.minimum(most * gap, gap - room), 0.5 * gap) for gap in self.gaps(w))
         return np.clip(step, -low, high) * self.free
 
+    def followed(self, slack: Array, step: Array, true: Array, most: float, room: float) -> Array:
+        """Return slacks after a step, cut as above; but `true`, what they stand for, where that keeps as much of the distances from limits."""
+        kept = [new >= (1 - most) * gap for gap, new in zip(self.gaps(slack), self.gaps(true), strict=True)]
+        return np.where(kept[0] & kept[1] & self.free, true, slack + self.cut(slack, step, most, room))
+
 
 class LimitDuals:
     """Multipliers (n,) of the lower and of the upper limits, about μ over the distance."""
@@ -50,6 +55,11 @@ class LimitDuals:
         low, high = limits.gaps(w)
         self.limits = limits
         self.lower, self.upper = limits.below * mu / low, limits.above * mu / high
+
+    @property
+    def net(self) -> Array:
+        """Multipliers of what is limited: positive where an upper limit holds."""
+        return self.upper - self.lower
 
     def stiffness(self, w: Array) -> Array:
         """Return what stands for the second derivatives of the barrier (n,)."""

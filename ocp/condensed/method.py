@@ -13,6 +13,7 @@ from ocp.condensed.correction import Corrected, correct
 from ocp.condensed.interior_point import TIME, Found, Point, polish, solve
 from ocp.condensed.motions import first_motion, states_of
 from ocp.condensed.objective import foreign_costs
+from ocp.condensed.path_rows import Limited
 from ocp.condensed.reduced import ReducedProblem
 from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function
 from ocp.problem.bounds.string_bounds import ForceDensityLimits
@@ -65,9 +66,6 @@ def applies(problem: Problem) -> str:
         return "supports are moved, and its duration is free"
     if problem.free_start:
         return "its start is free"
-    bounds = sorted({type(bound).__name__ for bound in problem.bounds if type(bound) is not ForceDensityLimits})
-    if bounds:
-        return f"it has {' and '.join(bounds)}, limits of more than force densities"
     costs = foreign_costs(problem.costs)
     return f"it has the cost {' and '.join(costs)}, of more than force densities and the duration" if costs else ""
 
@@ -107,7 +105,9 @@ def _reduced(problem: Problem, transcription: Transcription, target: Target, sca
     gamma = node_values(guess.force_density, transcription.fractions) if transcription.control.linear else guess.force_density
     strength = max(float(np.sqrt(np.mean(guess.force_density**2))), scales.mass / scales.time**2)
     cost = typical_cost(problem, strength, guess.states, guess.force_density, guess.duration)
-    reduced = ReducedProblem(problem, transcription, target, scales, strength, cost)
+    decided = all(type(bound) is ForceDensityLimits for bound in problem.bounds)
+    limited = None if decided else Limited(problem, transcription, target, scales, guess)
+    reduced = ReducedProblem(problem, transcription, target, scales, strength, cost, limited)
     gamma = np.add.reduceat(gamma, reduced.begins) / np.bincount(reduced.span)[:, None]
     w = np.clip(
         reduced.joined(gamma @ (reduced.together / reduced.together.sum(axis=0)), guess.duration) / reduced.units, reduced.lower, reduced.upper
@@ -115,7 +115,7 @@ def _reduced(problem: Problem, transcription: Transcription, target: Target, sca
     jacobian = reduced.about(w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states)).jacobian
     imposed = _controlled(target, jacobian)
     if imposed is not target:
-        reduced = ReducedProblem(problem, transcription, imposed, scales, strength, cost)
+        reduced = ReducedProblem(problem, transcription, imposed, scales, strength, cost, limited)
     return reduced, w, imposed
 
 
@@ -180,7 +180,8 @@ def _why(target: Target, found: Found, point: Point, state_at: StateAt) -> str:
 
 def _duals(reduced: ReducedProblem, imposed: Target, found: Found, point: Point) -> Duals:
     """Return the multipliers of goals and limits by name, in physical units, as `named_duals` does."""
-    names, values, start = [], [], 0
+    paths = reduced.paths
+    names, values, start = list(paths.names), [found.of_paths.net * reduced.cost_scale / paths.scale], 0
     for part in [*(one.target for one in imposed.waypoints), imposed]:
         own = found.multipliers[start : start + part.count] * reduced.cost_scale
         start += part.count

@@ -37,10 +37,6 @@ class Metric:
             result[:size] += flat * x[m : m + size]
         return result
 
-    def norm(self, x: Array) -> float:
-        """Return the square root of xᵀD x."""
-        return float(np.sqrt(np.maximum(x @ self.times(x), 0.0)))
-
     def solve(self, x: Array) -> Array:
         """Return D⁻¹ x of x (n,) or (n, r)."""
         if self.coupling is None:
@@ -58,34 +54,50 @@ class Metric:
 
 
 class Projector:
-    """Steps that J does not see, and the shortest that it does, in the sense of a metric."""
+    """Steps that J does not see, and the shortest that it does, in the sense of a metric to which some rows add what they resist.
 
-    def __init__(self, jacobian: Array, metric: Metric, damping: float) -> None:
-        self.jacobian, self.metric = jacobian, metric
-        if metric.coupling is None and len(jacobian):
-            half = jacobian / np.sqrt(metric.diagonal)
+    jacobian (m + p, n): of rows that are met, J, then of p that give way, B. give (m + p,): by how much, 0 of those that are met. The metric
+    is D + Bᵀ give⁻¹ B.
+    """
+
+    def __init__(self, jacobian: Array, give: Array, diagonal: Metric, damping: float) -> None:
+        self.jacobian, self.diagonal = jacobian, diagonal
+        self.count = int(np.count_nonzero(give == 0))
+        self.soft, self.resisting = jacobian[self.count :], 1 / give[self.count :]
+        if diagonal.coupling is None and len(jacobian):
+            half = jacobian / np.sqrt(diagonal.diagonal)
             matrix = scipy.linalg.blas.dsyrk(1.0, half.T, trans=1, lower=1)  # the lower half
-            self.spread = half / np.sqrt(metric.diagonal)  # J D⁻¹
+            self.spread = half / np.sqrt(diagonal.diagonal)  # J D⁻¹
         else:
-            self.spread = np.ascontiguousarray(metric.solve(jacobian.T).T)
+            self.spread = np.ascontiguousarray(diagonal.solve(jacobian.T).T)
             matrix = self.spread @ jacobian.T
         count = len(matrix)
-        matrix[range(count), range(count)] += damping * max(np.trace(matrix) / max(count, 1), 1e-300)
+        self.sizes = matrix.diagonal().copy()
+        matrix[range(count), range(count)] += damping * max(np.trace(matrix) / max(count, 1), 1e-300) + give
         self._factor = scipy.linalg.cho_factor(matrix, lower=True, check_finite=False) if count else None
 
+    def times(self, x: Array) -> Array:
+        """Return the metric times x (n,)."""
+        own = self.diagonal.times(x)
+        return own + self.soft.T @ (self.resisting * (self.soft @ x)) if len(self.soft) else own
+
+    def norm(self, x: Array) -> float:
+        """Return the square root of xᵀ times(x)."""
+        return float(np.sqrt(np.maximum(x @ self.times(x), 0.0)))
+
     def inner(self, x: Array) -> Array:
-        """Return (J D⁻¹ Jᵀ)⁻¹ x."""
+        """Return (J D⁻¹ Jᵀ + give)⁻¹ x of all rows."""
         return x if self._factor is None else np.asarray(scipy.linalg.cho_solve(self._factor, x, check_finite=False))
 
     def shortest(self, rows: Array) -> Array:
-        """Return the least step d, in the metric, with J d = rows."""
+        """Return the least step d, in the metric, with J d = rows; those that give way resist what is left of theirs."""
         return np.asarray(self.spread.T @ self.inner(rows))
 
     def multipliers(self, force: Array) -> Array:
-        """Return y that makes force + Jᵀy least, in the inverse metric."""
-        return -self.inner(self.spread @ force)
+        """Return y (m,) that makes force + Jᵀy least, in the inverse metric."""
+        return -self.inner(self.spread @ force)[: self.count]
 
     def project(self, force: Array) -> Array:
-        """Return the D⁻¹ force, less what J sees."""
-        w = self.metric.solve(force)
+        """Return the inverse metric times a force, less what J sees."""
+        w = self.diagonal.solve(force)
         return w - self.spread.T @ self.inner(self.jacobian @ w)

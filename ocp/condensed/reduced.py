@@ -11,6 +11,7 @@ from ocp.condensed.chain import Chain, Motion, Rows
 from ocp.condensed.goal_rows import GoalRows, needed_taps
 from ocp.condensed.linear_chain import LinearChain
 from ocp.condensed.objective import Objective
+from ocp.condensed.path_rows import Limited, PathRows, Slopes
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.transcription.base import Transcription
@@ -19,19 +20,21 @@ from tenscasadi.util.validate import Array
 
 
 class Leftover(NamedTuple):
-    """Residuals: rows of goals (m,), and rows of the motion."""
+    """Residuals: rows of goals (m,), of the motion, and of the limits along it (p,), less their slacks."""
 
     goals: Array
     rows: Rows
+    paths: Array
 
 
 class ReducedProblem:
     """Minimise J(w) subject to goals, w = force densities (Kc, m) in units of `strength`, then the duration, if free, in units of `time`."""
 
-    def __init__(self, problem: Problem, transcription: Transcription, target: Target, scales: Scales, strength: float, cost: float) -> None:
+    def __init__(self, problem: Problem, transcription: Transcription, target: Target, scales: Scales, strength: float, cost: float, limited: Limited | None = None) -> None:
         fractions, profile = transcription.fractions, transcription.control
         self.problem, self.length, self.cost_scale = problem, scales.length, cost
-        self.chain = Chain(problem.model, fractions, profile, target.start, needed_taps(target, fractions))
+        taps = needed_taps(target, fractions)
+        self.chain = Chain(problem.model, fractions, profile, target.start, taps if limited is None else np.union1d(taps, limited.taps))
         self.goals = GoalRows(self.chain, target)
         self.objective = Objective(problem, fractions, profile)
         self.shape = self.chain.controls.shape
@@ -40,6 +43,7 @@ class ReducedProblem:
         self.together = group_matrix(profile, problem.model.nu)
         self.span = np.arange(len(fractions) + 1) if profile.linear else spans(profile, fractions)
         self.begins = np.unique(self.span, return_index=True)[1]  # where each of the force densities begins that are unknowns
+        self.paths = PathRows(self.chain, limited, self.begins)
         members = [np.flatnonzero(column) for column in self.together.T]
         least, most = problem.force_density_limits
         lower, upper = (np.array([pick(limit[own]) for own in members]) for pick, limit in ((np.max, least), (np.min, most)))
@@ -89,17 +93,19 @@ class ReducedProblem:
         scale = float(self.units[0] ** 2 / self.cost_scale)
         return np.maximum(own, least), coupling * scale if self.objective.coupled else None
 
-    def leftover(self, w: Array, motion: Motion) -> Leftover:
-        """Return what is not met."""
-        T = self.split(w)[1]
-        rows = self.chain.rows(self.strings(w), T, motion)
-        if self.shift is not None:
-            rows = Rows(rows.impulses - self.shift.impulses, rows.lengths - self.shift.lengths)
-        return Leftover(self.goals.value(motion, T), rows)
+    def leftover(self, w: Array, motion: Motion, slack: Array) -> Leftover:
+        """Return what is not met. slack: values (p,) within the limits along the way, which these are to take."""
+        c, T = self.split(w)
+        return Leftover(self.goals.value(motion, T), self.rows_of(w, motion), self.paths.value(c, T, motion) - slack)
+
+    def rows_of(self, w: Array, motion: Motion) -> Rows:
+        """Return what the rows of the motion leave, less what they are to leave."""
+        rows = self.chain.rows(self.strings(w), self.split(w)[1], motion)
+        return rows if self.shift is None else Rows(rows.impulses - self.shift.impulses, rows.lengths - self.shift.lengths)
 
     def size_of(self, left: Leftover) -> tuple[float, float]:
         """Return the sum and the largest of what is not met, all of order one."""
-        parts = [left.goals, self.chain.count / self.length * left.rows.impulses, left.rows.lengths / self._squared]
+        parts = [left.goals, left.paths, self.chain.count / self.length * left.rows.impulses, left.rows.lengths / self._squared]
         return sum(float(np.abs(part).sum()) for part in parts), max(float(np.abs(part).max(initial=0.0)) for part in parts)
 
     @property
@@ -127,6 +133,8 @@ class Expansion:
         self.moved_by_duration = chain.by_inverse(self.by_duration[:, :, None])[:, :, 0]
         self.goal_slopes = goals.jacobians(motion, self.T)
         self.jacobian = self._jacobian()
+        self.entries = reduced.paths.entries(self.c, self.T, motion) if reduced.paths.count else np.zeros(0)
+        self.path_slopes = reduced.paths.jacobian(self.entries) if reduced.paths.count else None
 
     def _jacobian(self) -> Array:
         """Return the derivatives (m, n) of the goals by w."""
@@ -134,14 +142,25 @@ class Expansion:
         if not of.goals.count:
             return np.zeros((0, of.size))
         slopes = of.goals.slopes(self.goal_slopes, np.eye(of.goals.count))
-        costate = self.linear.solve_back(slopes.motion)
-        by_strings = self.linear.by_strings(costate.impulses)
-        return np.ascontiguousarray((self._by_w(by_strings, costate.impulses, slopes.duration) * of.units[:, None]).T)
+        return self._followed(slopes.motion, slopes.duration)
 
-    def _by_w(self, by_strings: Array, impulses: Array, by_duration: Array) -> Array:
-        """Return derivatives (n, r) by w from those by T²σγ (K + X, α, r) and by the duration alone (r,)."""
+    def of_paths(self, weights: Array) -> Array:
+        """Return the derivatives (r, n) by w of combinations (p, r) of the limits along the way."""
+        if self.path_slopes is None or not weights.shape[1]:
+            return np.zeros((weights.shape[1], self.of.size))
+        slopes = self.of.paths.slopes(self.motion, self.T, self.path_slopes.T @ weights)
+        return self._followed(slopes.motion, slopes.duration, slopes.controls)
+
+    def _followed(self, motion: Motion, by_duration: Array, by_c: Array | float = 0.0) -> Array:
+        """Return the derivatives (r, n) by w of functions of these slopes, whose motion follows w."""
+        costate = self.linear.solve_back(motion)
+        by_strings = self.linear.by_strings(costate.impulses)
+        return np.ascontiguousarray((self._by_w(by_strings, costate.impulses, by_duration, by_c) * self.of.units[:, None]).T)
+
+    def _by_w(self, by_strings: Array, impulses: Array, by_duration: Array, by_c: Array | float = 0.0) -> Array:
+        """Return derivatives (n, r) by w from those by T²σγ (K + X, α, r), by the duration alone (r,), and by force densities alone (Kc, m, r)."""
         T = self.T
-        c = T**2 * self.of.chain.controls.gathered(by_strings)
+        c = T**2 * self.of.chain.controls.gathered(by_strings) + by_c
         if not self.of.free_duration:
             return self.of.joined(c, 0.0)
         whole = 2 / T * np.einsum("is,isa->a", self.strings, by_strings) + np.einsum("ij,ija->a", self.by_duration, impulses) + by_duration
@@ -169,23 +188,52 @@ class Expansion:
         """Return the change (m,) of the goals."""
         return self.of.goals.along(self.goal_slopes, moved, longer)
 
-    def weigh(self, multipliers: Array) -> None:
-        """Set the multipliers (m,) of the goals, under which the motion's own are found."""
-        slopes = self.of.goals.slopes(self.goal_slopes, multipliers[:, None])
-        self.costate = self.linear.solve_back(slopes.motion)
+    def path_change(self, moved: Motion, step: Array | None) -> Array:
+        """Return the change (p,) of what is limited along the way, along a step of the motion and of w."""
+        return np.zeros(0) if self.path_slopes is None else self.path_slopes @ self._entries_along(moved, *self._alone(step))
+
+    def _alone(self, step: Array | None) -> tuple[Array, float]:
+        return (np.zeros(self.of.shape), 0.0) if step is None else self.split(step)
+
+    def _entries_along(self, moved: Motion, change: Array, longer: float) -> Array:
+        return self.of.paths.change(self.motion, self.T, moved, change, longer)
+
+    def weigh(self, multipliers: Array, of_paths: Array, stiffness: Array) -> None:
+        """Set the multipliers of goals (m,) and of limits along the way (p,), under which the motion's own are found, and how stiff barriers are."""
+        slopes = self.of.goals.slopes(self.goal_slopes, multipliers[:, None]).motion
+        if self.path_slopes is not None:
+            self.pull = self.path_slopes.T @ of_paths
+            slopes = _sum(slopes, self.of.paths.slopes(self.motion, self.T, self.pull[:, None]).motion)
+            self.path_curvature = self.of.paths.hessian(self.entries, of_paths)
+            self.path_stiffness = stiffness
+        self.costate = self.linear.solve_back(slopes)
         self.own = self.linear.by_strings(self.costate.impulses)[:, :, 0]
         self.goal_curvature = self.of.goals.hessians(self.motion, self.T, multipliers)
 
+    def _path_curvature(self, moved: Motion, change: Array, longer: float) -> Slopes | None:
+        """Return how the slopes of limits along the way, with multipliers and barriers, change along a step."""
+        if self.path_slopes is None:
+            return None
+        paths = self.of.paths
+        along = self._entries_along(moved, change, longer)
+        pull = self.path_curvature @ along + self.path_slopes.T @ (self.path_stiffness * (self.path_slopes @ along))
+        more, bent = paths.slopes(self.motion, self.T, pull[:, None]), paths.bent(self.motion, self.T, self.pull, moved, longer)
+        return Slopes(_sum(more.motion, bent.motion), more.controls + bent.controls, more.duration + bent.duration)
+
     def curvature(self, step: Array, moved: Motion) -> Array:
-        """Return the second derivatives of J + yᵀ goals along a step of w and the step of the motion with it; `weigh` sets y."""
+        """Return the second derivatives of J + yᵀ goals + barriers along a step of w and the step of the motion with it; `weigh` sets y."""
         of, T = self.of, self.T
         change, longer = self.split(step)
         strings = self.strings_of(step)
         slopes, by_strings = self.linear.curvature(self.costate, strings, moved)
         more = of.goals.curvature(self.goal_curvature, moved, longer)
-        costate = self.linear.solve_back(Motion(*(one + other for one, other in zip(slopes, more.motion, strict=True))))
+        slopes, by_duration, by_controls = _sum(slopes, more.motion), more.duration, 0.0
+        paths = self._path_curvature(moved, change, longer)
+        if paths is not None:
+            slopes, by_duration, by_controls = _sum(slopes, paths.motion), by_duration + paths.duration, paths.controls
+        costate = self.linear.solve_back(slopes)
         by_strings = by_strings + self.linear.by_strings(costate.impulses)[:, :, 0]
-        result = self._by_w(by_strings[:, :, None], costate.impulses, more.duration)[:, 0]
+        result = self._by_w(by_strings[:, :, None], costate.impulses, by_duration, by_controls)[:, 0]
         if of.free_duration:
             controls = of.chain.controls
             again = 2 * T * longer * controls.gathered(self.own[:, :, None])[:, :, 0]
@@ -194,3 +242,7 @@ class Expansion:
             result = result + of.joined(again, whole)
         by_c, by_T = of.objective.curvature(self.c, T, change, longer)
         return np.asarray(of.units * (result + of.joined(by_c, by_T) / of.cost_scale))
+
+
+def _sum(one: Motion, other: Motion) -> Motion:
+    return Motion(*(a + b for a, b in zip(one, other, strict=True)))

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp.condensed.chain import Rows
+from ocp.condensed.chain import Motion
 from ocp.condensed.metric import Projector
-from ocp.condensed.reduced import Expansion
-from tenscasadi.util.validate import Array
+from ocp.condensed.reduced import Expansion, Leftover
+from tenscasadi.util.validate import Array, Indices
 
 LEAST_LEFT = 0.05  # of the projected gradient: conjugate gradients end
 MOST_PRODUCTS = 30  # with the second derivatives, in one step
@@ -19,14 +19,14 @@ FLAT = 1e-8  # of the metric's: less curvature is none
 class Step(NamedTuple):
     """A step d of w: normal, the part that leads to the goals; tangential, the metric's size of the rest.
 
-    slope: what the cost with barriers changes by along d, to first order; multipliers: those of the goals at its end. hit: whether the trust
+    slack: the step (p,) of what is limited along the way, that belongs to it; multipliers: those of the goals at its end. hit: whether the trust
     region ends it; bent: whether curvature is negative along it.
     """
 
     d: Array
+    slack: Array
     normal: float
     tangential: float
-    slope: float
     multipliers: Array
     hit: bool
     bent: bool
@@ -34,40 +34,48 @@ class Step(NamedTuple):
 
 
 class Model:
-    """The quadratic model of costs and barriers about a point: exact, or, without multipliers, its metric alone."""
+    """The quadratic model of costs and barriers about a point: exact, or, without multipliers, its metric alone.
 
-    def __init__(self, expansion: Expansion, stiffness: Array, projector: Projector, gradient: Array, exact: bool) -> None:
-        self.expansion, self.stiffness, self.metric, self.projector = expansion, stiffness, projector.metric, projector
+    stiffness (n,): of the barriers before limits of w; working: the limits along the way that give way in the projector.
+    """
+
+    def __init__(self, expansion: Expansion, stiffness: Array, projector: Projector, working: Indices, gradient: Array, exact: bool) -> None:
+        self.expansion, self.stiffness, self.projector, self.working = expansion, stiffness, projector, working
         self.gradient, self.exact = gradient, exact
 
-    def times(self, step: Array, rows: Rows | None = None) -> Array:
-        """Return the second derivatives along a step of w, that the motion follows while it takes away its rows."""
-        if not self.exact:
-            return self.metric.times(step)
-        return self.expansion.curvature(step, self.expansion.follow(step, rows)) + self.stiffness * step
-
-    def step(self, goals: Array, rows: Rows, radius: float) -> Step:
+    def step(self, left: Leftover, radius: float) -> Step:
         """Return the step that meets the goals, linearised, and then minimises the model within a radius, in the metric, of that."""
-        expansion, projector, metric = self.expansion, self.projector, self.metric
-        drift = expansion.change(expansion.follow(None, rows))
-        normal = -projector.shortest(goals + drift)
-        curved = self.times(normal, rows)
+        expansion, projector = self.expansion, self.projector
+        drift = expansion.follow(None, left.rows)
+        drifted = expansion.path_change(drift, None)[self.working]
+        normal = -projector.shortest(np.append(left.goals + expansion.change(drift), left.paths[self.working] + drifted))
+        if self.exact:
+            curved = self._curved(normal, expansion.follow(normal, left.rows))
+        else:
+            curved = projector.times(normal) + projector.soft.T @ (projector.resisting * drifted)
         tangential, change, hit, bent, products = self._descend(self.gradient + curved, radius)
         d, curved = normal + tangential, curved + change
         return Step(
             d,
-            metric.norm(normal),
-            metric.norm(tangential),
-            float(self.gradient @ d),
+            expansion.path_change(expansion.follow(d, left.rows), d) + left.paths,
+            projector.norm(normal),
+            projector.norm(tangential),
             projector.multipliers(self.gradient + curved),
             hit,
             bent,
             products,
         )
 
+    def _times(self, step: Array) -> Array:
+        """Return the second derivatives along a step of w that the motion follows."""
+        return self._curved(step, self.expansion.follow(step, None)) if self.exact else self.projector.times(step)
+
+    def _curved(self, step: Array, moved: Motion) -> Array:
+        return self.expansion.curvature(step, moved) + self.stiffness * step
+
     def _descend(self, force: Array, radius: float) -> tuple[Array, Array, bool, bool, int]:
         """Conjugate gradients that J does not see, preconditioned by the metric (Steihaug's), with the change of the gradient."""
-        metric, project = self.metric, self.projector.project
+        metric, project = self.projector, self.projector.project
         total, change = np.zeros_like(force), np.zeros_like(force)
         r = force
         g = project(r)
@@ -76,7 +84,7 @@ class Model:
         for count in range(1, MOST_PRODUCTS + 1):
             if not left > LEAST_LEFT**2 * first or not first > 0:
                 return total, change, False, False, count - 1
-            Hp, Dp = self.times(p), metric.times(p)
+            Hp, Dp = self._times(p), metric.times(p)
             bend, size, along = p @ Hp, p @ Dp, total @ Dp
             room = radius**2 - total @ metric.times(total)
             farthest = (-along + np.sqrt(np.maximum(along**2 + size * room, 0.0))) / size

@@ -1,0 +1,38 @@
+"""Which of the limits along the way are near enough to count among the rows of a step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ocp.condensed.path_rows import PathRows
+from tenscasadi.util.validate import Array, Indices
+
+MOST = 400  # rows
+FELT = 1e-2  # of the metric: what a row adds to it at least
+UNMET = 1e-9  # in order-one rows
+SAMPLE = 30  # rows, from which is learnt what they add
+
+
+class WorkingRows:
+    """Rows whose barriers bend the costs most; all others act through products with the second derivatives alone."""
+
+    def __init__(self, paths: PathRows) -> None:
+        self.count = paths.count
+        self.size = 0.0  # of B D⁻¹ Bᵀ, typical
+
+    def learn(self, sizes: Array) -> None:
+        """Remember how far the metric lets rows give way."""
+        if len(sizes):
+            self.size = float(np.median(sizes))
+
+    def choose(self, stiffness: Array, left: Array) -> Indices:
+        """Return rows (p',), given how stiff their barriers are, and what they leave unmet."""
+        if not self.count:
+            return np.zeros(0, dtype=np.intp)
+        if not self.size:
+            felt = np.argsort(stiffness, kind="stable")[::-1][:SAMPLE]
+            return np.union1d(felt, self._most(stiffness, np.flatnonzero(np.abs(left) > UNMET)))
+        return self._most(stiffness, np.flatnonzero((stiffness * self.size > FELT) | (np.abs(left) > UNMET)))
+
+    def _most(self, stiffness: Array, rows: Indices) -> Indices:
+        return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:MOST]])
