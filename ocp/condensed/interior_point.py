@@ -15,13 +15,14 @@ from ocp.condensed.limits import LimitDuals, Limits
 from ocp.condensed.metric import Metric, Projector
 from ocp.condensed.reduced import Expansion, Leftover, ReducedProblem
 from ocp.condensed.tangential import Model, Step
-from ocp.condensed.working_rows import WorkingRows
+from ocp.condensed.working_rows import WorkingRows, stiffest
 from tenscasadi.util.validate import Array, Indices
 
 TIME = "time"  # how it ended: the time was over
 DAMPING = 1e-12  # of J D⁻¹ Jᵀ, relative to its mean diagonal: rows that nothing moves stay harmless
 ROOM, UNEVEN = 0.3, 0.1  # of the first step: distance of the start from limits; of that: noise on it
-PATH_ROOM = 1e-2  # in order-one rows: how far slacks begin from limits along the way
+PATH_ROOM = 1e-3  # in order-one rows: how far slacks begin from limits along the way
+SLACK_MOST = 0.6  # the share of the way to such a limit that a step may take: more makes slacks vanish before motions follow them
 NEAR_LIMIT = 0.99  # the share of the way to a limit that a step may take
 LEAST_ROOM = 1e-2  # before limits, times μ in units of the costs' curvature
 SPREAD = 100.0  # how far multipliers of limits may be from μ over the distance
@@ -39,6 +40,7 @@ LARGE = 10_000  # unknowns, from which on the second number of iterations counts
 SLUGGISH = 8, 0.03  # iterations and relative change of costs: barriers that are in the way are lowered before their optimum
 NEARLY_SETTLED, NEARLY_WITHIN = 1e-2, 5  # the same where no step is found any more
 LEAST_POLISHED = 1e-5  # distance from limits
+POLISHED_NEAR = 0.02  # in order-one rows: distance from limits along the way, from which on they have no say
 QUICKLY = 0.1  # what a step leaves at most where the next one may do with its expansion
 SETTLED_BARRIER, SETTLED, WITHIN = 1e-4, 1e-4, 3  # μ, relative change of costs, iterations: then costs are settled
 
@@ -308,7 +310,7 @@ def polish(of: ReducedProblem, point: Point, tolerance: float, most: int = 12) -
         low, high = limits.gaps(point.w)
         room = np.clip(np.minimum(low, high), LEAST_POLISHED, 0.5)
         near = np.clip(np.minimum(*of.paths.limits.gaps(point.slack)), LEAST_POLISHED, 0.5)
-        chosen = WorkingRows(of.paths).choose(1 / near, point.left.paths)
+        chosen = stiffest(1 / near, (near < POLISHED_NEAR) | (point.left.paths != 0))
         every = np.eye(of.paths.count)[:, chosen]
         rows = np.vstack([expansion.jacobian, expansion.of_paths(every)])
         give = np.append(np.zeros(len(expansion.jacobian)), near[chosen] ** 2)
@@ -347,5 +349,5 @@ def moved_point(of: ReducedProblem, expansion: Expansion, point: Point, d: Array
     if paths.count:
         with np.errstate(all="ignore"):
             true = paths.value(*of.split(w), motion)
-        slack = paths.limits.followed(slack, expansion.path_change(step, d) + share * left.paths, true, most, room)
+        slack = paths.limits.followed(slack, expansion.path_change(step, d) + share * left.paths, true, min(most, SLACK_MOST), room)
     return point_at(of, w, motion, slack)

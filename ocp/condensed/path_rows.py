@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -37,10 +38,31 @@ class Limited:
         given = path_blocks(v)
         unknowns, self.place = v.entries.ordered()
         self.count, self.constants = unknowns.count, unknowns.constants
-        self.blocks = [block.relabelled(self.place) for block in given]
+        self.blocks = _told_once([block.relabelled(self.place) for block in given], self.count)
         used, nq = v.entries.used_by(given), problem.model.nq
         self.taps = np.flatnonzero(used[v.states[:, nq : 2 * nq]].any(axis=1))  # nodes of the mesh whose velocities are limited
         self.taps = self.taps[self.taps > 0]
+
+
+def _told_once(blocks: list[Block], unknowns: int) -> list[Block]:
+    """Return the blocks without what is constant, and without what repeats another: what states decide ends one interval and starts the next."""
+    seen: set[tuple[str, bytes]] = set()
+    found = []
+    for block in sorted(blocks, key=lambda one: "start of interval" in one.names[0]):
+        columns = np.unique(_pattern(block.function.jac_sparsity(0, 0))[1])
+        names = np.array(block.names, dtype=object).reshape(block.count, -1)
+        what = ", ".join(name.partition(",")[0] for name in names[0])
+        keys = [(what, index.tobytes()) for index in block.index[:, columns]]
+        kept = [k for k, key in enumerate(keys) if key not in seen and (block.index[k, columns] < unknowns).any()]
+        seen.update(keys)
+        if kept:
+            limits = {field: _of_instances(getattr(block, field), kept) for field in ("lower", "upper", "scale")}
+            found.append(replace(block, index=block.index[kept], names=tuple(names[kept].ravel()), **limits))
+    return found
+
+
+def _of_instances(values: Any, kept: list[int]) -> Any:
+    return values[kept] if np.ndim(values) == 2 else values
 
 
 class PathRows:
@@ -182,5 +204,6 @@ def _entries(matrix: Any) -> Any:
 
 
 def _pattern(matrix: Any) -> tuple[Indices, Indices]:
-    row, column = (np.array(entries, dtype=np.intp) for entries in matrix.sparsity().get_triplet())
+    sparsity = matrix if isinstance(matrix, ca.Sparsity) else matrix.sparsity()
+    row, column = (np.array(entries, dtype=np.intp) for entries in sparsity.get_triplet())
     return row, column

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ocp.condensed.path_rows import PathRows
 from tenscasadi.util.validate import Array, Indices
@@ -27,12 +28,15 @@ class WorkingRows:
 
     def choose(self, stiffness: Array, left: Array) -> Indices:
         """Return rows (p',), given how stiff their barriers are, and what they leave unmet."""
-        if not self.count:
-            return np.zeros(0, dtype=np.intp)
-        if not self.size:
-            felt = np.argsort(stiffness, kind="stable")[::-1][:SAMPLE]
-            return np.union1d(felt, self._most(stiffness, np.flatnonzero(np.abs(left) > UNMET)))
-        return self._most(stiffness, np.flatnonzero((stiffness * self.size > FELT) | (np.abs(left) > UNMET)))
+        unmet = np.abs(left) > UNMET
+        if self.size:
+            return stiffest(stiffness, unmet | (stiffness * self.size > FELT))
+        felt = np.zeros(self.count, dtype=bool)
+        felt[np.argsort(stiffness, kind="stable")[::-1][:SAMPLE]] = True
+        return stiffest(stiffness, unmet | felt)
 
-    def _most(self, stiffness: Array, rows: Indices) -> Indices:
-        return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:MOST]])
+
+def stiffest(stiffness: Array, among: NDArray[np.bool_]) -> Indices:
+    """Return those rows (p',) that are stiffest, in their order, among some."""
+    rows = np.flatnonzero(among)
+    return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:MOST]])
