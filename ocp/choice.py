@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.boundary.target import Target
-from ocp.condensed.method import applies
+from ocp.condensed.method import applies, limited_on_the_way
 from ocp.problem.control import winds
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -31,7 +31,7 @@ FOR_BARS = 6.0  # intervals times √bars: forces add up along rows of bars, so 
 EXACT = 0.3  # of the tolerance: how near motions come to those of fine steps,
 MISSED = 1e-4  # and of the structure's size, at most: plans that end further from their goals than thrice this count as missing them
 NEAR = 0.02  # of the structure's size: nodes that come nearer to a ground along the guess may touch it
-CONDENSED_BARS = 5  # from here on the condensed method is the faster one
+CONDENSED_BARS, LIMITED_BARS = 5, 9  # from here on the condensed method is the faster one: without and with limits along the way
 
 Method = Solver | CondensedNewton | Sampling
 
@@ -66,13 +66,14 @@ def choose(problem: Problem, target: Target, guess: InitialGuess | None, toleran
     accuracy = min(EXACT * tolerance, MISSED * Scales.of(problem).length)
     corrected, finer = Variational(count, accuracy=accuracy), Variational(2 * count, accuracy=accuracy)
     condensed = not applies(problem)
-    if condensed and bars >= CONDENSED_BARS:
+    first_condensed = bars >= (LIMITED_BARS if limited_on_the_way(problem) else CONDENSED_BARS)
+    if condensed and first_condensed:
         yield Choice(corrected, CondensedNewton(), guess=known)
         yield Choice(finer, CondensedNewton())
     if not corrected.refusal(model):
         yield Choice(corrected, ipopt, guess=known)
         yield Choice(finer, ipopt, finer=True)
-    if condensed and bars < CONDENSED_BARS:
+    if condensed and not first_condensed:
         yield Choice(corrected, CondensedNewton(), guess=known)
     yield Choice(MultipleShooting(count), ipopt, guess=known)
     yield Choice(MultipleShooting(count, scheme=DormandPrince853(), substeps=2), ipopt, finer=True)

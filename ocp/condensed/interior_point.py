@@ -15,7 +15,7 @@ from ocp.condensed.limits import LimitDuals, Limits
 from ocp.condensed.metric import Metric, Projector
 from ocp.condensed.reduced import Expansion, Leftover, ReducedProblem
 from ocp.condensed.tangential import Model, Step
-from ocp.condensed.working_rows import WorkingRows, stiffest
+from ocp.condensed.working_rows import WorkingRows
 from tenscasadi.util.validate import Array, Indices
 
 TIME = "time"  # how it ended: the time was over
@@ -59,12 +59,12 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where the method ended: a point, multipliers of goals and limits, iterations, and how: see `Search.converged`, or why not."""
+    """Where the method ended: a point, multipliers of goals, of limits along the way and of others, iterations, and how: see `Search.converged`, or why not."""
 
     point: Point
     multipliers: Array
-    duals: LimitDuals
-    of_paths: LimitDuals
+    of_paths: Array
+    of_limits: Array
     iterations: int
     status: str
     error: float
@@ -90,7 +90,7 @@ def solve(of: ReducedProblem, w: Array, motion: Motion, tolerance: float, most: 
             status = "nearly settled" if search.still(NEARLY_WITHIN, NEARLY_SETTLED) else "stuck"
         if verbose and not status:
             sys.stdout.write(search.line() + "\n")
-    return Found(search.point, search.multipliers, search.duals, search.of_paths, search.iterations, status, search.error(0.0))
+    return Found(search.point, *search.prices, search.iterations, status, search.error(0.0))
 
 
 class Search:
@@ -112,8 +112,10 @@ class Search:
         self.radius = 1e3 * float(np.sqrt(np.maximum(w @ (self.base * w), len(w) * self.unit)))
         self.stiffened, self.iterations, self.lowered = 0.0, 0, 0
         self.history: list[tuple[float, float]] = []
-        self.multipliers = np.zeros(of.goals.count)
+        self.multipliers = np.zeros(of.goals.count + len(self.working.met))
+        self.known = np.inf
         self._stand(point_at(of, w, motion, slack))
+        self.prices = *self.split(), self.duals.net
         self.funnel = max(1.0, 2 * self.point.worst)
         self.last: Step | None = None
 
@@ -149,7 +151,7 @@ class Search:
         self._stand_between(point)
         self.gradient = self._gradient()
         self.projector = self._projector(self.stiffness)
-        self.working.learn(self.projector.sizes[self.of.goals.count :])
+        self.working.learn(self.projector.sizes[len(self.multipliers) :])
         if self.iterations:
             nearest = self.projector.multipliers(self.gradient)
             if self.iterations < 3 or np.abs(nearest).max(initial=0.0) < 3 * np.abs(self.multipliers).max(initial=0.0):
@@ -165,7 +167,13 @@ class Search:
         found = expansion.of_paths(np.hstack([pulls.T, every.toarray()]))
         self.path_slope, self.path_pull, self.path_force = found[:3] * self.limits.free
         self.rows = np.vstack([expansion.jacobian, found[3:]])
-        self.give = np.append(np.zeros(len(expansion.jacobian)), 1 / self.path_stiffness[self.chosen])
+        self.give = np.append(np.zeros(len(self.multipliers)), 1 / self.path_stiffness[self.chosen[len(self.working.met) :]])
+
+    def split(self) -> tuple[Array, Array]:
+        """Return multipliers of goals, and of limits along the way."""
+        goals, of_paths = self.multipliers[: self.of.goals.count], self.of_paths.net
+        of_paths[self.working.met] = self.multipliers[self.of.goals.count :]
+        return goals, of_paths
 
     def _gradient(self) -> Array:
         """Return the slope of the cost with barriers, whose slacks make up for what they lack."""
@@ -174,7 +182,7 @@ class Search:
     def error(self, mu: float) -> float:
         """Return how far the point is from the optimum with barriers μ, in units of the costs' curvature."""
         duals = self.duals
-        gap = (self.slope + self.multipliers @ self.expansion.jacobian + self.path_force - duals.lower + duals.upper) * self.limits.free
+        gap = (self.slope + self.multipliers @ self.rows[: len(self.multipliers)] + self.path_force - duals.lower + duals.upper) * self.limits.free
         scale = max(1.0, float(duals.lower.mean() + duals.upper.mean()) / self.unit / 100)
         unmet = max(duals.error(self.point.w, mu), self.of_paths.error(self.point.slack, mu))
         return max(float(np.abs(gap).max(initial=0.0)), unmet) / self.unit / scale
@@ -213,7 +221,7 @@ class Search:
         self.stiffened = more
         exact = self.iterations > 0 and self.point.worst < WIDE  # far from the goals, multipliers lead astray
         if exact:
-            self.expansion.weigh(self.multipliers, self.of_paths.net, self.path_stiffness)
+            self.expansion.weigh(*self.split(), self.path_stiffness)
         while more <= GIVEN_UP * self.unit:
             projector = self._projector(stiffness + more) if more else self.projector
             model = Model(self.expansion, stiffness + more, projector, self.chosen, self.gradient, exact)
@@ -289,6 +297,9 @@ class Search:
         self.iterations += 1
         self.last, self.share = step, share
         self._stand(point)
+        error = self.error(0.0)
+        if not error > self.known or self.mu > SETTLED_BARRIER * self.unit:  # steps that hardly change costs may spoil multipliers
+            self.known, self.prices = error, (*self.split(), self.duals.net)
 
     def line(self) -> str:
         """Describe the last iteration."""
@@ -302,7 +313,7 @@ class Search:
 
 def polish(of: ReducedProblem, point: Point, tolerance: float, most: int = 12) -> Point:
     """Return the nearest point, relative to the distances from limits, that meets goals and motion exactly."""
-    limits = Limits(of.lower, of.upper)
+    limits, working = Limits(of.lower, of.upper), WorkingRows(of.paths)
     for _ in range(most):
         if not point.worst > tolerance:
             break
@@ -310,10 +321,11 @@ def polish(of: ReducedProblem, point: Point, tolerance: float, most: int = 12) -
         low, high = limits.gaps(point.w)
         room = np.clip(np.minimum(low, high), LEAST_POLISHED, 0.5)
         near = np.clip(np.minimum(*of.paths.limits.gaps(point.slack)), LEAST_POLISHED, 0.5)
-        chosen = stiffest(1 / near, (near < POLISHED_NEAR) | (point.left.paths != 0))
+        met = working.met
+        chosen = np.append(met, working.stiffest(1 / near, (near < POLISHED_NEAR) | (point.left.paths != 0)))
         every = np.eye(of.paths.count)[:, chosen]
         rows = np.vstack([expansion.jacobian, expansion.of_paths(every)])
-        give = np.append(np.zeros(len(expansion.jacobian)), near[chosen] ** 2)
+        give = np.append(np.zeros(len(expansion.jacobian) + len(met)), near[chosen[len(met) :]] ** 2)
         projector = Projector(rows, give, Metric(np.where(limits.free, 1 / room, 1e300), None), DAMPING)
         steps = (_towards(of, expansion, projector, chosen, point, share) for share in (1.0, 0.5, 0.25, 0.1))
         moved = next((one for one in steps if one.theta < point.theta or one.worst < point.worst), None)

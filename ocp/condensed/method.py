@@ -70,6 +70,11 @@ def applies(problem: Problem) -> str:
     return f"it has the cost {' and '.join(costs)}, of more than force densities and the duration" if costs else ""
 
 
+def limited_on_the_way(problem: Problem) -> bool:
+    """Tell whether anything but force densities is limited."""
+    return any(type(bound) is not ForceDensityLimits for bound in problem.bounds)
+
+
 def solve_condensed(
     problem: Problem, transcription: Transcription, target: Target, scales: Scales, guess: Guess, solver: CondensedNewton, deadline: float | None
 ) -> Outcome:
@@ -105,8 +110,7 @@ def _reduced(problem: Problem, transcription: Transcription, target: Target, sca
     gamma = node_values(guess.force_density, transcription.fractions) if transcription.control.linear else guess.force_density
     strength = max(float(np.sqrt(np.mean(guess.force_density**2))), scales.mass / scales.time**2)
     cost = typical_cost(problem, strength, guess.states, guess.force_density, guess.duration)
-    decided = all(type(bound) is ForceDensityLimits for bound in problem.bounds)
-    limited = None if decided else Limited(problem, transcription, target, scales, guess)
+    limited = Limited(problem, transcription, target, scales, guess) if limited_on_the_way(problem) else None
     reduced = ReducedProblem(problem, transcription, target, scales, strength, cost, limited)
     gamma = np.add.reduceat(gamma, reduced.begins) / np.bincount(reduced.span)[:, None]
     w = np.clip(
@@ -181,7 +185,7 @@ def _why(target: Target, found: Found, point: Point, state_at: StateAt) -> str:
 def _duals(reduced: ReducedProblem, imposed: Target, found: Found, point: Point) -> Duals:
     """Return the multipliers of goals and limits by name, in physical units, as `named_duals` does."""
     paths = reduced.paths
-    names, values, start = list(paths.names), [found.of_paths.net * reduced.cost_scale / paths.scale], 0
+    names, values, start = list(paths.names), [found.of_paths * reduced.cost_scale / paths.scale], 0
     for part in [*(one.target for one in imposed.waypoints), imposed]:
         own = found.multipliers[start : start + part.count] * reduced.cost_scale
         start += part.count
@@ -190,6 +194,6 @@ def _duals(reduced: ReducedProblem, imposed: Target, found: Found, point: Point)
             names += [f"{label}{name}" for name in part.reduction.names]
             values.append(part.reduction.combinations.T @ own / part.reduction.sizes)
     unknowns = control_names(reduced.together, reduced.begins)
-    limits = (found.duals.upper - found.duals.lower) * reduced.cost_scale / reduced.units
+    limits = found.of_limits * reduced.cost_scale / reduced.units
     w_names = (*unknowns, *["duration"] * reduced.free_duration)
     return Duals((*names, *w_names), np.concatenate([*values, limits]), point.w * reduced.units)

@@ -15,10 +15,13 @@ SAMPLE = 30  # rows, from which is learnt what they add
 
 
 class WorkingRows:
-    """Rows whose barriers bend the costs most; all others act through products with the second derivatives alone."""
+    """Rows that are met, as their limits are equal, and those whose barriers bend the costs most.
+
+    All others act through products with the second derivatives alone.
+    """
 
     def __init__(self, paths: PathRows) -> None:
-        self.count = paths.count
+        self.free, self.met = paths.limits.free, np.flatnonzero(~paths.limits.free)
         self.size = 0.0  # of B D⁻¹ Bᵀ, typical
 
     def learn(self, sizes: Array) -> None:
@@ -27,16 +30,11 @@ class WorkingRows:
             self.size = float(np.median(sizes))
 
     def choose(self, stiffness: Array, left: Array) -> Indices:
-        """Return rows (p',), given how stiff their barriers are, and what they leave unmet."""
-        unmet = np.abs(left) > UNMET
-        if self.size:
-            return stiffest(stiffness, unmet | (stiffness * self.size > FELT))
-        felt = np.zeros(self.count, dtype=bool)
-        felt[np.argsort(stiffness, kind="stable")[::-1][:SAMPLE]] = True
-        return stiffest(stiffness, unmet | felt)
+        """Return rows (p',), those that are met first, given how stiff their barriers are, and what they leave unmet."""
+        felt = stiffness * self.size > FELT if self.size else stiffness >= np.sort(stiffness)[-SAMPLE:].min(initial=np.inf)
+        return np.append(self.met, self.stiffest(stiffness, felt | (np.abs(left) > UNMET)))
 
-
-def stiffest(stiffness: Array, among: NDArray[np.bool_]) -> Indices:
-    """Return those rows (p',) that are stiffest, in their order, among some."""
-    rows = np.flatnonzero(among)
-    return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:MOST]])
+    def stiffest(self, stiffness: Array, among: NDArray[np.bool_]) -> Indices:
+        """Return those rows that are stiffest, in their order, among some that are not met."""
+        rows = np.flatnonzero(among & self.free)
+        return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:MOST]])

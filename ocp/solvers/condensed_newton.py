@@ -11,7 +11,7 @@ from ocp.solvers.base import check_options
 class CondensedNewton:
     """A Newton method in the force densities alone: the motion that belongs to them is condensed out, by sweeps over the intervals.
 
-    It solves what `Variational` asks, without its program: for problems with limits of force densities, costs of these and of the duration,
+    It solves what `Variational` asks, without its program: for problems with limits of any kind, costs of force densities and of the duration,
     goals and waypoints, on structures of any size. Its work grows linearly with the intervals, and far slower with the bars than the
     factorisations of `Ipopt`.
 
@@ -34,7 +34,8 @@ class CondensedNewton:
     Places of nodes and multipliers of bars are iterates of their own, which need not fit the force densities before the end: a smooth path is a
     good start. Each iteration linearises the motion about them, an interior-point method with exact second derivatives takes a step of
     the force densities, by projected conjugate gradients in a trust region, and the motion follows to first order. The largest matrix
-    that is factored has as many rows as the goals.
+    that is factored has as many rows as the goals, and as the limits along the way that are near: these have slacks with barriers of their
+    own, so that a guess may break them.
 
     References
     ----------

@@ -42,7 +42,7 @@ CHOICES = {
     "three bars": (raising, "chosen: Variational of 30 intervals by Ipopt"),
     "six bars": (widening, "chosen: Variational of 30 intervals by CondensedNewton"),
     "one bar": (leaning, "chosen: Variational of 30 intervals by Ipopt"),
-    "limits that the condensed method does not take": (
+    "six bars, limits on the way": (
         lambda: widening(ocp.TensionLimits(upper=60.0)),
         "chosen: Variational of 30 intervals by Ipopt",
     ),

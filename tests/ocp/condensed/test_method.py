@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -98,10 +99,62 @@ def test_multipliers_are_what_costs_change_by():
     assert found.duals["force density of string 0"].shape == (15,)
 
 
+def reaching(*bounds, duration=1.0, goals=()):
+    """An arm of one bar, hinged on the ground, leans over; the straight way leads through what the bounds forbid."""
+    around = [(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0)]
+    arm = tc.Structure([(0, 0, 0), (0, 0, 1), *around], [(0, 1)], [(1, k) for k in range(2, 6)], pinned=[0, 2, 3, 4, 5])
+    asked = [*goals, ocp.NodePositions({1: (0.6, 0.2, None)}), ocp.AtRest()]
+    return ocp.Problem(driven(arm), duration, goals=asked, bounds=[ocp.ForceDensityLimits(1.0, 300.0), *bounds], costs=[ocp.Effort()])
+
+
+PASSING = ocp.Waypoint([ocp.NodePositions({1: (0.0, 0.3, None)})], share=0.4)
+RISING = {"goals": RISE, "costs": [ocp.Effort()]}
+BOUNDED = {
+    "obstacle": reaching(ocp.Obstacle((0.3, 0.12, 0.95), 0.12, nodes=[1])),
+    "obstacle, waypoint, free duration": reaching(ocp.Obstacle((0.3, 0.34, 0.92), 0.14, nodes=[1]), duration=(0.8, 1.5), goals=[PASSING]),
+    "speed": reaching(ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities), upper=0.6)),
+    "tension and rates": reaching(ocp.TensionLimits(upper=4.6), ocp.ForceDensityRateLimits(5.0)),
+    "lengths, and bars apart": ocp.Problem(
+        driven(PRISM), bounds=[LIMITS, ocp.Constraint("length", lambda now: now.lengths, upper=[0.89] * 6 + [1.2] * 3), ocp.BarClearance(0.02)], **RISING
+    ),
+    "limits that are equal, at the end": ocp.Problem(
+        driven(PRISM), bounds=[LIMITS, ocp.Constraint(ocp.AtEnd("x", lambda end: end.nodes[0, 4]), lower=-0.2, upper=-0.2)], **RISING
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BOUNDED)
+def test_limits_along_the_way_are_kept_at_what_ipopt_pays(case):
+    problem = BOUNDED[case]
+    assert applies(problem) == ""
+    plan, known = (ocp.solve(problem, ocp.Variational(24), solver) for solver in (ocp.CondensedNewton(), ocp.Ipopt()))
+    free = ocp.solve(replace(problem, bounds=problem.bounds[:1]), ocp.Variational(24), ocp.CondensedNewton())
+    assert plan.success, plan.message
+    assert plan.objective == pytest.approx(known.objective, rel=5e-3)
+    assert free.objective < 0.999 * plan.objective  # the limits matter
+    for bound in problem.bounds[1:]:
+        assert beyond(plan, bound.constraint(problem.model)) < 1e-6
+    # so do their prices
+    own, other = ({one.name: one.price for one in found.report().active} for found in (plan, known))
+    for name in {name for name, price in other.items() if price > 0.05 * max(other.values())}:
+        assert own[name] == pytest.approx(other[name], rel=0.1)
+
+
+def beyond(plan, limited):
+    """By how much a plan oversteps a limit at the ends of its intervals."""
+    states, control, time = plan.trajectory.states, plan.control, plan.time
+    if len(limited.symbols) == 3:
+        first = -1 if limited.ends == ("last",) else 0
+        values = [limited.function(states[k + 1], control[k], time[k + 1]) for k in range(len(control))][first:]
+    else:
+        values = [limited.function(*states[k : k + 1], control[k], *states[k + 1 : k + 2], control[k + 1], time[1]) for k in range(len(control) - 1)]
+    found = np.array([np.ravel(value.full()) for value in values])
+    return np.maximum(limited.lower - found, found - limited.upper).max()
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"bounds": [ocp.TensionLimits(upper=50.0)]}, "it has TensionLimits"),
         ({"costs": [ocp.Work()]}, "it has the cost Work"),
         ({"start": ocp.FreeStart()}, "its start is free"),
         ({"model": tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), ground=tc.Ground()))}, "its scene has a ground"),

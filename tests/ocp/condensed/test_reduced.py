@@ -11,8 +11,11 @@ import tenscasadi as tc
 from ocp.boundary.find_target import find_target
 from ocp.condensed.interior_point import point_at
 from ocp.condensed.motions import first_motion
+from ocp.condensed.path_rows import Limited
 from ocp.condensed.reduced import ReducedProblem
+from ocp.problem.bounds.bound import Bound
 from ocp.problem.scaling import Scales
+from ocp.transcription.initial_guess import evaluate_guess
 
 EVERY = [ocp.Effort(), ocp.Smoothness(0.1), ocp.Prestress(3.0), ocp.Duration(3.0)]
 LIMITS = ocp.ForceDensityLimits(1, 200)
@@ -74,10 +77,11 @@ CASES = {
 
 def meet(reduced: ReducedProblem, w, motion):
     """Newton's method on the motion alone."""
-    point = point_at(reduced, w, motion)
+    slack = np.zeros(reduced.paths.count)
+    point = point_at(reduced, w, motion, slack)
     for _ in range(30):
         step = reduced.about(w, point.motion).follow(None, point.left.rows)
-        point = point_at(reduced, w, point.motion.moved(type(motion)(*(a.reshape(b.shape) for a, b in zip(step, motion, strict=True)))))
+        point = point_at(reduced, w, point.motion.moved(type(motion)(*(a.reshape(b.shape) for a, b in zip(step, motion, strict=True)))), slack)
         if max(np.abs(one).max(initial=0.0) for one in step) < 1e-13:
             return point
     raise AssertionError("the motion was not found")
@@ -109,6 +113,59 @@ def test_goals_and_costs_have_exact_first_and_second_derivatives(case):
     expansion = reduced.about(w, known)
     assert (goals - goals_before) / (2 * e) == pytest.approx(expansion.jacobian @ direction, abs=1e-6 * np.abs(expansion.jacobian).max())
     assert (cost - cost_before) / (2 * e) == pytest.approx(reduced.slope(w) @ direction, rel=1e-6)
-    expansion.weigh(y)
+    expansion.weigh(y, np.zeros(0), np.zeros(0))
     curved = expansion.curvature(direction, expansion.follow(direction, None))
+    assert (slope - slope_before) / (2 * e) == pytest.approx(curved, abs=1e-6 * np.abs(curved).max())
+
+
+def heavy_limits() -> list[Bound]:
+    """Of each kind: places, force densities, velocities, forces of bars, rates of change, the end alone."""
+    return [
+        ocp.Obstacle((0.0, 0.0, 2.0), 0.2),
+        ocp.BarClearance(0.02),
+        ocp.InsideBox(upper=(None, None, 5.0)),
+        ocp.TensionLimits(upper=300.0),
+        ocp.BarForceLimits(compression=300.0),
+        ocp.RestLengthRateLimits(5.0, stiffness=1000.0),
+        ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities) + now.time, upper=10.0),
+        ocp.Constraint(ocp.AtEnd("height", lambda end: end.nodes[2, 4]), upper=3.0),
+    ]
+
+
+@pytest.mark.parametrize("linear", [False, True])
+@pytest.mark.parametrize("duration", [1.0, (0.5, 1.5)])
+def test_limits_along_the_way_have_exact_first_and_second_derivatives(duration, linear):
+    problem = ocp.Problem(
+        driven(tc.shapes.prism(), gravity=tc.Gravity(), forces=PUSH), duration, goals=RISE, bounds=[LIMITS, *heavy_limits()], costs=EVERY
+    )
+    control = ocp.PiecewiseLinear(groups=[(0, 1, 2)]) if linear else ocp.PiecewiseConstant()
+    transcription = ocp.Variational([1, 2, 1, 1, 1.5, 1], control=control)
+    scales = Scales.of(problem)
+    target = find_target(problem, scales)
+    guess = evaluate_guess(None, problem, target, transcription.count)
+    limited = Limited(problem, transcription, target, scales, guess)
+    reduced = ReducedProblem(problem, transcription, target, scales, 2.0, 10.0, limited)
+    rng = np.random.default_rng(0)
+    w = 0.6 + 0.1 * rng.uniform(size=reduced.size)
+    if reduced.free_duration:
+        w[-1] = 0.5
+    still = np.repeat(target.start[None], transcription.count + 1, axis=0)
+    still[:, -1] += reduced.split(w)[1] * reduced.chain.time
+    known = meet(reduced, w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], still)).motion
+    direction, y, e = rng.normal(size=reduced.size), rng.normal(size=reduced.paths.count), 1e-5
+
+    def at(share):
+        moved = w + share * direction
+        point = meet(reduced, moved, known)
+        return point.left.paths, reduced.about(moved, point.motion).of_paths(y[:, None])[0] + reduced.slope(moved)
+
+    (rows, slope), (rows_before, slope_before) = at(e), at(-e)
+    expansion = reduced.about(w, known)
+    moved = expansion.follow(direction, None)
+    change = expansion.path_change(moved, direction)
+    assert (rows - rows_before) / (2 * e) == pytest.approx(change, abs=1e-6 * np.abs(change).max())
+    assert expansion.of_paths(y[:, None])[0] @ direction == pytest.approx(y @ change, rel=1e-9)
+    stiffness = rng.uniform(size=reduced.paths.count)
+    expansion.weigh(np.zeros(reduced.goals.count), y, stiffness)
+    curved = expansion.curvature(direction, moved) - expansion.of_paths((stiffness * change)[:, None])[0]
     assert (slope - slope_before) / (2 * e) == pytest.approx(curved, abs=1e-6 * np.abs(curved).max())
