@@ -63,6 +63,35 @@ def within(asked: ocp.Problem, *bounds: Bound) -> ocp.Problem:
     return ocp.Problem(asked.model, asked.duration, goals=asked.goals, bounds=[*asked.bounds, *bounds], costs=asked.costs)
 
 
+def leaning_tower(stages: int) -> ocp.Problem:
+    """A tower whose lowest ring is pinned moves a node of its highest ring sideways."""
+    structure, top = tower(stages, 0.8, pinned=range(3)), 3 * stages
+    x, y, _ = structure.nodes[top]
+    goals = [ocp.NodePositions({top: (x + 0.125 * stages, y, None)}), ocp.AtRest()]
+    return ocp.Problem(driven(structure), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 500.0)], costs=EFFORT)
+
+
+def around(stages: int) -> ocp.Obstacle:
+    """A ball in the straight way of that node."""
+    nodes, top, way = tower(stages, 0.8).nodes, 3 * stages, 0.125 * stages
+    return ocp.Obstacle(nodes[top] + np.array([0.4, 0.2, -0.2]) * way, 0.3 * way, bars=[], nodes=[top, top + 1, top + 2])
+
+
+def short(stages: int) -> ocp.Constraint:
+    """No string of a tower that rises is longer than at its ends, but for 1 %."""
+    longest = np.maximum(*(tower(stages, height).string_lengths for height in (0.8, 0.88)))
+    return ocp.Constraint("length", lambda now: now.lengths, upper=1.01 * longest)
+
+
+def beside(stages: int) -> ocp.Problem:
+    """The same tower by way of a place beside the ball, slowly."""
+    asked, top, way = leaning_tower(stages), 3 * stages, 0.125 * stages
+    x, y, _ = asked.model.scene.structure.nodes[top]
+    waypoint = ocp.Waypoint([ocp.NodePositions({top: (x + 0.4 * way, y - 0.45 * way, None)})], share=0.5)
+    bounds = [*asked.bounds, around(stages), slow(1.6 * way)]
+    return ocp.Problem(asked.model, 1.0, goals=[waypoint, *asked.goals], bounds=bounds, costs=EFFORT)
+
+
 def quickest(asked: ocp.Problem) -> ocp.Problem:
     """The problem at the least duration of 0.2 to 2 s; a little effort counts, too."""
     return ocp.Problem(asked.model, (0.2, 2.0), goals=asked.goals, bounds=asked.bounds, costs=[ocp.Duration(), ocp.Effort(1e-5)])
@@ -128,6 +157,12 @@ def constrained_cases() -> Iterator[Case]:
     yield Case("limits", "tower in a box", lambda: within(free_tower(2), ocp.InsideBox(upper=(None, None, 1.685))), 1e-3)
     yield Case("limits", "ball, limited tension", lambda: within(ball(0.9), ocp.TensionLimits(upper=20.0)), 1e-3)
     yield Case("limits", "tower, bars apart", lambda: within(free_tower(2), ocp.BarClearance(0.05)), 1e-3)
+    for stages in (4, 8):
+        bars = 3 * stages
+        yield Case("obstacles at size", f"tower of {bars} bars round a ball", lambda n=stages: within(leaning_tower(n), around(n)), 1e-3)
+        yield Case("obstacles at size", f"tower of {bars} bars by way of a place beside it", partial(beside, stages), 1e-3)
+        yield Case("obstacles at size", f"free tower of {bars} bars, slow", lambda n=stages: within(free_tower(n), slow(0.3 * n)), 1e-3)
+        yield Case("obstacles at size", f"free tower of {bars} bars, strings hardly longer", lambda n=stages: within(free_tower(n), short(n)), 1e-3)
     yield Case("costs", "prism, smooth", lambda: limited(costs=(ocp.Smoothness(),)), 1e-3)
     yield Case("costs", "prism, near a prestress", lambda: limited(costs=(ocp.Prestress(20.0),)), 1e-3)
     yield Case("costs", "prism, least work", lambda: limited(costs=(ocp.Work(), ocp.Effort(1e-3))), 1e-3)

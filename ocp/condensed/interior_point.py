@@ -177,7 +177,7 @@ class Search:
 
     def _gradient(self) -> Array:
         """Return the slope of the cost with barriers, whose slacks make up for what they lack."""
-        return self.slope + self.mu * (self.limits.barrier_slope(self.point.w) + self.path_slope) + self.path_pull
+        return np.asarray(self.slope + self.mu * (self.limits.barrier_slope(self.point.w) + self.path_slope) + self.path_pull)
 
     def error(self, mu: float) -> float:
         """Return how far the point is from the optimum with barriers μ, in units of the costs' curvature."""

@@ -1,4 +1,4 @@
-"""What bounds limit along the way, as rows of the condensed problem: their values, and their derivatives by motion, force densities and duration."""
+"""The limits along the way, as rows of the condensed problem: values, and derivatives by motion, force densities and duration."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Slopes(NamedTuple):
 
 
 class Limited:
-    """What is limited, as blocks over the entries of `Variables`: unknowns before constants."""
+    """All that is limited, as blocks over the entries of `Variables`: unknowns before constants."""
 
     def __init__(self, problem: Problem, transcription: Transcription, target: Target, scales: Scales, guess: Guess) -> None:
         v = self.variables = Variables(problem, target, scales, guess, transcription.fractions, transcription.control)

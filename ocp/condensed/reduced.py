@@ -30,7 +30,16 @@ class Leftover(NamedTuple):
 class ReducedProblem:
     """Minimise J(w) subject to goals, w = force densities (Kc, m) in units of `strength`, then the duration, if free, in units of `time`."""
 
-    def __init__(self, problem: Problem, transcription: Transcription, target: Target, scales: Scales, strength: float, cost: float, limited: Limited | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        transcription: Transcription,
+        target: Target,
+        scales: Scales,
+        strength: float,
+        cost: float,
+        limited: Limited | None = None,
+    ) -> None:
         fractions, profile = transcription.fractions, transcription.control
         self.problem, self.length, self.cost_scale = problem, scales.length, cost
         taps = needed_taps(target, fractions)
@@ -227,7 +236,8 @@ class Expansion:
         strings = self.strings_of(step)
         slopes, by_strings = self.linear.curvature(self.costate, strings, moved)
         more = of.goals.curvature(self.goal_curvature, moved, longer)
-        slopes, by_duration, by_controls = _sum(slopes, more.motion), more.duration, 0.0
+        slopes, by_duration = _sum(slopes, more.motion), more.duration
+        by_controls: Array | float = 0.0
         paths = self._path_curvature(moved, change, longer)
         if paths is not None:
             slopes, by_duration, by_controls = _sum(slopes, paths.motion), by_duration + paths.duration, paths.controls

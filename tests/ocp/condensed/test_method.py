@@ -115,7 +115,9 @@ BOUNDED = {
     "speed": reaching(ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities), upper=0.6)),
     "tension and rates": reaching(ocp.TensionLimits(upper=4.6), ocp.ForceDensityRateLimits(5.0)),
     "lengths, and bars apart": ocp.Problem(
-        driven(PRISM), bounds=[LIMITS, ocp.Constraint("length", lambda now: now.lengths, upper=[0.89] * 6 + [1.2] * 3), ocp.BarClearance(0.02)], **RISING
+        driven(PRISM),
+        bounds=[LIMITS, ocp.Constraint("length", lambda now: now.lengths, upper=[0.89] * 6 + [1.2] * 3), ocp.BarClearance(0.02)],
+        **RISING,
     ),
     "limits that are equal, at the end": ocp.Problem(
         driven(PRISM), bounds=[LIMITS, ocp.Constraint(ocp.AtEnd("x", lambda end: end.nodes[0, 4]), lower=-0.2, upper=-0.2)], **RISING
