@@ -109,8 +109,9 @@ def solve(
     -----
     Where neither transcription nor solver is given, both are chosen, and the number of intervals: three for each radian of the fastest vibration,
     30 at least. Where nodes may touch a ground, `Sampling`; else `Variational`, corrected to a third of the tolerance, from five bars on (nine
-    where more than force densities is limited) with `CondensedNewton`, where it takes the costs, or with `Ipopt`; in full coordinates and on moved supports `MultipleShooting`. Where
-    the first fails, or its replay misses, the next one follows, from its plan. The message says which were tried.
+    where more than force densities is limited) with `CondensedNewton`, where it takes the costs, or with `Ipopt`; in full coordinates and on
+    moved supports `MultipleShooting`. Where the first fails, or its replay misses, the next one follows, from its plan. The message says which
+    were tried.
 
     Examples
     --------

@@ -59,7 +59,10 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where the method ended: a point, multipliers of goals, of limits along the way and of others, iterations, and how: see `Search.converged`, or why not."""
+    """Where the method ended: a point, multipliers of goals, of limits along the way and of others, iterations.
+
+    status: `Search.converged`, or why not.
+    """
 
     point: Point
     multipliers: Array

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -72,7 +73,7 @@ class PathRows:
         self.chain, self.free_duration = chain, False
         parts = [] if limited is None else [_Part(block, limited.count) for block in limited.blocks]
         ends = np.cumsum([0, *(part.size for part in parts)]).tolist()
-        self.parts = [(part, slice(*span)) for part, span in zip(parts, zip(ends[:-1], ends[1:], strict=True), strict=True)]
+        self.parts = [(part, slice(*span)) for part, span in zip(parts, pairwise(ends), strict=True)]
         self.count = ends[-1]
         self.names = tuple(name for part in parts for name in part.block.names)
         columns = [np.zeros((3, 0)), *(np.array(part.block.limits()) for part in parts)]
