@@ -155,7 +155,8 @@ class _Functions(NamedTuple):
         """
         values = self._across(starts, stops, _PLACES)
         remainder, low, high = self._bounds(starts, stops, finest)
-        unseen = np.fmin(remainder, (high - low).max(axis=0))
+        with np.errstate(invalid="ignore"):
+            unseen = np.fmin(remainder, (high - low).max(axis=0))
         visible = remainder <= share * np.ptp(values, axis=1).max(axis=0)
         size = np.maximum(np.maximum(low, -high), 0.0).max(axis=0)
         most = np.nan_to_num(unseen * (stops - starts), nan=_UNBOUNDED, posinf=_UNBOUNDED)

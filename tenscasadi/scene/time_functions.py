@@ -27,6 +27,8 @@ _BISECTIONS = 60  # from a part of a run to the last digit
 _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  # they switch where both operands are equal
 _SIGNED = (ca.OP_SIGN, ca.OP_FABS)  # they switch where their operand is 0
 _ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL)  # they switch where their operand is whole
+_POSITIVE = (ca.OP_SQRT, ca.OP_LOG, ca.OP_POW, ca.OP_CONSTPOW)  # not defined below 0, but for whole exponents
+_WITHIN_ONE = (ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATANH)
 _REMAINDERS = {ca.OP_FMOD: ca.sin, ca.OP_REMAINDER: ca.cos}  # they switch where the quotient of their operands is whole, or half of odd
 
 
@@ -114,7 +116,7 @@ def expand(function: ca.Function, t: ca.SX) -> ca.SX | None:
 
 
 def _switches(values: ca.SX) -> Iterator[ca.SX]:
-    """Yield what changes its sign where the expressions switch."""
+    """Yield what changes its sign where the expressions switch, or cease to be defined."""
     waiting, seen = [values[k] for k in range(values.numel())], set()
     while waiting:
         item = waiting.pop()
@@ -125,12 +127,20 @@ def _switches(values: ca.SX) -> Iterator[ca.SX]:
         waiting.extend(parts)
         if parts and item.op() in _COMPARED:
             yield parts[0] - parts[1]
-        elif parts and item.op() in _SIGNED:
+        elif (parts and item.op() in _SIGNED) or (parts and item.op() in _POSITIVE and not (len(parts) == 2 and _is_whole(parts[1]))):
             yield parts[0]
+        elif parts and item.op() in _WITHIN_ONE:
+            yield 1 - parts[0] ** 2
+        elif parts and item.op() in (ca.OP_LOG1P, ca.OP_ACOSH):
+            yield parts[0] - {ca.OP_LOG1P: -1, ca.OP_ACOSH: 1}[item.op()]
         elif parts and item.op() in _ROUNDED:
             yield ca.sin(np.pi * parts[0])
         elif parts and item.op() in _REMAINDERS:
             yield _REMAINDERS[item.op()](np.pi * parts[0] / parts[1])
+
+
+def _is_whole(exponent: ca.SX) -> bool:
+    return bool(exponent.is_constant()) and float(exponent).is_integer()
 
 
 def check_over_run(field: str, function: Callable[[Any], Any], traced: ca.Function, first: float, last: float) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
+from operator import or_
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -31,7 +33,8 @@ def bound(function: ca.Function, low: Array, high: Array) -> Bounds:
     """Return bounds on a Function t → dense column in the intervals from `low` to `high` (k,).
 
     They hold but for rounding, and may be wide where t stands in several places. Comparisons, signs, roundings and the like switch where
-    they do so inside an interval, not at its ends.
+    they do so inside an interval, not at its ends. Where an operation is not defined, as a root of negative numbers, the bounds are those of
+    where it is; the lesser and the greater of two, which pass over what is not defined, are then the other.
 
     Raises
     ------
@@ -41,6 +44,7 @@ def bound(function: ca.Function, low: Array, high: Array) -> Bounds:
     if function.class_name() != "SXFunction":
         raise UnknownOperation(f"{function.name()} is no expression of scalar operations")
     work: list[Any] = [None] * function.sz_w()
+    undefined: list[tuple[Any, Any]] = [_DEFINED] * function.sz_w()  # somewhere, maybe; everywhere
     count = function.numel_out()
     found = np.zeros((2, count, len(low)))
     switches = np.zeros(len(low), dtype=bool)
@@ -48,17 +52,21 @@ def bound(function: ca.Function, low: Array, high: Array) -> Bounds:
         for k in range(function.n_instructions()):
             operation, places, results = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
             if operation == ca.OP_INPUT:
-                work[results[0]] = low, high
+                work[results[0]], undefined[results[0]] = (low, high), _DEFINED
             elif operation == ca.OP_CONST:
                 value = np.float64(function.instruction_constant(k))
-                work[results[0]] = value, value
+                work[results[0]], undefined[results[0]] = (value, value), _DEFINED
             elif operation == ca.OP_OUTPUT:
                 found[0, results[1]], found[1, results[1]] = work[places[0]]
             else:
-                arguments = [work[place] for place in places]
+                arguments, lost = [work[place] for place in places], [undefined[place] for place in places]
                 if operation in _SWITCHED:
                     switches |= _SWITCHED[operation](*arguments)
-                work[results[0]] = _apply(operation, arguments)
+                if operation in _PASSING:
+                    for maybe, surely in lost:
+                        switches |= maybe & ~surely
+                work[results[0]] = _without(operation, _apply(operation, arguments), arguments, lost)
+                undefined[results[0]] = _leave_domain(operation, arguments, lost)
     return Bounds(found[0], found[1], switches)
 
 
@@ -69,6 +77,42 @@ def _apply(operation: int, arguments: list[Any]) -> tuple[Any, Any]:
     low, high = rule(*arguments)
     unknown = np.isnan(low) | np.isnan(high)  # such as ∞ − ∞
     return np.where(unknown, -np.inf, low), np.where(unknown, np.inf, high)
+
+
+def _without(operation: int, value: Any, arguments: list[Any], lost: list[tuple[Any, Any]]) -> tuple[Any, Any]:
+    """Return bounds of an operation that also hold where it passes over an argument that is not defined."""
+    if operation not in _PASSING or not any(np.any(maybe) for maybe, _ in lost):
+        return value  # type: ignore[no-any-return]
+    low, high = value
+    if operation == ca.OP_IF_ELSE_ZERO:
+        either = np.minimum(arguments[1][0], 0.0), np.maximum(arguments[1][1], 0.0)
+        others = [either, either]
+    else:
+        others = arguments[::-1] if operation in _CHOICES else [(0.0, 1.0)] * len(lost)
+    for (maybe, surely), (least, most) in zip(lost, others, strict=True):
+        low = np.where(surely, least, np.where(maybe, np.minimum(low, least), low))
+        high = np.where(surely, most, np.where(maybe, np.maximum(high, most), high))
+    return low, high
+
+
+def _leave_domain(operation: int, arguments: list[Any], lost: list[tuple[Any, Any]]) -> tuple[Any, Any]:
+    """Return where the result of an operation may be undefined, and where it surely is."""
+    if operation in _CHOICES:
+        return lost[0][0] & lost[1][0], lost[0][1] & lost[1][1]
+    maybe, surely = (reduce(or_, parts) for parts in zip(*lost, strict=True))
+    if operation == ca.OP_IF_ELSE_ZERO:
+        always, never = (_as_truth(arguments[0])[0] == 1), (_as_truth(arguments[0])[1] == 0)
+        return lost[1][0] & ~never, lost[1][1] & always & ~lost[0][0]
+    if operation in _PASSING:
+        return _DEFINED
+    if operation in _DOMAINS:
+        least, most = _DOMAINS[operation]
+        return maybe | (arguments[0][0] < least) | (arguments[0][1] > most), surely | (arguments[0][1] < least) | (arguments[0][0] > most)
+    if operation in (ca.OP_POW, ca.OP_CONSTPOW):
+        (low, high), (exponent, _) = arguments
+        whole = exponent == np.round(exponent)
+        return maybe | ((low < 0) & ~whole), surely | ((high < 0) & ~whole)
+    return maybe, surely
 
 
 def _rising(function: Callable[..., Any], least: float = -np.inf, most: float = np.inf) -> Callable[..., Any]:
@@ -220,6 +264,17 @@ def _overlap(x: Any, y: Any) -> Any:
 def _crosses_whole(x: Any) -> Any:
     return np.ceil(x[1]) - 1 > np.floor(x[0])
 
+
+_DEFINED = np.zeros(1, dtype=bool), np.zeros(1, dtype=bool)
+_CHOICES = (ca.OP_FMIN, ca.OP_FMAX)  # they return the other where one is not defined
+_PASSING = (*_CHOICES, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO)
+_DOMAINS = {
+    ca.OP_SQRT: (0.0, np.inf),
+    ca.OP_LOG: (0.0, np.inf),
+    ca.OP_LOG1P: (-1.0, np.inf),
+    ca.OP_ACOSH: (1.0, np.inf),
+    **dict.fromkeys((ca.OP_ATANH, ca.OP_ASIN, ca.OP_ACOS), (-1.0, 1.0)),
+}  # least and largest arguments
 
 _SWITCHED: dict[int, Callable[..., Any]] = {
     **dict.fromkeys((ca.OP_LT, ca.OP_LE, ca.OP_FMIN, ca.OP_FMAX), _overlap),

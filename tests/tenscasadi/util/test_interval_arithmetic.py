@@ -15,8 +15,9 @@ from tenscasadi.util.interval_arithmetic import UnknownOperation, bound
 T = ca.SX.sym("t")
 LEAVES = st.one_of(st.just(T), st.floats(-3, 3).map(ca.SX))
 ONE: list[Any] = [ca.sin, ca.cos, ca.tan, ca.exp, ca.tanh, ca.sinh, ca.cosh, ca.atan, ca.fabs, ca.floor, ca.ceil, ca.sign, ca.asinh, ca.erf, ca.expm1]
-ONE += [lambda x, f=f: f(ca.fabs(x)) for f in (ca.sqrt, ca.log, ca.log1p)]  # within their domains: NaN has no bounds
+ONE += [lambda x, f=f: f(ca.fabs(x)) for f in (ca.sqrt, ca.log, ca.log1p)]
 ONE += [lambda x, f=f: f(ca.tanh(x)) for f in (ca.asin, ca.acos)]
+ONE += [ca.sqrt, ca.log, ca.log1p, ca.asin, ca.acos, ca.atanh, ca.acosh, lambda x: x**1.5]  # which may be not defined
 ONE += [lambda x: x**2, lambda x: x**3, lambda x: x**-2, lambda x: x**-1, lambda x: -x, ca.logic_not]
 TWO: list[Any] = [
     lambda x, y: x + y,
@@ -51,6 +52,17 @@ def test_bounds_hold(tree: ca.SX, low: float, width: float) -> None:
     slack = 1e-9 * np.maximum(1, abs(known))
     assert np.all(known >= found.low[0, 0] - slack)
     assert np.all(known <= found.high[0, 0] + slack)
+
+
+@pytest.mark.parametrize("hidden", [ca.sqrt(T - 0.5), ca.log(T - 0.5), ca.asin(2.5 - 3 * T), (T - 0.5) ** 1.5])
+def test_what_is_not_defined_may_hide_behind_a_choice(hidden: ca.SX) -> None:
+    """The lesser and the greater of two pass over what is not defined: the other is then a bound, and where that begins, something switches."""
+    function = ca.Function("f", [T], [ca.fmax(hidden, -7.0)])
+    found = bound(function, np.array([0.0, 0.4, 0.6]), np.array([0.3, 0.7, 0.8]))
+    assert found.low[0, 0] == found.high[0, 0] == -7.0
+    assert found.low[0, 1] == -7.0
+    assert found.low[0, 2] > -7.0
+    assert found.switches.tolist() == [False, True, False]
 
 
 def test_narrow_intervals_have_narrow_bounds() -> None:
