@@ -60,7 +60,7 @@ def choose(problem: Problem, target: Target, guess: InitialGuess | None, toleran
     near = sampled and nears_ground(problem, first)
     if near:
         yield Choice(matching(Sampling(), problem), Sampling())
-    count = choose_intervals(problem, first)
+    count = choose_intervals(problem, first.disturbed(problem))
     known = first if count == FEWEST else None
     bars = model.mechanism.bars
     accuracy = min(EXACT * tolerance, MISSED * Scales.of(problem).length)

@@ -79,11 +79,13 @@ def solve_program(
         raise ValueError(f"PiecewiseConstant.changes is {transcription.control.changes}, and Fatrop finds no plan of few changes: give ocp.Ipopt()")
     _check(problem, transcription, target)
     task = _Task(problem, transcription, target, scales, _reach(problem, transcription), solver)
-    imposed = controlled(target, task.reach, guess.force_density, guess.duration)
+    disturbed = guess.disturbed(problem)  # what strings do not move along a symmetric guess they may move along others
+    imposed = controlled(target, task.reach, disturbed.force_density, guess.duration)
+    guess = guess if isinstance(solver, Ipopt) else disturbed
     found = _attempt(task, imposed, guess, deadline, duals)
     if count_rows(imposed) < count_rows(target) and not (found.solution.success and _met(task, found)) and not _late(deadline):
         # Rows that no string moved along the guess are missed: along a less regular motion they may be within reach.
-        loosened = _loosened(problem, guess)
+        loosened = _loosened(problem, disturbed)
         more = controlled(target, task.reach, loosened.force_density, loosened.duration, HARDLY_REACHED)
         if count_rows(more) > count_rows(imposed):
             found = _attempt(task, more, loosened, deadline)
@@ -109,7 +111,7 @@ def program_of(problem: Problem, transcription: Transcription, guess: InitialGue
     target, scales = prepare(problem, transcription.control)
     problem = _smooth(problem)
     _check(problem, transcription, target)
-    first = evaluate_guess(guess, problem, target, transcription.count)
+    first = evaluate_guess(guess, problem, target, transcription.count).disturbed(problem)
     imposed = controlled(target, _reach(problem, transcription), first.force_density, first.duration)
     return transcription.program(problem, imposed, scales, first)
 

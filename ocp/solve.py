@@ -241,7 +241,7 @@ def _at_once(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Plan
     """Return the plan that ends at a target, or near it."""
     problem, guess, (transcription, solver, _, first) = asked.problem, asked.guess, way
     if isinstance(solver, Sampling):
-        known = None if guess is None else evaluate_guess(guess, problem, target, transcription.count)
+        known = None if guess is None else evaluate_guess(guess, problem, target, transcription.count).disturbed(problem)
         outcome = solve_sampled(problem, transcription, known, solver, asked.deadline, asked.limit)
     else:
         first = evaluate_guess(guess, problem, target, transcription.count) if first is None else first
@@ -249,7 +249,7 @@ def _at_once(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Plan
             own = on_mesh(problem.model, first, transcription.fractions, transcription.control)
             outcome = Outcome(own.states, own.force_density, own.duration, np.nan, False, TIME_UP, 0, why=TOO_LATE)
         elif isinstance(solver, CondensedNewton):
-            outcome = solve_condensed(problem, transcription, target, scales, first, solver, asked.deadline)
+            outcome = solve_condensed(problem, transcription, target, scales, first.disturbed(problem), solver, asked.deadline)
         else:
             duals = guess.duals if isinstance(guess, Plan) else None
             outcome = solve_program(problem, transcription, target, scales, first, solver, asked.deadline, duals)

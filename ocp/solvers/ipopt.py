@@ -6,7 +6,7 @@ import ctypes
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -29,7 +29,9 @@ FIRST_BARRIER_KNOWN = 1e-9  # the same where multipliers are known; where they a
 AMD, METIS = 0, 5  # of MUMPS; what it chooses fills factors where collocation or a free duration couples much: 10 to 80 times slower
 MANY_INTERVALS = 800  # from which AMD may take a hundred times as long as METIS, which on others takes up to twice as long
 
-
+FAR = 0.1  # of order-one rows: where they are missed by more, multipliers lead astray
+BENT = 3  # iterations in a row without positive curvature: a saddle
+SADDLE = "Saddle"
 STOPPED = "User_Requested_Stop"
 TIME_UP = "Time_Limit_Reached"  # that of the whole search, which includes what comes before the solver
 SMALL_VIOLATION = 1e-6  # violation, scaled, below which iterates are judged by their objective
@@ -70,7 +72,9 @@ class Ipopt:
 
     However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch a ground its derivatives mislead, and it
     hardly finds a motion, whatever the guess: see `Sampling` and `Phase`. MUMPS runs without its own scaling, which triples its
-    speed on these problems, and orders pivots by AMD, or from 800 intervals on by METIS.
+    speed on these problems, and orders pivots by AMD, or from 800 intervals on by METIS. Where constraints are far from met, their second
+    derivatives are left out. Where curvature is negative several times in a row, the guess's noise is added to the iterate, and the solver begins
+    there once more; the iterations of both count.
 
     Parameters
     ----------
@@ -151,7 +155,15 @@ class Ipopt:
         ValueError
             If IPOPT refuses an option.
         """
-        return self.prepared(program)(program, deadline)
+        run = self.prepared(program)
+        if program.noise is None or program.multipliers is not None or self.warm:
+            return run(program, deadline)
+        even = run(program, deadline, leaves_saddles=True)
+        if even.status != SADDLE or even.last is None:
+            return even
+        uneven = np.clip(even.last + program.noise, program.w_lower, program.w_upper)
+        solution = run(replace(program, first=uneven), deadline)
+        return solution._replace(iterations=even.iterations + solution.iterations)
 
     def prepared(self, program: Program) -> Callable[..., Solution]:
         """Build the solver once for several programs.
@@ -198,7 +210,7 @@ class Ipopt:
         options: dict[str, Any] = {
             "grad_f": exact["nlp_grad_f"],
             "jac_g": exact["nlp_jac_g"],
-            "hess_lag": exact["nlp_hess_l"],
+            "hess_lag": exact["nlp_hess_l"] if self.warm else near_rows(program, exact["nlp_hess_l"]),
             "no_nlp_grad": True,  # it serves parameters, of which there are none
             "ipopt": ipopt,
             "print_time": False,
@@ -222,11 +234,12 @@ class BestIterate(ca.Callback):
         super().__init__()
         self._sizes = {"x": size, "f": 1, "g": rows, "lam_x": size, "lam_g": rows, "lam_p": 0}
         self._objective, self._watch = objective, watch
-        self._begin(np.zeros(rows), np.zeros(rows), None)
+        self._begin(np.zeros(rows), np.zeros(rows), None, None)
         self.construct("best", {})
 
-    def _begin(self, lower: Array, upper: Array, deadline: float | None) -> None:
+    def _begin(self, lower: Array, upper: Array, deadline: float | None, leaving: ca.Function | None) -> None:
         self._lower, self._upper, self._deadline = lower, upper, np.inf if deadline is None else deadline
+        self._leaving = leaving
         self._merit = np.inf
         self._count = 0
         self.w: Array | None = None
@@ -234,11 +247,17 @@ class BestIterate(ca.Callback):
         self.error: Exception | None = None
 
     @contextmanager
-    def following(self, lower: Array, upper: Array, deadline: float | None) -> Iterator[None]:
-        """Follow a run with these limits of rows until a deadline; Ctrl-C stops the solver after its iteration; a second time it raises, as usual."""
-        self._begin(lower, upper, deadline)
-        with on_interrupt(self._stop, then_raise=False):
-            yield
+    def following(self, lower: Array, upper: Array, deadline: float | None, leaving: ca.Function | None) -> Iterator[None]:
+        """Follow a run with these limits of rows until a deadline; Ctrl-C stops the solver after its iteration; a second time it raises, as usual.
+
+        leaving: None, or the solver, which stops where it meets a saddle.
+        """
+        self._begin(lower, upper, deadline, leaving)
+        try:
+            with on_interrupt(self._stop, then_raise=False):
+                yield
+        finally:
+            self._leaving = None
 
     def _stop(self) -> None:
         self.status = STOPPED
@@ -282,13 +301,33 @@ class BestIterate(ca.Callback):
             self.status = STOPPED
         elif time.perf_counter() > self._deadline:
             self.status = TIME_UP
+        elif self._leaving is not None and _bent(self._leaving):
+            self.status = SADDLE
         np.frombuffer(res[0])[:] = float(bool(self.status))
         return 0
 
 
-def _run(solver: ca.Function, best: BestIterate, program: Program, deadline: float | None = None) -> Solution:
+def _bent(solver: ca.Function) -> bool:
+    """Tell whether IPOPT has had to make the Hessian positive in its last iterations."""
+    added = solver.stats()["iterations"]["regularization_size"][-BENT:]
+    return len(added) == BENT and min(added) > 0.0
+
+
+def near_rows(program: Program, hessian: ca.Function) -> ca.Function:
+    """Return the Hessian of the Lagrangian without the rows where some are far from met."""
+    w, p, lam_f, lam_g = (ca.MX.sym(hessian.name_in(k), hessian.sparsity_in(k)) for k in range(4))
+    rows = ca.Function("rows", [program.problem["x"]], [program.problem["g"]])(w)
+    missed = ca.mmax(ca.fmax(rows - program.upper, program.lower - rows)) if program.lower.size else 0.0
+    value = hessian(w, p, lam_f, ca.if_else(missed <= FAR, lam_g, 0.0))
+    near: Any = ca.Function(hessian.name(), [w, p, lam_f, lam_g], [value], hessian.name_in(), hessian.name_out())
+    near.called = hessian  # with what it calls back in Python, which CasADi does not keep
+    result: ca.Function = near
+    return result
+
+
+def _run(solver: ca.Function, best: BestIterate, program: Program, deadline: float | None = None, leaves_saddles: bool = False) -> Solution:
     known = {} if program.multipliers is None else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
-    with best.following(program.lower, program.upper, deadline):
+    with best.following(program.lower, program.upper, deadline, solver if leaves_saddles else None):
         result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper, **known)
     if best.error is not None:
         raise best.error

@@ -52,6 +52,11 @@ def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
     entries = unknowns.entries(parts.w)[place.tolist()]
     states = gathered(entries, v.states) if defects.states is None else defects.states(entries)
     controls = ca.mtimes(sparse(v.group_matrix), gathered(entries, v.controls))
+    noise = None
+    if v.noise is not None:
+        noise = np.zeros(unknowns.count)
+        noise[place[v.controls]] = v.noise
+        noise /= unknowns.scale
     lower, upper, scale = (np.concatenate(columns) for columns in zip(*(block.limits() for block in rows), strict=True))
     return Program(
         parts,
@@ -67,6 +72,7 @@ def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
         controls=place[v.controls] if not v.profile.linear and len(np.unique(v.controls)) == v.controls.size else None,
         together=v.group_matrix,
         contact=v.model.scene.ground is not None,
+        noise=noise,
     )
 
 

@@ -19,16 +19,28 @@ from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.validate import Array, finite_array, positive_number, shown, whole_number
 
+NOISE = 0.3  # of the strongest force density
 NOISY = 16.0  # rad of the fastest vibration: along longer motions there is less noise
 
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """states (intervals + 1, nx), force_density (intervals, α) N/m and duration s."""
+    """states (intervals + 1, nx), force_density (intervals, α) N/m and duration s.
+
+    noise: None, or what is to be added to the force densities (α,), N/m, where a solver meets a saddle.
+    """
 
     states: Array
     force_density: Array
     duration: float
+    noise: Array | None = None
+
+    def disturbed(self, problem: Problem) -> Guess:
+        """Return the guess with its noise, within the limits."""
+        if self.noise is None:
+            return self
+        lower, upper = problem.control_limits
+        return replace(self, force_density=np.clip(self.force_density + self.noise, lower, upper), noise=None)
 
 
 @runtime_checkable
@@ -50,13 +62,13 @@ class InverseDynamics:
     path : array_like, shape (P, n, 3), optional
         Nodes, m, at equal times from the start to the end; they are projected onto bars and joints. By default they move from the start
         to the goals along a smooth line, which is what `solve` starts from by itself.
-    noise : float
+    noise : float, optional
         Most that is added to the force density of a string, relative to the strongest of all: a share of it that is drawn for each string. A
         guess that is as symmetric as its structure is often next to a saddle, which a solver takes several times as many iterations to leave.
         It is less where the motion lasts more than 16 rad of the fastest vibration, along which errors would grow. 0 for none; rest lengths
-        get none.
+        get none. Default: 0.3, which `Ipopt` adds only where it meets a saddle.
     seed : int
-        Seed of the draw.
+        Seed of the draw. Noise of other seeds than 0 is always added.
 
     Raises
     ------
@@ -77,11 +89,12 @@ class InverseDynamics:
     """
 
     path: ArrayLike | None = None
-    noise: float = 0.3
+    noise: float | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "noise", positive_number("InverseDynamics.noise", self.noise, zero=True))
+        if self.noise is not None:
+            object.__setattr__(self, "noise", positive_number("InverseDynamics.noise", self.noise, zero=True))
         whole_number("InverseDynamics.seed", self.seed, 0)
         if self.path is not None:
             array = finite_array("InverseDynamics.path", self.path, (None, None, 3))
@@ -112,13 +125,8 @@ class InverseDynamics:
             If the path has another number of nodes.
         """
         guess = make_guess(problem, target, intervals) if self.path is None else self._along_path(problem, target, intervals, self.path)
-        if winds(problem.model):  # rest lengths: a share of them is far from any that hold the structure
-            return guess
-        lower, upper = problem.force_density_limits
-        change = np.random.default_rng(self.seed).uniform(size=len(lower))
-        strength = float(np.abs(guess.force_density).max()) or 1.0
-        noise = self.noise * _bearable(problem.model, guess)
-        return replace(guess, force_density=np.clip(guess.force_density + noise * strength * change, lower, upper))
+        noisy = _with_noise(problem, guess, NOISE if self.noise is None else self.noise, self.seed)
+        return noisy if self.noise is None and self.seed == 0 else noisy.disturbed(problem)
 
     @staticmethod
     def _along_path(problem: Problem, target: Target, intervals: int, given: ArrayLike) -> Guess:
@@ -282,6 +290,16 @@ def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> G
         states[1:-1] = _projected(model, states, 3)[1:-1]
         held = profile_at(guess.force_density, before, (nodes[:-1] + nodes[1:]) / 2)
     return Guess(states, node_values(held, fractions) if profile.linear else held, guess.duration)
+
+
+def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
+    """Return the guess with what parts its strings where a solver meets a saddle: at most a share of the strongest force density."""
+    if winds(problem.model):  # rest lengths: a share of them is far from any that hold the structure
+        return guess
+    change = np.random.default_rng(seed).uniform(size=guess.force_density.shape[1])
+    strength = float(np.abs(guess.force_density).max()) or 1.0
+    noise: Array = share * _bearable(problem.model, guess) * strength * change
+    return replace(guess, noise=noise)
 
 
 def _bearable(model: Model, guess: Guess) -> float:

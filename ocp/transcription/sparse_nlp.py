@@ -187,7 +187,7 @@ class Program:
     w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration.
     states: entries of x (intervals + 1, nx). controls: None, or entries (intervals, m) of what is held in each interval, none held over several,
     which `together` (α, m) makes force densities of. contact: whether nodes may meet a ground. multipliers: those of g and of w's limits to start
-    from, where they are known.
+    from, where they are known. noise: None, or what is to be added to w where a solver meets a saddle.
     """
 
     parts: Separable
@@ -204,6 +204,7 @@ class Program:
     together: Array | None = None
     contact: bool = False
     multipliers: tuple[Array, Array] | None = None
+    noise: Array | None = None
 
     @property
     def problem(self) -> dict[str, Any]:

@@ -77,7 +77,8 @@ class Variables:
 
     fractions (K,): shares of the duration. guess: on this mesh, with its force densities as the profile has them. As numbers of `entries`:
     states (K + 1, nx), controls (K, m) or (K + 1, m) of the m groups of strings, duration (1,), and, as parts of it, share (K, 1) of each
-    interval and time (K + 1, 1) of the nodes of the mesh. strength: a typical γ, N/m; objective: a typical cost.
+    interval and time (K + 1, 1) of the nodes of the mesh. strength: a typical γ, N/m; objective: a typical cost; noise: None, or that of the
+    guess, for each group.
     """
 
     def __init__(self, problem: Problem, target: Target, scales: Scales, guess: Guess, fractions: Array, profile: Profile) -> None:
@@ -88,6 +89,7 @@ class Variables:
         self.objective = typical_cost(problem, self.strength, guess.states, guess.force_density, guess.duration)
         self.guess = on_mesh(self.model, guess, fractions, profile)
         self.group_matrix = group_matrix(profile, self.model.nu)
+        self.noise = None if guess.noise is None else guess.noise @ (self.group_matrix / self.group_matrix.sum(axis=0))
         self.entries = Entries()
         self.states = np.vstack([self._start(), self._later_states()])
         self.controls = self._controls()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import signal
 import sys
 
+import casadi as ca
 import numpy as np
 import pytest
-from planning import raising
+from planning import prism, program, raising
 
 import ocp
+from ocp.solvers.ipopt import FAR, near_rows
 
 
 def test_progress_is_told_and_a_stop_keeps_the_best():
@@ -28,6 +30,38 @@ def test_progress_is_told_and_a_stop_keeps_the_best():
     assert np.all(np.isfinite(plan.force_density))
     whole = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=lambda now: None))
     assert whole.success
+
+
+def begins(problem, guess=None):
+    """How often the solver begins, and the plan."""
+    seen = []
+    plan = ocp.solve(problem, ocp.Variational(20), ocp.Ipopt(watch=lambda now: seen.append(now.iteration)), guess=guess)
+    assert plan.success, plan.message
+    assert plan.iterations == len(seen) - seen.count(0)
+    return seen.count(0), plan
+
+
+def test_noise_is_added_where_a_saddle_is_met_and_nowhere_else():
+    """The prism's symmetric rise is a minimum; there and back it passes a saddle."""
+    assert begins(raising())[0] == 1
+    goals = [ocp.Waypoint([ocp.Shape(prism(1.1).nodes)], time=0.5), ocp.Periodic()]
+    back = raising(goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)])
+    once, plan = begins(back)
+    at_once, noisy = begins(back, ocp.InverseDynamics(noise=0.3))
+    assert (once, at_once) == (2, 1)
+    assert plan.objective == pytest.approx(noisy.objective, rel=0.01)
+
+
+def test_far_from_rows_their_curvature_is_left_out():
+    asked = program(raising(), ocp.Variational(8))
+    hessian = asked.derivatives()["nlp_hess_l"]
+    near = near_rows(asked, hessian)
+    rows = ca.Function("rows", [asked.problem["x"]], [asked.problem["g"]])
+    weights = np.random.default_rng(0).uniform(size=len(asked.lower))
+    met = ocp.Ipopt().solve(asked).w
+    for w, share in ((met, 1.0), (met + 1.0, 0.0)):
+        assert (np.abs(rows(w).full()).max() <= FAR) == bool(share)
+        assert np.array_equal(near(w, [], 1.0, weights).full(), hessian(w, [], 1.0, share * weights).full())
 
 
 def test_an_interruption_keeps_the_best():
