@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ from ocp.problem.problem import Problem
 from ocp.program import program_of
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess
+from tenscasadi.util.casadi_tools import generated
 from tenscasadi.util.validate import file_path, instance
+from tenscasadi.util.whole_file import write_files, write_whole
 
 
 def export_program(problem: Problem, transcription: Transcription, folder: str | Path, guess: InitialGuess | None = None) -> list[Path]:
@@ -139,15 +142,12 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
 
 def _generate(folder: Path, name: str, functions: Sequence[ca.Function], comment: Sequence[str], constants: Sequence[str] = ()) -> list[Path]:
     """`name`.c and `name`.h, whose head says what they are."""
-    folder.mkdir(parents=True, exist_ok=True)
     generator = ca.CodeGenerator(f"{name}.c", {"with_header": True})
     for function in functions:
         generator.add(function)
-    generator.generate(str(folder) + "/")
-    header = folder / f"{name}.h"
     head = ["/*", *(f" * {line}" for line in [*comment, CALL]), *(f" * {_signature(function)}" for function in functions), " */", *constants, ""]
-    header.write_text("\n".join(head) + header.read_text(encoding="utf-8"), encoding="utf-8")
-    return [folder / f"{name}.c", header]
+    files = generated(generator, name)
+    return write_files(folder, {**files, f"{name}.h": "\n".join(head) + files[f"{name}.h"]})
 
 
 CALL = "Each function: int name(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem); name_work tells sizes:"
@@ -164,8 +164,9 @@ def _signature(function: ca.Function) -> str:
 
 
 def _table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:
-    with open(path, "w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(head)
-        writer.writerows([name, *(repr(float(value)) for value in np.asarray(numbers))] for name, *numbers in rows)
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(head)
+    writer.writerows([name, *(repr(float(value)) for value in np.asarray(numbers))] for name, *numbers in rows)
+    write_whole(path, text.getvalue())
     return path

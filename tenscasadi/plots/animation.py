@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import CalledProcessError
 
 import matplotlib as mpl
 import numpy as np
@@ -17,6 +19,7 @@ from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, members_of, 
 from tenscasadi.scene.ground import Grounds
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import file_path, flag, positive_number, text, whole_number
+from tenscasadi.util.whole_file import whole_path
 
 _MOST_FRAMES = 2000
 _PLAYED_EVERYWHERE = ["-pix_fmt", "yuv420p", "-movflags", "+faststart"]  # browsers and presentations refuse colours in full
@@ -94,7 +97,7 @@ def animate(
     if np.any(trajectory.tension != 0):
         canvas.colour_bar(scale, tension_label(trajectory.tension[trajectory.tension != 0]))
     canvas.fit()
-    with _writer(target, rate) as writer, writer.saving(figure, str(target), dpi=100):
+    with whole_path(target) as part, _writer(part, rate) as writer, writer.saving(figure, str(part), dpi=100):
         for time in tqdm(times, unit=" frames", disable=not progress):
             row = int(np.argmin(np.abs(trajectory.time - time)))
             colours = tension_colours(scale, trajectory.tension[row])
@@ -114,6 +117,8 @@ def _writer(target: Path, rate: int) -> Iterator[AbstractMovieWriter]:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError as error:
         raise ImportError("a film in .mp4 needs imageio-ffmpeg: pip install 'tenscasadi[video]', or give a file name that ends in .gif") from error
-    target.open("ab").close()  # ffmpeg would say in pages that it cannot
     with mpl.rc_context({"animation.ffmpeg_path": get_ffmpeg_exe()}):
-        yield FFMpegWriter(fps=rate, codec="libx264", extra_args=_PLAYED_EVERYWHERE)
+        try:
+            yield FFMpegWriter(fps=rate, codec="libx264", extra_args=_PLAYED_EVERYWHERE)
+        except CalledProcessError as error:
+            raise OSError(errno.EIO, f"ffmpeg could not write the film ({error.returncode}), is the disk full?", str(target)) from None

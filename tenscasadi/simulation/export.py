@@ -13,8 +13,10 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Projection, correct
 from tenscasadi.simulation.steppers import check_single
+from tenscasadi.util.casadi_tools import generated
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, file_path, instance
+from tenscasadi.util.whole_file import write_files
 
 
 def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), precision: Single | None = None, parameters: Any = None) -> list[Path]:
@@ -75,15 +77,11 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
         check_single(scheme)
     p = model.parameters.values(parameters)
     target = file_path("folder", folder)
-    target.mkdir(parents=True, exist_ok=True)
     real = "double" if precision is None else "float"
     generator = ca.CodeGenerator("tensegrity.c", {"with_header": True, "casadi_real": real})
     for function in (model.ode, _jacobian(model), _step(model, scheme), model.observe):
         generator.add(function)
-    generator.generate(str(target) + "/")
-    (target / "start.h").write_text(_start(model, p), encoding="ascii")
-    (target / "main.c").write_text(_MAIN, encoding="ascii")
-    return [target / name for name in ("tensegrity.c", "tensegrity.h", "start.h", "main.c")]
+    return write_files(target, {**generated(generator, "tensegrity"), "start.h": _start(model, p), "main.c": _MAIN})
 
 
 def _jacobian(model: Model) -> ca.Function:

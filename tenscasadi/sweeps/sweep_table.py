@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, file_path, real_array
+from tenscasadi.util.validate import Array, real_array
+from tenscasadi.util.whole_file import write_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,7 @@ class Sweep(ReadOnlyArrays):
         writer.writerow(flat)
         writer.writerows([_cell(value) for value in row] for row in zip(*flat.values(), strict=True))
         if path is not None:
-            file_path("path", path).write_text(text.getvalue(), encoding="utf-8", newline="")
+            write_whole(path, text.getvalue())
         return text.getvalue()
 
 

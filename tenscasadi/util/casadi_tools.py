@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import matmul
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import casadi as ca
@@ -258,3 +260,10 @@ class ArrayCallback(ca.Callback):
         except np.linalg.LinAlgError:  # a matrix is singular
             result[:] = np.nan
         return 0
+
+
+def generated(generator: ca.CodeGenerator, name: str) -> dict[str, str]:
+    """Return `name`.c and `name`.h, as CasADi writes them, by name."""
+    with TemporaryDirectory() as folder:
+        generator.generate(f"{folder}/")
+        return {file: Path(folder, file).read_text(encoding="utf-8") for file in (f"{name}.c", f"{name}.h")}

@@ -7,7 +7,7 @@ import os
 import shutil
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -20,20 +20,27 @@ _ABANDONED = 3600.0  # s since it was written to, after which an unfinished file
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Open a file that becomes exactly `path` where the block succeeds; one that was there stays as it is until then, and after a failure.
+    """Open a file that becomes exactly `path` where the block succeeds: see `whole_path`."""
+    with whole_path(path) as part, open(part, "xb") as file:
+        yield file
 
-    Raises OSError when it cannot be written, also where something other than a regular file is there, such as a device.
+
+@contextmanager
+def whole_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give the name of a file to be written; it becomes exactly `path` where the block succeeds.
+
+    A file that was there stays as it is until then, and after a failure. The name ends as `path` does. Raises OSError when it cannot be
+    written, also where something other than a regular file is there, such as a device.
     """
     target = file_path("path", path)
     whole = Path(os.path.realpath(target))  # where a link leads to
     if (target.exists() or whole.is_symlink()) and not target.is_file():
         raise OSError(errno.EISDIR if target.is_dir() else errno.EINVAL, "Not a regular file, give another name", os.fspath(path))
     _clean(whole.parent)
-    part = whole.with_name(f"{_UNFINISHED}{uuid.uuid4().hex}")
+    part = whole.with_name(f"{_UNFINISHED}{uuid.uuid4().hex}{whole.suffix}")
     try:
-        with open(part, "xb") as file:
-            yield file
-            file.flush()
+        yield part
+        with open(part, "rb+") as file:
             os.fsync(file.fileno())  # its name must not be on disk before its content is
         if whole.exists():
             shutil.copymode(whole, part)
@@ -44,6 +51,20 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         raise OSError(error.errno, error.strerror, os.fspath(path)) from None  # of the file, not of the one beside it
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_whole(path: str | os.PathLike[str], content: str) -> None:
+    """Write a text to exactly `path`: see `whole_path`."""
+    with whole_file(path) as file:
+        file.write(content.encode())
+
+
+def write_files(folder: Path, texts: Mapping[str, str]) -> list[Path]:
+    """Write texts by name into a folder, which is made if need be, each whole or not at all, and return the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in texts.items():
+        write_whole(folder / name, content)
+    return [folder / name for name in texts]
 
 
 def _clean(folder: Path) -> None:
