@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
+from io import BytesIO
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tenscasadi.util.validate import file_path, text
-from tenscasadi.util.whole_file import whole_path
+from tenscasadi.util.whole_file import whole_file
 
 FilePath = str | os.PathLike[str]
 LONG_NAME = 40  # characters: more beside the panels would leave them no room
@@ -64,7 +64,8 @@ def save_figure(figure: Figure, path: FilePath | None) -> Figure:
         target, known = file_path("path", path), figure.canvas.get_supported_filetypes()
         if target.suffix and target.suffix[1:].lower() not in known:
             raise ValueError(f"path is {os.fspath(path)!r}: give a name that ends in .{', .'.join(known)}")
-        named = target if target.suffix else Path(f"{target}.{figure.canvas.get_default_filetype()}")
-        with whole_path(named) as part:
-            figure.savefig(part, dpi=150)
+        form, drawn = target.suffix[1:].lower() or figure.canvas.get_default_filetype(), BytesIO()
+        figure.savefig(drawn, format=form, dpi=150)  # not into the file: some formats fail in their own ways where the disk is full
+        with whole_file(target if target.suffix else f"{target}.{form}") as file:
+            file.write(drawn.getvalue())
     return figure

@@ -69,7 +69,7 @@ def test_a_film_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytes
     (tmp_path / "motion.gif").write_bytes(b"old")
     monkeypatch.setattr(animation.Canvas, "draw", fail_next)
     with pytest.raises(ZeroDivisionError):
-        animate(RUN, tmp_path / "motion.gif")
+        animate(RUN, tmp_path / "motion.gif", frames_per_second=100)
     assert (tmp_path / "motion.gif").read_bytes() == b"old"
     assert os.listdir(tmp_path) == ["motion.gif"]
 
