@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from concurrent.futures import Executor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,6 +59,7 @@ def solve(
     starts: int = 1,
     executor: Executor | None = None,
     tracked: bool = False,
+    parameters: Any = None,
 ) -> Plan:
     """Find a plan of force densities for a problem.
 
@@ -88,6 +89,8 @@ def solve(
         What solves the starts at once, such as a ``ProcessPoolExecutor``. Default: one after the other.
     tracked : bool
         Whether the replay that decides on success is under `track`, in closed loop: for motions along which errors grow.
+    parameters : array_like, shape (np,), or mapping of str to array_like, optional
+        Values of the parameters of the problem's model, see `Problem.fixed`. Default: those that the problem was made with.
 
     Returns
     -------
@@ -127,6 +130,7 @@ def solve(
     """
     began = time.perf_counter()
     instance("problem", problem, Problem, "an ocp.Problem")
+    problem = problem if parameters is None else problem.fixed(parameters)
     flag("tracked", tracked)
     count = whole_number("starts", starts, 1, MOST_STARTS)
     if executor is not None:

@@ -17,6 +17,7 @@ from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.diagnosis import off_constraints
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import LARGEST, Array, call_user_function, finite_array, instance, positive_number, shown, whole_number
 
 MOST = 1e7  # decisions in a run
@@ -41,7 +42,7 @@ class Controller(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoop:
+class ClosedLoop(ReadOnlyArrays):
     """Controlled motion, and how long the decisions took; see `run`.
 
     Attributes

@@ -25,6 +25,7 @@ from tenscasadi.ensemble.feedback import Feedback
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number
 
 MOST = 10_000  # decisions: each has a gain
@@ -42,7 +43,7 @@ class Hold(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Tracker:
+class Tracker(ReadOnlyArrays):
     """Time-varying LQR about a plan, γ = γ_plan − G (x − x_plan) within limits; a controller for `run`, made by `track`.
 
     After a plan that ends at rest it holds that state: under the least force densities of equilibrium, with the gains of a stationary regulator

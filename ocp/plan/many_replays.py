@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ocp.boundary.find_target import find_target
+from ocp.plan.open_loop import STEPS
 from ocp.plan.robustness import STRINGS, Robustness, check_spreads, check_start, draw_starts, share_variance, vary_model
 from ocp.plan.winding import wind
 from ocp.problem.control import refuse_wound
@@ -21,7 +22,6 @@ from tenscasadi.simulation.control_input import ControlProfile, sample_control
 from tenscasadi.util.validate import Array, positive_number, whole_number
 
 MOST_SAMPLES = 1_000_000  # replays
-STEPS = 10  # of a replay, for each interval of a plan
 UPDATES = 10  # of rest lengths in each interval
 WOUND_STEPS = 5  # from one change of rest lengths to the next
 RELIABLE = 1e-2  # of the structure's size: the tolerance where none is given

@@ -16,6 +16,7 @@ from ocp.plan.error_growth import grown_errors
 from ocp.plan.exhibit import exhibit_of_plan
 from ocp.plan.many_replays import measure_robustness
 from ocp.plan.mesh_refinement import refined
+from ocp.plan.open_loop import replay_open
 from ocp.plan.planned_forces import PlannedForces
 from ocp.plan.report import Report, report_of
 from ocp.plan.robustness import Robustness
@@ -30,18 +31,13 @@ from ocp.transcription.initial_guess import Guess, resampled
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.serialize import find_differences
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stability import contact_step
-from tenscasadi.simulation.control_input import ControlProfile
-from tenscasadi.simulation.simulate import simulate
+from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import archive
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, flag, instance, positive_number, whole_number
 from tenscasadi.util.viewable import Viewable
-
-REPLAY_STEPS = 10  # steps of a replay for one interval of the plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +116,6 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
 
     _exhibit_ = exhibit_of_plan  # what `tenscasadi.viewer.view` shows
 
-    def __post_init__(self) -> None:
-        for name in ("time", "force_density", *(["rest_length"] if self.rest_length is not None else [])):
-            view = getattr(self, name).view()
-            view.flags.writeable = False
-            object.__setattr__(self, name, view)
-
     def __repr__(self) -> str:
         count, strings = len(self.time) - 1, self.force_density.shape[1]
         return f"Plan({count} intervals, {strings} strings, {self.time[-1]:g} s, success={self.success}, replay_error={self.replay_error:.2g} m)"
@@ -159,7 +149,7 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
             return np.nan
         return grown_errors(self.known_model("error_growth"), self.time, self.trajectory.states, self.control)
 
-    def replay(self, scheme: Scheme | None = None, step: float | None = None, *, tracked: bool = False) -> Trajectory:
+    def replay(self, scheme: Scheme | None = None, step: float | None = None, *, tracked: bool = False, parameters: Any = None) -> Trajectory:
         """Simulate the motion under the planned force densities, or rest lengths, from the plan's start, without corrections or under `track`.
 
         Parameters
@@ -170,6 +160,9 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
             Longest step, s. Default: a tenth of an interval, less where nodes on a ground ask for it.
         tracked : bool
             Whether `track` keeps to the plan, in steps of its own: of `RungeKutta4`, a tenth of an interval long.
+        parameters : array_like, shape (np,), or mapping of str to array_like, optional
+            Values of the parameters of the model that the problem was made of, see `Problem.fixed`: what becomes of the plan where they are
+            other than planned for. Default: those that it was planned for.
 
         Returns
         -------
@@ -183,19 +176,18 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         """
         flag("tracked", tracked)
         if tracked:
+            if parameters is not None:
+                raise ValueError("parameters are given, and tracked is True: give ocp.run(ocp.track(plan), t_end, model=..., parameters=...)")
             if scheme is not None or step is not None:
                 raise ValueError("scheme and step are given, and tracked is True, which has steps of its own: leave them out")
             return self._replay_tracked(self)
-        model, scheme = self.known_model("replay"), RungeKutta4() if scheme is None else scheme
-        check_scheme(scheme)
-        size = None if step is None else positive_number("step", step)
-        if size is None and model.scene.grounds:
-            size = min(np.diff(self.time).max() / REPLAY_STEPS, contact_step(model))
-        start, intervals, end, control = self.trajectory.states[0], np.diff(self.time), float(self.time[-1]), self.control
-        if self.linear or np.ptp(intervals) > 1e-9 * end:
-            profile = ControlProfile(self.time, control, REPLAY_STEPS if size is None else 1)
-            return simulate(model, end, end if size is None else size, scheme, start, profile, compiled=False)
-        return simulate(model, end, intervals[0] / REPLAY_STEPS if size is None else size, scheme, start, control, compiled=False)
+        if parameters is None:
+            model = self.known_model("replay")
+        elif self.problem is not None:
+            model = self.problem.fixed(parameters).model
+        else:
+            raise ValueError(f"parameters need the problem, which the plan does not hold ({self.unknown}): give Plan.load(path, problem=...)")
+        return replay_open(self, model, RungeKutta4() if scheme is None else scheme, step)
 
     def known_model(self, user: str) -> Model:
         """Return the model.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from ocp.problem.goals.waypoints import INSTANT, Waypoint
 from ocp.problem.phase import Phase, check_phases, phases_between, read_duration, read_items
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
+from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import Array, finite_array, instance, nesting, shown
 
 WIDE = 10.0  # times the shortest duration: beyond, the mean of the limits tells nothing about motions
@@ -87,7 +88,7 @@ class Problem:
         limits, `Effort` takes their place.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters, see `tenscasadi.ParameterLayout.values`; nominal if None. `Problem.model` is then the model with
-        these as constants (`Model.fixed`), and `Problem.parameters` is None.
+        these as constants (`Model.fixed`), and `Problem.parameters` is None. `fixed` asks the same with other values.
     phases : sequence of Phase, optional
         Parts of the plan in which nodes stand on the scene's ground, one after another: jumps, landings, steps. They have the durations; the
         problem's goals are met at the end of the last.
@@ -125,6 +126,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         instance("Problem.model", self.model, Model, "a tenscasadi.Model")
+        self.__dict__["_given"] = {field.name: getattr(self, field.name) for field in fields(self)}
         self.__dict__.update(model=self.model.fixed(self.parameters), parameters=None)
         check_control(self.model)
         if self.model.nq == 0:
@@ -166,6 +168,42 @@ class Problem:
                 if not divided:
                     raise
                 raise ValueError(f"{error}; a range as Waypoint.time makes phases: or give one time, or a share") from None
+
+    def fixed(self, parameters: Any) -> Problem:
+        """Return the problem with other values of its model's parameters.
+
+        Parameters
+        ----------
+        parameters : array_like, shape (np,), or mapping of str to array_like
+            Values, see `tenscasadi.ParameterLayout.values`, in place of all that the problem was made with; those that are not named are
+            nominal.
+
+        Returns
+        -------
+        Problem
+            The problem as it was asked, of the model with these values as constants.
+
+        Raises
+        ------
+        TypeError, ValueError
+            The model has no parameters, or a value is wrong.
+
+        Examples
+        --------
+        >>> import ocp
+        >>> import tenscasadi as tc
+        >>> scene = tc.Scene(tc.shapes.d_bar(), control=tc.ForceDensity(), parameters=tc.Parameters("bar_mass"))
+        >>> problem = ocp.Problem(tc.Model(scene), goals=[ocp.AtRest()])
+        >>> problem.fixed({"bar_mass": 2.0}).model.structure.bar_mass.tolist()
+        [2.0, 2.0, 2.0, 2.0]
+        """
+        given: dict[str, Any] = self.__dict__["_given"]
+        if not given["model"].np:
+            raise ValueError(
+                "parameters are given, and Problem.model has none: give a problem that was made with a model of "
+                "Scene(..., parameters=Parameters(...)); one from a file or of dataclasses.replace holds values alone"
+            )
+        return Problem(**given | {"parameters": parameters})
 
     def _divide(self) -> bool:
         """Make waypoints of free times the ends of phases; tell whether there are any."""
@@ -313,7 +351,7 @@ class Problem:
         if bad.size:
             i = int(bad[0])
             raise ValueError(f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths")
-        return np.asarray(projection(self.model, 10)(state).full()).ravel()
+        return read_only(np.asarray(projection(self.model, 10)(state).full()).ravel())  # type: ignore[no-any-return]
 
     def _without_wishes(self) -> tuple[tuple[Goal, ...], tuple[Cost, ...]]:
         """Return the goals that are met, and the costs of those that are not."""

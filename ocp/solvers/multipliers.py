@@ -9,11 +9,12 @@ import numpy as np
 
 from ocp.boundary.target import Target
 from ocp.transcription.sparse_nlp import Program
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices, instance
 
 
 @dataclass(frozen=True, eq=False)
-class Duals:
+class Duals(ReadOnlyArrays):
     """Multipliers of an optimum: how much each constraint costs.
 
     A multiplier is positive where an upper limit holds, negative where a lower one does. Where a limit, or the value that a goal wants,

@@ -17,6 +17,7 @@ from ocp.transcription.mesh import Profile, node_values, profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.integrators.stabilization import projection
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, finite_array, positive_number, shown, whole_number
 
 NOISE = 0.3  # of the strongest force density
@@ -24,7 +25,7 @@ NOISY = 16.0  # rad of the fastest vibration: along longer motions there is less
 
 
 @dataclass(frozen=True, eq=False)
-class Guess:
+class Guess(ReadOnlyArrays):
     """states (intervals + 1, nx), force_density (intervals, α) N/m and duration s.
 
     noise: None, or what is to be added to the force densities (α,), N/m, where a solver meets a saddle.

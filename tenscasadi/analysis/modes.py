@@ -18,6 +18,7 @@ from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
 DENSE = 600  # coordinates up to which all modes are computed, by dense matrices
@@ -27,7 +28,7 @@ NEUTRAL = 1e-9  # stiffness against a rigid-body motion that counts as none, rel
 
 
 @dataclass(frozen=True, eq=False)
-class Linearization:
+class Linearization(ReadOnlyArrays):
     """A model's equations to first order about a state and control: ẋ ≈ ode(x₀, u₀) + A (x − x₀) + B (u − u₀).
 
     Attributes
@@ -59,7 +60,7 @@ class Linearization:
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class Modes(ReadOnlyArrays):
     """Natural modes about an equilibrium, without the rigid-body motions that nothing restores.
 
     Attributes
@@ -387,8 +388,7 @@ def _supported_motions(model: Model, state: Array) -> Array:
     """Return an orthonormal basis (nq, ≤ 6) of the rigid-body motions that leave pinned coordinates where they are."""
     mech = model.mechanism
     columns = model.nodes(state)[mech.physical]
-    centre = columns.mean(axis=0)
-    fields = [np.broadcast_to(axis, columns.shape) for axis in np.eye(3)] + [np.cross(axis, columns - centre) for axis in np.eye(3)]
+    fields = [np.broadcast_to(axis, columns.shape) for axis in np.eye(3)] + [np.cross(axis, columns - columns.mean(axis=0)) for axis in np.eye(3)]
     motions = scipy.linalg.orth(np.stack([mech.local(field.ravel()) for field in fields], axis=1))
     held = np.flatnonzero(~mech.free.ravel())
     allowed = motions @ scipy.linalg.null_space(motions[held]) if len(held) else motions

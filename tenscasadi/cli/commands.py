@@ -95,7 +95,8 @@ def run_info(arguments: argparse.Namespace) -> int:
     source = find_source(arguments.source)
     simulation = source.simulation() if source.has("simulation") else None
     scene = source.scene() if simulation is None else simulation.scene
-    model, s = Model(scene) if simulation is None else simulation.model, scene.structure
+    model, given = (Model(scene), None) if simulation is None else (simulation.model, simulation.parameters)
+    s = model.fixed(given).scene.structure
     print(f"{source.name}: {source.text}")
     print(f"nodes         {len(s.nodes)}, pinned: {', '.join(map(str, sorted({*s.pinned, *s.rollers}))) or 'none'}")
     print(f"bars          {len(s.bars)}" + (f", lengths {_range(s.bar_lengths)} m, mass {s.bar_mass.sum():g} kg in all" if len(s.bars) else ""))
@@ -105,7 +106,8 @@ def run_info(arguments: argparse.Namespace) -> int:
     gamma = _equilibrium(s)
     print("\nterm: instructions of the right-hand side")
     print(model.describe())
-    print(f"\nfastest rate  {fastest_rate(model):.4g} rad/s, largest stable step of RungeKutta4 {stable_step(model, safety=1.0):.3g} s")
+    rate, stable = fastest_rate(model, parameters=given), stable_step(model, safety=1.0, parameters=given)
+    print(f"\nfastest rate  {rate:.4g} rad/s, largest stable step of RungeKutta4 {stable:.3g} s")
     if simulation is not None:
         step = "" if simulation.step is None else f" in steps of {simulation.step:g} s"
         print(f"simulation    {simulation.t_end:g} s{step} by {simulation.scheme}")

@@ -57,6 +57,7 @@ def _live(arguments: argparse.Namespace, where: dict[str, Any]) -> int:
         save=arguments.save,
         title=source.stem,
         speed=arguments.speed,
+        parameters=simulation.parameters,
         wait=True,
         **where,
     )

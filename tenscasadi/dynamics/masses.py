@@ -16,13 +16,14 @@ from tenscasadi.structure.class_one import Layout
 from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import cut_strings
 from tenscasadi.util.casadi_tools import matrix_with_pattern
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices
 
 _UNROLLED = 6  # nodes of a block of the mass matrix up to which its inverse is scalar code; above, a routine solves for it
 
 
 @dataclass(frozen=True, eq=False)
-class Masses:
+class Masses(ReadOnlyArrays):
     """How the entries of M and of M⁻ follow from the parameters."""
 
     entries: Affine  # of M, column by column

@@ -17,6 +17,7 @@ from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.pins import Normals
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import block_inverse, drop_rounding, is_diagonal, is_expression, matrix_with_pattern, numbered, product, sparse
+from tenscasadi.util.read_only import ReadOnlyArrays, read_only
 from tenscasadi.util.validate import Array, Indices
 
 UNROLL_MEMBERS = 300  # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
@@ -53,7 +54,7 @@ class Multipliers(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Mechanism:
+class Mechanism(ReadOnlyArrays):
     """The constant matrices of a structure in one of the two coordinates. Columns: physical nodes (reduced) or class-one nodes (full).
 
     Where masses are parameters M and M⁻ are nominal, and CasADi's in what `weighted` returns.
@@ -105,13 +106,21 @@ class Mechanism:
     @cached_property
     def free_index(self) -> Indices:
         """Places (nq,) of the free coordinates in N (or its `local` ones), column by column: 3 · column + axis."""
-        return np.flatnonzero(self.free.ravel())
+        return read_only(np.flatnonzero(self.free.ravel()))  # type: ignore[no-any-return]
 
     @property
     def coordinate_names(self) -> list[str]:
         """The names of the free coordinates, such as "node 2 z"."""
         turned = set() if self.turn is None else set(np.flatnonzero(np.diff(self.turn.indptr) > 1) // 3)
         return [f"node {self.physical[k // 3]} {'along its roller' if k // 3 in turned else 'xyz'[k % 3]}" for k in self.free_index]
+
+    @property
+    def frames_of_nodes(self) -> Array:
+        """Directions (n, 3, 3), as columns, of the `local` coordinates of each column of N; none where these are x, y and z."""
+        if self.turn is None:
+            return np.zeros((0, 3, 3))
+        columns = self.N.shape[1]
+        return np.asarray(self.turn.toarray().reshape(columns, 3, columns, 3)[np.arange(columns), :, np.arange(columns), :])
 
     def local(self, vector: Any) -> Any:
         """Return coordinates along and across rollers of vectors in the axes of N: columns (3n) of CasADi's, arrays (…, 3n)."""

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics, joint_forces
 from tenscasadi.dynamics.instruction_count import TermCounts, count_terms
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism, Multipliers
 from tenscasadi.dynamics.state_space import StateSpace
+from tenscasadi.dynamics.used_parameters import check_parameters
 from tenscasadi.scene.binding import fix
 from tenscasadi.scene.scene import Scene
 from tenscasadi.util.casadi_tools import sparse
@@ -78,12 +78,14 @@ class Model(StateSpace):
         If `scene` is no `Scene`.
     ValueError
         If an option is unknown, `bar_length` is "constant" where bars meet or are pinned in reduced coordinates, or a bar is more than
-        1e12 times as heavy as another.
+        1e12 times as heavy as another, or nothing depends on one of the scene's parameters.
 
     Warns
     -----
     RedundantConstraints
         If bars and joints constrain the initial shape more often than once.
+    UserWarning
+        If a parameter does no more than set the default control, such as the stiffness under ``control=ForceDensity()``.
 
     See Also
     --------
@@ -113,6 +115,11 @@ class Model(StateSpace):
     >>> tc.Model(tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("stiffness"))).ode
     Function(ode:(x[36],u[0],p[9])->(xdot[36]) SXFunction)
     """
+
+    def __init__(self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current") -> None:
+        super().__init__(scene, coordinates, bar_length)
+        if self.np and self.nq:
+            check_parameters(self)
 
     def fixed(self, parameters: Any = None) -> Model:
         """Return the model without parameters whose scene has their values as its constants.
@@ -381,5 +388,5 @@ class Model(StateSpace):
 def _rebuild(kind: type[Model], scene: Scene, coordinates: Coordinates, bar_length: BarLength) -> Model:
     """Build a model that was built before, and warned then."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RedundantConstraints)
+        warnings.simplefilter("ignore")
         return kind(scene, coordinates, bar_length)

@@ -21,6 +21,7 @@ from tenscasadi.dynamics.constraint_forces import (
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism, scene_mechanism
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import Array, choice, finite_array, instance, rows_of_size
 
 
@@ -77,14 +78,14 @@ class StateSpace:
         self.functions: dict[tuple[Any, ...], ca.Function] = {}  # of this model, built by other modules that need the same several times
         self.redundancy = find_redundancy(self.mechanism)
         if self.redundancy:
-            warnings.warn(self.redundancy, RedundantConstraints, stacklevel=2)
+            warnings.warn(self.redundancy, RedundantConstraints, stacklevel=3)
 
     # --- numbers ---
 
     @cached_property
     def initial_state(self) -> Array:
         """State (nx,) of the structure's nodes at rest, or at the velocities nearest to rest that moved supports leave possible."""
-        return self._at_rest(np.concatenate([self.initial_control, self.parameters.nominal]))
+        return read_only(self._at_rest(np.concatenate([self.initial_control, self.parameters.nominal])))  # type: ignore[no-any-return]
 
     def _at_rest(self, w: Array) -> Array:
         x = self.state(self.structure.nodes)
@@ -97,7 +98,7 @@ class StateSpace:
     @cached_property
     def initial_control(self) -> Array:
         """Control (nu,) that leaves the strings as the structure has them: its rest lengths, m, or their force densities, N/m."""
-        return self.control_at(self.parameters.nominal)
+        return read_only(self.control_at(self.parameters.nominal))  # type: ignore[no-any-return]
 
     def control_at(self, p: Array) -> Array:
         """Return the initial control (nu,) of the structure that parameters (np,) make."""

@@ -28,7 +28,7 @@ class Plan(NamedTuple):
 def read_starts(model: Model, states: Any, p: Array) -> Array:
     """Return the starts (n or 1, nx); one that is not finite is its motion's own fault. Raises TypeError, ValueError."""
     wanted = f"states of shape (n, {model.nx}) or ({model.nx},)"
-    given = _shared([model.start_at(row) for row in p]) if states is None else real_array("states", states, wanted)
+    given = _shared([model.start_at(row) for row in p], model.nx) if states is None else real_array("states", states, wanted)
     if given.ndim not in (1, 2) or given.shape[-1] != model.nx:
         raise ValueError(f"states has shape {given.shape}: give {wanted}")
     starts = np.atleast_2d(given)
@@ -60,9 +60,10 @@ def _table(field: str, value: Any, place: slice) -> Array:
     return finite_array(field, value, (None, place.stop - place.start))
 
 
-def _shared(rows: list[Array]) -> Array:
-    """Return rows as an array, one where they are one and the same."""
-    return np.array(rows[:1] if all(row is rows[0] for row in rows) else rows)
+def _shared(rows: list[Array], size: int) -> Array:
+    """Return rows of some size as an array, one where they are one and the same."""
+    kept = rows[:1] if all(row is rows[0] for row in rows) else rows
+    return np.array(kept).reshape(len(kept), size)
 
 
 def read_controls(model: Model, controls: Any, p: Array) -> Plan:

@@ -14,6 +14,8 @@ from tenscasadi.ensemble.stages import work_size, write_step
 _OPERAND = r"\w+(?:\[\w+\])?|\(\*\w+\+\+\)"
 _CONDITION = re.compile(rf"\(({_OPERAND})\?({_OPERAND}):0\)")
 _SIGN = re.compile(r"^casadi_real casadi_sign\(.*?\}$", re.DOTALL | re.MULTILINE)
+_LOOK_UP = re.compile(r"casadi_interpn\([^,;]+, \d+, (\w+), \w+, (\w+),")  # of a table: its points, and its values
+_TABLE_CODE = "clear", "low", "interpn_weights", "interpn_interpolate", "flip", "interpn"
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 
 _WIDEST = """
@@ -59,8 +61,27 @@ def write_source(program: Program, lanes: int | None) -> str:
 
 def _replace_branches(source: str) -> str:
     """Write choices between numbers as functions of lanes; what is not known here does not compile as lanes."""
-    source = _CONDITION.sub(r"select(\1, \2)", _COMMENT.sub("", source))
+    source = _CONDITION.sub(r"select(\1, \2)", _tables_lane_by_lane(_COMMENT.sub("", source)))
     return _SIGN.sub("static inline casadi_real casadi_sign(casadi_real x) { return sign(x); }", source)
+
+
+def _tables_lane_by_lane(source: str) -> str:
+    """Let tables be looked up in each lane by CasADi's own code for doubles, which branches on numbers."""
+    used = _LOOK_UP.findall(source)
+    if not used:
+        return source
+    for name in {name for pair in used for name in pair}:
+        source = source.replace(f"static const casadi_real {name}[", f"static const double {name}[")
+    code = []
+    for name in _TABLE_CODE:
+        found = re.search(rf"^(?:void|casadi_int) casadi_{name}\(.*?^\}}$", source, re.DOTALL | re.MULTILINE)
+        if found is None:  # other code than is known here: it does not compile as lanes
+            return source
+        code.append(found[0])
+    for part in code[1:-1]:
+        source = source.replace(part, "")
+    scalar = "\n".join(["namespace scalar {", *(part.replace("casadi_real", "double") for part in code), "}", _text("tables.hpp")])
+    return source.replace(code[-1], scalar)
 
 
 def _text(name: str) -> str:

@@ -45,7 +45,7 @@ class Rollouts(Viewable, ReadOnlyArrays):
     place : ndarray of int, shape (N, 3)
         Entry of the state that holds each coordinate of a node, -1 where it is given.
     given : ndarray, shape (T, N, 3)
-        Positions of nodes that are pinned or moved, m; NaN for those that are free.
+        Coordinates of nodes that are pinned or moved, m; NaN for those that are free.
     step : float
         Mean length of a step, s.
     steps : int
@@ -64,6 +64,8 @@ class Rollouts(Viewable, ReadOnlyArrays):
         Nodes at the ends of each bar and string; empty in older files.
     pinned : ndarray of int
         Nodes that are pinned or roll; empty in older files.
+    turn : ndarray, shape (N, 3, 3)
+        Directions, as columns, along which each node has these coordinates; empty where all have x, y, z.
 
     See Also
     --------
@@ -98,15 +100,11 @@ class Rollouts(Viewable, ReadOnlyArrays):
     bars: Annotated[Indices, "β2", "i"] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
     strings: Annotated[Indices, "α2", "i"] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
     pinned: Annotated[Indices, "p", "i"] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    turn: Annotated[Array, "r33", "f"] = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     def __post_init__(self) -> None:
         _check({entry.name: getattr(self, entry.name) for entry in fields(self)})
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if isinstance(value, np.ndarray):
-                view = value.view()
-                view.flags.writeable = False
-                object.__setattr__(self, entry.name, view)
+        super().__post_init__()
 
     def __repr__(self) -> str:
         n, rows, _ = self.states.shape
@@ -135,11 +133,7 @@ class Rollouts(Viewable, ReadOnlyArrays):
         TypeError, ValueError
             If there is no such node.
         """
-        place = self.place[node_index("node", node, len(self.place))]
-        path = np.broadcast_to(self.given[:, node], (len(self.states), *self.given[:, node].shape)).copy()
-        free = place >= 0
-        path[..., free] = self.states[..., place[free]]
-        return path
+        return node_positions(self, [node_index("node", node, len(self.place))])[:, :, 0]
 
     def summary(self) -> str:
         """Return a few lines of text: how the motions ended, their errors and their speed.
@@ -210,6 +204,15 @@ class Rollouts(Viewable, ReadOnlyArrays):
         return archive.load(path, _FORMAT, "file of rollouts", _from_arrays, Rollouts.__dataclass_fields__)
 
 
+def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -> Array:
+    """Return the positions (m, T, k, 3) of some nodes in some motions, m."""
+    place, given, states = rollouts.place[nodes], rollouts.given[:, nodes], rollouts.states[motions]
+    found = np.repeat(given[None], len(states), axis=0)
+    free = place >= 0
+    found[..., free] = states[..., place[free]]
+    return np.einsum("kij,mtkj->mtki", rollouts.turn[nodes], found) if len(rollouts.turn) else found
+
+
 _SHAPES = {name: hint.__metadata__ for name, hint in get_type_hints(Rollouts, include_extras=True).items()}
 
 
@@ -238,7 +241,9 @@ def _check(content: dict[str, Any]) -> None:
     place = np.asarray(content["place"])
     if place.size and not -1 <= place.min() <= place.max() < max(sizes["x"], 1):
         raise ValueError(f"field 'place' holds indices outside -1 … {sizes['x'] - 1}")
-    for name in _LATER:
+    if sizes["r"] not in (0, sizes["N"]) or not np.all(np.abs(content["turn"]) <= 1 + 1e-9):
+        raise ValueError("field 'turn' holds no directions of each node")
+    for name in ("bars", "strings", "pinned"):
         indices = np.asarray(content[name])
         if indices.size and not 0 <= indices.min() <= indices.max() < sizes["N"]:
             raise ValueError(f"field {name!r} holds indices outside 0 … {sizes['N'] - 1}")

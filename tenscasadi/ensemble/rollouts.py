@@ -88,8 +88,8 @@ def rollouts(
     Notes
     -----
     The steps are compiled once for a model, with several motions side by side in the lanes of each instruction: 8 with AVX-512, 4 with
-    AVX, else 2. Each comes out as `simulate` computes it, to the last bit, whatever runs beside it. Code that has to branch on numbers
-    runs one motion at a time. Without a compiler of C++ CasADi computes the same numbers, more slowly, and `lanes` is 0.
+    AVX, else 2. Each comes out as `simulate` computes it, to the last bit, whatever runs beside it. Code that branches on
+    numbers, such as splines, runs one motion at a time. Without a compiler of C++ CasADi computes the same numbers, more slowly, and `lanes` is 0.
 
     Examples
     --------
@@ -105,8 +105,6 @@ def rollouts(
     (True, (100, 6), True)
     """
     instance("model", model, Model, "a tenscasadi.Model")
-    if model.mechanism.turn is not None:  # results tell where in the state each coordinate of a node is
-        raise ValueError('model has rollers along no axis in reduced coordinates: give a Model(scene, coordinates="full")')
     check_scheme(scheme)
     if correction is not None:
         instance("correction", correction, (Projection, BarLengthCorrection), "Projection(every), BarLengthCorrection(weight) or None")
@@ -205,7 +203,8 @@ def _record(run: Run, kernel: Kernel, threads: int, seconds: float) -> Rollouts:
     if model.scene.has_clock and len(run.starts):
         clocks = model.split(run.starts)[2]
         model.split(probes)[2][:] = run.time[:, None] + clocks[np.argmax(np.isfinite(clocks))]
-    given = np.where(place >= 0, np.nan, model.nodes(probes))
+    local = model.mechanism.local(model.nodes(probes).reshape(len(probes), place.size)).reshape(-1, *place.shape)
+    given = np.where(place >= 0, np.nan, local)
     worst = result.worst
     return Rollouts(
         time=run.time,
@@ -228,4 +227,5 @@ def _record(run: Run, kernel: Kernel, threads: int, seconds: float) -> Rollouts:
         bars=model.structure.bars,
         strings=model.structure.strings,
         pinned=np.array(sorted({*model.structure.pinned, *model.structure.rollers}), dtype=np.intp),
+        turn=model.mechanism.frames_of_nodes,
     )

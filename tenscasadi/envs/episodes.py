@@ -30,7 +30,7 @@ class Episodes:
         model = task.model
         self._first, self._start = np.array(task.state, dtype=float), pair("Task.start", task.start)
         self.states, self.control = np.tile(self._first, (count, 1)), np.tile(model.initial_control, (count, 1))
-        self.parameters, self.decided = np.tile(model.parameters.nominal, (count, 1)), np.zeros(count, dtype=int)
+        self.parameters, self.decided = np.repeat(model.parameters.nominal[None], count, axis=0), np.zeros(count, dtype=int)
         correction = task.correction and replace(task.correction, every=min(task.correction.every, task.steps))  # each period counts anew
         self._kernel = build_kernel(model, RungeKutta4(), correction)
         self._project = ArrayFunction(projection(model, 10))

@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.scene.parameters import QUANTITIES
+from tenscasadi.scene.strings import RestLength
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.validate import Array
 
@@ -39,7 +40,7 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
     items = layout.quantities
     s = scene.modelled
     own, fraction, parent = {}, s.string_fraction, s.string_parent
-    for name in items.keys() & {"stiffness", "damping", "rest_length"}:
+    for name in items.keys() & {"stiffness", "damping", "rest_length"} - ({"rest_length"} if isinstance(scene.control, RestLength) else set()):
         share = fraction if name == "rest_length" else 1 / fraction
         onto_segments = sp.csr_array((share, (np.arange(len(parent)), parent)), shape=(len(parent), len(items[name].constant)))
         own[name] = items[name].then(onto_segments).expression(p).T

@@ -27,7 +27,7 @@ class Affine(NamedTuple):
 
     def numbers(self, p: Array) -> Array:
         """Return the values (…, k) for parameters p (…, np)."""
-        return np.asarray(self.constant + (self.matrix @ p.reshape(-1, self.matrix.shape[1]).T).T).reshape(*p.shape[:-1], -1)
+        return np.asarray(self.constant + (self.matrix @ p.reshape(-1, self.matrix.shape[1]).T).T).reshape(*p.shape[:-1], len(self.constant))
 
     def expression(self, p: Any) -> Any:
         """Return the values (k×1) for a CasADi column p: 1×1 where all are the same."""
@@ -203,9 +203,7 @@ def lay_out(scene: Any, parameters: Parameters) -> ParameterLayout:
         units += ["1" if name in parameters.scale else QUANTITIES[name].unit] * (last - first)
         nominal.append(entry.nominal)
         first = last
-    vector = np.concatenate(nominal)
-    vector.flags.writeable = False
-    return ParameterLayout(tuple(names), tuple(units), vector, quantities, places, strict, scene.structure)
+    return ParameterLayout(tuple(names), tuple(units), np.concatenate(nominal), quantities, places, strict, scene.structure)
 
 
 EMPTY = ParameterLayout((), (), np.zeros(0), {}, {}, {})

@@ -76,9 +76,6 @@ class Sensitivities(ReadOnlyArrays):
     seconds: float
     compiled: bool
 
-    def __post_init__(self) -> None:
-        self.__setstate__({})
-
     def __repr__(self) -> str:
         inputs = int(np.prod(self.jacobian.shape[1:]))
         return f"Sensitivities({len(self.value)} outputs by {inputs} inputs, {self.mode}, success={self.success})"

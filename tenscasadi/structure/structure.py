@@ -25,7 +25,7 @@ from tenscasadi.structure.class_one import (
 )
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.read_only import ReadOnlyArrays, read_only
 from tenscasadi.util.validate import (
     SMALLEST,
     Array,
@@ -249,7 +249,8 @@ class Structure(Viewable, ReadOnlyArrays):
             The matrices of Eqs. 61-66, 81 and 84.
         """
         flag("sparse", sparse)
-        return class_one(self._layout, self.nodes, self.bar_inertia, self.bar_mass, self.node_mass, sparse)
+        found: ClassOne = read_only(class_one(self._layout, self.nodes, self.bar_inertia, self.bar_mass, self.node_mass, sparse))
+        return found
 
     def replace(self, **changes: Any) -> Structure:
         """Return the same structure with some of its parameters changed.
@@ -390,9 +391,7 @@ class Structure(Viewable, ReadOnlyArrays):
     def _derived(self, **attributes: Any) -> Structure:
         """Self, just built, with what a constructor keyword cannot say, and from now on read-only."""
         self.__dict__.update(attributes)
-        for value in self.__dict__.values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+        self.__post_init__()
         return self
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tenscasadi.ensemble.result import Rollouts
+from tenscasadi.ensemble.result import Rollouts, node_positions
 from tenscasadi.scene.strings import Slack
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
@@ -90,9 +90,7 @@ def of_rollouts(rollouts: Rollouts, name: str) -> Motion:
     """Return at most `MOST_COPIES` of the motions, side by side as one with that many copies of each member."""
     chosen = np.unique(np.linspace(0, len(rollouts.states) - 1, min(len(rollouts.states), MOST_COPIES)).round().astype(int))
     count = len(rollouts.place)
-    free = rollouts.place >= 0
-    paths = np.repeat(rollouts.given[:, None], len(chosen), axis=1)  # (T, copies, n, 3)
-    paths[:, :, free] = rollouts.states[chosen].transpose(1, 0, 2)[:, :, rollouts.place[free]]
+    paths = node_positions(rollouts, slice(None), chosen).swapaxes(0, 1)  # (T, copies, n, 3)
     nodes = paths.reshape(len(rollouts.time), -1, 3)
     offsets = count * np.arange(len(chosen))
 

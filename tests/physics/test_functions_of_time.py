@@ -77,7 +77,7 @@ SCENES: dict[str, Callable[[Any], tc.Scene]] = {
 def truth(model: tc.Model, features: list[Feature]) -> Any:
     """Return the nodes at the end."""
     edges = np.unique([0.0, END, *(edge for feature in features for edge in feature.edges if 0 < edge < END)])
-    x = model.initial_state
+    x = model.initial_state.copy()
     for first, last in pairwise(edges):
         if last - first < 4 * SKIPPED:
             continue

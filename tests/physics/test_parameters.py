@@ -71,9 +71,10 @@ def test_runs_are_those_of_a_model_built_with_the_values(scheme, correction, rto
 
 
 @pytest.mark.parametrize("coordinates", ["reduced", "full"])
-@pytest.mark.parametrize("control", [tc.RestLength(), tc.ForceDensity()])
-def test_the_initial_control_follows_the_parameters(control, coordinates):
-    given, p, built = pair(prism(), (*STRINGS, "bar_mass"), coordinates, control=control)
+@pytest.mark.parametrize(("control", "names"), [(tc.RestLength(), STRINGS), (tc.ForceDensity(), ("stiffness", "rest_length"))])
+def test_the_initial_control_follows_the_parameters(control, names, coordinates):
+    with pytest.warns(UserWarning, match="sets the default control alone"):
+        given, p, built = pair(prism(), (*names, "bar_mass"), coordinates, control=control)
     assert np.allclose(given.control_at(p), built.initial_control, rtol=1e-14, atol=0)
     assert_same(*(tc.simulate(m, 0.05, parameters=q, compiled=False) for m, q in ((given, p), (built, None))), 1e-12)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -30,6 +31,12 @@ def short_plan() -> ocp.Plan:
     found = ocp.solve(turned(), ocp.MultipleShooting(4))
     assert found.success
     return found
+
+
+@cache
+def weighed() -> ocp.Plan:
+    scene = replace(cross().scene, parameters=tc.Parameters("bar_mass"))
+    return ocp.solve(ocp.Problem(tc.Model(scene), goals=turned().goals), ocp.MultipleShooting(3), ocp.Ipopt(max_iterations=3))
 
 
 @cache
@@ -102,8 +109,18 @@ def planning_calls() -> dict[str, Call]:
                 "tracked": True,
             },
         ),
+        "solve, at values": (
+            ocp.solve,
+            {
+                "problem": weighed().problem,
+                "transcription": ocp.MultipleShooting(3),
+                "solver": ocp.Ipopt(max_iterations=3),
+                "parameters": {"bar_mass": 1.1},
+            },
+        ),
         "replay_wound": (ocp.replay_wound, {"plan": short_plan(), "stiffness": np.full(2, 1000.0), "damping": 0.0, "updates": 1}),
         "Plan.replay": (short_plan().replay, {"scheme": tc.RungeKutta4(), "step": 0.05}),
+        "Plan.replay, at values": (weighed().replay, {"parameters": {"bar_mass": [1.1, 1.0, 1.0, 1.0]}}),
         "Plan.replay, tracked": (short_plan().replay, {"tracked": True}),
         "Plan.refine": (short_plan().refine, {"tolerance": 0.1, "attempts": 1}),
         "Mpc": (

@@ -139,7 +139,7 @@ def dynamics_calls() -> dict[str, Call]:
         "BarLengthCorrection": (tc.BarLengthCorrection, {"weight": 1.0, "every": 1}),
         "Trajectory.save": (trajectory().save, {"path": "run.npz"}),
         "load_mat": (tc.load_mat, {"path": "missing.mat", "name": "task"}),
-        "load_mat_trajectory": (tc.load_mat_trajectory, {"path": "missing.mat", "model": m}),
+        "load_mat_trajectory": (tc.load_mat_trajectory, {"path": "missing.mat", "model": m, "parameters": None}),
         "load_ntrt": (tc.load_ntrt, {"path": "missing.yaml", "length_unit": 0.1, "ball_joints": False, "folder": "."}),
         "save_mat": (tc.save_mat, {"what": SEGMENTED, "path": "run.mat", "class_one": False}),
         "export_vtk": (tc.export_vtk, {"trajectory": trajectory(), "path": "run.pvd", "model": m, "every": 2}),

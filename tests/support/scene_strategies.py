@@ -99,8 +99,10 @@ def scenes(draw: Any) -> tc.Scene:
         x, y, z = structure.nodes[held[0]].tolist()
         moved = TimeFormula((f"({x!r}) + amount * sin(t)", y, f"({z!r}) - t**3"), (("amount", 0.2),))
         scene["supports"] = draw(st.one_of(st.none(), st.just(tc.SupportMotion({held[0]: moved}))))
-    if draw(st.booleans()) and not structure.rollers:
+    if draw(st.booleans()) and not structure.rollers and not structure.fixed[structure.bars[0]].all():
         shared = [{"bar_mass": "all"}] if len(set(structure.bar_mass.tolist())) == 1 else []  # one entry for all needs one value
         groups = draw(st.sampled_from([{}, {"bar_mass": [[0]]}, *shared]))
-        scene["parameters"] = tc.Parameters("bar_mass", "node_mass", scale=("stiffness",) if count else (), groups=groups)
+        scene["parameters"] = tc.Parameters(
+            "bar_mass", "node_mass", scale=("stiffness",) if count and scene["control"] != tc.ForceDensity() else (), groups=groups
+        )
     return tc.Scene(structure, **scene)

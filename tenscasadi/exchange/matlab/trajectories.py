@@ -27,7 +27,7 @@ class Motion(NamedTuple):
     force_density: Array | None
 
 
-def load_mat_trajectory(path: str | os.PathLike[str], model: Model | None = None) -> Trajectory:
+def load_mat_trajectory(path: str | os.PathLike[str], model: Model | None = None, parameters: Any = None) -> Trajectory:
     """Read a motion from a MATLAB file, as `save_mat`, MOTES or TsgFEM write it.
 
     What `save_mat` wrote comes back as it was. Of MOTES it takes Nhist, Ndhist, t and gamma, of TsgFEM n_t, nd_t and out_tspan, in a struct
@@ -40,6 +40,8 @@ def load_mat_trajectory(path: str | os.PathLike[str], model: Model | None = None
         File of MATLAB's versions 5, 6 or 7 (``save('x.mat', '-v7')``).
     model : Model, optional
         Model of another program's motion, such as one with gravity. Default: the structure in the file, as by `load_mat`, without loads.
+    parameters : array_like, shape (np,), or mapping of str to array_like, optional
+        Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
     Returns
     -------
@@ -84,7 +86,7 @@ def load_mat_trajectory(path: str | os.PathLike[str], model: Model | None = None
         except IndexError as error:
             raise ValueError(f"{os.fspath(path)}: its motion is of {motion.nodes.shape[1]} nodes, its N of more") from error
         model = Model(Scene(found.structure)) if model is None else model
-    return _record(model, motion, os.fspath(path))
+    return _record(model, motion, parameters, os.fspath(path))
 
 
 def _own(variables: Mapping[str, Any]) -> Trajectory:
@@ -145,7 +147,7 @@ _READERS = {("Nhist", "Ndhist", "t"): _read_motes, ("n_t", "nd_t", "out_tspan"):
 _KINDS: dict[str, Any] = {"success": bool, "compiled": bool, "interrupted": bool, "attempts": int, "step": float, "seconds": float}
 
 
-def _record(model: Model, motion: Motion, path: str) -> Trajectory:
+def _record(model: Model, motion: Motion, parameters: Any, path: str) -> Trajectory:
     """Return a trajectory of the model through these positions and velocities. Raises ValueError."""
     rows = len(motion.time)
     controlled = isinstance(model.scene.control, ForceDensity)
@@ -162,6 +164,8 @@ def _record(model: Model, motion: Motion, path: str) -> Trajectory:
         except ValueError as error:
             raise ValueError(f"{path}: at time {motion.time[row]:g} s {error}") from error
     model.split(states)[2][:] = motion.time[:, None]
-    controls = np.array([model.held(motion.force_density[row] if controlled and motion.force_density is not None else None) for row in range(rows)])
+    p = model.parameters.values(parameters)
+    gamma = motion.force_density if controlled else None
+    controls = np.array([model.held(None if gamma is None else gamma[row], p) for row in range(rows)])
     step = float(motion.time[-1] - motion.time[0]) / max(1, rows - 1) or 1.0
     return record_trajectory(model, motion.time, states, controls.reshape(rows, -1), step=step, message=f"another program's motion, read from {path}")

@@ -221,7 +221,7 @@ class Live:
         self._pace.rest()
 
 
-def live(
+def live(  # noqa: PLR0913  the options of a run, and of a page
     model: Model | Scene,
     *,
     state: Any = None,
@@ -235,13 +235,14 @@ def live(
     speed: float = 1.0,
     browser: bool | None = None,
     wait: bool | None = None,
+    parameters: Any = None,
 ) -> Live:
     """Simulate in real time in a browser: drive the strings by sliders, pull at nodes with the mouse, pause, reset, save.
 
     Parameters
     ----------
     model : Model or Scene
-        What moves. Strings without control are driven by their rest lengths. A model with parameters is taken at their nominal values.
+        What moves. Strings without control are driven by their rest lengths.
     state : array_like, shape (nx,), optional
         State at the start. Default: the model's initial state.
     control : array_like, shape (nu,), optional
@@ -262,6 +263,8 @@ def live(
         Simulated seconds in each second.
     browser, wait : bool, optional
         Whether to open the browser, and to return only when Ctrl-C is pressed; see `View.show`.
+    parameters : array_like, shape (np,), or mapping of str to array_like, optional
+        Values of the model's parameters, see `tenscasadi.ParameterLayout.values`; nominal if None.
 
     Returns
     -------
@@ -298,7 +301,7 @@ def live(
     check_serving(browser, wait)
     if save is not None:
         file_path("save", save)
-    simulation = LiveSimulation(model, state, control, stepping)
+    simulation = LiveSimulation(model, state, control, stepping, parameters)
     sliders_of(simulation, groups)  # what is wrong with them shows before there is a server
     found = Live(simulation, start_server(host, port), groups, save, name, float(speed))
     open_and_wait(found.url, found.wait, browser, wait)

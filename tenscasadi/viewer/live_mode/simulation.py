@@ -92,13 +92,15 @@ class LiveSimulation:
     Parameters
     ----------
     model : Model or Scene
-        What moves. Strings without control are driven by their rest lengths. A model with parameters is taken at their nominal values.
+        What moves. Strings without control are driven by their rest lengths.
     state : array_like, shape (nx,), optional
         State at the start. Default: the model's initial state.
     control : array_like, shape (nu,), optional
         Control at the start. Default: the model's initial control.
     stepping : Stepping
         Step, scheme and correction.
+    parameters : array_like, shape (np,), or mapping of str to array_like, optional
+        Values of the model's parameters, see `tenscasadi.ParameterLayout.values`; nominal if None.
 
     Raises
     ------
@@ -119,9 +121,9 @@ class LiveSimulation:
     (0.05, '')
     """
 
-    def __init__(self, model: Model | Scene, state: Any = None, control: Any = None, stepping: Stepping = Stepping()) -> None:
+    def __init__(self, model: Model | Scene, state: Any = None, control: Any = None, stepping: Stepping = Stepping(), parameters: Any = None) -> None:
         instance("model", model, (Model, Scene), "a tenscasadi.Model or Scene")
-        own = Model(model) if isinstance(model, Scene) else model.fixed()
+        own = (Model(model) if isinstance(model, Scene) else model).fixed(parameters)
         self.model = model = _driven(own)
         self.start_state = np.array(model.initial_state if state is None else finite_array("state", state, (model.nx,)))
         self.start_control = np.array(model.initial_control if control is None else finite_array("control", control, (model.nu,)))

@@ -1,5 +1,8 @@
 """Plans of a model with parameters are those of the model that is built with the values."""
 
+import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,3 +60,39 @@ def test_values_are_checked_by_name():
         ocp.Problem(GIVEN, goals=GOALS, parameters={"bar_mass": -1.0})
     with pytest.raises(ValueError, match="the parameters of this model are none"):
         ocp.Problem(model(), goals=GOALS, parameters={"bar_mass": 1.0})
+
+
+def test_a_problem_is_solved_at_other_values():
+    problem = ocp.Problem(GIVEN, goals=[*GOALS, ocp.CentreOfMass((None, None, 0.0)).soft(1.0)], parameters={"bar_mass": 0.7})
+    again = copy.deepcopy(problem)
+    plan = ocp.solve(again, ocp.MultipleShooting(6), parameters=VALUES)
+    asked = ocp.Problem(GIVEN, goals=problem.__dict__["_given"]["goals"], parameters=VALUES)
+    own = ocp.solve(asked, ocp.MultipleShooting(6))
+    assert plan.success
+    assert np.array_equal(plan.model.structure.bar_mass, VALUES["bar_mass"])
+    np.testing.assert_allclose(plan.force_density, own.force_density, rtol=1e-6, atol=1e-6)
+    wish = problem.fixed(VALUES).costs[-1].goal  # of the masses that are given now
+    np.testing.assert_array_equal(wish.masses, asked.costs[-1].goal.masses)
+    assert not np.array_equal(wish.masses, problem.costs[-1].goal.masses)
+    with pytest.raises(ValueError, match="parameters: bar_mass of bar 0 is -1 kg"):
+        ocp.solve(problem, parameters={"bar_mass": -1.0})
+
+
+def test_a_plan_is_replayed_at_other_values(tmp_path):
+    plan = ocp.solve(ocp.Problem(GIVEN, goals=GOALS, parameters=VALUES), ocp.MultipleShooting(6))
+    heavy = {"bar_mass": 1.5}
+    run = tc.simulate(GIVEN, plan.time[-1], plan.time[1] / 10, control=plan.force_density, parameters=heavy, compiled=False)
+    np.testing.assert_allclose(plan.replay(parameters=heavy).nodes[-1], run.nodes[-1], atol=1e-12)
+    assert np.array_equal(plan.replay(parameters=VALUES).states, plan.replay().states)
+    with pytest.raises(ValueError, match="tracked is True: give ocp"):
+        plan.replay(tracked=True, parameters=heavy)
+    again = ocp.Plan.load(plan.save(tmp_path / "plan.npz"))
+    for misses in (lambda: again.replay(parameters=heavy), lambda: replace(again, problem=None).replay(parameters=heavy)):
+        with pytest.raises(ValueError, match="parameters"):
+            misses()
+
+
+def test_a_problem_without_parameters_takes_no_values():
+    for problem in (ocp.Problem(model(), goals=GOALS), replace(ocp.Problem(GIVEN, goals=GOALS), duration=2.0)):
+        with pytest.raises(ValueError, match=r"Problem\.model has none: give a problem that was made with a model of Scene"):
+            ocp.solve(problem, parameters={"bar_mass": 1.0})

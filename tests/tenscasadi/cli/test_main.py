@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,17 @@ def test_info_without_bars(text, tmp_path, capsys):
     (tmp_path / "scene.toml").write_text(f'format = 1\nunits = "SI"\n[structure]\n{text}\n')
     assert run("info", tmp_path / "scene.toml", "--output", tmp_path) == 0
     assert "bars          0\n" in capsys.readouterr().out
+
+
+def test_info_is_of_the_values_of_the_simulation(tmp_path, capsys):
+    scene = tc.Scene(tc.shapes.prism(prestress=20.0), parameters=tc.Parameters("bar_mass", groups={"bar_mass": "all"}))
+    heavy = {"bar_mass": 4.0}
+    tc.save_scene(tc.Simulation(scene, 0.1, parameters=heavy), tmp_path / "heavy.toml")
+    assert run("info", tmp_path / "heavy.toml", "--output", tmp_path) == 0
+    told = capsys.readouterr().out
+    assert "mass 12 kg in all" in told
+    built = tc.Model(replace(scene, parameters=None, structure=scene.structure.replace(**heavy)))
+    assert f"largest stable step of RungeKutta4 {tc.stable_step(built, safety=1.0):.3g} s" in told
 
 
 def test_info_of_the_prism_knows_its_self_stress(tmp_path, capsys):

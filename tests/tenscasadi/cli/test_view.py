@@ -49,6 +49,15 @@ def test_live_drives_the_groups_of_the_scene(here, monkeypatch):
     assert (asked["stepping"].step, asked["title"], str(asked["save"])) == (1e-3, "reach", "live.npz")
 
 
+def test_live_takes_the_parameters_of_the_scene(here, monkeypatch):
+    asked = {}
+    monkeypatch.setattr(importlib.import_module("tenscasadi.viewer.live_mode.live"), "live", lambda model, **options: asked.update(options))
+    scene = tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("bar_mass", groups={"bar_mass": "all"}))
+    tc.save_scene(tc.Simulation(scene, 0.1, parameters={"bar_mass": 3.0}), "heavy.toml")
+    assert main(["view", "heavy.toml", "--live"]) == 0
+    assert asked["parameters"] == {"bar_mass": 3.0}
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [

@@ -177,7 +177,7 @@ def test_forces_that_vary_with_time_put_a_clock_in_the_state() -> None:
         return [[0, 0, np.sin(3 * t)]] + [[0, 0, 0]] * 5
 
     model = Model(Scene(structure, forces=NodalForce(push)))
-    x = model.initial_state
+    x = model.initial_state.copy()
     assert model.nx == 37
     assert model.ode(x, []).full()[-1] == 1
     x[-1] = 0.4

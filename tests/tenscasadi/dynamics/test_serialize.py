@@ -69,7 +69,7 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Scene.forces": lambda: model(forces=tc.NodalForce(np.ones((5, 3)))),
     "Scene.forces.bars": lambda: model(forces=tc.NodalForce(np.ones((5, 3)), bars={1: 1})),
     "Scene.forces.times": lambda: model(forces=tc.NodalForce(np.arange(30.0).reshape(2, 5, 3), times=[0, 0.5])),
-    "Scene.parameters": lambda: model(parameters=tc.Parameters("bar_mass", scale=["stiffness"], groups={"bar_mass": "all"})),
+    "Scene.parameters": lambda: model(control=None, parameters=tc.Parameters("bar_mass", scale=["stiffness"], groups={"bar_mass": "all"})),
     "Scene.slack": lambda: model(slack=tc.Smooth(0.01)),
     "Scene.slack.laws": lambda: model(slack={0: tc.Linear(), 1: tc.Smooth(0.1), 2: tc.Clip("unclamped")}),
     "Model.coordinates": lambda: model("reduced"),

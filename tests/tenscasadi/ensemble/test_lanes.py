@@ -1,4 +1,4 @@
-"""Lanes compute what C computes, number by number, NaN included; what branches on numbers takes one lane."""
+"""Lanes compute what C computes, number by number, NaN included; so do tables; what branches on numbers otherwise takes one lane."""
 
 from __future__ import annotations
 
@@ -80,11 +80,25 @@ def test_code_that_branches_takes_one_lane():
     assert kernel.note.startswith("not compiled in lanes: ")
 
 
-def test_tables_that_are_looked_up_take_one_lane():
+@pytest.mark.parametrize("mode", ["linear", "exact", "binary"])
+def test_tables_are_looked_up_in_each_lane(mode):
     x, w = ca.MX.sym("x", 2), ca.MX.sym("w", 3)
-    table = ca.interpolant("table", "linear", [[0.0, 1.0, 3.0]], [1.0, 2.0, 0.0])
-    found, kernel = cost_of(ca.Function("looked", [x, w], [table(w[2])]), np.array([[0.0, 0.5], [0.0, 2.0], [0.0, 2.5]]))
-    np.testing.assert_allclose(found, [1.5, 1.0, 0.5])
+    line = ca.interpolant("line", "linear", [[0.0, 1.0, 2.0]], [1.0, 2.0, 0.1], {"lookup_mode": [mode]})
+    plane = ca.interpolant("plane", "linear", [[0.0, 0.5, 1.0], [-1.0, 1.0]], [1.0, 2.0, 0.3, 0.7, 4.0, -1.0], {"lookup_mode": [mode] * 2})
+    looked = ca.Function("looked", [x, w], [line(w[1]) + 3 * plane(w[1:])])
+    rng = np.random.default_rng(0)
+    inputs = np.vstack([rng.normal(0, 2, (40, 2)), rng.integers(-1, 4, (11, 2))])  # beyond the table, and on its points
+    found, kernel = cost_of(looked, inputs)
+    assert kernel.lanes > 1
+    np.testing.assert_array_equal(found, [float(looked([0, 0], [0, *row])) for row in inputs])
+
+
+def test_splines_take_one_lane():
+    x, w = ca.MX.sym("x", 2), ca.MX.sym("w", 3)
+    spline = ca.interpolant("spline", "bspline", [[0.0, 1.0, 2.0, 3.0]], [1.0, 2.0, 0.0, 1.0])
+    inputs = np.array([[0.0, 0.5], [0.0, 2.0], [0.0, 2.5]])
+    found, kernel = cost_of(ca.Function("looked", [x, w], [spline(w[2])]), inputs)
+    np.testing.assert_allclose(found, [float(spline(value)) for _, value in inputs], rtol=1e-14)
     assert kernel.lanes == 1
 
 
@@ -92,3 +106,24 @@ def test_stages_of_weight_zero_are_not_computed():
     text = write_step(CLASSICAL)
     assert text.count("motion_ode(") == 4
     assert "lanes *k3 = w + 3 * NZ;" in text
+
+
+@pytest.mark.parametrize("lanes", [2, None])
+def test_terrain_is_looked_up_in_each_lane(lanes):
+    rng = np.random.default_rng(0)
+    fields = [
+        tc.Terrain(0.2 * rng.random(shape), (-0.4, -0.3), (0.5, 0.4), stiffness=300.0, damping=2.0, friction=friction, slip_speed=0.05)
+        for shape, friction in (((7, 9), 0.5), ((4, 3), None))
+    ]
+    model = tc.Model(tc.Scene(tc.shapes.prism(prestress=5.0), ground=fields, gravity=tc.Gravity()))
+    given = np.tile(model.initial_state, (11, 1)) + rng.normal(0, 0.3, (11, model.nx))  # some beyond the grid
+    states = tc.projection(model).map(11)(given.T).full().T
+    kernel = build_kernel(model, tc.RungeKutta4(), lanes=lanes)
+    assert kernel.lanes > 1
+    expected = [tc.simulate(model, 0.05, 1e-3, state=x, compiled=False).states[-1] for x in states]
+    states[4] = np.nan
+    found = kernel(states, np.zeros((1, 1, 0)), 1e-3, 50)
+    others = np.arange(11) != 4
+    np.testing.assert_array_equal(found.states[others], np.array(expected)[others])
+    assert (found.status[others] == 0).all()
+    assert found.status[4] != 0

@@ -319,6 +319,8 @@ def test_parameters_differ_from_motion_to_motion():
         np.testing.assert_allclose(many.final[k], run.states[-1], rtol=0, atol=1e-11)
         same = tc.simulate(model, 0.02, 1e-3, parameters=table[k], correction=tc.Projection(), compiled=False)
         np.testing.assert_array_equal(many.final[k], same.states[-1])
+    none = tc.rollouts(model, 0.02, 1e-3, parameters=table[:0])
+    assert none.states.shape == (0, 2, model.nx)
     with pytest.raises(ValueError, match=r"parameters\[2\]: bar_mass of bar 0 is -1 kg: it must be greater than 0"):
         tc.rollouts(model, 0.02, parameters={"bar_mass": [[1.0], [1.0], [-1.0]]})
     with pytest.raises(ValueError, match=r"parameters\['bar_mass'\] has 2 rows, parameters\['gravity'\] has 5 rows"):
@@ -354,3 +356,24 @@ def test_each_motion_whose_energy_is_lost_is_no_success() -> None:
     alone = [tc.simulate(model, 20.0, 8.5e-3, state=state, save_every=1, compiled=False) for state in states]
     assert many.success.tolist() == [run.success for run in alone]
     assert 40 < many.success.sum() < 60
+
+
+@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+def test_rollers_along_any_direction(coordinates, tmp_path):
+    feet = tc.shapes.prism(prestress=20.0).replace(pinned={0: "z", 1: "xyz"}, rollers={2: [(0.6, 0.0, 0.8)]})
+    model = tc.Model(tc.Scene(feet, gravity=tc.Gravity((0.0, 0.0, -1.0))), coordinates)
+    given = np.tile(model.initial_state, (3, 1))
+    given[:, model.nq :] = np.random.default_rng(0).normal(0, 0.3, (3, model.nq))
+    x0 = tc.projection(model).map(3)(given.T).full().T
+    many = tc.rollouts(model, T_END, STEP, x0, save_every=5)
+    tc.Rollouts.load(many.save(tmp_path / "many.npz"))
+    for k, x in enumerate(x0):
+        run = tc.simulate(model, T_END, STEP, state=x, save_every=5, compiled=False)
+        np.testing.assert_array_equal(many.states[k], run.states)
+        assert (many.success[k], many.message[k]) == (run.success, run.message)
+        for given in (many, tc.Rollouts.load(tmp_path / "many.npz")):
+            for node in range(6):
+                np.testing.assert_allclose(given.path(node)[k], run.nodes[:, node], atol=1e-15)
+    moved = many.path(2) - feet.nodes[2]
+    assert abs(moved).max() > 1e-4
+    assert abs(moved @ (0.6, 0.0, 0.8)).max() < 1e-15

@@ -10,7 +10,8 @@ from tenscasadi.envs import Task
 
 CROSS = tc.shapes.d_bar(pinned=[0], stiffness=100.0)
 DRIVEN, WOUND = (tc.Model(tc.Scene(CROSS, control=control)) for control in (tc.ForceDensity(), tc.RestLength()))
-WEIGHED = tc.Model(tc.Scene(CROSS, control=tc.ForceDensity(), parameters=tc.Parameters("stiffness", scale=["bar_mass"])))
+GRAVITY = tc.Gravity((0, 0, -10))
+WEIGHED = tc.Model(tc.Scene(CROSS, control=tc.ForceDensity(), gravity=GRAVITY, parameters=tc.Parameters("gravity", scale=["bar_mass"])))
 
 
 def nothing(now):
@@ -18,8 +19,8 @@ def nothing(now):
 
 
 def test_spreads_are_of_nominal_values():
-    task = Task(WEIGHED, nothing, 0.0, 9.0, parameters={"bar_mass": 0.2, "stiffness": 0.1})
-    assert task.spread == pytest.approx([*[10.0] * len(CROSS.strings), 0.2])
+    task = Task(WEIGHED, nothing, 0.0, 9.0, parameters={"bar_mass": 0.2, "gravity": 0.1})
+    assert task.spread == pytest.approx([0.0, 0.0, 1.0, 0.2])
 
 
 def test_an_episode_is_as_many_decisions_as_fit():
@@ -46,9 +47,9 @@ BAD = {
     "start of three": (lambda: Task(DRIVEN, nothing, 0.0, 1.0, start=(1.0, 2.0, 3.0)), ValueError, "Task.start has shape"),
     "parameters no mapping": (lambda: Task(DRIVEN, nothing, 0.0, 1.0, parameters=0.1), TypeError, "Task.parameters is 0.1"),
     "no such parameter": (
-        lambda: Task(WEIGHED, nothing, 0.0, 1.0, parameters={"gravity": 0.1}),
+        lambda: Task(WEIGHED, nothing, 0.0, 1.0, parameters={"stiffness": 0.1}),
         ValueError,
-        "Task.parameters has 'gravity', and the model's parameters are stiffness, bar_mass",
+        "Task.parameters has 'stiffness', and the model's parameters are gravity, bar_mass",
     ),
     "too wide": (lambda: Task(WEIGHED, nothing, 0.0, 1.0, parameters={"bar_mass": 1.0}), ValueError, "'bar_mass'. is 1: give a spread relative"),
     "correction no correction": (lambda: Task(DRIVEN, nothing, 0.0, 1.0, correction=1), TypeError, "Task.correction is 1"),

@@ -55,7 +55,7 @@ def test_smooth_supports_run(place: Any) -> None:
 def test_a_jump_after_the_run_does_no_harm_and_the_clock_counts() -> None:
     model = Model(Scene(PENDULUM, supports=SupportMotion({0: lambda t: (0.1 * (t > 0.5), 0, 0)})))
     assert simulate(model, 0.4, 0.01, compiled=False).success
-    later = model.initial_state
+    later = model.initial_state.copy()
     later[-1] = 0.2
     with pytest.raises(ValueError, match=r"t = 0\.5 s"):
         simulate(model, 0.4, 0.01, state=later, compiled=False)

@@ -155,7 +155,7 @@ def test_recommended_ways_know_of_pulses() -> None:
 
 def test_times_of_tables_are_those_of_the_clock() -> None:
     model = Model(Scene(SPRING, forces=TABLE))
-    late = model.initial_state
+    late = model.initial_state.copy()
     late[-1] = 0.2
     run = simulate(model, 0.8, 0.01, state=late, compiled=False, save_every=1)
     assert run.nodes[-1, 1, 0] == pytest.approx(after(1.0), abs=1e-8)

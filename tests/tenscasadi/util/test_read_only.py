@@ -11,6 +11,7 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from tenscasadi.analysis.modes import Modes
 
 COPIES = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy": copy.deepcopy}  # noqa: S301
 
@@ -84,3 +85,51 @@ def test_problem_and_plan(copied):
     np.testing.assert_array_equal(again.force_density, plan.force_density)
     assert not again.force_density.flags.writeable
     assert again.replay().nodes[-1] == pytest.approx(plan.replay().nodes[-1], abs=1e-12)
+
+
+def writeable(value, path, seen):
+    """Yield the names of the arrays that can be written, of a value and of all values that it holds as attributes."""
+    if isinstance(value, np.ndarray) and value.flags.writeable:
+        yield path
+    elif isinstance(value, (tuple, list)):
+        for k, part in enumerate(value):
+            yield from writeable(part, f"{path}[{k}]", seen)
+    elif type(value).__module__.partition(".")[0] in ("tenscasadi", "ocp") and id(value) not in seen:
+        seen.add(id(value))
+        for name, part in vars(value).items():
+            if name[0] != "_":
+                yield from writeable(part, f"{path}.{name}", seen)
+
+
+def test_no_array_of_a_frozen_value_can_be_written():
+    cross = tc.shapes.d_bar(pinned=[0], stiffness=100.0)
+    model = tc.Model(tc.Scene(cross, control=tc.ForceDensity(), gravity=tc.Gravity((0, 0, 0)), parameters=tc.Parameters("bar_mass")))
+    full = tc.Model(model.scene, coordinates="full")
+    goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    plan = ocp.solve(ocp.Problem(model, start=cross.nodes, goals=goals), ocp.MultipleShooting(10))
+    values = {
+        "Structure": cross,
+        "ClassOne": cross.class_one(),
+        "Model": model,
+        "Model, full": full,
+        "Trajectory": tc.simulate(full, 0.02, 0.01, compiled=False),
+        "Modes": tc.modes(model),
+        "Linearization": tc.linearize(model),
+        "Sensitivities": tc.sensitivities(model, model.initial_state, 0.02, 0.01, by="state", compiled=False),
+        "Plan": plan,
+        "Tracker": ocp.track(plan, decisions=40),
+    }
+    for own in (model, full):
+        _ = own.initial_state, own.initial_control, own.mechanism.free_index
+    found = [path for name, value in values.items() for path in writeable(value, name, set())]
+    assert not found
+    with pytest.raises(ValueError, match="read-only"):
+        model.initial_state[0] = 1.0
+
+
+def test_arrays_that_a_value_was_made_of_may_still_be_written():
+    shape = np.zeros((3, 4, 3))
+    modes = Modes(np.zeros(3), shape, 0, 1e-6)
+    shape[0] = 1.0
+    assert modes.shape[0].min() == 1.0
+    assert not modes.shape.flags.writeable

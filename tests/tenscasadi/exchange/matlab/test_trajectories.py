@@ -84,6 +84,16 @@ def test_a_motion_of_motes(name, tmp_path):
     assert given.energy_parts[:, 2].any() or not read.nodes[..., 2].any()
 
 
+def test_a_motion_of_motes_in_a_model_with_parameters(tmp_path):
+    savemat(tmp_path / "x.mat", workspace("px_prism_seg01"))
+    structure = motes("px_prism_seg01").scene.structure
+    model, stiffer = tc.Model(tc.Scene(structure, parameters=tc.Parameters("stiffness"))), {"stiffness": 2 * structure.stiffness}
+    read = tc.load_mat_trajectory(tmp_path / "x.mat", model, stiffer)
+    built = tc.load_mat_trajectory(tmp_path / "x.mat", tc.Model(tc.Scene(structure.replace(**stiffer))))
+    assert np.array_equal(read.parameters, stiffer["stiffness"])
+    assert read.tension == pytest.approx(built.tension, rel=1e-12)
+
+
 def test_force_densities_of_motes_may_be_the_control(tmp_path):
     savemat(tmp_path / "x.mat", workspace("px_prism_seg01"))
     case = motes("px_prism_seg01")

@@ -172,13 +172,16 @@ def test_forces_that_change_over_time_leave_no_pull():
     assert run.advance(5) == 5
 
 
-def test_parameters_are_taken_at_their_nominal_values():
+@pytest.mark.parametrize("stiffness", [None, 31.0])
+def test_parameters_have_the_values_that_are_given(stiffness):
     scene = mass_on_a_string(parameters=tc.Parameters("stiffness"))
-    plain = LiveSimulation(replace(scene, parameters=None), stepping=VIRTUAL)
-    run = LiveSimulation(tc.Model(scene), stepping=VIRTUAL)
-    for one in (plain, run):
+    values = None if stiffness is None else {"stiffness": stiffness}
+    built = replace(scene, parameters=None, structure=scene.structure.replace(**(values or {})))
+    plain = LiveSimulation(built, stepping=VIRTUAL)
+    runs = [LiveSimulation(given, stepping=VIRTUAL, parameters=values) for given in (tc.Model(scene), scene)]
+    for one in (plain, *runs):
         one.advance(10)
-    assert (plain.nodes == run.nodes).all()
+        assert (plain.nodes == one.nodes).all()
 
 
 def test_odd_input_is_refused_by_name():

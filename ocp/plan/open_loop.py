@@ -1,0 +1,30 @@
+"""The replay of a plan in open loop: its force densities, or rest lengths, whatever the motion does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import Scheme, check_scheme
+from tenscasadi.integrators.stability import contact_step
+from tenscasadi.simulation.control_input import ControlProfile
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.validate import positive_number
+
+STEPS = 10  # for each interval of a plan
+
+
+def replay_open(plan: Any, model: Model, scheme: Scheme, step: float | None) -> Trajectory:
+    """Simulate a model under what a `Plan` commands; step: the longest, s. Raises TypeError, ValueError."""
+    check_scheme(scheme)
+    size = None if step is None else positive_number("step", step)
+    start, intervals, end = plan.trajectory.states[0], np.diff(plan.time), float(plan.time[-1])
+    if size is None and model.scene.grounds:
+        size = min(intervals.max() / STEPS, contact_step(model))
+    if plan.linear or np.ptp(intervals) > 1e-9 * end:
+        profile = ControlProfile(plan.time, plan.control, STEPS if size is None else 1)
+        return simulate(model, end, end if size is None else size, scheme, start, profile, compiled=False)
+    return simulate(model, end, intervals[0] / STEPS if size is None else size, scheme, start, plan.control, compiled=False)
