@@ -68,8 +68,8 @@ class Episodes:
         self.states = np.where(lost[:, None], self.states, rolled.states)
         self.nodes, self.velocities = (np.where(lost[:, None, None], *places) for places in zip(before, after, strict=True))
         self.decided = self.decided + 1
-        shown = map(_read_only, (self.nodes, self.velocities, *before, self.control, action))
-        return Transition(*shown, self.decided * task.period), lost
+        now = (self.nodes, self.velocities, *before, self.control, action, self.decided * task.period)
+        return Transition(*map(_read_only, now)), lost
 
     def observe(self) -> Any:
         """Return what is seen of all episodes (n, k), in single precision."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
 import inspect
 import json
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,6 +54,14 @@ def source_hash(function: Callable[..., Any]) -> str:
     return ""
 
 
+def home_of(function: Callable[..., Any]) -> str:
+    """Return the name of the module or script that a function is of, "" where that cannot be told."""
+    module = getattr(_bare(function), "__module__", None) or ""
+    if module == "__main__":
+        module = Path(getattr(sys.modules[module], "__file__", None) or "").stem
+    return str(module).rpartition(".")[2]
+
+
 def identity_of(function: Callable[..., Any]) -> str:
     """Return the name of a function, and with it a hash of what it holds: arguments of a partial, the object it belongs to, constants of a closure.
 
@@ -63,14 +72,14 @@ def identity_of(function: Callable[..., Any]) -> str:
 
 
 def _bare(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function below `functools.partial`."""
-    while isinstance(function, functools.partial):
+    """Return the function below `partial`."""
+    while isinstance(function, partial):
         function = function.func
     return function
 
 
 def _held_by(function: Callable[..., Any]) -> Any:
-    if isinstance(function, functools.partial):  # of a partial, Python makes one with all arguments
+    if isinstance(function, partial):  # of a partial, Python makes one with all arguments
         return {"of": _held_by(function.func), "arguments": function.args, "keywords": function.keywords}
     function = inspect.unwrap(function)
     if inspect.ismethod(function) or not (inspect.isroutine(function) or isinstance(function, type)):
@@ -85,7 +94,11 @@ def _held_by(function: Callable[..., Any]) -> Any:
 
 def case_key(name: str, case: Any, field: str) -> str:
     """Return the hash of what a case holds, for the function of that name. Raises TypeError naming `field`."""
-    return hashlib.sha256(json.dumps([name, _describe(field, case)]).encode()).hexdigest()[:32]
+    return _key(name, json.dumps(_describe(field, case)))
+
+
+def _key(name: str, case: str) -> str:
+    return hashlib.sha256(f"[{json.dumps(name)}, {case}]".encode()).hexdigest()[:32]
 
 
 def _describe(field: str, value: Any) -> Any:
@@ -145,12 +158,12 @@ def _plain(name: str, value: Any) -> Any:
 
 
 class CaseFiles:
-    """Folder with one .npz file for each finished case of a function. Raises TypeError, OSError."""
+    """Folder with one .npz file for each finished case of a function. Raises TypeError, ValueError, OSError."""
 
     def __init__(self, folder: Path, function: Callable[..., Any]) -> None:
         self._identity = identity_of(function)
         folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self.name, self._source = folder, name_of(function), source_hash(function)
+        self.folder, self.name, self._source, self._home = folder, name_of(function), source_hash(function), home_of(function)
         self.found = self.damaged = self.outdated = 0  # files read so far: of finished cases, of no case, of an older text of the function
 
     def key(self, case: Any, field: str) -> str:
@@ -159,21 +172,23 @@ class CaseFiles:
 
     def write(self, key: str, case: Any, outcome: Outcome) -> None:
         """Write a case whole or not at all. Raises OSError."""
-        told: dict[str, Any] = {"case": json.dumps(_describe("case", case)), "function": self.name, "source": self._source}
+        told: dict[str, Any] = {"case": json.dumps(_describe("case", case)), "function": self.name, "source": self._source, "home": self._home}
         told |= {"error": outcome.error, "seconds": outcome.seconds}
         archive.save(self.folder / f"{key}.npz", _FORMAT, told | {_VALUE + name: value for name, value in outcome.values.items()})
 
     def read(self, keys: Sequence[str]) -> dict[str, Outcome]:
-        """Return the cases of these keys that have finished without error."""
+        """Return the cases of these keys that have finished without error. Raises ValueError where they are of another function."""
         found = {}
         for key in dict.fromkeys(keys):
             try:
-                outcome, source = archive.load(self.folder / f"{key}.npz", _FORMAT, "case", _read)
+                outcome, source, home = archive.load(self.folder / f"{key}.npz", _FORMAT, "case", partial(_read, self._identity, key))
             except FileNotFoundError:
                 continue
             except ValueError:
                 self.damaged += 1
                 continue
+            if home and self._home and home != self._home and source != self._source:
+                raise ValueError(f"folder {self.folder} holds results of {self.name} of {home}, not of {self._home}: give each its own folder")
             if not outcome.error:
                 found[key] = outcome
                 self.found += 1
@@ -181,7 +196,11 @@ class CaseFiles:
         return found
 
 
-def _read(content: Fields) -> tuple[Outcome, str]:
+def _read(identity: str, key: str, content: Fields) -> tuple[Outcome, str, str]:
+    """Return an outcome with the hash and the home of its function. Raises ValueError."""
+    if _key(identity, str(content.array("case", "U", 0))) != key:
+        raise ValueError("it is of another case")
     values = {name: value.item() if value.ndim == 0 else value for name, value in content.within(_VALUE).items() if _VALUE + name in content}
     error, seconds = str(content.array("error", "U", 0)), float(content.array("seconds", "f", 0))
-    return Outcome(values, error, seconds), str(content.array("source", "U", 0))
+    home = str(content.array("home", "U", 0)) if "home" in content else ""
+    return Outcome(values, error, seconds), str(content.array("source", "U", 0)), home

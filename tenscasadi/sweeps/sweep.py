@@ -51,7 +51,8 @@ def sweep(
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, a case holds what a folder of results cannot tell, or other processes cannot import the function.
+        An argument is wrong, a case holds what a folder of results cannot tell, the folder is that of another script's function of the same
+        name, or other processes cannot import the function.
     RuntimeError
         Worker processes cannot begin, as in a script without ``if __name__ == "__main__":``.
     OSError

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import threading
 import time
 import traceback
 from collections import deque
@@ -21,6 +22,8 @@ from tenscasadi.util.validate import shown
 Function = Callable[[Any], Any]
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
 _DIED = "the worker process died while it computed this case: it was killed, ran out of memory or crashed"
+_UNPICKLED = (pickle.PicklingError, AttributeError, TypeError, RecursionError)  # what pickle raises
+_CURE = "which other processes cannot get: give numbers, text and arrays, and build in the function what is else"
 
 
 def compute(function: Function, case: Any) -> Outcome:
@@ -28,23 +31,37 @@ def compute(function: Function, case: Any) -> Outcome:
     began = time.perf_counter()
     try:
         values, error = check_results(function(case)), ""
-    except (Exception, SystemExit) as fault:  # noqa: BLE001  whatever it is, other cases go on
+    except BaseException as fault:  # whatever it is, other cases go on
+        if isinstance(fault, KeyboardInterrupt) and _has_keyboard():
+            raise
         frames = fault.__traceback__.tb_next if fault.__traceback__ else None  # without this one
         values, error = {}, "".join(traceback.format_exception(type(fault), fault, frames))
     return Outcome(values, error, time.perf_counter() - began)
 
 
+def _has_keyboard() -> bool:
+    """Whether Ctrl-C may be what has been raised here, rather than in the process that workers work for."""
+    return multiprocessing.parent_process() is None and threading.current_thread() is threading.main_thread()
+
+
 def run_on_executor(function: Function, cases: Mapping[Any, Any], executor: Executor) -> Generator[tuple[Any, Outcome], None, None]:
-    """Yield each case's key and outcome as it finishes; what has not begun is cancelled when the caller stops early."""
+    """Yield each case's key and outcome as it finishes; what has not begun is cancelled when the caller stops early.
+
+    Raises what the executor does where it takes no jobs.
+    """
     futures: dict[Future[Outcome], Any] = {}
     try:
         for key, case in cases.items():
             try:
                 futures[executor.submit(compute, function, case)] = key
-            except BrokenExecutor as fault:  # its workers have died meanwhile
-                yield key, _lost(fault)
+            except Exception as fault:
+                lost = _lost(fault, case)
+                if not isinstance(fault, BrokenExecutor) and _CURE not in lost.error:  # neither its workers have died, nor is it this case
+                    _check_function(function)
+                    raise
+                yield key, lost
         for future in as_completed(futures):
-            yield futures[future], _outcome(future)
+            yield futures[future], _outcome(future, cases[futures[future]])
     finally:
         for future in futures:
             future.cancel()
@@ -62,7 +79,7 @@ def run_in_processes(function: Function, cases: Mapping[Any, Any]) -> Generator[
     with _environment(_ONE_THREAD):
         while waiting or suspects:
             queue, width = (suspects, 1) if suspects else (waiting, workers)
-            pool = ProcessPoolExecutor(width, multiprocessing.get_context("spawn"), initializer=_ignore_interrupt)
+            pool = ProcessPoolExecutor(width, multiprocessing.get_context("spawn"), initializer=_begin_worker)
             running: dict[Future[Outcome], Any] = {}
             lost: list[Any] = []
             try:
@@ -77,7 +94,7 @@ def run_in_processes(function: Function, cases: Mapping[Any, Any]) -> Generator[
                         if isinstance(future.exception(), BrokenProcessPool):
                             lost.append(key)
                         else:
-                            yield key, _outcome(future)
+                            yield key, _outcome(future, cases[key])
             except BrokenProcessPool:  # by submit, as the pool has just broken
                 pass
             except BaseException:  # Ctrl-C, or nobody wants the rest: no case is waited for
@@ -91,15 +108,28 @@ def run_in_processes(function: Function, cases: Mapping[Any, Any]) -> Generator[
                 suspects.extend(lost)
 
 
-def _outcome(future: Future[Outcome]) -> Outcome:
+def _outcome(future: Future[Outcome], case: Any) -> Outcome:
     try:
         return future.result()
     except Exception as fault:  # noqa: BLE001  what executors make of a lost worker, or of a case that does not pickle
-        return _lost(fault)
+        return _lost(fault, case)
 
 
-def _lost(fault: Exception) -> Outcome:
-    return Outcome({}, f"no result came back: {type(fault).__name__}: {fault}", float("nan"))
+def _lost(fault: Exception, case: Any) -> Outcome:
+    part = _unsendable(case) if isinstance(fault, _UNPICKLED) else ""
+    cure = f": {part}, {_CURE}" if part else ""
+    return Outcome({}, f"no result came back: {type(fault).__name__}: {fault}{cure}", float("nan"))
+
+
+def _unsendable(value: Any, name: str = "case") -> str:
+    """Return which part of a case does not pickle, and what it is; "" for none."""
+    try:
+        pickle.dumps(value)
+    except Exception:  # noqa: BLE001  pickle raises many things
+        parts = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, (list, tuple)) else ()
+        found = (_unsendable(part, f"{name}[{key!r}]") for key, part in parts)
+        return next(filter(None, found), f"{name} is {shown(value)}")
+    return ""
 
 
 def _check_function(function: Function) -> None:
@@ -140,9 +170,17 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _ignore_interrupt() -> None:
-    """Leave Ctrl-C to the process that the workers work for."""
+def _begin_worker() -> None:
+    """Leave Ctrl-C to the process that this one works for, and end with it: killed, it tells nobody."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _terminate(pool: ProcessPoolExecutor) -> None:

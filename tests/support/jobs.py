@@ -15,6 +15,8 @@ def square(case: Any) -> Any:
     """Square of a number, and who computed it."""
     if case["x"] == "raise":
         raise ZeroDivisionError("on purpose")
+    if case["x"] == "interrupt":
+        raise KeyboardInterrupt
     if case["x"] == 4.5:
         time.sleep(1.0)  # is running when its neighbour dies
     if case["x"] == "die":

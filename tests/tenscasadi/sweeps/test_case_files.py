@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import copy
+import os
+import random
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -103,3 +107,100 @@ def test_files_give_back_what_they_were_given(tmp_path):
     files.write(name, {"x": 1}, Outcome({}, "ValueError: no", 0.25))
     assert files.read([name]) == {}
     assert files.found == 1
+
+
+# --- files that others have made ---
+
+
+class Trap:
+    """What runs when a pickle is read."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+def doubled(case):
+    return {"double": 2 * case, "text": "ä"}
+
+
+def sweep_of(folder):
+    with ThreadPoolExecutor(1) as executor:
+        return tc.sweep(doubled, [1.5, 2.5], executor, folder)
+
+
+def test_damaged_files_are_never_taken_for_results(tmp_path):
+    sweep_of(tmp_path)
+    file = sorted(tmp_path.glob("*.npz"))[0]
+    whole, draw = file.read_bytes(), random.Random(0)
+    for _ in range(100):
+        content = bytearray(whole)
+        if draw.random() < 0.3:
+            content = content[: draw.randrange(len(content))]
+        else:
+            for _ in range(draw.choice([1, 3, 20])):
+                content[draw.randrange(len(content))] ^= 1 << draw.randrange(8)
+        file.write_bytes(content)
+        table = sweep_of(tmp_path)
+        assert table["double"].tolist() == [3.0, 5.0]
+        assert table["text"].tolist() == ["ä", "ä"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("case", "3.5"),
+        ("case", 1.5),
+        ("case", None),
+        ("error", 3),
+        ("seconds", "1"),
+        ("source", None),
+        ("home", 1.0),
+        ("format", "tenscasadi plan 1"),
+    ],
+)
+def test_files_of_other_content_are_computed_again(tmp_path, field, value):
+    sweep_of(tmp_path)
+    for file in tmp_path.glob("*.npz"):
+        with np.load(file) as stored:
+            fields = {name: stored[name] for name in stored.files if name != field}
+        np.savez(file, **fields, **({} if value is None else {field: np.asarray(value)}))
+    table = sweep_of(tmp_path)
+    assert table["double"].tolist() == [3.0, 5.0]
+    assert table.message.endswith("2 files could not be read, their cases were computed again")
+
+
+def test_a_file_of_another_case_is_not_taken_for_this_one(tmp_path):
+    sweep_of(tmp_path)
+    first, second = sorted(tmp_path.glob("*.npz"))
+    first.write_bytes(second.read_bytes())
+    table = sweep_of(tmp_path)
+    assert table["double"].tolist() == [3.0, 5.0]
+    assert "1 computed, 1 read" in table.message
+
+
+def test_what_is_in_files_never_runs(tmp_path):
+    sweep_of(tmp_path / "results")
+    for file in (tmp_path / "results").glob("*.npz"):
+        with np.load(file) as stored:
+            fields = dict(stored)
+        np.savez(file, **{**fields, "value.double": np.array(Trap(tmp_path / "ran"), dtype=object)}, allow_pickle=True)
+    with np.load(file, allow_pickle=True) as stored:
+        stored["value.double"]
+    (tmp_path / "ran").unlink()  # the trap works
+    assert sweep_of(tmp_path / "results")["double"].tolist() == [3.0, 5.0]
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_folder_or_a_pipe_in_the_place_of_a_file_is_not_read(tmp_path):
+    sweep_of(tmp_path)
+    first, second = sorted(tmp_path.glob("*.npz"))
+    files = CaseFiles(tmp_path, doubled)
+    first.unlink()
+    first.mkdir()
+    second.unlink()
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(second)
+    assert files.read([first.stem, second.stem]) == {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import multiprocessing
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -29,20 +30,22 @@ def one_thread():
 # --- processes of this machine ---
 
 
-def test_processes_outlive_what_raises_and_what_dies(tmp_path, monkeypatch):
+def test_processes_outlive_what_raises_and_what_dies(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
-    cases = [{"x": x} for x in (3, "raise", 4.5, "die", -2, "odd", 7)]
-    table = tc.sweep(jobs.square, cases, folder=tmp_path)
-    assert table.success.tolist() == [True, False, True, False, True, False, True]
+    cases = [{"x": x} for x in (3, "raise", 4.5, "die", -2, "odd", 7, "interrupt", lambda t: t)]
+    table = tc.sweep(jobs.square, cases)
+    assert table.success.tolist() == [True, False, True, False, True, False, True, False, False]
     assert table["square"][table.success].tolist() == [9.0, 20.25, 4.0, 49.0]
     assert os.getpid() not in table["process"]
     assert set(table["threads"][table.success].ravel()) == {"1"}
-    raised, died, odd = (table.errors[k] for k in (1, 3, 5))
+    raised, died, odd, interrupted, unsent = (table.errors[k] for k in (1, 3, 5, 7, 8))
     assert raised.endswith("ZeroDivisionError: on purpose\n")
     assert "jobs.py" in raised
     assert "worker process died" in died
     assert "result 'model' is of type object: return numbers, text, or arrays" in odd
-    assert table.message == f"7 cases: 7 computed, 3 failed, 0 read from {tmp_path}"
+    assert interrupted.endswith("KeyboardInterrupt\n")
+    assert re.search(r"case\['x'\] is <function .*, which other processes cannot get: give numbers, text and arrays", unsent)
+    assert table.message == "9 cases: 9 computed, 5 failed"
 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path, keyboard):
@@ -82,6 +85,33 @@ def test_a_script_without_guard_is_told(tmp_path):
     assert done.returncode
     assert "RuntimeError: worker processes cannot begin" in done.stderr
     assert "a script needs `if __name__ == '__main__':`" in done.stderr
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc, which tells the processes that live")
+def test_workers_end_with_a_sweep_that_is_killed(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text("import jobs\nimport tenscasadi as tc\n\nif __name__ == '__main__':\n    tc.sweep(jobs.slow, range(1000), folder='results')\n")
+    paths = os.pathsep.join([str(Path(jobs.__file__).parent), str(Path(tc.__file__).parents[1])])
+    killed = subprocess.Popen([sys.executable, str(script)], cwd=tmp_path, env={**os.environ, "PYTHONPATH": paths})
+    wait_for(lambda: len(list((tmp_path / "results").glob("*.npz"))) > 2)
+    killed.kill()
+    killed.wait()
+    workers = {int(np.load(path)["value.process"]) for path in (tmp_path / "results").glob("*.npz")}
+    wait_for(lambda: not any(map(lives, workers)))
+
+
+def wait_for(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def lives(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except FileNotFoundError:
+        return False
 
 
 # --- folder ---
@@ -148,6 +178,25 @@ def test_results_of_an_older_function_are_told(tmp_path, one_thread):
         table = tc.sweep(space["job"], [0], one_thread, tmp_path / "results")
     assert table["result"].tolist() == [1]
     assert "1 results are of an older text of job: take a new folder" in table.message
+
+
+def test_a_folder_of_another_script_is_refused(tmp_path, one_thread):
+    """Functions of one name and of other text: one is an older version of the other only in the same script."""
+    found = []
+    for module, text in (("first", "return 1"), ("packed.first", "return 1.5"), ("second", "return 2"), ("second", "return 1")):
+        job = defined(tmp_path / f"{module}-{len(found)}.py", text, module)
+        try:
+            found.append(tc.sweep(job, [0], one_thread, tmp_path / "results")["result"].tolist())
+        except ValueError as error:
+            found.append(str(error))
+    assert found == [[1], [1], f"folder {tmp_path / 'results'} holds results of job of first, not of second: give each its own folder", [1]]
+
+
+def defined(path, text, module):
+    space: dict = {"__name__": module}
+    path.write_text(f"def job(case):\n    {text}\n")
+    exec(compile(path.read_text(), str(path), "exec"), space)  # noqa: S102
+    return space["job"]
 
 
 class Times:
@@ -278,8 +327,53 @@ def test_dask_goes_on_without_a_worker_that_is_killed(tmp_path):
         killer.start()
         table = tc.sweep(jobs.slow, [float(x) for x in range(12)], executor, tmp_path)
         killer.join()
+        odd = tc.sweep(jobs.square, [{"x": "interrupt"}, {"x": threading.Lock()}, {"x": 3}], executor)
+        with pytest.raises(ValueError, match=r"function is .*, which other processes cannot import"):
+            tc.sweep(functools.partial(scaled, factor=threading.Lock()), [1], executor)
     assert table.success.all(), table.errors
+    assert odd.success.tolist() == [False, False, True]
+    assert odd.errors[0].endswith("KeyboardInterrupt\n")
+    assert "case['x'] is <unlocked _thread.lock object" in odd.errors[1]
     assert table["double"].tolist() == [2.0 * x for x in range(12)]
     assert set(workers) & set(table["process"])
     assert os.getpid() not in table["process"]
     assert tc.sweep(jobs.slow, [float(x) for x in range(12)], folder=Path(tmp_path)).message.startswith("12 cases: 0 computed, 12 read")
+
+
+SBATCH = """#!/bin/sh
+cp "$1" "{folder}/job.sh"
+setsid sh "{folder}/job.sh" > "{folder}/job.log" 2>&1 < /dev/null &
+echo $! > "{folder}/job.pid"
+echo "Submitted batch job 1"
+"""
+SCANCEL = """#!/bin/sh
+kill -- -$(cat "{folder}/job.pid")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the scripts in place of SLURM's commands need setsid")
+def test_slurm_computes_by_jobs_that_dask_jobqueue_submits(tmp_path, monkeypatch):
+    """Scripts stand in for SLURM's commands; what they run is what SLURM would run."""
+    jobqueue = pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: pip install 'tenscasadi[cluster]'")
+    from distributed import Client
+
+    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
+        (tmp_path / name).write_text(text.format(folder=tmp_path))
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    paths = os.pathsep.join([str(Path(jobs.__file__).parent), str(Path(tc.__file__).parents[1])])
+    options = {"queue": "normal", "cores": 2, "processes": 2, "memory": "2GB", "walltime": "02:00:00", "local_directory": str(tmp_path)}
+    options |= {"job_script_prologue": [f"export PYTHONPATH={paths}", "export OMP_NUM_THREADS=1"], "scheduler_options": {"dashboard_address": None}}
+    with jobqueue.SLURMCluster(**options) as cluster:
+        script = cluster.job_script()
+        cluster.scale(jobs=1)
+        with Client(cluster) as client:
+            table = tc.sweep(jobs.slow, [float(x) for x in range(8)], client.get_executor(), tmp_path / "results")
+    for line in ("#SBATCH -p normal", "#SBATCH --cpus-per-task=2", "#SBATCH -t 02:00:00", "export OMP_NUM_THREADS=1"):
+        assert line in script.splitlines()
+    assert "--nthreads 1 " in script
+    assert "--nworkers 2 " in script
+    assert table["double"].tolist() == [2.0 * x for x in range(8)], (table.errors, (tmp_path / "job.log").read_text())
+    assert 1 <= len(set(table["process"]) - {os.getpid()}) <= 2
+    assert len(list((tmp_path / "results").glob("*.npz"))) == 8
