@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.instruction_count import count_instructions
@@ -15,9 +16,10 @@ from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import stable_step
+from tenscasadi.scene.over_time import OverTime
 from tenscasadi.scene.pulses import Resolution, is_bounded
 from tenscasadi.simulation.control_input import ControlInput
-from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.simulate import lay_run, simulate
 from tenscasadi.simulation.time_grid import resolving, unseen_changes
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
@@ -30,6 +32,7 @@ _TOLERANCES = (1e-10, 1e-12, 1e-14)
 _GRID = 50  # parts of a run with control of the error, at least as many steps
 _ROUNDING = 1e-10  # of the structure's size: solutions that differ by less and cease to converge, do so by rounding
 _RESOLUTION = Resolution(1e-3, 1e-10)  # of functions of time
+_TOLD = 0.1  # of the distance of two solutions: what the clock's rounding adds, and the message speaks of
 _LEAST_SECONDS = 0.1  # for a solution that is begun
 _FASTER = 10.0  # compiled code against the virtual machine
 
@@ -89,7 +92,7 @@ def certify(
     bring them closer, or when the next solution would cost more than `work`. Where slack or contact spoils the order of fixed steps,
     both control their error and locate these events. Steps are cut where a function of time of the scene would do something that they do
     not see, down to a ten-billionth of its impulse over the run, however short it is; the message says where a function, such as an
-    interpolant, can be looked at in samples alone.
+    interpolant, can be looked at in samples alone. What the rounding of the clock may do to such functions is part of the error.
 
     Parameters
     ----------
@@ -144,6 +147,7 @@ def certify(
     parameters = model.parameters.values(parameters)
     deadline = np.inf if seconds is None else time.perf_counter() + positive_number("seconds", seconds)
     pairs = _Pairs(model, t_end, deadline, {"state": state, "control": control, "compiled": compiled, "parameters": parameters})
+    enough = max(enough, 2 * pairs.rounding)
     for count in _step_counts(model, t_end, state, work, parameters):
         before = pairs.apart
         pairs.try_steps(count)
@@ -176,6 +180,7 @@ class _Pairs:
         self._unknown = f"; {' and '.join(sampled)} known by samples alone, pulses between them are not seen" if sampled else ""
         self.best: Reference | None = None
         self.apart, self.fault = np.inf, "not tried"
+        self.rounding = self._round_clock()
 
     @property
     def error(self) -> float:
@@ -203,6 +208,27 @@ class _Pairs:
         first = float((self._model.initial_state if state is None else state)[-1]) if scene.has_clock else 0.0
         return unseen_changes(scene.over_time, first, first + self._t_end, count, _RESOLUTION)
 
+    def _round_clock(self) -> float:
+        """Bound what the rounding of the clock does to the end, m: functions of time are asked for a time that is off by it.
+
+        Their changes act as accelerations from the start on, each by so much too late or too early.
+        """
+        model, state = self._model, self._options["state"]
+        if not any(not isinstance(load, OverTime) or load.is_function for load in model.scene.over_time):
+            return 0.0
+        start, p = np.array(model.start_at(self._options["parameters"]) if state is None else state), self._options["parameters"]
+        with resolving(_RESOLUTION):
+            grid = lay_run(model, start, self._t_end, self._t_end / _GRID, DormandPrince853(_TOLERANCES[0]), self._options["control"], p)
+        times = start[-1] + grid.times(np.arange(grid.steps + 1))
+        states = np.tile(start, (len(times), 1))
+        model.split(states)[2][:, 0] = times
+        held = np.tile(grid.window(0, 1), (len(times), 1))
+        rates = model.stacked(model.ode).map(len(times))(states.T, held.T if model.nw else ca.DM(0, len(times))).full().T
+        model.split(states)[1][:], model.split(states)[2][:] = model.split(rates)[1], start[-1]
+        changes = np.linalg.norm(np.diff(model.velocities(states), axis=0), axis=2).max(axis=1)
+        late = grid.early * np.linalg.norm(model.velocities(start), axis=1).max()
+        return float(np.nan_to_num(np.spacing(abs(times).max()) * (changes * (times[-1] - times[:-1])).sum() + late))
+
     def _try(self, what: str, *pair: tuple[Scheme, int]) -> None:
         self.apart = np.inf
         ends = []
@@ -220,8 +246,9 @@ class _Pairs:
                 return
             ends.append(end_nodes(self._model, run))
         self.apart = distance(*ends)
-        if self.apart < self.error:
-            self.best = Reference(ends[0], self.apart, self._t_end, f"{what} end {self.apart:.2g} m apart{self._unknown}")
+        if (error := self.apart + self.rounding) < self.error:
+            rounded = f", the clock's rounding may add {self.rounding:.2g} m" if self.rounding > _TOLD * self.apart else ""
+            self.best = Reference(ends[0], error, self._t_end, f"{what} end {self.apart:.2g} m apart{rounded}{self._unknown}")
 
 
 def _step_counts(model: Model, t_end: float, state: Any, work: float, parameters: Array) -> Iterator[int]:

@@ -53,3 +53,16 @@ def test_a_reference_is_given_up_when_its_seconds_are_over() -> None:
     with pytest.raises(tc.NoReference, match=r"seconds = 0\.5 were too few"):
         tc.certify(model, 1e3, compiled=False, seconds=0.5)
     assert tc.certify(model, 0.1, compiled=False, seconds=100.0).error < 1e-9
+
+
+@pytest.mark.parametrize(("width", "impulse", "at"), [(1e-7, 1.0, 0.3333), (1e-7, 1.0, 0.7123), (1e-9, 1e-3, 0.5)])
+def test_certificates_hold_the_rounding_of_the_clock(width: float, impulse: float, at: float) -> None:
+    """A bell so narrow that the last digit of the time shows in it: two solutions may agree better than both are right."""
+    string = tc.Structure([[0, 0, 0], [1, 0, 0]], strings=[(0, 1)], node_mass=[0, 1.0], pinned=[0], stiffness=1e-9, rest_length=5.0)
+    force = impulse / (width * np.sqrt(np.pi))
+    pushed = tc.NodalForce(lambda t: [[0, 0, 0], [0, force * np.exp(-(((t - at) / width) ** 2)), 0]])
+    found = tc.certify(tc.Model(tc.Scene(string, forces=pushed)), 1.0, compiled=False)
+    assert abs(found.nodes[1, 1] - impulse * (1 - at)) <= found.error
+    assert "the clock's rounding may add" in found.message
+    smooth = tc.NodalForce(lambda t: [[0, 0, 0], [0, np.sin(3 * t), 0]])
+    assert "clock" not in tc.certify(tc.Model(tc.Scene(string, forces=smooth)), 1.0, accuracy=1e-6, enough=1e-9, compiled=False).message
