@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -17,7 +18,7 @@ from tenscasadi.util.validate import Array, finite_array, nesting, positive_numb
 
 SHARES = (0.05, 0.5, 0.95)  # of the replays, whose errors a summary tells
 STRINGS = ("stiffness", "damping")  # quantities that act through the strings' law
-ROOM = 2  # replays for each coefficient of a regression
+ROOM = 10  # replays for each coefficient of a regression
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,8 @@ class Robustness(ReadOnlyArrays):
     tolerance : float
         How far a replay may end from the goals, m, and as many m per duration in speed.
     importance : dict of str to float
-        The share of the variance of the misses that each of `names` brings about; NaN where replays are too few to tell.
+        The share of the variance of the misses that each of `names` brings about, that of "start" is what the parameters leave; NaN where
+        replays are too few to tell.
     tracked : bool
         Whether the plan was kept to by `track`.
     seconds : float
@@ -189,24 +191,23 @@ def draw_starts(model: Model, state: Array, spread: tuple[float, float], paramet
 
 
 def share_variance(draws: Mapping[str, Array], misses: Array) -> dict[str, float]:
-    """Return the share of the variance of misses (n, m) that each of the independent draws (n, c), of mean zero, explains.
+    """Return the share of the variance of misses (n, m) that each of the independent draws (n, c), of mean zero, brings about.
 
-    By least squares on the draws, and for single columns on their squares as well, which are not correlated with them.
+    Of single columns by least squares on them and their squares, which are not correlated, beside the products of any two. What all of these
+    leave is that of draws of several columns, whose effects need not be polynomials.
     """
-    columns = {name: _centred(np.hstack([x, x**2]) if x.shape[1] == 1 else x) for name, x in draws.items()}
-    count = sum(x.shape[1] for x in columns.values())
+    single = {name: x for name, x in draws.items() if x.shape[1] == 1}
+    products = [single[one] * single[other] for one, other in combinations(single, 2)]
+    columns = [_centred(part) for x in single.values() for part in (x, x**2)] + [_centred(part) for part in products]
     seen = np.all(np.isfinite(misses), axis=1)
     total = float(np.var(misses[seen], axis=0).sum()) if seen.any() else 0.0
-    if seen.sum() < ROOM * (count + 1) or total == 0:
+    if seen.sum() < ROOM * (len(columns) + 1) or total == 0:
         return dict.fromkeys(draws, np.nan)
-    all_columns = np.hstack([*columns.values(), np.ones((len(misses), 1))])[seen]
-    slopes = np.linalg.lstsq(all_columns, misses[seen])[0]
-    shares, first = {}, 0
-    for name, x in columns.items():
-        part = x[seen] @ slopes[first : first + x.shape[1]]
-        shares[name] = float(np.var(part, axis=0).sum()) / total
-        first += x.shape[1]
-    return shares
+    known = np.hstack([*columns, np.ones((len(misses), 1))])[seen]
+    slopes = np.linalg.lstsq(known, misses[seen])[0]
+    left = float(np.var(misses[seen] - known @ slopes, axis=0).sum()) / total
+    parts = {name: known[:, 2 * k : 2 * k + 2] @ slopes[2 * k : 2 * k + 2] for k, name in enumerate(single)}
+    return {name: float(np.var(parts[name], axis=0).sum()) / total if name in parts else left for name in draws}
 
 
 def _centred(values: Array) -> Array:

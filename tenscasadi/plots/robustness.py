@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from tenscasadi.plots.panels import FilePath, curve_colour, save_figure
 from tenscasadi.util.validate import Array, shown, text
@@ -83,9 +84,13 @@ def robustness(what: ReplayErrors | Mapping[str, ReplayErrors], *, title: str = 
         left.step(ended, shares, where="post", color=curve_colour(k), label=name or None)
         left.axvline(one.tolerance, color=curve_colour(k) if len({other.tolerance for other in several.values()}) > 1 else "0.4", ls="--", lw=1.0)
         met = 100 * float(np.mean(one.worst_error <= one.tolerance))
-        left.annotate(f"{met:.0f} %", (one.tolerance, met), xytext=(4, -10), textcoords="offset points", color=curve_colour(k), fontsize=9)
+        left.annotate(f"{met:.3g} %", (one.tolerance, met), xytext=(4, -10), textcoords="offset points", color=curve_colour(k), fontsize=9)
     _draw_importance(right, several)
-    left.set(xscale="log", ylim=(0, 102), xlabel="error at the end (m); dashed: tolerance", ylabel="replays that end within it (%)")
+    left.set_xscale("log")
+    left.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    left.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    left.xaxis.set_minor_formatter(NullFormatter())
+    left.set(ylim=(0, 102), xlabel="error at the end (m); dashed: tolerance", ylabel="replays that end within it (%)")
     if len(several) > 1:
         left.legend(frameon=False, fontsize=9)
     figure.suptitle(text("title", title))

@@ -145,6 +145,20 @@ def test_the_share_of_the_variance_in_closed_form():
     assert shares == pytest.approx({name: value / total for name, value in variances.items()}, abs=0.01)
 
 
+def test_a_start_that_brings_about_more_than_slopes_tell_has_its_share():
+    """Against frozen draws: the variance that is left where all else stands still."""
+    rng = np.random.default_rng(0)
+    a, b = rng.uniform(-1, 1, (2, 20000, 1))
+    both = rng.uniform(-1, 1, (20000, 4))
+    jump = np.cos(9 * both).sum(axis=1, keepdims=True)
+    misses = np.hstack([a + 0.5 * a * b, 2 * jump])
+    shares = share_variance({"a": a, "b": b, "start": both}, misses)
+    total = np.var(misses, axis=0).sum()
+    assert shares["start"] == pytest.approx(np.var(2 * jump) / total, abs=0.01)
+    assert shares["a"] == pytest.approx(np.var(a) / total, abs=0.01)
+    assert shares["b"] < 0.01
+
+
 def test_replays_that_diverge_are_left_out_of_the_variance():
     rng = np.random.default_rng(0)
     a = rng.uniform(-1, 1, (100, 1))
