@@ -239,7 +239,9 @@ class Idas(Sundials):
     plugin: ClassVar[str] = "idas"
 
     def _options(self, atol: float) -> dict[str, Any]:
-        return super()._options(atol) | {"suppress_algebraic": True}  # λ jumps with the damping of a contact: that is no error of the motion
+        # λ jumps with the damping of a contact: that is no error of the motion. And consistent starts are looked for within a time in which
+        # nothing moves: within a whole step IDACalcIC gives up where nodes are about to land.
+        return super()._options(atol) | {"suppress_algebraic": True, "first_time": 1e-6}
 
     def equations(self, model: Model, power: ca.Function | None, held: bool = False) -> dict[str, Any]:
         """Return x, z, u, ode and alg for CasADi's integrator: Eqs. 85-87 before the multipliers are eliminated.

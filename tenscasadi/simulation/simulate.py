@@ -244,9 +244,14 @@ def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, e
     pressed: list[bool] = []  # CasADi's integrators make a failure of the KeyboardInterrupt that Ctrl-C raises
     began = looked = time.perf_counter()
     stepper.deadline = began + seconds
+
+    def press() -> None:
+        pressed.append(True)
+        stepper.deadline = began  # what is tried again after a failure stops, too
+
     try:
         with (
-            on_interrupt(lambda: pressed.append(True), then_raise=True),
+            on_interrupt(press, then_raise=True),
             tqdm(total=inputs.steps, unit=" steps", unit_scale=True, disable=not progress) as bar,
         ):
             for first in range(0, inputs.steps, stepper.steps):
@@ -274,7 +279,8 @@ def _run(model: Model, stepper: Stepper, inputs: SampledControl, start: Array, e
                     if first_fault(newest, observe_states(model, newest, controls[[0, count - 1]])["bar_length_error"][:, 0])[1]:
                         break
     except OutOfTime:
-        failure = f"seconds = {seconds:g} of wall time are over: give more, or a scheme and step that take less"
+        told = f"seconds = {seconds:g} of wall time are over: give more, or a scheme and step that take less"
+        interrupted, failure = bool(pressed), "" if pressed else told
     except StepFailure as error:
         interrupted, failure = bool(pressed), "" if pressed else str(error)
     except KeyboardInterrupt:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas, Sundials
+from tenscasadi.integrators.sundials_events import EventSteps
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.parameters import Parameters
@@ -86,6 +88,16 @@ def test_a_fall_with_friction_and_damping(scene: Scene, options: dict[str, Any],
     assert abs(run.energy_error).max() < 1e-5 * abs(run.energy).max()
 
 
+def test_idas_starts_where_nodes_are_about_to_sink_in() -> None:
+    """Multipliers are consistent at once; IDACalcIC did not see it, for a start on the ground at 2.4 m/s."""
+    fast = Structure(PRISM.nodes, PRISM.bars, PRISM.strings, stiffness=500.0, damping=0.01, rest_length=0.999 * PRISM.string_lengths)
+    model = Model(Scene(fast, gravity=Gravity(), ground=Ground(1e4, damping=0.1)))
+    start = model.state(fast.nodes - [0, 0, 1e-11], np.tile([0.0, 0.0, -2.4], (6, 1)))
+    run, exact = (simulate(model, 0.01, 0.002, scheme, start, compiled=False) for scheme in (Idas(1e-9), DormandPrince853(1e-11)))
+    assert run.success, run.message
+    assert abs(run.nodes - exact.nodes).max() < 1e-7
+
+
 def test_scenes_without_events_run_as_they_do_without_the_option() -> None:
     model = Model(Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))))
     runs = [simulate(model, 0.3, 0.01, Cvodes(1e-8, locate_events=located)) for located in (False, True)]
@@ -101,3 +113,19 @@ def test_events_end_where_pieces_or_seconds_are_over() -> None:
     late = simulate(model, 30.0, 0.005, Cvodes(1e-11, locate_events=True), seconds=0.3)
     assert not late.success
     assert "seconds = 0.3" in late.message
+
+
+@pytest.mark.usefixtures("keyboard")
+def test_ctrl_c_is_not_taken_for_a_mode_that_breaks_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    def pressed(steps: EventSteps, *arguments: Any) -> Any:
+        if steps.events > 0:  # CasADi makes a failure of it
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            raise RuntimeError('CVode returned "CV_RHSFUNC_FAIL"')
+        return usual(steps, *arguments)
+
+    usual = EventSteps._integrate
+    monkeypatch.setattr(EventSteps, "_integrate", pressed)
+    run = simulate(Model(Scene(**FALLING)), 100.0, 0.005, Cvodes(1e-6, locate_events=True))
+    assert run.interrupted
+    assert run.message.startswith("interrupted from the keyboard")
