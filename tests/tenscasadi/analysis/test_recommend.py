@@ -290,3 +290,15 @@ def test_long_chains_are_told_to_take_full_coordinates() -> None:
     chain = tc.Scene(tc.Structure(ends, bars, pinned=[0]), gravity=tc.Gravity())
     advice = tc.recommend(chain, 0.01, 1e-3, schemes=[tc.RungeKutta4()], corrections=[None], compiled=False)
     assert 'Model(scene, coordinates="full") is faster' in advice.message
+
+
+def test_what_is_recommended_runs_with_success() -> None:
+    """Damped in a moment: steps that get the places right at the end may have lost all energy on the way."""
+    model = tc.Model(tc.Scene(tc.shapes.prism(stiffness=1000.0, damping=200.0, prestress=30.0)))
+    velocities = 0.5 * np.sin(7.0 * np.arange(18)).reshape(6, 3)
+    start = np.asarray(projection(model)(model.state(model.structure.nodes, velocities)).full()).ravel()
+    advice = tc.recommend(model, 0.3, 1e-3, state=start, schemes=[tc.DormandPrince853()], compiled=False)
+    run = tc.simulate(model, 0.3, state=start, **advice.options, compiled=False)
+    assert run.success, run.message
+    truth = tc.simulate(model, 0.3, scheme=tc.Cvodes(1e-11), state=start)
+    assert abs(run.nodes[-1] - truth.nodes[-1]).max() < 1e-3
