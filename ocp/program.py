@@ -21,7 +21,7 @@ from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, control_scale
 from ocp.solvers.base import Outcome, Solution, Solver
-from ocp.solvers.deferred_correction import Corrected, check_correctable, solve_corrected
+from ocp.solvers.deferred_correction import TOO_COARSE, Corrected, check_correctable, solve_corrected
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import TIME_UP, Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
@@ -211,7 +211,9 @@ def _outcome(task: _Task, found: _Found) -> Outcome:
     """Return what was found, and why where it is no plan."""
     imposed, program, solution, guess, gap = found
     cost = ca.Function("cost", [program.problem["x"]], [program.problem["f"]])(solution.w)
-    why = _why(task, found)
+    accuracy = task.transcription.accuracy
+    coarse = solution.success and accuracy is not None and gap > accuracy
+    why = TOO_COARSE.format(gap, accuracy) if coarse else _why(task, found)
     return Outcome(
         states=guess.states,
         force_density=guess.force_density,
@@ -224,15 +226,14 @@ def _outcome(task: _Task, found: _Found) -> Outcome:
         gap=gap,
         why=why,
         imposed=imposed.begin_at(guess.states[0]).describe(),
+        coarse=coarse,
     )
 
 
 def _why(task: _Task, found: _Found) -> str:
     """Tell why what was found is no plan; "" where it is one."""
-    transcription, (imposed, program, solution, guess, gap) = task.transcription, found
+    transcription, (imposed, program, solution, guess, _) = task.transcription, found
     state_at, target = _planned(task, found), task.target.begin_at(found.guess.states[0])
-    if solution.success and transcription.accuracy is not None and gap > transcription.accuracy:
-        return f"too coarse: corrections end {gap:.2g} m from fine steps, not {transcription.accuracy:.2g} m: give more intervals"
     if solution.success and not _met(task, found):
         missed = measure_misses(target, state_at).worst()
         return f"no plan: {missed}, and no string moves it there to first order: give a goal that the motion passes"

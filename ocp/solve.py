@@ -14,7 +14,7 @@ from ocp.boundary.target import Target
 from ocp.boundary.unreachable import UnreachableGoal
 from ocp.choice import Choice, Method, choose, matching
 from ocp.condensed.interior_point import TIME
-from ocp.condensed.method import solve_condensed
+from ocp.condensed.method import NOT_SETTLED, solve_condensed
 from ocp.phases.method import solve_phased
 from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function
 from ocp.plan.plan import Plan
@@ -42,6 +42,7 @@ from tenscasadi.util.validate import Array, flag, instance, positive_number, who
 
 PHASE_INTERVALS = 20  # of each phase
 MOST_TARGETS = 3  # near the ends of plans
+FEW_BARS, FEW_ITERATIONS = 12, 60  # up to so many, IPOPT goes on with a plan whose cost is not settled
 _MORE_GOALS = "give goals that tell more of the end, or another guess"
 TOO_LATE = "no plan: stopped at the time limit before the solver began, with the guess: raise seconds"
 RELIABLE = 1e-2  # of the structure's size (and of it per duration): what a replay may miss by, unless a tolerance is stated
@@ -144,7 +145,7 @@ def solve(
         return replace(best, seconds=time.perf_counter() - began)
     asked = _Asked(problem, guess, limit, tracked, began, deadline)
     if transcription is None and solver is None and not problem.phases:
-        return _by_choice(asked)
+        return _by_choice(asked._replace(chosen=True))
     if transcription is None:
         transcription = Variational(PHASE_INTERVALS) if problem.phases else matching(solver, problem)
     solver = Ipopt() if solver is None else solver
@@ -162,7 +163,10 @@ Plan._solve = staticmethod(solve)
 
 
 class _Asked(NamedTuple):
-    """Arguments of `solve`. limit: m, that the replay may end from the goals; began, deadline: of `time.perf_counter`, s."""
+    """Arguments of `solve`. limit: m, that the replay may end from the goals; began, deadline: of `time.perf_counter`, s.
+
+    chosen: whether the package chooses the method.
+    """
 
     problem: Problem
     guess: InitialGuess | None
@@ -170,6 +174,7 @@ class _Asked(NamedTuple):
     tracked: bool
     began: float
     deadline: float | None
+    chosen: bool = False
 
     def late(self) -> bool:
         """Tell whether the time is over."""
@@ -180,30 +185,33 @@ def _by_choice(asked: _Asked) -> Plan:
     """Return the plan of the first choice that finds one; else the best of all, which says what was tried."""
     problem = asked.problem
     target, scales = prepare(problem, PiecewiseConstant())
-    plans: list[Plan] = []
-    tried: list[str] = []
+    tried: dict[str, Plan] = {}
     for choice in choose(problem, target, asked.guess, asked.limit):
-        best = max(plans, key=_worth, default=None)
+        best = max(tried.values(), key=_worth, default=None)
         optimal = best is not None and best.duals is not None
         if best is not None and (asked.late() or (choice.finer and not optimal)):
             continue
         way, own = (choice._replace(guess=None), asked._replace(guess=best)) if optimal else (choice, asked)
-        plans.append(_by_method(own, way, target, scales))
-        tried.append(choice.describe())
-        if plans[-1].success or plans[-1].status in (TIME, TOO_SLOW):
+        plan = tried[choice.describe()] = _by_method(own, way, target, scales)
+        if plan.success and plan.status == NOT_SETTLED and problem.model.mechanism.bars <= FEW_BARS and not asked.late():
+            way = Choice(choice.transcription, Ipopt(max_iterations=FEW_ITERATIONS))
+            tried[way.describe()] = _by_method(asked._replace(guess=plan), way, target, scales)
+        if plan.success or plan.status in (TIME, TOO_SLOW):
             break
-    best = max(plans, key=_worth)
-    said = f"chosen: {tried[-1]}" + (f", after {', '.join(tried[:-1])}" if tried[:-1] else "")
+    chosen = max(tried, key=lambda name: _worth(tried[name]))
+    best, others = tried[chosen], ", ".join(name for name in tried if name != chosen)
+    said = f"chosen: {chosen}" + (f", after {others}" if others else "")
     return replace(
         best,
         message=f"{best.message}; {said if best.success else 'tried: ' + ', '.join(tried)}",
-        iterations=sum(plan.iterations for plan in plans),
+        iterations=sum(plan.iterations for plan in tried.values()),
         seconds=time.perf_counter() - asked.began,
     )
 
 
 def _worth(plan: Plan) -> tuple[bool, bool, float]:
-    return plan.success, plan.duals is not None, -plan.worst_error
+    """Return what makes one plan better than another: a success, then an optimum, then the lower cost, or without success the smaller error."""
+    return plan.success, plan.duals is not None, -(plan.objective if plan.success else plan.worst_error)
 
 
 def _by_method(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Plan:
@@ -257,7 +265,7 @@ def _at_once(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Plan
         else:
             duals = guess.duals if isinstance(guess, Plan) else None
             outcome = solve_program(problem, transcription, target, scales, first, solver, asked.deadline, duals)
-    return judged(_plan(asked, transcription, solver, outcome), target, outcome, asked.limit)
+    return judged(_plan(asked, transcription, solver, outcome), target, outcome, asked.limit, asked.chosen)
 
 
 def _plan(asked: _Asked, transcription: Transcription, solver: Method, found: Outcome) -> Plan:
@@ -297,4 +305,4 @@ def _trajectory(problem: Problem, mesh: Array, found: Outcome) -> Trajectory:
     controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(mesh)]
     message = "planned motion at the ends of the intervals"
     with np.errstate(all="ignore"):
-        return record_trajectory(model, mesh, found.states, controls, step=float(mesh[1]), message=message, success=found.success)
+        return record_trajectory(model, mesh, found.states, controls, step=float(mesh[1]), message=message, success=found.success or found.coarse)

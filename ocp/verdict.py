@@ -19,11 +19,15 @@ from tenscasadi.simulation.trajectory import Trajectory
 _KEEP = "keep to it by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
 
 
-def judged(plan: Plan, target: Target, found: Outcome, tolerance: float) -> Plan:
-    """Return the plan with the errors of its replay, whether it is a success, and what is to be said of it."""
+def judged(plan: Plan, target: Target, found: Outcome, tolerance: float, chosen: bool = False) -> Plan:
+    """Return the plan with the errors of its replay, whether it is a success, and what is to be said of it.
+
+    chosen: whether the package chose how near to fine steps it is to be, and not the user: then the replay alone counts.
+    """
     error, speed_error, why, replayed = _replay_errors(plan, target.begin_at(found.states[0]))
     plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
     how = "its replay under ocp.track" if plan.tracked else "its replay"
+    found = found._replace(success=found.success or (chosen and found.coarse and plan.worst_error <= tolerance))
     success, verdict = _verdict(plan, found, tolerance, f"at the end of {how} {why}" if why and np.isfinite(error) else "")
     ends = f"{how} ends {error:.2g} m and {speed_error:.2g} m/s from the goal" if np.isfinite(error) else why or f"{how} diverges"
     parts = verdict, found.imposed, ends, _overstepped(plan, replayed) if success else ""

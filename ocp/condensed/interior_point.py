@@ -85,8 +85,10 @@ def solve(of: ReducedProblem, w: Array, motion: Motion, tolerance: float, most: 
     search = Search(of, w, motion, tolerance)
     status = ""
     while not status:
-        if search.iterations == most or (deadline is not None and time.perf_counter() > deadline):
-            status = "iterations" if search.iterations == most else TIME
+        if search.iterations == most:
+            status = "unsettled" if search.still(SLOW[0], np.finfo(float).max) else "iterations"
+        elif deadline is not None and time.perf_counter() > deadline:
+            status = TIME
         elif search.converged():
             status = search.converged()
         elif not search.advance():

@@ -22,6 +22,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, typical_cost
 from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
+from ocp.solvers.deferred_correction import TOO_COARSE
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess
@@ -33,8 +34,8 @@ from tenscasadi.util.validate import Array
 MET = 1e-9  # in order-one rows: the motion and the goals that are imposed are met
 POLISHED = 1e-11  # what is aimed at
 SPARED = 0.3  # of the time that is left: for corrections
-SOLVED = ("optimal", "settled", "nearly settled", "unsettled")
-TOO_COARSE = "too coarse: corrections end {:.2g} m from fine steps, not {:.2g} m: give more intervals"
+NOT_SETTLED = "unsettled"
+SOLVED = ("optimal", "settled", "nearly settled", NOT_SETTLED)
 NOT_QUITE = {
     "nearly settled": "; the cost is nearly settled, a little less may be possible",
     "unsettled": "; the cost is not settled: it still fell, but slowly, and less is possible",
@@ -150,8 +151,10 @@ def _outcome(
     if states is None:
         states = states_of(reduced.chain, c, duration, point.motion)
     lower, upper = problem.force_density_limits
-    if transcription.accuracy is not None and gap > transcription.accuracy and found.status in SOLVED:
-        why = TOO_COARSE.format(gap, transcription.accuracy)
+    accuracy = transcription.accuracy
+    coarse = accuracy is not None and gap > accuracy and found.status in SOLVED
+    if coarse:
+        why = TOO_COARSE.format(gap, accuracy)
     else:
         why = _why(target, found, point, state_function(problem.model, states, duration, transcription.fractions))
     return Outcome(
@@ -162,10 +165,11 @@ def _outcome(
         success=not why,
         status=found.status,
         iterations=found.iterations,
-        duals=_duals(reduced, imposed, found, point) if not why else None,
+        duals=_duals(reduced, imposed, found, point) if coarse or not why else None,
         gap=gap,
         why=why,
         imposed=imposed.describe() + NOT_QUITE.get(found.status, ""),
+        coarse=coarse,
     )
 
 

@@ -23,6 +23,7 @@ FINE_STEPS = 1  # steps of DormandPrince853 in an interval: more exact than ten 
 MOST_ROUNDS = 6  # of corrections
 ROUGH_TOLERANCE = 1e-5  # tolerance of the first solution, which the next one moves by more
 FAR = 0.03  # of the structure's size: fine steps that leave a plan by more have left it
+TOO_COARSE = "too coarse: corrections end {:.2g} m from fine steps, not {:.2g} m: give more intervals"
 MOST_LEFT = 0.5  # a round that leaves more than this share of the gap leads nowhere
 
 

@@ -89,6 +89,30 @@ def test_what_misses_a_tolerance_is_followed_by_what_meets_it():
     assert exact.nodes[-1] == pytest.approx(plan.replay().nodes[-1], abs=1e-8)
 
 
+def test_a_replay_within_the_tolerance_is_enough(monkeypatch):
+    """How near corrections come to fine steps is the user's to ask for: what the package asks for itself is a means."""
+    monkeypatch.setattr("ocp.choice.MISSED", 1e-18)
+    for problem in (raising(), widening()):
+        plan = ocp.solve(problem, seconds=60.0)
+        assert plan.success, plan.message
+        assert ", after " not in plan.message
+        asked = ocp.solve(problem, plan.transcription, plan.solver, tolerance=1e-4)
+        assert not asked.success
+        assert "too coarse: corrections end" in asked.message
+        assert asked.worst_error < 1e-4
+
+
+@pytest.mark.parametrize("cost", [1e6, 0.0])
+def test_ipopt_goes_on_where_costs_are_not_settled_and_the_better_plan_is_kept(monkeypatch, cost):
+    of_package, known = sys.modules["ocp.solve"], solve_condensed
+    monkeypatch.setattr(of_package, "solve_condensed", lambda *given: known(*given)._replace(status="unsettled", objective=cost))
+    plan = ocp.solve(widening())
+    assert plan.success, plan.message
+    order = "Ipopt, after Variational of 30 intervals by CondensedNewton", "CondensedNewton, after Variational of 30 intervals by Ipopt"
+    assert plan.message.endswith(f"chosen: Variational of 30 intervals by {order[cost == 0]}")
+    assert cost == 0 or plan.objective < 100
+
+
 def test_what_was_tried_is_said_where_no_plan_is_found():
     """A tenth of a second is too short for limits as low as these."""
     problem = ocp.Problem(

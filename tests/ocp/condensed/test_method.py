@@ -169,6 +169,14 @@ def test_what_it_does_not_take_is_said(change, words):
         ocp.solve(problem, ocp.Variational(8), ocp.CondensedNewton())
 
 
+def test_goals_that_are_met_at_the_iteration_limit_are_a_plan(monkeypatch):
+    monkeypatch.setattr("ocp.condensed.interior_point.Search.converged", lambda search: "")
+    plan = ocp.solve(*CASES["ball"], ocp.CondensedNewton(max_iterations=30))
+    assert plan.success, plan.message
+    assert plan.status == "unsettled"
+    assert "the cost is not settled" in plan.message
+
+
 def test_limits_of_iterations_and_time_are_kept():
     problem, transcription = CASES["ball"]
     few = ocp.solve(problem, transcription, ocp.CondensedNewton(max_iterations=2))
