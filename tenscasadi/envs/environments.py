@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscasadi.envs.episodes import FARTHEST, Episodes
 from tenscasadi.envs.task import Task
-from tenscasadi.util.validate import instance, real_array, whole_number
+from tenscasadi.util.validate import finite_array, instance, real_array, whole_number
 
 try:
     import gymnasium
@@ -16,6 +16,9 @@ try:
     from gymnasium.vector.utils import batch_space
 except ImportError as error:
     raise ImportError("tenscasadi.envs needs gymnasium: pip install 'tenscasadi[gym]'") from error
+
+
+MOST = 1_000_000  # episodes at once
 
 
 class TensegrityEnv(gymnasium.Env[Any, Any]):
@@ -94,7 +97,7 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
         info : dict
             Whether it ``diverged``.
         """
-        now, lost = self._episodes.step(_clipped(action, (1, self.task.model.nu)))
+        now, lost = self._episodes.step(_clipped("action", action, (self.task.model.nu,))[None])
         reward, over = float(self._episodes.rewards(now, lost)[0]), bool(self._episodes.ended(now, lost)[0])
         late = bool(self._episodes.decided[0] >= self.task.decisions)
         return self._episodes.observe()[0], reward, over, late, {"diverged": bool(lost[0])}
@@ -137,7 +140,7 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
 
     def __init__(self, task: Task, num_envs: int, threads: int = 1) -> None:
         instance("task", task, Task, "a tenscasadi.envs.Task")
-        self.task, self.num_envs = task, whole_number("num_envs", num_envs, 1)
+        self.task, self.num_envs = task, whole_number("num_envs", num_envs, 1, MOST)
         self._episodes = Episodes(task, num_envs, whole_number("threads", threads, 1, 1024))
         self.single_observation_space, self.single_action_space = _spaces(self._episodes)
         self.observation_space, self.action_space = (
@@ -187,7 +190,7 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         info : dict
             Which of them ``diverged``.
         """
-        now, lost = self._episodes.step(_clipped(actions, (self.num_envs, self.task.model.nu)))
+        now, lost = self._episodes.step(_clipped("actions", actions, (self.num_envs, self.task.model.nu)))
         begun = self._over
         rewards = np.where(begun, 0.0, self._episodes.rewards(now, lost))
         over = self._episodes.ended(now, lost) & ~begun
@@ -213,9 +216,10 @@ def _spaces(episodes: Episodes) -> tuple[Any, Any]:
     return gymnasium.spaces.Box(-FARTHEST, FARTHEST, (size,), np.float32), gymnasium.spaces.Box(-1.0, 1.0, (count,), np.float32)
 
 
-def _clipped(action: Any, shape: tuple[int, int]) -> Any:
-    """Return actions (n, α) as numbers from −1 to 1. Raises ValueError."""
-    values = real_array("action", action, f"{shape if shape[0] > 1 else shape[1:]} numbers from -1 to 1")
-    if values.size != shape[0] * shape[1] or values.shape not in (shape, shape[1:]) or not np.all(np.isfinite(values)):
-        raise ValueError(f"action has shape {values.shape}: give {shape if shape[0] > 1 else shape[1:]} finite numbers from -1 to 1")
-    return np.clip(values.reshape(shape), -1.0, 1.0)
+def _clipped(field: str, given: Any, shape: tuple[int, ...]) -> Any:
+    """Return actions of this shape as numbers from −1 to 1. Raises TypeError, ValueError."""
+    wanted = f"{shape} finite numbers from -1 to 1"
+    values = real_array(field, given, wanted)
+    if values.shape not in (shape, (1, *shape), shape[1:]) or values.size != np.prod(shape):
+        raise ValueError(f"{field} has shape {values.shape}: give {wanted}")
+    return np.clip(finite_array(field, values.reshape(shape), shape), -1.0, 1.0)

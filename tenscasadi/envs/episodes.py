@@ -39,7 +39,7 @@ class Episodes:
         self.nodes, self.velocities = self._places(self.states)
 
     def reset(self, which: Any, rng: np.random.Generator) -> None:
-        """Begin episodes `which` (indices) anew."""
+        """Begin episodes `which` (indices) anew. Raises ValueError where their spread breaks bars."""
         task, model = self.task, self.task.model
         self.control = self.control.copy()
         for k in which:
@@ -54,6 +54,8 @@ class Episodes:
             self.control[k] = np.clip(model.control_at(p), *task.limits)
         self.decided[which] = 0
         nodes, velocities = self._places(self.states[which])
+        if self._broken(nodes).any():
+            raise ValueError(f"Task.start is {task.start}: bars cannot be put right from so far off, give a smaller spread")
         self.nodes, self.velocities = self.nodes.copy(), self.velocities.copy()  # those of a Transition stay as they are
         self.nodes[which], self.velocities[which] = nodes, velocities
 

@@ -16,6 +16,7 @@ from tenscasadi.simulation.diagnosis import off_constraints
 from tenscasadi.util.validate import Array, finite_array, instance, nesting, nonnegative, per_item, positive_number, shown, text, whole_number
 
 CORRECTION = Projection(10)
+MOST_STEPS = 1_000_000  # of a period: a second or so
 ROUNDED = 1e-3  # of lengths and speeds: what a start may be off its bars and joints by
 
 
@@ -142,7 +143,7 @@ class Task:
         if self.speed is not None:
             own["speed"] = nonnegative("Task.speed", per_item("Task.speed", self.speed, model.nu), "string")
         own["period"] = positive_number("Task.period", self.period)
-        whole_number("Task.steps", self.steps, 1)
+        whole_number("Task.steps", self.steps, 1, MOST_STEPS)
         own["duration"] = positive_number("Task.duration", self.duration)
         if self.duration < self.period:
             raise ValueError(f"Task.duration is {self.duration:g}, shorter than the period of {self.period:g} s: give a longer one")

@@ -42,6 +42,32 @@ def doubled(case: Any) -> dict[str, float]:
     return {"double": 2.0 * float(case)}
 
 
+def environment_calls(model: tc.Model) -> dict[str, Call]:
+    """Tasks and environments, where gymnasium is installed."""
+    if find_spec("gymnasium") is None:
+        return {}
+    from tenscasadi.envs import Task, TensegrityEnv, TensegrityVectorEnv
+
+    task = {"model": model, "reward": lambda now: now.time, "lower": np.zeros(model.nu), "upper": np.full(model.nu, 9.0), "speed": None,
+            "period": 0.05, "steps": 2, "duration": 0.1, "state": model.initial_state, "start": (0.01, 0.0), "parameters": {},
+            "observation": lambda nodes, velocities, control: nodes[:, :, 0], "terminated": lambda now: now.time > 1.0, "correction": None}  # fmt: skip
+    env, envs = TensegrityEnv(Task(**task)), TensegrityVectorEnv(Task(**task), 2)
+    env.reset(seed=0)
+    envs.reset(seed=0)
+
+    def moved(**given: Any) -> Any:
+        begun = TensegrityEnv(Task(**given))
+        begun.reset(seed=0)
+        return begun.step(np.zeros(model.nu))[:2]
+
+    return {
+        "Task": (moved, task),
+        "TensegrityVectorEnv": (TensegrityVectorEnv, {"task": Task(**task), "num_envs": 2, "threads": 1}),
+        "TensegrityEnv.step": (lambda action: env.step(action)[:2], {"action": np.zeros(model.nu)}),
+        "TensegrityVectorEnv.step": (lambda actions: envs.step(actions)[:2], {"actions": np.zeros((2, model.nu))}),
+    }
+
+
 @cache
 def ensemble_calls() -> dict[str, Call]:
     """Each with input that is right."""
@@ -72,6 +98,7 @@ def ensemble_calls() -> dict[str, Call]:
     derived = {"model": opened, "start": opened.initial_state, "t_end": 0.02, "step": 0.01, "scheme": tc.RungeKutta4(), "control": None, "correction": None,
                "of": None, "over": "end", "by": "parameters", "parameters": p, "mode": "forward", "compiled": False}  # fmt: skip
     return {
+        **environment_calls(m),
         "Terrain": (
             lambda **k: tc.Scene(tc.shapes.pendulum(), ground=tc.Terrain(**k)),
             {

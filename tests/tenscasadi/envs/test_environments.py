@@ -20,6 +20,7 @@ PRISM = tc.shapes.prism(stiffness=500.0, damping=1.0, prestress=50.0)
 OPTIONS = {"gravity": tc.Gravity(), "ground": tc.Ground(stiffness=2e3, damping=5.0, friction=0.5)}
 PARAMETERS = tc.Parameters("ground_stiffness", scale=["bar_mass"])
 DRIVEN, WOUND = (tc.Model(tc.Scene(PRISM, control=control, parameters=PARAMETERS, **OPTIONS)) for control in (tc.ForceDensity(), tc.RestLength()))
+PINNED = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
 
 
 def forward(now):
@@ -252,6 +253,12 @@ def test_an_episode_that_diverges_ends():
 
 BAD = {
     "no task": (lambda: TensegrityEnv(DRIVEN), TypeError, "task is"),
+    "environments beyond memory": (lambda: TensegrityVectorEnv(driven(), 10**9), ValueError, r"num_envs is 1e\+09: it must be at most"),
+    "starts that break bars": (
+        lambda: TensegrityVectorEnv(Task(PINNED, forward, 0.0, 9.0, start=1e6), 3).reset(seed=0),
+        ValueError,
+        "Task.start is .*: bars cannot be put right",
+    ),
     "no environments": (lambda: TensegrityVectorEnv(driven(), 0), ValueError, "num_envs"),
     "actions of other strings": (lambda: TensegrityEnv(driven()).step(np.zeros(4)), ValueError, r"action has shape \(4,\): give \(9,\)"),
     "actions that are text": (lambda: TensegrityEnv(driven()).step("right"), TypeError, "action is not an array of real numbers"),

@@ -40,6 +40,7 @@ BAD = {
     "a speed without text, of force densities": (lambda: Task(DRIVEN, nothing, 0.1, 1.0, speed=10**5000), ValueError, "Task.speed is a value"),
     "a speed of force densities": (lambda: Task(DRIVEN, nothing, 0.1, 1.0, speed=1.0), ValueError, "Task.speed is 1"),
     "period zero": (lambda: Task(DRIVEN, nothing, 0.0, 1.0, period=0.0), ValueError, "Task.period"),
+    "steps for hours": (lambda: Task(DRIVEN, nothing, 0.0, 1.0, steps=10**9), ValueError, "Task.steps is 1e\\+09: it must be at most 1000000"),
     "steps zero": (lambda: Task(DRIVEN, nothing, 0.0, 1.0, steps=0), ValueError, "Task.steps"),
     "shorter than a period": (lambda: Task(DRIVEN, nothing, 0.0, 1.0, duration=0.01), ValueError, "Task.duration is 0.01, shorter"),
     "a state off its bars": (lambda: Task(DRIVEN, nothing, 0.0, 1.0, state=2 * DRIVEN.initial_state), ValueError, "Task.state is off"),
