@@ -55,6 +55,9 @@ def export_program(problem: Problem, transcription: Transcription, folder: str |
     `nlp_jac_g` and `nlp_hess_l` (the upper triangle of the Hessian of lam_f f + lam_gᵀ g), with exact sparse derivatives. The tables say what
     each entry of w and g is, its limits, and its scale, by which it is multiplied for physical units; unknowns.csv also where to start.
 
+    An `accuracy` of the transcription is no part of it, which `program.h` says: `solve` gets there by solving the program several times, with
+    other limits of the rows of the motion.
+
     Examples
     --------
     >>> from tempfile import mkdtemp
@@ -71,9 +74,10 @@ def export_program(problem: Problem, transcription: Transcription, folder: str |
     p = ca.MX.sym("p", 0)
     values = [ca.Function(f"nlp_{name}", [w, p], [program.problem[name]], ["x", "p"], [name]) for name in "fg"]
     sizes = f"{len(program.w_names)} unknowns (unknowns.csv), {len(program.names)} rows (rows.csv), costs = {program.objective!r} f"
-    written = _generate(
-        target, "program", [*values, *program.parts.unrolled().derivatives.values()], [f"minimise f(w) subject to limits of g(w) and w: {sizes}."]
-    )
+    comment = [f"minimise f(w) subject to limits of g(w) and w: {sizes}."]
+    if transcription.accuracy is not None:
+        comment.append(f"{type(transcription).__name__}.accuracy is {transcription.accuracy:g} m, and no part of it: this is what is solved first.")
+    written = _generate(target, "program", [*values, *program.parts.unrolled().derivatives.values()], comment)
     unknowns = zip(program.w_names, program.w_scale, program.w_lower, program.w_upper, program.first, strict=True)
     rows = zip(program.names, program.scale, program.lower, program.upper, strict=True)
     return [

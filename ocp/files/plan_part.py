@@ -135,6 +135,8 @@ def _check_each(table: Mapping[str, Item], part: PlanPart, structure: Structure)
 def write_plan(problem: Problem, way: Mapping[str, Any]) -> dict[str, Any]:
     """Return [plan] of a problem, and of the arguments of `ocp.solve` beside it. Raises NotWritten for what no file holds."""
     _refuse_functions(problem)
+    if getattr(way.get("solver"), "watch", None) is not None:
+        raise NotWritten(f"{type(way['solver']).__name__}.watch is a function in Python: leave it out")
     goals, costs = _with_wishes(problem)
     model = problem.model
     asked: dict[str, Any] = {"bounds": problem.bounds, "phases": problem.phases, "goals": goals, "costs": costs}

@@ -127,7 +127,7 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **way: Any) -> 
         If `problem` is none, or an argument is none of `solve`.
     ValueError
         If a part of it cannot be written, by its name: `Constraint`, `Integral` and `AtEnd`, whose expressions are functions in Python, other
-        functions, goals and schemes of your own.
+        functions, such as who watches a solver, goals and schemes of your own.
     OSError
         If the file cannot be written.
 

@@ -151,6 +151,13 @@ def test_the_first_decision_is_that_of_the_reference():
     assert decide(0.0, state, mpc.first).full()[:, 0] == pytest.approx(mpc.control(0.0, state), abs=1e-6)
 
 
+def test_an_accuracy_is_said_to_be_no_part_of_a_program(tmp_path):
+    for accuracy, said in ((None, False), (1e-4, True)):
+        ocp.export_program(problem(), ocp.Variational(3, accuracy=accuracy), tmp_path / str(accuracy))
+        head = (tmp_path / str(accuracy) / "program.h").read_text()
+        assert ("Variational.accuracy is 0.0001 m, and no part of it" in head) is said
+
+
 def test_wrong_values_are_refused(tmp_path):
     with pytest.raises(TypeError, match="mpc"):
         ocp.export_mpc(problem(), tmp_path)
