@@ -76,13 +76,14 @@ def _variables(path: Path) -> Iterator[tuple[str, Any]]:
     order = "<" if whole[126:128] == b"IM" else ">"
     for kind, content in _elements(memoryview(whole)[_HEADER:], order):
         if kind == _COMPRESSED:
-            unpacking = zlib.decompressobj()
-            unpacked = unpacking.decompress(content, left + 1)
-            left -= len(unpacked)
+            told = struct.unpack(order + "II", zlib.decompressobj().decompress(content, 8))[1] + 8  # bytes that its own head says it has
+            left -= told
             if left < 0:
                 raise ValueError(f"it unpacks to more than {limit / 1e9:.3g} GB, the limit for a file of its size")
+            unpacking = zlib.decompressobj()
+            unpacked = unpacking.decompress(content, told + 8)
             if not unpacking.eof:
-                raise ValueError("a compressed variable is cut off")
+                raise ValueError("a compressed variable is cut off, or longer than it says")
             for inner, inside in _elements(memoryview(unpacked), order):
                 if inner == _MATRIX:
                     yield _matrix(inside, order, 0)

@@ -116,10 +116,11 @@ def nested(depth: int) -> bytes:
         (matrix(6, (1, 1), struct.pack("<II", 9, 2**32 - 8)), "an element of 4294967288 bytes is cut off"),
         (struct.pack("<II", 14, 2**31), "an element of 2147483648 bytes is cut off"),
         (nested(20_000), "nested deeper than 30 times"),
-        (element(15, zlib.compress(bytes(500_000_000), 9)), "it unpacks to more than"),
+        (element(15, zlib.compress(bytes(500_000_000), 9)), "a compressed variable is cut off, or longer than it says"),
+        (element(15, zlib.compress(struct.pack("<II", 14, 500_000_000) + bytes(500_000_000), 9)), "it unpacks to more than"),
         (element(15, zlib.compress(matrix(6, (1, 1), element(9, bytes(8))))[:-9]), "a compressed variable is cut off"),
     ],
-    ids=["struct", "names", "negative", "numbers", "type", "sparse", "long", "longer", "deep", "zeros", "cut"],
+    ids=["struct", "names", "negative", "numbers", "type", "sparse", "long", "longer", "deep", "zeros", "honest", "cut"],
 )
 def test_what_claims_more_than_it_holds_takes_no_memory(content, named, tmp_path, monkeypatch):
     monkeypatch.setattr("tenscasadi.util.archive._LIMIT", 1_000_000)
