@@ -37,6 +37,7 @@ GIVEN_UP = 1e4  # the same where no step is accepted
 SLOW = 20, 0.02  # iterations and relative change of costs: they fall so slowly that it leads nowhere
 LONG, UNSETTLED = (100, 36), 0.25  # after so many iterations, with high barriers, so little a change in SLOW[0] of them is not worth their time
 LARGE = 10_000  # unknowns, from which on the second number of iterations counts
+HOPELESS = 40, 0.8  # iterations, and what they leave at least of what is unmet where limits along the way leave no way
 SLUGGISH = 8, 0.03  # iterations and relative change of costs: barriers that are in the way are lowered before their optimum
 NEARLY_SETTLED, NEARLY_WITHIN = 1e-2, 5  # the same where no step is found any more
 LEAST_POLISHED = 1e-5  # distance from limits
@@ -91,6 +92,8 @@ def solve(of: ReducedProblem, w: Array, motion: Motion, tolerance: float, most: 
             status = TIME
         elif search.converged():
             status = search.converged()
+        elif search.hopeless():
+            status = "stuck"
         elif not search.advance():
             status = "nearly settled" if search.still(NEARLY_WITHIN, NEARLY_SETTLED) else "stuck"
         if verbose and not status:
@@ -208,6 +211,11 @@ class Search:
         recent = self.history[-most:]
         costs = [cost for cost, worst in recent if worst < near]
         return len(costs) == most and max(costs) - min(costs) <= share * abs(self.point.cost)
+
+    def hopeless(self) -> bool:
+        """Tell whether limits along the way have kept the goals far off for long."""
+        unmet = [worst for _, worst in self.history[-HOPELESS[0] :]]
+        return bool(self.of.paths.count) and len(unmet) == HOPELESS[0] and min(unmet) > max(WIDE, HOPELESS[1] * unmet[0])
 
     def advance(self) -> bool:
         """Take a step; False where there is none."""

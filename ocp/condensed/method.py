@@ -13,9 +13,9 @@ from ocp.condensed.correction import Corrected, correct
 from ocp.condensed.interior_point import TIME, Found, Point, polish, solve
 from ocp.condensed.motions import first_motion, states_of
 from ocp.condensed.objective import foreign_costs
-from ocp.condensed.path_rows import Limited
+from ocp.condensed.path_rows import Limited, PathRows
 from ocp.condensed.reduced import ReducedProblem
-from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function
+from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function, units_of
 from ocp.problem.bounds.string_bounds import ForceDensityLimits
 from ocp.problem.control import winds
 from ocp.problem.problem import Problem
@@ -156,7 +156,7 @@ def _outcome(
     if coarse:
         why = TOO_COARSE.format(gap, accuracy)
     else:
-        why = _why(target, found, point, state_function(problem.model, states, duration, transcription.fractions))
+        why = _why(problem, target, reduced.paths, found, point, state_function(problem.model, states, duration, transcription.fractions))
     return Outcome(
         states=states,
         force_density=np.clip(reduced.force_densities(point.w), lower, upper),
@@ -173,7 +173,7 @@ def _outcome(
     )
 
 
-def _why(target: Target, found: Found, point: Point, state_at: StateAt) -> str:
+def _why(problem: Problem, target: Target, paths: PathRows, found: Found, point: Point, state_at: StateAt) -> str:
     """Tell why what was found is no plan; "" where it is one."""
     missed = measure_misses(target, state_at)
     if point.worst <= MET and found.status in SOLVED:
@@ -182,8 +182,18 @@ def _why(target: Target, found: Found, point: Point, state_at: StateAt) -> str:
     if point.worst <= MET:
         parts.append("all constraints are met, but the cost is not settled")
     elif np.isfinite(point.worst):
-        parts.append(f"largest violation: {missed.worst() if missed.places or missed.speeds else 'the motion'}")
+        parts.append(f"largest violation: {_broken(problem, paths, point) or (missed.worst() if missed.places or missed.speeds else 'the motion')}")
     return "; ".join(parts)
+
+
+def _broken(problem: Problem, paths: PathRows, point: Point) -> str:
+    """Name the limit along the way that is broken most; "" where goals miss by more."""
+    left = np.abs(point.left.paths)
+    if not left.max(initial=0.0) > max(MET, np.abs(point.left.goals).max(initial=0.0)):
+        return ""
+    worst = int(np.argmax(left))
+    name = paths.names[worst]
+    return f"{name}, by {left[worst] * paths.scale[worst]:.2g} {units_of(problem).get(name.partition(',')[0], '')}".rstrip()
 
 
 def _duals(reduced: ReducedProblem, imposed: Target, found: Found, point: Point) -> Duals:

@@ -11,8 +11,10 @@ from planning import driven, folding, prism, raising
 
 import ocp
 import tenscasadi as tc
-from ocp.choice import choose_intervals
+from ocp.boundary.find_target import find_target
+from ocp.choice import choose, choose_intervals
 from ocp.condensed.method import solve_condensed
+from ocp.problem.scaling import Scales
 from ocp.transcription.initial_guess import Guess
 
 
@@ -134,6 +136,15 @@ def test_few_bars_are_left_to_the_condensed_method_where_ipopt_fails(monkeypatch
     assert "chosen: Variational of 30 intervals by CondensedNewton, after Variational of 30 intervals by Ipopt" in plan.message
     monkeypatch.undo()
     assert plan.objective == pytest.approx(ocp.solve(raising()).objective, rel=2e-3)
+
+
+@pytest.mark.parametrize(("bars", "solver"), [(8, ocp.Ipopt), (9, ocp.CondensedNewton)])
+def test_limits_along_the_way_are_left_to_the_condensed_method_from_nine_bars_on(bars, solver):
+    low, high = (tc.shapes.prism(bars, 0.5, height) for height in (1.0, 1.05))
+    bounds = [ocp.ForceDensityLimits(1.0, 200.0), ocp.TensionLimits(upper=60.0)]
+    problem = ocp.Problem(driven(low), goals=[ocp.StringLengths({0: high.string_lengths[0]})], bounds=bounds, costs=[ocp.Effort()])
+    target = find_target(problem, Scales.of(problem))
+    assert isinstance(next(choose(problem, target, None, 1e-3)).solver, solver)
 
 
 def test_what_the_time_ends_is_not_tried_otherwise(monkeypatch):

@@ -142,6 +142,28 @@ def test_limits_along_the_way_are_kept_at_what_ipopt_pays(case):
         assert own[name] == pytest.approx(other[name], rel=0.1)
 
 
+def test_limits_that_leave_no_way_are_named():
+    problem = reaching(ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities), upper=0.2))
+    plan = ocp.solve(problem, ocp.Variational(24), ocp.CondensedNewton())
+    assert not plan.success
+    assert "largest violation: speed, end of interval" in plan.message
+
+
+def test_limits_that_bars_share_are_kept_by_fine_steps_of_scipy():
+    """A tower of four prisms that rises: its bars, which come within 3 cm, stay 8 cm apart, and no node is too fast."""
+    limits = [ocp.BarClearance(0.08), ocp.Constraint("speed", lambda now: ca.sum1(now.velocities**2).T, upper=2.0)]
+    goals = [ocp.StringLengths(tower_of(4, 0.88).string_lengths), ocp.AtRest()]
+    problem = ocp.Problem(driven(tower_of(4, 0.8)), goals=goals, bounds=[LIMITS, *limits], costs=[ocp.Effort()])
+    plan = ocp.solve(problem, ocp.Variational(30, accuracy=1e-6), ocp.CondensedNewton())
+    assert plan.success, plan.message
+    state, functions = plan.trajectory.states[0], [limit.constraint(problem.model) for limit in limits]
+    for k, (begin, end) in enumerate(pairwise(plan.time)):
+        state = integrated(problem.model, state, begin, end, plan.control[k], plan.control[k])
+        for limited in functions:
+            value = np.ravel(limited.function(state, plan.control[k], end).full())
+            assert np.maximum(limited.lower - value, value - limited.upper).max() < 1e-5
+
+
 def beyond(plan, limited):
     """By how much a plan oversteps a limit at the ends of its intervals."""
     states, control, time = plan.trajectory.states, plan.control, plan.time
