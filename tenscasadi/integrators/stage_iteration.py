@@ -111,7 +111,8 @@ def _lead(model: Model, u: Any) -> Any:
     clamped = ca.DM(np.isin(scene.switching_strings, scene.clamped_strings).astype(float))
     contacts = forces.contacts(scene, model.mechanism)
     grounds = [ca.repmat(ca.densify(ground.damping / ground.stiffness), len(columns), 1) for ground, columns, _ in contacts]
-    return ca.vertcat(lead[scene.switching_strings.tolist()] * clamped, *grounds)
+    switching = ca.reshape(lead[scene.switching_strings.tolist()], clamped.shape[0], 1)  # a column, without entries too
+    return ca.vertcat(switching * clamped, *grounds)
 
 
 def _solver(model: Model) -> ca.Function:

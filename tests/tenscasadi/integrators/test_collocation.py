@@ -20,7 +20,7 @@ from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity, Smooth
+from tenscasadi.scene.strings import ForceDensity, Linear, Smooth
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
@@ -221,3 +221,12 @@ def test_strings_that_let_go_and_catch_at_large_steps() -> None:
     assert np.isfinite(after).all()
     residual = after - Collocation(2, "radau", tolerance=1e-12, iterations=200).advance(model)(start, [], 0.02).full().ravel()
     assert abs(residual).max() < 1e-6
+
+
+def test_grounds_where_no_string_can_go_slack() -> None:
+    structure = Structure([(0, 0, 0.1), (0, 0, 1)], strings=[(0, 1)], node_mass=1.0, stiffness=100.0, rest_length=0.8)
+    model = Model(Scene(structure, gravity=Gravity(), ground=Ground(1e3, 5.0), slack=Linear()))
+    run = simulate(model, 0.5, 2e-4, Collocation(2, "radau"), compiled=False)
+    assert run.success
+    truth = simulate(model, 0.5, scheme=DormandPrince853(1e-10), compiled=False)
+    assert abs(run.nodes[-1] - truth.nodes[-1]).max() < 1e-4
