@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ball_travels
 import casadi as ca
 import numpy as np
 import pytest
@@ -141,6 +142,15 @@ def test_a_prism_hops_off_the_ground():
     motion = ocp.run(ocp.Mppi(asked, 0.05, 0.4, samples=64, noise=noise, initial=20.0, steps=25), 0.4, steps=50).trajectory
     assert motion.nodes[:, :, 2].min(axis=1).max() > 0.02  # off the ground
     assert motion.nodes[-1, :, 2].mean() > low.nodes[:, 2].mean() + 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slope", [0.0, 10.0, -10.0])
+def test_a_ball_travels_over_ground_that_is_other_than_believed(slope):
+    row = ball_travels.travel(slope, ball_travels.standing_still(), 4.0)
+    assert row.motion.success
+    assert row.ahead > 1.5
+    assert row.aside < 0.5
 
 
 def test_the_last_decision_goes_on_where_all_motions_diverge():
