@@ -91,7 +91,8 @@ def solve(
     tracked : bool
         Whether the replay that decides on success is under `track`, in closed loop: for motions along which errors grow.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
-        Values of the parameters of the problem's model, see `Problem.fixed`. Default: those that the problem was made with.
+        Values of the parameters of the problem's model, see `Problem.fixed`. Default: those that the problem was made with. They enter as
+        constants; only `Sampling` compiles code, and does so again for other values.
 
     Returns
     -------

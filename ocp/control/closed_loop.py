@@ -134,6 +134,8 @@ def run(
     instance("controller.model", controller.model, Model, "a tenscasadi.Model")
     period = positive_number("controller.period", controller.period)
     plant = controller.model if model is None else model
+    if model is None and parameters is not None and not plant.np:
+        raise ValueError("parameters are given, and the controller's model has none: give the plant, a model of Scene(..., parameters=...)")
     _check_plant(plant, controller.model)
     plant = plant.fixed(parameters)
     n = whole_number("steps", steps, 1, MOST_STEPS)

@@ -53,6 +53,8 @@ def test_plants_with_parameters_are_run():
     heavier = ocp.run(controller, 0.3, model=GIVEN, parameters={"bar_mass": 1.5})
     np.testing.assert_allclose(own.trajectory.states, same.trajectory.states, atol=1e-10)
     assert abs(heavier.trajectory.states - same.trajectory.states).max() > 1e-3
+    with pytest.raises(ValueError, match="the controller's model has none: give the plant"):
+        ocp.run(controller, 0.3, parameters=VALUES)
 
 
 def test_values_are_checked_by_name():
