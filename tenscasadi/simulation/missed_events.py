@@ -1,4 +1,4 @@
-"""Events within fixed steps, and how far they put a run off: a piece of it taken again, in steps half as long."""
+"""Events within fixed steps, or steps that lose energy, and how far they put a run off: a piece of it taken again, in steps half as long."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from tenscasadi.util.validate import Array
 _FEWEST, _SHARE = 200, 60  # steps of the piece, at least, and as a part of the run: it is taken three times
 _LOOKS = 100  # kept rows at which contacts are looked for
 _SPOKEN = 0.01  # of the motion: what the message speaks of
+_LOST = 1e-3  # of the energy that moves: steps that lose more are looked at without events, too
 _ROUNDING = 1e-9  # of the structure's size
 _FINER = 0.25  # of the step, as a cure: errors at events fall about like the step
 
@@ -27,13 +28,15 @@ def describe_missed_events(model: Model, stepper: Stepper, inputs: SampledContro
 
     Steps that do not end where strings go slack or taut and where nodes meet or leave a ground lose their order there. A piece of the run
     from the first such event that shows on is taken again, in its own steps and in halves of these, with the control held: as far as these
-    two come apart, the run is off after as long a time, and errors grow with time. rows (R, nz): z at the kept times.
+    two come apart, the run is off after as long a time, and errors grow with time. Where energy is lost
+    to the steps, with events or without, the piece begins where most is. rows (R, nz): z at the kept times.
     """
     if not isinstance(stepper, LoopStepper):
         return ""
-    row = _first_change(model, run)
-    if row is None:
+    changed, lost = _first_change(model, run), _loses_energy(run)
+    if changed is None and not lost:
         return ""
+    row = int(np.abs(np.diff(run.energy_error)).argmax()) if changed is None or lost else changed
     first = int(np.argmin(np.abs(inputs.times(np.arange(inputs.steps)) - run.time[row])))
     count = min(max(_FEWEST, inputs.steps // _SHARE), inputs.steps - first)
     held, lengths = np.append(run.control[row], run.parameters), inputs.lengths(first, count)
@@ -46,11 +49,20 @@ def describe_missed_events(model: Model, stepper: Stepper, inputs: SampledContro
     off = apart * float((run.time[-1] - run.time[row]) / lengths.sum())
     if not off > max(_SPOKEN * float(np.ptp(run.nodes, axis=0).max()), _ROUNDING * extent(model)):  # NaN: not known
         return ""
+    if changed is None:
+        return f"; its steps, too long for the fastest that moves, put it off by some {off:.1g} m: try step={_FINER * run.step:.2g}"
     events = "strings that go slack or taut" + (" and contacts" if model.scene.grounds else "")
     return (
         f"; {events} within its steps put it off by some {off:.1g} m: "
         f"try DormandPrince853(rtol=1e-6), which ends its steps there, or step={_FINER * run.step:.2g}"
     )
+
+
+def _loses_energy(run: Trajectory) -> bool:
+    """Return whether more energy is off than steps leave that follow the motion."""
+    parts = run.energy_parts
+    moved = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
+    return bool(np.abs(run.energy_error).max() > _LOST * moved)  # NaN: not known
 
 
 def _first_change(model: Model, run: Trajectory) -> int | None:

@@ -15,6 +15,7 @@ from tenscasadi.integrators.sundials import Cvodes
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import Linear
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
@@ -73,3 +74,14 @@ def test_smooth_motions_and_many_kept_steps_need_no_word() -> None:
     for every in (None, 7, 400):
         assert ";" not in simulate(two_masses(), 1.0, 2e-4, save_every=every, compiled=False).message
         assert "put it off" in simulate(two_masses(), 1.0, 0.005, save_every=1 if every is None else min(every, 9), compiled=False).message
+
+
+def test_steps_too_long_for_a_vibration_are_told_without_events() -> None:
+    """At half of the stability limit a string that pushes, too, swings as it should not: damped by the steps, and too slowly."""
+    structure = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=1e3, rest_length=0.9)
+    model = Model(Scene(structure, slack=Linear()))
+    for share, told in ((0.4, True), (0.02, False)):
+        run = simulate(model, 0.5, share * stable_step(model, safety=1.0), compiled=False)
+        assert run.success
+        assert ("its steps, too long for the fastest that moves, put it off by some" in run.message or "energy is off" in run.message) == told
+        assert (off(model, run) > 1e-3) == told
