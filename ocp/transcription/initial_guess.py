@@ -299,7 +299,7 @@ def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Gues
         return guess
     change = np.random.default_rng(seed).uniform(size=guess.force_density.shape[1])
     strength = float(np.abs(guess.force_density).max()) or 1.0
-    noise: Array = share * _bearable(problem.model, guess) * strength * change
+    noise = np.asarray(share * _bearable(problem.model, guess) * strength * change)
     return replace(guess, noise=noise)
 
 
