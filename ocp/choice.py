@@ -19,7 +19,7 @@ from ocp.solvers.base import Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
+from ocp.transcription.initial_guess import Guess, InitialGuess, InverseDynamics, evaluate_guess
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
 from tenscasadi.integrators.runge_kutta import DormandPrince853
@@ -30,6 +30,7 @@ FOR_A_RADIAN = 3.0  # intervals for each radian of the fastest vibration
 FOR_BARS = 6.0  # intervals times √bars: forces add up along rows of bars, so γ grows beyond the guess as bars do, vibrations as its root
 EXACT = 0.3  # of the tolerance: how near motions come to those of fine steps,
 MISSED = 1e-4  # and of the structure's size, at most: plans that end further from their goals than thrice this count as missing them
+NOISES = 2.0, 1.0  # of guesses from which the condensed method tries again, of their force densities
 NEAR = 0.02  # of the structure's size: nodes that come nearer to a ground along the guess may touch it
 CONDENSED_BARS, LIMITED_BARS = 5, 9  # from here on the condensed method is the faster one: without and with limits along the way
 
@@ -37,16 +38,21 @@ Method = Solver | CondensedNewton | Sampling
 
 
 class Choice(NamedTuple):
-    """A transcription and a solver. finer: whether it is for plans that were found, whose replay misses; guess: on its intervals, if known."""
+    """A transcription and a solver.
+
+    finer: whether it is for plans that were found, whose replay misses; guess: on its intervals, if known; noise: of that guess, 0 for the usual.
+    """
 
     transcription: Transcription
     solver: Method
     finer: bool = False
     guess: Guess | None = None
+    noise: float = 0.0
 
     def describe(self) -> str:
         """Return such as "Variational of 30 intervals by Ipopt"."""
-        return f"{type(self.transcription).__name__} of {self.transcription.count} intervals by {type(self.solver).__name__}"
+        from_noise = f" from a guess with noise {self.noise:g}" if self.noise else ""
+        return f"{type(self.transcription).__name__} of {self.transcription.count} intervals by {type(self.solver).__name__}{from_noise}"
 
 
 def choose(problem: Problem, target: Target, guess: InitialGuess | None, tolerance: float) -> Iterator[Choice]:
@@ -70,15 +76,25 @@ def choose(problem: Problem, target: Target, guess: InitialGuess | None, toleran
     if condensed and first_condensed:
         yield Choice(corrected, CondensedNewton(), guess=known)
         yield Choice(finer, CondensedNewton())
+        yield from _noisy(problem, target, guess, corrected)
     if not corrected.refusal(model):
         yield Choice(corrected, ipopt, guess=known)
         yield Choice(finer, ipopt, finer=True)
     if condensed and not first_condensed:
         yield Choice(corrected, CondensedNewton(), guess=known)
+        yield from _noisy(problem, target, guess, corrected)
     yield Choice(MultipleShooting(count), ipopt, guess=known)
     yield Choice(MultipleShooting(count, scheme=DormandPrince853(), substeps=2), ipopt, finer=True)
     if sampled and not near:
         yield Choice(matching(Sampling(), problem), Sampling())
+
+
+def _noisy(problem: Problem, target: Target, guess: InitialGuess | None, transcription: Transcription) -> Iterator[Choice]:
+    """Yield starts far from the usual guess, along which solvers may come to rest without a force, and far from goals."""
+    if guess is None:
+        for noise in NOISES:
+            own = evaluate_guess(InverseDynamics(noise=noise, seed=1), problem, target, transcription.count)
+            yield Choice(transcription, CondensedNewton(), guess=own, noise=noise)
 
 
 def matching(solver: Method | None, problem: Problem) -> Transcription:

@@ -115,8 +115,9 @@ def solve(
     Where neither transcription nor solver is given, both are chosen, and the number of intervals: three for each radian of the fastest vibration,
     30 at least. Where nodes may touch a ground, `Sampling`; else `Variational`, corrected to a third of the tolerance, from five bars on (nine
     where more than force densities is limited) with `CondensedNewton`, where it takes the costs, or with `Ipopt`; in full coordinates and on
-    moved supports `MultipleShooting`. Where the first fails, or its replay misses, the next one follows, from its plan. The message says which
-    were tried.
+    moved supports `MultipleShooting`. Where the first fails, or its replay misses, the next one follows, from its plan; the condensed method also
+    from guesses with much noise. Where its costs are not settled, `Ipopt` goes on for a while, and the better plan is kept. The message says
+    which were tried.
 
     Examples
     --------
@@ -190,7 +191,7 @@ def _by_choice(asked: _Asked) -> Plan:
     for choice in choose(problem, target, asked.guess, asked.limit):
         best = max(tried.values(), key=_worth, default=None)
         optimal = best is not None and best.duals is not None
-        if best is not None and (asked.late() or (choice.finer and not optimal)):
+        if best is not None and (asked.late() or (choice.finer and not optimal) or (choice.noise and optimal)):
             continue
         way, own = (choice._replace(guess=None), asked._replace(guess=best)) if optimal else (choice, asked)
         plan = tried[choice.describe()] = _by_method(own, way, target, scales)
@@ -252,7 +253,7 @@ def _motion_of(plan: Plan) -> StateAt:
 
 def _at_once(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Plan:
     """Return the plan that ends at a target, or near it."""
-    problem, guess, (transcription, solver, _, first) = asked.problem, asked.guess, way
+    problem, guess, transcription, solver, first = asked.problem, asked.guess, way.transcription, way.solver, way.guess
     if isinstance(solver, Sampling):
         known = None if guess is None else evaluate_guess(guess, problem, target, transcription.count).disturbed(problem)
         outcome = solve_sampled(problem, transcription, known, solver, asked.deadline, asked.limit)

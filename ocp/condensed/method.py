@@ -169,7 +169,7 @@ def _outcome(
         gap=gap,
         why=why,
         imposed=imposed.describe() + NOT_QUITE.get(found.status, ""),
-        coarse=coarse,
+        coarse=coarse or (found.status in SOLVED and MET < point.worst < np.inf and not reduced.paths.count),
     )
 
 

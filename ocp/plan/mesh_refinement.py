@@ -94,7 +94,7 @@ def _refine(
     why = f"in {attempts} attempts: give more, or substeps"
     for _ in range(attempts):
         error = plan.worst_error
-        if plan.duals is None or error <= tolerance:
+        if error <= tolerance or (plan.duals is None and not plan.success):
             return plan, ""
         if corrected is not None and np.isfinite(error) and error > FAR * tolerance:
             plan, corrected = _better(plan, corrected(plan)), None
@@ -108,7 +108,7 @@ def _refine(
                 plan = _better(plan, corrected(plan))
             break
         plan = finest
-    return plan, "" if plan.duals is None or plan.worst_error <= tolerance else why
+    return plan, "" if plan.worst_error <= tolerance or (plan.duals is None and not plan.success) else why
 
 
 def refined(plan: Any, tolerance: float, attempts: int, solve: Callable[..., Any]) -> Any:

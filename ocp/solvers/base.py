@@ -31,7 +31,7 @@ class Outcome(NamedTuple):
     states (K + 1, nx), force_density (K or K + 1, α) and duration, s; objective: sum of the costs; success, status, iterations: the method's own
     word; duals: multipliers, None where no optimum was found; gap: m, how far states are from those of fine steps where an accuracy was asked
     for; why: what is to be said of a failure, "" after success; imposed: the rows that were, in words; time (K + 1,): the nodes of the mesh, s,
-    None where they are those of the transcription; coarse: whether it is a failure only as its gap is larger than was asked.
+    None where they are those of the transcription; coarse: whether it is a failure only as its motion is less exact than was asked.
     """
 
     states: Array

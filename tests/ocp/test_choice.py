@@ -147,6 +147,21 @@ def test_limits_along_the_way_are_left_to_the_condensed_method_from_nine_bars_on
     assert isinstance(next(choose(problem, target, None, 1e-3)).solver, solver)
 
 
+def test_guesses_with_noise_are_tried_where_others_lead_nowhere(monkeypatch):
+    of_package, solved, calls = sys.modules["ocp.solve"], solve_condensed, []
+    failing = {"success": False, "duals": None, "why": "no plan"}
+    ipopt = of_package.solve_program
+    monkeypatch.setattr(of_package, "solve_program", lambda *given: ipopt(*given)._replace(**failing))
+    monkeypatch.setattr(
+        of_package, "solve_condensed", lambda *given: calls.append(0) or solved(*given)._replace(**failing if len(calls) == 1 else {})
+    )
+    plan = ocp.solve(raising())
+    assert plan.success, plan.message
+    assert "chosen: Variational of 30 intervals by CondensedNewton from a guess with noise 2, after " in plan.message
+    monkeypatch.undo()
+    assert plan.objective == pytest.approx(ocp.solve(raising()).objective, rel=2e-3)
+
+
 def test_what_the_time_ends_is_not_tried_otherwise(monkeypatch):
     """The condensed method leaves some of the time for corrections: too little for another method."""
     of_package = sys.modules["ocp.solve"]
