@@ -81,7 +81,7 @@ def solve_program(
     task = _Task(problem, transcription, target, scales, _reach(problem, transcription), solver)
     disturbed = guess.disturbed(problem)  # what strings do not move along a symmetric guess they may move along others
     imposed = controlled(target, task.reach, disturbed.force_density, guess.duration)
-    guess = guess if isinstance(solver, Ipopt) else disturbed
+    guess = guess if isinstance(solver, Ipopt) and not problem.free_start else disturbed
     found = _attempt(task, imposed, guess, deadline, duals)
     if count_rows(imposed) < count_rows(target) and not (found.solution.success and _met(task, found)) and not _late(deadline):
         # Rows that no string moved along the guess are missed: along a less regular motion they may be within reach.

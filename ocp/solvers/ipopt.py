@@ -73,8 +73,9 @@ class Ipopt:
     However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch a ground its derivatives mislead, and it
     hardly finds a motion, whatever the guess: see `Sampling` and `Phase`. MUMPS runs without its own scaling, which triples its
     speed on these problems, and orders pivots by AMD, or from 800 intervals on by METIS. Where constraints are far from met, their second
-    derivatives are left out. Where curvature is negative several times in a row, the guess's noise is added to the iterate, and the solver begins
-    there once more; the iterations of both count.
+    derivatives are left out, if the guess is even, the start given and all force densities limited. Where curvature is
+    negative several times in a row, the guess's noise is added to the iterate, and the solver begins there once more; the iterations of both
+    count.
 
     Parameters
     ----------
@@ -210,7 +211,7 @@ class Ipopt:
         options: dict[str, Any] = {
             "grad_f": exact["nlp_grad_f"],
             "jac_g": exact["nlp_jac_g"],
-            "hess_lag": exact["nlp_hess_l"] if self.warm else near_rows(program, exact["nlp_hess_l"]),
+            "hess_lag": near_rows(program, exact["nlp_hess_l"]) if not self.warm and _limited(program) else exact["nlp_hess_l"],
             "no_nlp_grad": True,  # it serves parameters, of which there are none
             "ipopt": ipopt,
             "print_time": False,
@@ -311,6 +312,14 @@ def _bent(solver: ca.Function) -> bool:
     """Tell whether IPOPT has had to make the Hessian positive in its last iterations."""
     added = solver.stats()["iterations"]["regularization_size"][-BENT:]
     return len(added) == BENT and min(added) > 0.0
+
+
+def _limited(program: Program) -> bool:
+    """Tell whether it begins even, the start is given and every control has two limits: then steps stay near without the curvature of rows."""
+    controls = program.controls
+    if program.noise is None or controls is None or program.known[0].any():
+        return False
+    return bool(np.all(np.isfinite([program.w_lower[controls], program.w_upper[controls]])))
 
 
 def near_rows(program: Program, hessian: ca.Function) -> ca.Function:

@@ -67,7 +67,7 @@ def least_wider(program: Program, solver: Ipopt, deadline: float | None) -> Wide
 
 def from_wider(program: Program, wider: Wider, solver: Ipopt, deadline: float | None) -> Solution:
     """Return a rough solution of the program, from the motion that needs limits of rates widened least."""
-    return _roughly(solver).solve(replace(program, first=wider.w, multipliers=None), deadline)
+    return _roughly(solver).solve(replace(program, first=wider.w, multipliers=None, noise=None), deadline)
 
 
 def _roughly(solver: Ipopt) -> Ipopt:
@@ -114,7 +114,9 @@ def widened(program: Program) -> Program:
         scale=scale,
         objective=1.0,
         unpack=ca.Function("unpack", [separable.w], list(program.unpack(separable.w[:n]))),
+        controls=None,
         multipliers=None,
+        noise=None,
     )
 
 

@@ -67,7 +67,7 @@ class InverseDynamics:
         Most that is added to the force density of a string, relative to the strongest of all: a share of it that is drawn for each string. A
         guess that is as symmetric as its structure is often next to a saddle, which a solver takes several times as many iterations to leave.
         It is less where the motion lasts more than 16 rad of the fastest vibration, along which errors would grow. 0 for none; rest lengths
-        get none. Default: 0.3, which `Ipopt` adds only where it meets a saddle.
+        get none. Default: 0.3, which `Ipopt` adds only where it meets a saddle, or where the start is free.
     seed : int
         Seed of the draw. Noise of other seeds than 0 is always added.
 
