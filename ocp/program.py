@@ -23,7 +23,7 @@ from ocp.problem.scaling import Scales, control_scale
 from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.deferred_correction import TOO_COARSE, Corrected, check_correctable, solve_corrected
 from ocp.solvers.fatrop import Fatrop
-from ocp.solvers.ipopt import TIME_UP, Ipopt
+from ocp.solvers.ipopt import STOPPED, TIME_UP, Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
 from ocp.solvers.wider_rates import TOO_SLOW, Patience, from_wider
 from ocp.transcription.base import Transcription
@@ -183,12 +183,13 @@ def _within_rates(task: _Task, program: Program, solver: Ipopt, deadline: float 
     """Solve a program with limits of rates. Where the solver hardly gets within them, find by how much they have to be wider, or start there."""
     patience = Patience(program, solver, deadline)
     found = _solved(task, program, replace(solver, watch=patience), deadline)
-    if patience.wider is None or found.solution.success or found.solution.status == TIME_UP:
+    if found.solution.success or found.solution.status == TIME_UP or patience.wider is None and found.solution.status == STOPPED:
         return found
-    iterations = found.solution.iterations + patience.wider.iterations
+    wider = patience.wider or patience.ask()
+    iterations = found.solution.iterations + wider.iterations
     if patience.too_slow:
-        return Corrected(Solution(patience.wider.w, False, TOO_SLOW, iterations), None, 0.0)
-    solution = from_wider(program, patience.wider, solver, deadline)
+        return Corrected(Solution(wider.w, False, TOO_SLOW, iterations), None, 0.0)
+    solution = from_wider(program, wider, solver, deadline)
     iterations += solution.iterations
     if not solution.success:
         return Corrected(solution._replace(iterations=iterations), None, 0.0)

@@ -37,6 +37,7 @@ GIVEN_UP = 1e4  # the same where no step is accepted
 SLOW = 20, 0.02  # iterations and relative change of costs: they fall so slowly that it leads nowhere
 LONG, UNSETTLED = (100, 36), 0.25  # after so many iterations, with high barriers, so little a change in SLOW[0] of them is not worth their time
 LARGE = 10_000  # unknowns, from which on the second number of iterations counts
+LEAST_GIVE = 1e-300  # of rows whose barrier is infinite: 0 is for rows that are met
 HOPELESS = 40, 0.8  # iterations, and what they leave at least of what is unmet where limits along the way leave no way
 SLUGGISH = 8, 0.03  # iterations and relative change of costs: barriers that are in the way are lowered before their optimum
 NEARLY_SETTLED, NEARLY_WITHIN = 1e-2, 5  # the same where no step is found any more
@@ -175,7 +176,8 @@ class Search:
         found = expansion.of_paths(np.hstack([pulls.T, every.toarray()]))
         self.path_slope, self.path_pull, self.path_force = found[:3] * self.limits.free
         self.rows = np.vstack([expansion.jacobian, found[3:]])
-        self.give = np.append(np.zeros(len(self.multipliers)), 1 / self.path_stiffness[self.chosen[len(self.working.met) :]])
+        give = 1 / self.path_stiffness[self.chosen[len(self.working.met) :]]
+        self.give = np.append(np.zeros(len(self.multipliers)), np.maximum(give, LEAST_GIVE))
 
     def split(self) -> tuple[Array, Array]:
         """Return multipliers of goals, and of limits along the way."""

@@ -52,7 +52,8 @@ class Model:
         if self.exact:
             curved = self._curved(normal, expansion.follow(normal, left.rows))
         else:
-            curved = projector.times(normal) + projector.soft.T @ (projector.resisting * drifted)
+            soft = drifted[len(drifted) - len(projector.soft) :]  # rows that are met come first
+            curved = projector.times(normal) + projector.soft.T @ (projector.resisting * soft)
         tangential, change, hit, bent, products = self._descend(self.gradient + curved, radius)
         d, curved = normal + tangential, curved + change
         return Step(

@@ -29,7 +29,6 @@ FIRST_BARRIER_KNOWN = 1e-9  # the same where multipliers are known; where they a
 AMD, METIS = 0, 5  # of MUMPS; what it chooses fills factors where collocation or a free duration couples much: 10 to 80 times slower
 MANY_INTERVALS = 800  # from which AMD may take a hundred times as long as METIS, which on others takes up to twice as long
 
-FAR = 0.1  # of order-one rows: where they are missed by more, multipliers lead astray
 BENT = 3  # iterations in a row without positive curvature: a saddle
 SADDLE = "Saddle"
 STOPPED = "User_Requested_Stop"
@@ -72,8 +71,7 @@ class Ipopt:
 
     However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch a ground its derivatives mislead, and it
     hardly finds a motion, whatever the guess: see `Sampling` and `Phase`. MUMPS runs without its own scaling, which triples its
-    speed on these problems, and orders pivots by AMD, or from 800 intervals on by METIS. Where constraints are far from met, their second
-    derivatives are left out, if the guess is even, the start given and all force densities limited. Where curvature is
+    speed on these problems, and orders pivots by AMD, or from 800 intervals on by METIS. Where curvature is
     negative several times in a row, the guess's noise is added to the iterate, and the solver begins there once more; the iterations of both
     count.
 
@@ -211,7 +209,7 @@ class Ipopt:
         options: dict[str, Any] = {
             "grad_f": exact["nlp_grad_f"],
             "jac_g": exact["nlp_jac_g"],
-            "hess_lag": near_rows(program, exact["nlp_hess_l"]) if not self.warm and _limited(program) else exact["nlp_hess_l"],
+            "hess_lag": exact["nlp_hess_l"],
             "no_nlp_grad": True,  # it serves parameters, of which there are none
             "ipopt": ipopt,
             "print_time": False,
@@ -312,26 +310,6 @@ def _bent(solver: ca.Function) -> bool:
     """Tell whether IPOPT has had to make the Hessian positive in its last iterations."""
     added = solver.stats()["iterations"]["regularization_size"][-BENT:]
     return len(added) == BENT and min(added) > 0.0
-
-
-def _limited(program: Program) -> bool:
-    """Tell whether it begins even, the start is given and every control has two limits: then steps stay near without the curvature of rows."""
-    controls = program.controls
-    if program.noise is None or controls is None or program.known[0].any():
-        return False
-    return bool(np.all(np.isfinite([program.w_lower[controls], program.w_upper[controls]])))
-
-
-def near_rows(program: Program, hessian: ca.Function) -> ca.Function:
-    """Return the Hessian of the Lagrangian without the rows where some are far from met."""
-    w, p, lam_f, lam_g = (ca.MX.sym(hessian.name_in(k), hessian.sparsity_in(k)) for k in range(4))
-    rows = ca.Function("rows", [program.problem["x"]], [program.problem["g"]])(w)
-    missed = ca.mmax(ca.fmax(rows - program.upper, program.lower - rows)) if program.lower.size else 0.0
-    value = hessian(w, p, lam_f, ca.if_else(missed <= FAR, lam_g, 0.0))
-    near: Any = ca.Function(hessian.name(), [w, p, lam_f, lam_g], [value], hessian.name_in(), hessian.name_out())
-    near.called = hessian  # with what it calls back in Python, which CasADi does not keep
-    result: ca.Function = near
-    return result
 
 
 def _run(solver: ca.Function, best: BestIterate, program: Program, deadline: float | None = None, leaves_saddles: bool = False) -> Solution:

@@ -52,17 +52,29 @@ class Patience:
             return False
         self._seen.append(now.infeasibility)
         if self.wider is None and now.iteration >= SOON and now.infeasibility > max(SMALL, 0.5 * self._seen[0]):
-            self.wider = least_wider(self._program, self._solver, self._deadline)
-            self.too_slow = self.wider.least and self.wider.share > ENOUGH
+            self.ask()
         return not self.too_slow
+
+    def ask(self) -> Wider:
+        """Find by how much limits of rates have to be wider."""
+        self.wider = least_wider(self._program, self._solver, self._deadline)
+        self.too_slow = self.wider.least and self.wider.share > ENOUGH
+        return self.wider
 
 
 def least_wider(program: Program, solver: Ipopt, deadline: float | None) -> Wider:
     """Return the motion that needs limits of rates widened least, whatever it costs. deadline: of `time.perf_counter`, s; None: no limit."""
     own = _roughly(replace(solver, max_iterations=min(MOST, solver.max_iterations), watch=None, options={**STRIDES, **solver.options}))
-    found = own.solve(widened(program), deadline)
+    found = own.solve(widened(_uneven(program)), deadline)
     w = found.w[:-1]
     return Wider(w, widening(program, w), found.iterations, found.success)
+
+
+def _uneven(program: Program) -> Program:
+    """Return the program with its noise in where it begins: saddles take more iterations here than anywhere."""
+    if program.noise is None:
+        return program
+    return replace(program, first=np.clip(program.first + program.noise, program.w_lower, program.w_upper), noise=None)
 
 
 def from_wider(program: Program, wider: Wider, solver: Ipopt, deadline: float | None) -> Solution:

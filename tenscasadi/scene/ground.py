@@ -216,10 +216,13 @@ class Ground(Surface):
 
     def __post_init__(self) -> None:
         normal = finite_array("Ground.normal", self.normal, (3,))
-        size = float(np.linalg.norm(normal))
-        if size == 0:
+        if not normal.any():
             raise ValueError("Ground.normal is (0, 0, 0): give the direction away from the ground, such as (0, 0, 1)")
-        unit = tuple(float(v) for v in (normal if abs(size - 1) < 1e-15 else normal / size))  # once normalised it stays as it is
+        size = float(np.linalg.norm(normal))
+        if abs(size - 1) >= 1e-15:  # once normalised it stays as it is
+            normal = normal / np.abs(normal).max()  # whose square neither vanishes nor overflows
+            normal = normal / np.linalg.norm(normal)
+        unit = tuple(float(v) for v in normal)
         self._checked(height=number("Ground.height", self.height), normal=unit)
 
     def contact(self, N: Any) -> Contact:

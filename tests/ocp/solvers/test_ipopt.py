@@ -5,13 +5,11 @@ from __future__ import annotations
 import signal
 import sys
 
-import casadi as ca
 import numpy as np
 import pytest
-from planning import prism, program, raising
+from planning import prism, raising
 
 import ocp
-from ocp.solvers.ipopt import FAR, near_rows
 
 
 def test_progress_is_told_and_a_stop_keeps_the_best():
@@ -50,18 +48,6 @@ def test_noise_is_added_where_a_saddle_is_met_and_nowhere_else():
     at_once, noisy = begins(back, ocp.InverseDynamics(noise=0.3))
     assert (once, at_once) == (2, 1)
     assert plan.objective == pytest.approx(noisy.objective, rel=0.01)
-
-
-def test_far_from_rows_their_curvature_is_left_out():
-    asked = program(raising(), ocp.Variational(8))
-    hessian = asked.derivatives()["nlp_hess_l"]
-    near = near_rows(asked, hessian)
-    rows = ca.Function("rows", [asked.problem["x"]], [asked.problem["g"]])
-    weights = np.random.default_rng(0).uniform(size=len(asked.lower))
-    met = ocp.Ipopt().solve(asked).w
-    for w, share in ((met, 1.0), (met + 1.0, 0.0)):
-        assert (np.abs(rows(w).full()).max() <= FAR) == bool(share)
-        assert np.array_equal(near(w, [], 1.0, weights).full(), hessian(w, [], 1.0, share * weights).full())
 
 
 def test_an_interruption_keeps_the_best():

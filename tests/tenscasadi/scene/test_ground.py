@@ -61,6 +61,13 @@ def test_friction_opposes_slip_and_is_bounded_by_coulomb() -> None:
     assert creeping[0] == pytest.approx(-5 * 1e-2, rel=1e-3)
 
 
+@pytest.mark.parametrize("size", [1e-320, 3e-162, 1.0, 1e12])
+def test_normals_of_any_length_are_made_one_long(size: float) -> None:
+    ground = Ground(normal=(0.0, 0.0, size))
+    assert ground.normal == (0.0, 0.0, 1.0)
+    assert Ground(normal=ground.normal).normal == ground.normal
+
+
 def test_a_tilted_ground_pushes_along_its_normal() -> None:
     ground = Ground(stiffness=10.0, normal=(3, 0, 4))
     W = ground.forces(ca.DM([-3, 0, -4]), ca.DM.zeros(3)).full().ravel()

@@ -98,8 +98,6 @@ def test_what_reduced_coordinates_with_rollers_cannot_do_says_the_cure() -> None
     structure = built({2: (1, 0, 1)})
     with pytest.raises(ValueError, match=r'Scene\.parameters makes masses open, .* give Model\(coordinates="full"\)'):
         tc.Model(tc.Scene(structure, parameters=tc.Parameters("node_mass")))
-    with pytest.raises(ValueError, match=r'model has rollers .* give a Model\(scene, coordinates="full"\)'):
-        tc.rollouts(tc.Model(tc.Scene(structure)), 0.1, 0.01)
     opened = tc.Model(tc.Scene(structure, gravity=tc.Gravity(), parameters=tc.Parameters("node_mass")), "full")
     fixed = tc.Model(tc.Scene(structure.replace(node_mass=1.5), gravity=tc.Gravity()), "full")
     assert opened.ode(opened.initial_state, [], [1.5]).full() == pytest.approx(fixed.ode(fixed.initial_state, []).full(), abs=1e-12)
