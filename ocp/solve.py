@@ -190,7 +190,7 @@ def _by_choice(asked: _Asked) -> Plan:
     tried: dict[str, Plan] = {}
     for choice in choose(problem, target, asked.guess, asked.limit):
         best = max(tried.values(), key=_worth, default=None)
-        optimal = best is not None and best.duals is not None
+        optimal = best is not None and best.duals is not None and best.status != NOT_SETTLED
         if best is not None and (asked.late() or (choice.finer and not optimal) or (choice.noise and optimal)):
             continue
         way, own = (choice._replace(guess=None), asked._replace(guess=best)) if optimal else (choice, asked)
