@@ -72,8 +72,7 @@ class Ipopt:
     However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch a ground its derivatives mislead, and it
     hardly finds a motion, whatever the guess: see `Sampling` and `Phase`. MUMPS runs without its own scaling, which triples its
     speed on these problems, and orders pivots by AMD, or from 800 intervals on by METIS. Where curvature is
-    negative several times in a row, the guess's noise is added to the iterate, and the solver begins there once more; the iterations of both
-    count.
+    negative several times in a row, the solver begins once more, from the guess with its noise; the iterations of both count.
 
     Parameters
     ----------
@@ -158,9 +157,9 @@ class Ipopt:
         if program.noise is None or program.multipliers is not None or self.warm:
             return run(program, deadline)
         even = run(program, deadline, leaves_saddles=True)
-        if even.status != SADDLE or even.last is None:
+        if even.status != SADDLE:
             return even
-        uneven = np.clip(even.last + program.noise, program.w_lower, program.w_upper)
+        uneven = np.clip(program.first + program.noise, program.w_lower, program.w_upper)
         solution = run(replace(program, first=uneven), deadline)
         return solution._replace(iterations=even.iterations + solution.iterations)
 
@@ -319,13 +318,13 @@ def _run(solver: ca.Function, best: BestIterate, program: Program, deadline: flo
     if best.error is not None:
         raise best.error
     stats = solver.stats()
-    w = last = np.asarray(result["x"].full()).ravel()
+    w = np.asarray(result["x"].full()).ravel()
     success = bool(stats["success"])
     if not success and best.w is not None and (best.status or "Exceeded" in str(stats["return_status"])):
         w = best.w
     multipliers = result["lam_g"].full().ravel(), result["lam_x"].full().ravel()
     status = best.status or str(stats["return_status"])
-    return Solution(w, success, status, int(stats["iter_count"]), multipliers, last)
+    return Solution(w, success, status, int(stats["iter_count"]), multipliers)
 
 
 def _check_library(options: Mapping[str, Any]) -> None:
