@@ -183,7 +183,7 @@ def _within_rates(task: _Task, program: Program, solver: Ipopt, deadline: float 
     """Solve a program with limits of rates. Where the solver hardly gets within them, find by how much they have to be wider, or start there."""
     patience = Patience(program, solver, deadline)
     found = _solved(task, program, replace(solver, watch=patience), deadline)
-    if found.solution.success or found.solution.status == TIME_UP or patience.wider is None and found.solution.status == STOPPED:
+    if found.solution.success or found.solution.status == TIME_UP or (patience.wider is None and found.solution.status == STOPPED):
         return found
     wider = patience.wider or patience.ask()
     iterations = found.solution.iterations + wider.iterations
