@@ -13,7 +13,8 @@ from tenscasadi.util.validate import Array, positive_number, shown, whole_number
 class Solution(NamedTuple):
     """Result of a solver.
 
-    w, and whether it is optimal; status: the solver's own word; iterations; multipliers: those of rows and of w's limits.
+    w, and whether it is optimal; status: the solver's own word; iterations; multipliers: those of rows and of w's limits; last: where the
+    solver stood when it gave up, which is not always its best.
     """
 
     w: Array
@@ -21,6 +22,7 @@ class Solution(NamedTuple):
     status: str
     iterations: int
     multipliers: tuple[Array, Array] | None = None
+    last: Array | None = None
 
 
 class Outcome(NamedTuple):

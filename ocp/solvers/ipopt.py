@@ -318,13 +318,13 @@ def _run(solver: ca.Function, best: BestIterate, program: Program, deadline: flo
     if best.error is not None:
         raise best.error
     stats = solver.stats()
-    w = np.asarray(result["x"].full()).ravel()
+    w = last = np.asarray(result["x"].full()).ravel()
     success = bool(stats["success"])
     if not success and best.w is not None and (best.status or "Exceeded" in str(stats["return_status"])):
         w = best.w
     multipliers = result["lam_g"].full().ravel(), result["lam_x"].full().ravel()
     status = best.status or str(stats["return_status"])
-    return Solution(w, success, status, int(stats["iter_count"]), multipliers)
+    return Solution(w, success, status, int(stats["iter_count"]), multipliers, last)
 
 
 def _check_library(options: Mapping[str, Any]) -> None:
