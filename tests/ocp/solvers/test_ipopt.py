@@ -35,7 +35,8 @@ def begins(problem, guess=None):
     seen = []
     plan = ocp.solve(problem, ocp.Variational(20), ocp.Ipopt(watch=lambda now: seen.append(now.iteration)), guess=guess)
     assert plan.success, plan.message
-    assert plan.iterations == len(seen) - seen.count(0)
+    last = seen[::-1].index(0)  # iterations of the last run
+    assert plan.iterations == last if seen.count(0) == 1 else plan.iterations > last  # those of all runs count
     return seen.count(0), plan
 
 
