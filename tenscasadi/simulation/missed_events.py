@@ -29,7 +29,7 @@ def describe_missed_events(model: Model, stepper: Stepper, inputs: SampledContro
     Steps that do not end where strings go slack or taut and where nodes meet or leave a ground lose their order there. A piece of the run
     from the first such event that shows on is taken again, in its own steps and in halves of these, with the control held: as far as these
     two come apart, the run is off after as long a time, and errors grow with time. Where energy is lost
-    to the steps, with events or without, the piece begins where most is. rows (R, nz): z at the kept times.
+    to the steps, with events or without, the piece begins where most is; near the end of a run, a piece before it. rows (R, nz): z at the kept times.
     """
     if not isinstance(stepper, LoopStepper):
         return ""
@@ -37,8 +37,11 @@ def describe_missed_events(model: Model, stepper: Stepper, inputs: SampledContro
     if changed is None and not lost:
         return ""
     row = int(np.abs(np.diff(run.energy_error)).argmax()) if changed is None or lost else changed
-    first = int(np.argmin(np.abs(inputs.times(np.arange(inputs.steps)) - run.time[row])))
-    count = min(max(_FEWEST, inputs.steps // _SHARE), inputs.steps - first)
+    count = min(max(_FEWEST, inputs.steps // _SHARE), inputs.steps)
+    starts = inputs.times(np.arange(inputs.steps))
+    latest = int(np.searchsorted(run.time, starts[inputs.steps - count], "right")) - 1  # that a whole piece is left
+    row = max(0, min(row, latest))
+    first = int(np.argmin(np.abs(starts - run.time[row])))
     held, lengths = np.append(run.control[row], run.parameters), inputs.lengths(first, count)
     try:
         whole = _march(stepper, rows[row], held, lengths)
