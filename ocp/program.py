@@ -23,7 +23,7 @@ from ocp.problem.scaling import Scales, control_scale
 from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.deferred_correction import TOO_COARSE, Corrected, check_correctable, solve_corrected
 from ocp.solvers.fatrop import Fatrop
-from ocp.solvers.ipopt import STOPPED, TIME_UP, Ipopt
+from ocp.solvers.ipopt import NOWHERE, TIME_UP, Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
 from ocp.solvers.wider_rates import TOO_SLOW, Patience, from_wider
 from ocp.transcription.base import Transcription
@@ -183,7 +183,7 @@ def _within_rates(task: _Task, program: Program, solver: Ipopt, deadline: float 
     """Solve a program with limits of rates. Where the solver hardly gets within them, find by how much they have to be wider, or start there."""
     patience = Patience(program, solver, deadline)
     found = _solved(task, program, replace(solver, watch=patience), deadline)
-    if found.solution.success or found.solution.status == TIME_UP or (patience.wider is None and found.solution.status == STOPPED):
+    if found.solution.success or (patience.wider is None and found.solution.status not in NOWHERE) or found.solution.status == TIME_UP:
         return found
     wider = patience.wider or patience.ask()
     iterations = found.solution.iterations + wider.iterations

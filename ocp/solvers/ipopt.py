@@ -6,7 +6,7 @@ import ctypes
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -32,6 +32,7 @@ MANY_INTERVALS = 800  # from which AMD may take a hundred times as long as METIS
 BENT = 3  # iterations in a row without positive curvature: a saddle
 SADDLE = "Saddle"
 STOPPED = "User_Requested_Stop"
+NOWHERE = "Infeasible_Problem_Detected", "Restoration_Failed"  # it got no nearer to the constraints
 TIME_UP = "Time_Limit_Reached"  # that of the whole search, which includes what comes before the solver
 SMALL_VIOLATION = 1e-6  # violation, scaled, below which iterates are judged by their objective
 
@@ -159,8 +160,7 @@ class Ipopt:
         even = run(program, deadline, leaves_saddles=True)
         if even.status != SADDLE:
             return even
-        uneven = np.clip(program.first + program.noise, program.w_lower, program.w_upper)
-        solution = run(replace(program, first=uneven), deadline)
+        solution = run(program.disturbed(), deadline)
         return solution._replace(iterations=even.iterations + solution.iterations)
 
     def prepared(self, program: Program) -> Callable[..., Solution]:

@@ -65,16 +65,9 @@ class Patience:
 def least_wider(program: Program, solver: Ipopt, deadline: float | None) -> Wider:
     """Return the motion that needs limits of rates widened least, whatever it costs. deadline: of `time.perf_counter`, s; None: no limit."""
     own = _roughly(replace(solver, max_iterations=min(MOST, solver.max_iterations), watch=None, options={**STRIDES, **solver.options}))
-    found = own.solve(widened(_uneven(program)), deadline)
+    found = own.solve(widened(program.disturbed()), deadline)  # saddles take more iterations here than anywhere
     w = found.w[:-1]
     return Wider(w, widening(program, w), found.iterations, found.success)
-
-
-def _uneven(program: Program) -> Program:
-    """Return the program with its noise in where it begins: saddles take more iterations here than anywhere."""
-    if program.noise is None:
-        return program
-    return replace(program, first=np.clip(program.first + program.noise, program.w_lower, program.w_upper), noise=None)
 
 
 def from_wider(program: Program, wider: Wider, solver: Ipopt, deadline: float | None) -> Solution:

@@ -187,7 +187,7 @@ class Program:
     w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration.
     states: entries of x (intervals + 1, nx). controls: None, or entries (intervals, m) of what is held in each interval, none held over several,
     which `together` (α, m) makes force densities of. contact: whether nodes may meet a ground. multipliers: those of g and of w's limits to start
-    from, where they are known. noise: None, or what is to be added to w where a solver meets a saddle.
+    from, where they are known. noise: None, or what is to be added to `first` where that leads to a saddle.
     """
 
     parts: Separable
@@ -205,6 +205,12 @@ class Program:
     contact: bool = False
     multipliers: tuple[Array, Array] | None = None
     noise: Array | None = None
+
+    def disturbed(self) -> Program:
+        """Return the program that begins with its noise, within the limits."""
+        if self.noise is None:
+            return self
+        return replace(self, first=np.clip(self.first + self.noise, self.w_lower, self.w_upper), noise=None)
 
     @property
     def problem(self) -> dict[str, Any]:
