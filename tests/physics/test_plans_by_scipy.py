@@ -64,8 +64,11 @@ def test_replay_error_is_that_of_scipy(case: Case) -> None:
     nodes, velocities = end_by_scipy(plan)
     replayed = plan.replay()
     grown = 1e-12 * plan.error_growth  # what both integrators leave
+    apart = np.linalg.norm(replayed.nodes[-1] - nodes, axis=1).max()
+    apart_speed = abs(replayed.velocities[-1] - velocities).max()
     assert abs(replayed.nodes[-1] - nodes).max() < 1e-2 * plan.replay_error + 1e-7 + grown
-    assert abs(replayed.velocities[-1] - velocities).max() < 1e-2 * plan.replay_speed_error + 1e-6 + grown
-    places, speeds = missed(problem, nodes, velocities)  # of the goals as they are asked: errors of the replay hold what follows from them, too
-    assert max(places) < 1.01 * plan.replay_error + 1e-7 + grown
-    assert max(speeds) < 1.01 * plan.replay_speed_error + 1e-6 + grown
+    assert apart_speed < 1e-2 * plan.replay_speed_error + 1e-6 + grown
+    # Of the goals as they are asked: errors of the replay hold what follows from them, too. Both ends of a string may be apart.
+    places, speeds = missed(problem, nodes, velocities)
+    assert max(places) < plan.replay_error + 2 * apart + 1e-12
+    assert max(speeds) < plan.replay_speed_error + apart_speed + 1e-12

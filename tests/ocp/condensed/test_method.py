@@ -119,6 +119,15 @@ BOUNDED = {
         bounds=[LIMITS, ocp.Constraint("length", lambda now: now.lengths, upper=[0.89] * 6 + [1.2] * 3), ocp.BarClearance(0.02)],
         **RISING,
     ),
+    "limits that are equal, and others": ocp.Problem(
+        driven(PRISM),
+        bounds=[
+            LIMITS,
+            ocp.Constraint(ocp.AtEnd("x", lambda end: end.nodes[0, 4]), lower=-0.2, upper=-0.2),
+            ocp.Constraint("length", lambda now: now.lengths, upper=[0.89] * 6 + [1.2] * 3),
+        ],
+        **RISING,
+    ),
     "limits that are equal, at the end": ocp.Problem(
         driven(PRISM), bounds=[LIMITS, ocp.Constraint(ocp.AtEnd("x", lambda end: end.nodes[0, 4]), lower=-0.2, upper=-0.2)], **RISING
     ),
