@@ -161,9 +161,6 @@ def solve(
     return _by_method(asked, Choice(transcription, solver), *prepare(problem, transcription.control))
 
 
-Plan._solve = staticmethod(solve)
-
-
 class _Asked(NamedTuple):
     """Arguments of `solve`. limit: m, that the replay may end from the goals; began, deadline: of `time.perf_counter`, s.
 

@@ -239,10 +239,6 @@ def replay_tracked(plan: Plan) -> Trajectory:
     return run(track(plan), float(plan.time[-1]), steps=STEPS, state=plan.trajectory.states[0]).trajectory
 
 
-Plan._track = staticmethod(track)
-Plan._replay_tracked = staticmethod(replay_tracked)
-
-
 def _planned(plan: Plan, model: Model, time: Array) -> Array:
     """Return the planned states (count + 1, nx) at times: from the node before each, in steps of RK4, so that errors do not add up."""
     nodes = plan.time

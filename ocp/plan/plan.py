@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -110,10 +110,6 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
     rest_length: Array | None = None
     starts: Array | None = None
 
-    _track: ClassVar[Callable[..., Any]]  # ocp.control.lqr.track, likewise
-    _replay_tracked: ClassVar[Callable[..., Trajectory]]  # ocp.control.lqr.replay_tracked
-    _solve: ClassVar[Callable[..., Plan]]  # ocp.solve.solve, which names itself here: it makes plans, and refining makes another
-
     _exhibit_ = exhibit_of_plan  # what `tenscasadi.viewer.view` shows
 
     def __repr__(self) -> str:
@@ -174,13 +170,15 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         TypeError, ValueError
             An argument is wrong, or the model is not known: a loaded plan whose scene has functions of time.
         """
+        from ocp.control.lqr import replay_tracked  # what is made of plans is loaded when it is asked for
+
         flag("tracked", tracked)
         if tracked:
             if parameters is not None:
                 raise ValueError("parameters are given, and tracked is True: give ocp.run(ocp.track(plan), t_end, model=..., parameters=...)")
             if scheme is not None or step is not None:
                 raise ValueError("scheme and step are given, and tracked is True, which has steps of its own: leave them out")
-            return self._replay_tracked(self)
+            return replay_tracked(self)
         if parameters is None:
             model = self.known_model("replay")
         elif self.problem is not None:
@@ -278,12 +276,14 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         TypeError, ValueError
             An argument is wrong, or it is not known how the plan was solved: a file holds no own functions, costs or schemes.
         """
+        from ocp.solve import solve
+
         limit = positive_number("tolerance", tolerance)
         whole_number("attempts", attempts, 1)
         self.known_model("refine")
         if self.problem is None or self.transcription is None or self.solver is None:
             raise ValueError(f"refine needs to know how the plan was solved ({self.unknown}): refine solve(problem, ..., guess=plan)")
-        fine: Plan = refined(self, limit, attempts, self._solve)
+        fine: Plan = refined(self, limit, attempts, solve)
         return fine
 
     def robustness(
@@ -327,8 +327,10 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         TypeError, ValueError
             An argument is wrong, nothing varies, the scene does not have what a parameter names, or the model is not known.
         """
+        from ocp.control.lqr import track
+
         flag("tracked", tracked)
-        return measure_robustness(self, parameters, start, samples, seed, tolerance, self._track if tracked else None)
+        return measure_robustness(self, parameters, start, samples, seed, tolerance, track if tracked else None)
 
     @property
     def worst_error(self) -> float:
