@@ -278,9 +278,9 @@ class Model(StateSpace):
 
         Parameters
         ----------
-        x : array_like, shape (nx,)
+        x : array_like, shape (nx,), or CasADi column
             State.
-        u : array_like, shape (nu,), optional
+        u : array_like, shape (nu,), or CasADi column, optional
             Control; the initial control if None.
         parameters : array_like, shape (np,), mapping, or CasADi column, optional
             Parameters, see `ParameterLayout.values`; nominal if None.
@@ -289,23 +289,26 @@ class Model(StateSpace):
         -------
         Multipliers
             λ̂ and Ω in the paper's signs (Eqs. 85, 87). The columns of Ω are those of `structure.class_one().P`, then one for each
-            node that is pinned along some axes only, then one for each roller along other directions.
+            node that is pinned along some axes only, then one for each roller along other directions. CasADi (MX) where x or u is.
 
         Notes
         -----
         Where constraints are redundant many multipliers give the same motion: these are the smallest, in scaled rows.
         """
-        lam, omega = self.multiplier_function(*self.arguments(x, u, parameters))
-        return Multipliers(lam.full().ravel(), omega.full())
+        arguments = self.arguments(x, u, parameters)
+        if any(isinstance(value, ca.SX) for value in arguments) and not self.multiplier_function.is_a("SXFunction"):
+            raise TypeError("multipliers got SX for x, u or parameters: give MX, as the system is solved by a routine that has no SX")
+        lam, omega = self.multiplier_function(*arguments)
+        return Multipliers(lam.full().ravel(), omega.full()) if isinstance(lam, ca.DM) else Multipliers(lam, omega)
 
     def energy(self, x: Any, u: Any = None, parameters: Any = None) -> Energy:
         """Return kinetic, elastic and gravity energy.
 
         Parameters
         ----------
-        x : array_like, shape (nx,)
+        x : array_like, shape (nx,), or CasADi column
             State.
-        u : array_like, shape (nu,), optional
+        u : array_like, shape (nu,), or CasADi column, optional
             Control; the initial control if None.
         parameters : array_like, shape (np,), mapping, or CasADi column, optional
             Parameters, see `ParameterLayout.values`; nominal if None.
@@ -313,39 +316,39 @@ class Model(StateSpace):
         Returns
         -------
         Energy
-            The three energies, J. Strings driven by force density store none.
+            The three energies, J; CasADi where x or u is. Strings driven by force density store none.
         """
-        return Energy(*self._observed("energy", x, u, parameters).tolist())
+        return Energy(*self._scalars("energy", x, u, parameters))
 
-    def bar_length_error(self, x: Any) -> float:
+    def bar_length_error(self, x: Any) -> Any:
         """Return the largest relative error of a bar's length.
 
         Parameters
         ----------
-        x : array_like, shape (nx,)
+        x : array_like, shape (nx,), or CasADi column
             State.
 
         Returns
         -------
-        float
+        float, or CasADi scalar
             The largest | |b| − l | / l over the bars; 0 is exact.
         """
-        return float(self._observed("bar_length_error", x, None)[0])
+        return self._scalars("bar_length_error", x)[0]
 
-    def joint_error(self, x: Any) -> float:
+    def joint_error(self, x: Any) -> Any:
         """Return the largest distance of a joint or pin from its place.
 
         Parameters
         ----------
-        x : array_like, shape (nx,)
+        x : array_like, shape (nx,), or CasADi column
             State.
 
         Returns
         -------
-        float
+        float, or CasADi scalar
             The largest entry of | N P − D |, m; 0 in reduced coordinates.
         """
-        return float(self._observed("joint_error", x, None)[0])
+        return self._scalars("joint_error", x)[0]
 
     @property
     def conservative(self) -> bool:
@@ -383,6 +386,10 @@ class Model(StateSpace):
         arguments = self.arguments(x, u, parameters)
         value = self.observe(*arguments)[self.observe.index_out(name)]
         return value.full().ravel() if isinstance(value, ca.DM) else value
+
+    def _scalars(self, name: str, x: Any, u: Any = None, parameters: Any = None) -> list[Any]:
+        value = self._observed(name, x, u, parameters)
+        return ca.vertsplit(value) if isinstance(value, (ca.SX, ca.MX)) else value.tolist()
 
 
 def _rebuild(kind: type[Model], scene: Scene, coordinates: Coordinates, bar_length: BarLength) -> Model:
