@@ -195,6 +195,9 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
     count = len(columns)
     if count == 0:
         raise ValueError("N has no columns: give one column for each node")
+    shape = getattr(C_b, "shape", ())
+    if isinstance(shape, tuple) and len(shape) == 2 and shape[1] == 2 * shape[0] and 0 < shape[1] < count:  # as the paper has it, on N_b
+        raise ValueError(f"C_b has shape {shape}, a column for each end of a bar: give C_b @ C_nb, of shape ({shape[0]}, {count})")
     bars = _member_columns("C_b", C_b, count, "bar")
     strings = _member_columns("C_s", C_s, count, "string")
     mass = per_item("node_mass", node_mass, count)

@@ -181,8 +181,8 @@ class Structure(Viewable, ReadOnlyArrays):
         """Build the structure that the paper's matrices describe.
 
         A column of P with +1 and −1 ties two nodes (D is 0 there): they are merged. A single ±1 pins a node at ±D.
-        Physical nodes keep the order in which they first appear. `class_one` gives the same matrices back; bars that share
-        columns are split there.
+        Physical nodes keep the order in which they first appear. `class_one` gives the same matrices back, C_b as C_b C_nb; bars that
+        share columns are split there.
 
         Parameters
         ----------

@@ -189,3 +189,11 @@ def test_node_mass_of_tied_columns_adds_up() -> None:
     np.testing.assert_array_equal(s.node_mass, [0, 1.0, 2.0])
     free = s.class_one().M_s - Structure.from_matrices(N, C_b, None, P=[[0], [-1], [1], [0]]).class_one().M_s
     np.testing.assert_allclose(np.diag(free), [0.0, 0.25, 0.75, 2.0], atol=1e-15)
+
+
+def test_connectivity_on_bar_ends_alone_is_told_how_to_cover_all_columns() -> None:
+    s = Structure([(0, 0, 0), (1, 0, 0), (2, 0, 0)], bars=[(0, 1)], strings=[(1, 2)], node_mass=[0, 0, 1.0])
+    c = s.class_one()
+    with pytest.raises(ValueError, match=r"C_b has shape \(1, 2\), a column for each end of a bar: give C_b @ C_nb, of shape \(1, 3\)"):
+        Structure.from_matrices(c.N, c.C_b, c.C_s, c.P, c.D)
+    np.testing.assert_array_equal(Structure.from_matrices(c.N, c.C_b @ c.C_nb, c.C_s, c.P, c.D).bars, s.bars)
