@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +25,7 @@ from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.program import prepare, solve_program
+from ocp.reduced_twin import ReducedTwin, reduced_twin
 from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Outcome
@@ -31,7 +34,7 @@ from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import TIME_UP, Ipopt
 from ocp.solvers.wider_rates import TOO_SLOW
 from ocp.starts import MOST_STARTS, seeded, solve_each
-from ocp.transcription.base import Transcription
+from ocp.transcription.base import ReducedOnly, Transcription
 from ocp.transcription.initial_guess import InitialGuess, evaluate_guess, on_mesh
 from ocp.transcription.mesh import PiecewiseConstant
 from ocp.transcription.variational import Variational
@@ -114,10 +117,14 @@ def solve(
     -----
     Where neither transcription nor solver is given, both are chosen, and the number of intervals: three for each radian of the fastest vibration,
     30 at least. Where nodes may touch a ground, `Sampling`; else `Variational`, corrected to a third of the tolerance, from five bars on (nine
-    where more than force densities is limited) with `CondensedNewton`, where it takes the costs, or with `Ipopt`; in full coordinates and on
-    moved supports `MultipleShooting`. Where the first fails, or its replay misses, the next one follows, from its plan; the condensed method also
+    where more than force densities is limited) with `CondensedNewton`, where it takes the costs, or with `Ipopt`; on moved supports of a
+    free duration `MultipleShooting`. Where the first fails, or its replay misses, the next one follows, from its plan; the condensed method also
     from guesses with much noise. Where its costs are not settled, `Ipopt` goes on for a while, and the better plan is kept. The message says
     which were tried.
+
+    A problem in full coordinates is planned in reduced ones, as motions do not depend on them, but with `MultipleShooting`: the plan, its replay
+    and the verdict are of the model that is given, and own expressions get its states. Where constraints are redundant, or bounds and costs are
+    of own classes, `MultipleShooting` plans in full coordinates.
 
     Examples
     --------
@@ -147,7 +154,7 @@ def solve(
         return replace(best, seconds=time.perf_counter() - began)
     asked = _Asked(problem, guess, limit, tracked, began, deadline)
     if transcription is None and solver is None and not problem.phases:
-        return _by_choice(asked._replace(chosen=True))
+        return _in_reduced(asked._replace(chosen=True), _by_choice)
     if transcription is None:
         transcription = Variational(PHASE_INTERVALS) if problem.phases else matching(solver, problem)
     solver = Ipopt() if solver is None else solver
@@ -158,13 +165,14 @@ def solve(
             raise ValueError("solver is Sampling, and Problem.phases say when nodes stand: leave one of them out")
         outcome, target = solve_phased(problem, transcription, solver, guess, deadline, limit)
         return judged(_plan(asked, transcription, solver, outcome), target, outcome, limit)
-    return _by_method(asked, Choice(transcription, solver), *prepare(problem, transcription.control))
+    way = Choice(transcription, solver)
+    return _in_reduced(asked, partial(_prepared, way)) if isinstance(transcription, ReducedOnly) else _prepared(way, asked)
 
 
 class _Asked(NamedTuple):
     """Arguments of `solve`. limit: m, that the replay may end from the goals; began, deadline: of `time.perf_counter`, s.
 
-    chosen: whether the package chooses the method.
+    chosen: whether the package chooses the method. twin: whose problem it is, where another one is given.
     """
 
     problem: Problem
@@ -174,10 +182,25 @@ class _Asked(NamedTuple):
     began: float
     deadline: float | None
     chosen: bool = False
+    twin: ReducedTwin | None = None
 
     def late(self) -> bool:
         """Tell whether the time is over."""
         return self.deadline is not None and time.perf_counter() >= self.deadline
+
+
+def _in_reduced(asked: _Asked, method: Callable[[_Asked], Plan]) -> Plan:
+    """Return the plan that a method finds, in reduced coordinates where there are such; it is judged by the model that is given."""
+    twin = reduced_twin(asked.problem, asked.guess)
+    if twin is None:
+        return method(asked)
+    plan = twin.returned(method(asked._replace(problem=twin.problem, guess=twin.guess(asked.guess), twin=twin)))
+    return replace(plan, message=f"{plan.message}; found in reduced coordinates" if plan.success else plan.message)
+
+
+def _prepared(way: Choice, asked: _Asked) -> Plan:
+    """Return the plan of one method."""
+    return _by_method(asked, way, *prepare(asked.problem, way.transcription.control))
 
 
 def _by_choice(asked: _Asked) -> Plan:
@@ -264,7 +287,8 @@ def _at_once(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Plan
         else:
             duals = guess.duals if isinstance(guess, Plan) else None
             outcome = solve_program(problem, transcription, target, scales, first, solver, asked.deadline, duals)
-    return judged(_plan(asked, transcription, solver, outcome), target, outcome, asked.limit, asked.chosen)
+    replay = None if asked.twin is None else asked.twin.replay
+    return judged(_plan(asked, transcription, solver, outcome), target, outcome, asked.limit, asked.chosen, replay)
 
 
 def _plan(asked: _Asked, transcription: Transcription, solver: Method, found: Outcome) -> Plan:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,12 +20,15 @@ from tenscasadi.simulation.trajectory import Trajectory
 _KEEP = "keep to it by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
 
 
-def judged(plan: Plan, target: Target, found: Outcome, tolerance: float, chosen: bool = False) -> Plan:
+def judged(
+    plan: Plan, target: Target, found: Outcome, tolerance: float, chosen: bool = False, replay: Callable[[Plan], Trajectory] | None = None
+) -> Plan:
     """Return the plan with the errors of its replay, whether it is a success, and what is to be said of it.
 
-    chosen: whether the package chose how near to fine steps it is to be, and not the user: then the replay alone counts.
+    chosen: whether the package chose how near to fine steps it is to be, and not the user: then the replay alone counts. replay: what replays
+    it; None: the plan itself.
     """
-    error, speed_error, why, replayed = _replay_errors(plan, target.begin_at(found.states[0]))
+    error, speed_error, why, replayed = _replay_errors(plan, target.begin_at(found.states[0]), replay)
     plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
     how = "its replay under ocp.track" if plan.tracked else "its replay"
     found = found._replace(success=found.success or (chosen and found.coarse and plan.worst_error <= tolerance))
@@ -81,7 +85,7 @@ def _finer(plan: Plan, found: Outcome) -> str:
     return too_long or "give more intervals, or substeps"
 
 
-def _replay_errors(plan: Plan, target: Target) -> tuple[float, float, str, Trajectory | None]:
+def _replay_errors(plan: Plan, target: Target, replay: Callable[[Plan], Trajectory] | None) -> tuple[float, float, str, Trajectory | None]:
     """Measure how far the replay ends from the goals, and from limits of the end; without goals for the place (or speed) from the plan.
 
     NaN where it does not get there; and why, where that is known, or which limit of the end is missed most. And the replay.
@@ -89,7 +93,7 @@ def _replay_errors(plan: Plan, target: Target) -> tuple[float, float, str, Traje
     if not np.all(np.isfinite(plan.force_density)) or not plan.time[-1] > 0:
         return np.nan, np.nan, "", None
     try:
-        replayed = plan.replay(tracked=plan.tracked)
+        replayed = plan.replay(tracked=plan.tracked) if replay is None else replay(plan)
     except ValueError as error:
         if not plan.tracked:
             raise

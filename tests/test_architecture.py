@@ -27,7 +27,7 @@ OCP = (
     "sampling",
     "plan",
     {"program", "phases", "condensed", "verdict"},
-    {"choice", "starts"},
+    {"choice", "starts", "reduced_twin"},
     {"control", "solve", "files"},
     "export",
 )

@@ -88,7 +88,7 @@ class Transcription:
 
 
 class ReducedOnly(Transcription):
-    """Transcriptions that keep bars by rows of their own."""
+    """Transcriptions that keep bars by rows of their own. `solve` gives them problems in full coordinates as those of a `ReducedTwin`."""
 
     def refusal(self, model: Model) -> str:
         """Return why not, unless bars are all that is to be kept: reduced coordinates, supports that stand still."""

@@ -42,7 +42,7 @@ class Variational(ReducedOnly):
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind; from `solve`, if the model has full coordinates or moved supports.
+        If a value is not of its kind; from `solve`, if the model has moved supports.
 
     Notes
     -----

@@ -50,9 +50,12 @@ CHOICES = {
     ),
     "full coordinates, nodes without mass pinned": (
         lambda: in_full_coordinates(leaning()),
-        "chosen: MultipleShooting of 30 intervals by Ipopt",
+        "chosen: Variational of 30 intervals by Ipopt; found in reduced coordinates",
     ),
-    "full coordinates": (lambda: in_full_coordinates(folding()), "chosen: MultipleShooting of 30 intervals by Ipopt"),
+    "full coordinates": (
+        lambda: in_full_coordinates(folding()),
+        "chosen: Variational of 30 intervals by Ipopt; found in reduced coordinates",
+    ),
 }
 
 

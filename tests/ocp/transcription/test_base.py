@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import pytest
-from planning import folding, raising
+from planning import folding, program, raising
 
 import ocp
 import tenscasadi as tc
@@ -64,11 +64,11 @@ def test_joined_and_pinned_bars(transcription):
 
 
 @pytest.mark.parametrize("make", [ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation], ids=lambda kind: kind.__name__)
-def test_full_coordinates_are_refused_by_name(make):
+def test_programs_in_full_coordinates_are_refused_by_name(make):
     model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()), "full")
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths)]
     with pytest.raises(ValueError, match=f"{make.__name__} keeps bars, not joints"):
-        ocp.solve(ocp.Problem(model, goals=goals), make(10))
+        program(ocp.Problem(model, goals=goals), make(10))
 
 
 @dataclass(frozen=True)

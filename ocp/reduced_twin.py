@@ -1,0 +1,129 @@
+"""A problem in full coordinates, planned in reduced ones: motions do not depend on coordinates, and methods in reduced ones are faster."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ocp.plan.plan import Plan
+from ocp.problem.expressions import AtEnd, Constraint, Integral
+from ocp.problem.instant import Instant
+from ocp.problem.problem import Problem
+from ocp.transcription.initial_guess import Arrays, Equilibrium, InitialGuess, InverseDynamics
+from tenscasadi.dynamics.constraint_forces import RedundantConstraints
+from tenscasadi.dynamics.model import Model
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.validate import Array, finite_array
+
+_OWN = Constraint, Integral, AtEnd  # have expressions of the user's
+_GUESSES = type(None), InverseDynamics, Equilibrium, Arrays, Plan
+
+
+@dataclass(frozen=True)
+class ReducedTwin:
+    """The same problem of a model in reduced coordinates (`problem`) for one in full coordinates (`given`)."""
+
+    given: Problem
+    problem: Problem
+
+    def guess(self, value: InitialGuess | None) -> InitialGuess | None:
+        """Return a guess for the given problem as one for its twin. Raises ValueError for arrays of another size."""
+        full = self.given.model
+        if isinstance(value, Arrays):
+            return replace(value, states=_lowered(self, finite_array("Arrays.states", value.states, (None, full.nx))))
+        if isinstance(value, Plan) and value.trajectory.states.shape[1] == full.nx:
+            motion = replace(value.trajectory, states=_lowered(self, value.trajectory.states))
+            return replace(value, trajectory=motion, model=self.problem.model, problem=self.problem)
+        return value
+
+    def returned(self, plan: Plan) -> Plan:
+        """Return a plan of the twin as one of the given problem."""
+        motion = replace(plan.trajectory, states=_lifted(self, plan.trajectory.states))
+        return replace(plan, trajectory=motion, model=self.given.model, problem=self.given)
+
+    def replay(self, plan: Plan) -> Trajectory:
+        """Replay a plan of the twin on the given model; return its motion in the states of the twin."""
+        motion = self.returned(plan).replay(tracked=plan.tracked)
+        return replace(motion, states=_lowered(self, motion.states))
+
+
+def reduced_twin(problem: Problem, guess: InitialGuess | None) -> ReducedTwin | None:
+    """Return the twin of a problem in full coordinates; None for others, and where there is none.
+
+    There is none where constraints are redundant, as forces of bars then depend on coordinates, and for bounds, costs or guesses of other
+    classes than this package's.
+    """
+    model = problem.model
+    own = all(type(item).__module__.startswith("ocp.") for item in (*problem.bounds, *problem.costs))
+    if not model.mechanism.joints or model.redundancy or not own or not isinstance(guess, _GUESSES):
+        return None
+    try:
+        twin = _in_reduced(model)
+        bounds = [_seen(bound, model) for bound in problem.bounds]
+        costs = [_seen(cost, model) for cost in problem.costs]
+        start = _lower(model, twin, problem.first_state)
+        return None if twin.redundancy else ReducedTwin(problem, replace(problem, model=twin, start=start, bounds=bounds, costs=costs))
+    except (TypeError, ValueError, RuntimeError):  # such as an expression of the state that is SX in one model and MX in the other
+        return None
+
+
+def _in_reduced(model: Model) -> Model:
+    """Return the model of the same scene in reduced coordinates; the model keeps it, as its functions take time to build."""
+    kept: dict[Any, Any] = model.functions
+    if "reduced" not in kept:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RedundantConstraints)
+            kept["reduced"] = Model(model.scene)
+    twin: Model = kept["reduced"]
+    return twin
+
+
+class _Seen(Instant):
+    """An instant of the twin as the given model has it: what depends on coordinates is that of the given one."""
+
+    def __init__(self, model: Model, now: Instant) -> None:
+        N, V, clock = now.model.unpack(now.state)
+        columns = model.mechanism.physical.tolist()
+        super().__init__(model, model.pack(N[:, columns], V[:, columns], clock), now.control, now.time)
+        self._now = now
+
+    @cached_property
+    def tension(self) -> Any:
+        """Tensions of the modelled strings, N."""
+        return self._now.tension
+
+    @cached_property
+    def bar_force(self) -> Any:
+        """Forces of the bars, N."""
+        return self._now.bar_force
+
+
+def _seen(item: Any, model: Model) -> Any:
+    """Return a bound or cost whose own expression gets instants of a model in full coordinates; others as they are."""
+    if not isinstance(item, _OWN):
+        return item
+    expression: Callable[[Instant], Any] = item.expression  # type: ignore[assignment]
+    return replace(item, expression=lambda now: expression(_Seen(model, now)))
+
+
+def _lowered(twin: ReducedTwin, states: Array) -> Array:
+    return _lower(twin.given.model, twin.problem.model, states)
+
+
+def _lower(full: Model, reduced: Model, states: Array) -> Array:
+    """Return states (…, nx) in reduced coordinates."""
+    mech = reduced.mechanism
+    parts = (values(states).reshape(*states.shape[:-1], -1) for values in (full.nodes, full.velocities))
+    return np.concatenate([*(mech.local(flat)[..., mech.free_index] for flat in parts), full.split(states)[2]], axis=-1)
+
+
+def _lifted(twin: ReducedTwin, states: Array) -> Array:
+    """Return states (…, nx) in full coordinates."""
+    full, reduced = twin.given.model, twin.problem.model
+    parts = (values(states)[..., full.mechanism.physical, :] for values in (reduced.nodes, reduced.velocities))
+    return np.concatenate([*(columns.reshape(*states.shape[:-1], -1) for columns in parts), reduced.split(states)[2]], axis=-1)
