@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 
 def run_program(command: Sequence[str], seconds: float, environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
@@ -17,13 +18,25 @@ def run_program(command: Sequence[str], seconds: float, environment: Mapping[str
     """
     own_group = os.name == "posix"
     silent, pipe = subprocess.DEVNULL, subprocess.PIPE
-    with subprocess.Popen(
-        command, stdin=silent, stdout=pipe, stderr=pipe, text=True, errors="replace", env=environment, start_new_session=own_group
-    ) as process:
+    started: list[subprocess.Popen[str]] = []
+
+    def start() -> None:
+        started.append(
+            subprocess.Popen(
+                command, stdin=silent, stdout=pipe, stderr=pipe, text=True, errors="replace", env=environment, start_new_session=own_group
+            )
+        )
+
+    with ThreadPoolExecutor(1) as starter:  # Ctrl-C reaches the main thread alone, so never between a program's start and its handle
         try:
-            out, told = process.communicate(timeout=seconds)
+            starter.submit(start).result()
+            out, told = started[0].communicate(timeout=seconds)
         except BaseException:
-            with contextlib.suppress(OSError):  # it has just ended
-                os.killpg(process.pid, signal.SIGKILL) if own_group else process.kill()
+            starter.shutdown()
+            for process in started:
+                with contextlib.suppress(OSError):  # it has just ended
+                    os.killpg(process.pid, signal.SIGKILL) if own_group else process.kill()
+                with process:  # closes what it wrote to, and hears of its end
+                    pass
             raise
-    return subprocess.CompletedProcess(command, process.returncode, out, told)
+    return subprocess.CompletedProcess(command, started[0].returncode, out, told)

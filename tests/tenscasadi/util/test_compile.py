@@ -464,9 +464,17 @@ def test_a_compiler_that_hangs_is_ended_with_all_that_it_started(hanging: Path, 
 
 INTERRUPTED = """
 import signal
+import subprocess
+import sys
+import time
 import casadi as ca
 from tenscasadi.util.compile import compile_function
 signal.signal(signal.SIGINT, signal.default_int_handler)
+start = subprocess.Popen.__init__
+def late(self, *given, **named):
+    start(self, *given, **named)
+    time.sleep(float(sys.argv[1]))
+subprocess.Popen.__init__ = late
 x = ca.SX.sym("x")
 try:
     compile_function(ca.Function("f", [x], [2 * x]))
@@ -477,9 +485,10 @@ except KeyboardInterrupt:
 
 @needs_compiler
 @linux
-def test_ctrl_c_during_a_compilation_leaves_nothing(hanging: Path, cache: Path) -> None:
+@pytest.mark.parametrize("late", ["0", "2"], ids=["while it runs", "when it has just begun"])
+def test_ctrl_c_during_a_compilation_leaves_nothing(late: str, hanging: Path, cache: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(compiled.__file__).parents[2])}
-    process = subprocess.Popen([sys.executable, "-c", INTERRUPTED], env=environment, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-c", INTERRUPTED, late], env=environment, stdout=subprocess.PIPE, text=True)
     wait_for(lambda: hanging.exists() and len(hanging.read_text().split()) == 2)
     process.send_signal(signal.SIGINT)
     told, _ = process.communicate(timeout=30)
