@@ -117,10 +117,9 @@ def solve(
     -----
     Where neither transcription nor solver is given, both are chosen, and the number of intervals: three for each radian of the fastest vibration,
     30 at least. Where nodes may touch a ground, `Sampling`; else `Variational`, corrected to a third of the tolerance, from five bars on (nine
-    where more than force densities is limited) with `CondensedNewton`, where it takes the costs, or with `Ipopt`; on moved supports of a
-    free duration `MultipleShooting`. Where the first fails, or its replay misses, the next one follows, from its plan; the condensed method also
-    from guesses with much noise. Where its costs are not settled, `Ipopt` goes on for a while, and the better plan is kept. The message says
-    which were tried.
+    where more than force densities is limited) with `CondensedNewton`, where it takes the costs, or with `Ipopt`. Where the first fails, or its
+    replay misses, the next one follows, from its plan: `MultipleShooting`, the condensed method also from guesses with much noise. Where its costs
+    are not settled, `Ipopt` goes on for a while, and the better plan is kept. The message says which were tried.
 
     A problem in full coordinates is planned in reduced ones, as motions do not depend on them, but with `MultipleShooting`: the plan, its replay
     and the verdict are of the model that is given, and own expressions get its states. Where constraints are redundant, or bounds and costs are

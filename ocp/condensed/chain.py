@@ -80,6 +80,15 @@ class Chain:
         slope = ca.jacobian(impulse, T)
         self._impulse = ca.Function("impulse", [T, part, share], [impulse, slope, ca.jacobian(slope, T)]) if loads else None
         self.time = np.append(0.0, np.cumsum(self.shares))
+        supports, self.moved = model.scene.supports, list[int]()
+        if supports is not None:
+            self.moved, rates = supports.nodes, supports.rates()(self.clock + T * part)
+            N, V = ca.SX(3, self.nodes), ca.SX(3, self.nodes)
+            N[:, self.moved], V[:, self.moved] = rates[0], T * rates[1]
+            values = [ca.vec(N), ca.vec(V)]
+            values += [ca.jacobian(value, T) for value in values]
+            values += [ca.jacobian(value, T) for value in values[2:]]
+            self._carried = ca.Function("carried", [T, part], [ca.densify(value) for value in values])
 
     def unpack(self, states: Array) -> tuple[Array, Array]:
         """Return places and velocities (P, n, 3) of states (P, nx)."""
@@ -148,20 +157,44 @@ class Chain:
 
     def rows(self, strings: Array, duration: float, motion: Motion) -> Rows:
         """Return what the rows leave at a motion under T²σγ at the stations (K + X, α)."""
+        push = self.pushes(strings, duration * self.first_rate, motion) - self.impulses(duration)[0]
+        ends, at = (self.across(self.C_b, places) for places in (motion.places[1:], motion.places[self.taps]))
+        lengths = 0.5 * ((ends * ends).sum(axis=2) - self.squared)
+        turning = (at * self.across(self.C_b, motion.rates)).sum(axis=2)
+        return Rows(self.by_inverse(push[:, :, None])[:, :, 0], np.concatenate([lengths, turning]))
+
+    def pushes(self, strings: Array, leaving: Array, motion: Motion) -> Array:
+        """Return the changes of momentum less what members push (K + X, 3n), of a motion that leaves its start at rates (n, 3): linear in both."""
         Q, Y, bars = motion
         between = (Q[1:] - Q[:-1]) / self.shares[:, None, None]
-        rates = np.concatenate([duration * self.first_rate[None], between, Y])
-        after = np.concatenate([between, Y])
-        change = after - rates[self.at]
+        rates = np.concatenate([leaving[None], between, Y])
+        change = np.concatenate([between, Y]) - rates[self.at]
         at = Q[self.at]
-        B = self.across(self.C_b, at)
-        pull = self.across(self.C_sT, strings[:, :, None] * self.across(self.C_s, at)) + self.across(self.C_bT, bars[:, :, None] * B)
-        push = np.matmul(self.mass, change) + pull
-        push = push.reshape(len(at), -1) - self.impulses(duration)[0]
-        ends = self.across(self.C_b, Q[1:])
-        lengths = 0.5 * ((ends * ends).sum(axis=2) - self.squared)
-        turning = (B[self.count :] * self.across(self.C_b, Y)).sum(axis=2)
-        return Rows(self.by_inverse(push[:, :, None])[:, :, 0], np.concatenate([lengths, turning]))
+        pull = self.across(self.C_sT, strings[:, :, None] * self.across(self.C_s, at))
+        pull += self.across(self.C_bT, bars[:, :, None] * self.across(self.C_b, at))
+        return np.asarray((np.matmul(self.mass, change) + pull).reshape(len(at), -1))
+
+    # --- moved supports ---
+
+    def carried(self, duration: float) -> tuple[Motion, Motion, Motion]:
+        """Return places and rates (one column) of nodes that are moved, zero elsewhere, and their first two derivatives by T."""
+        found = []
+        shares = np.append(self.time, self.time[self.taps])
+        values = self._carried.map(len(shares))(duration, shares[None])
+        for k in range(0, 6, 2):
+            places, rates = (np.asarray(value.full()).T[:, :, None] for value in values[k : k + 2])
+            found.append(Motion(places[: self.count + 1], rates[self.count + 1 :], np.zeros((len(self.at), self.bars, 1))))
+        return found[0], found[1], found[2]
+
+    def placed(self, motion: Motion, duration: float) -> Motion:
+        """Return the motion with the nodes that are moved where they are at a duration."""
+        if not self.moved:
+            return motion
+        places, rates = motion.places.copy(), motion.rates.copy()
+        where = self.carried(duration)[0]
+        for own, given in ((places, where.places), (rates, where.rates)):
+            own[:, self.moved] = given.reshape(own.shape)[:, self.moved]
+        return Motion(places, rates, motion.bars)
 
 
 def _wide_inverse(inverse: tuple[Any, ...]) -> Array:

@@ -78,6 +78,7 @@ class Found:
 def point_at(of: ReducedProblem, w: Array, motion: Motion, slack: Array) -> Point:
     """Evaluate a point."""
     with np.errstate(all="ignore"):
+        motion = of.chain.placed(motion, of.split(w)[1])
         left = of.leftover(w, motion, slack)
         return Point(w, motion, slack, left, *of.size_of(left), of.cost(w))
 

@@ -102,6 +102,15 @@ class LinearChain:
             mus[k - 1], nus[k - 1] = mu, nu
         return Costate(mus, nus)
 
+    def along(self, step: Motion) -> Rows:
+        """Return how pushes (K + X, 3n) and lengths of bars (K + X, β) change with places and rates of one column."""
+        chain, taps = self.chain, self.chain.taps
+        shaped = Motion(step.places.reshape(-1, chain.nodes, 3), step.rates.reshape(-1, chain.nodes, 3), self.motion.bars)
+        push = chain.pushes(self.strings, np.zeros((chain.nodes, 3)), shaped)
+        own = self.directions.transpose(0, 2, 1)
+        turning = np.matmul(own[taps], step.rates) + np.matmul(self.turned.transpose(0, 2, 1), step.places[taps])
+        return Rows(push, np.concatenate([np.matmul(own[1:], step.places[1:]), turning])[:, :, 0])
+
     # --- second derivatives, and those by the force densities ---
 
     def by_strings(self, impulses: Array) -> Array:

@@ -63,8 +63,6 @@ def applies(problem: Problem) -> str:
         return "its model has full coordinates"
     if model.redundancy:
         return "some of its bars depend on each other"
-    if scene.supports is not None and problem.shortest < problem.longest:
-        return "supports are moved, and its duration is free"
     if problem.free_start:
         return "its start is free"
     costs = foreign_costs(problem.costs)

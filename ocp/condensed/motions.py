@@ -29,8 +29,13 @@ def states_of(chain: Chain, c: Array, duration: float, motion: Motion) -> Array:
     clock = (chain.clock + duration * chain.time[:, None])[:, : chain.model.nx - 2 * chain.model.nq]
     before = (places[1:] - places[:-1]) / chain.shares[:, None, None]
     pull = chain.across(chain.C_sT, late[:, :, None] * chain.across(chain.C_s, places[1:])).reshape(chain.count, -1)
-    loads = chain.loads_at(duration, chain.time[1:], chain.shares / 2)[0]
-    rates = before.reshape(chain.count, -1)[:, :, None] - chain.by_inverse((pull - loads)[:, :, None])
+    pull = pull - chain.loads_at(duration, chain.time[1:], chain.shares / 2)[0]
+    if chain.moved:  # these nodes have speeds of their own, and with them the mass that they share with others
+        at_rest = np.column_stack([np.zeros((chain.count, chain.model.nx - 1)), clock[1:]])
+        faster = np.zeros(before.shape)
+        faster[:, chain.moved] = (duration * chain.unpack(at_rest)[1] - before)[:, chain.moved]
+        before, pull = before + faster, pull + np.matmul(chain.mass, faster).reshape(chain.count, -1)
+    rates = before.reshape(chain.count, -1)[:, :, None] - chain.by_inverse(pull[:, :, None])
     directions = bar_directions(chain, places)[1:]
     rates = without_bars(chain, directions, rates)
     velocities = np.concatenate([chain.first_rate[None], rates.reshape(-1, chain.nodes, 3) / duration])

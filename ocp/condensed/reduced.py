@@ -9,7 +9,7 @@ import numpy as np
 from ocp.boundary.target import Target
 from ocp.condensed.chain import Chain, Motion, Rows
 from ocp.condensed.goal_rows import GoalRows, needed_taps
-from ocp.condensed.linear_chain import LinearChain
+from ocp.condensed.linear_chain import Costate, LinearChain
 from ocp.condensed.objective import Objective
 from ocp.condensed.path_rows import Limited, PathRows, Slopes
 from ocp.problem.problem import Problem
@@ -139,6 +139,11 @@ class Expansion:
         self.loads = chain.impulses(self.T)
         self.by_duration = -self.loads[1]
         self.by_duration[0] -= (chain.mass @ chain.first_rate).ravel()
+        self.lengths_by_duration = np.zeros((len(chain.at), chain.bars))
+        self.carried = chain.carried(self.T)[1:] if chain.moved and reduced.free_duration else None
+        if self.carried is not None:
+            pushes, self.lengths_by_duration = self.linear.along(self.carried[0])
+            self.by_duration += pushes
         self.moved_by_duration = chain.by_inverse(self.by_duration[:, :, None])[:, :, 0]
         self.goal_slopes = goals.jacobians(motion, self.T)
         self.jacobian = self._jacobian()
@@ -164,15 +169,17 @@ class Expansion:
         """Return the derivatives (r, n) by w of functions of these slopes, whose motion follows w."""
         costate = self.linear.solve_back(motion)
         by_strings = self.linear.by_strings(costate.impulses)
-        return np.ascontiguousarray((self._by_w(by_strings, costate.impulses, by_duration, by_c) * self.of.units[:, None]).T)
+        return np.ascontiguousarray((self._by_w(by_strings, costate, by_duration, by_c) * self.of.units[:, None]).T)
 
-    def _by_w(self, by_strings: Array, impulses: Array, by_duration: Array, by_c: Array | float = 0.0) -> Array:
+    def _by_w(self, by_strings: Array, costate: Costate, by_duration: Array, by_c: Array | float = 0.0) -> Array:
         """Return derivatives (n, r) by w from those by T²σγ (K + X, α, r), by the duration alone (r,), and by force densities alone (Kc, m, r)."""
         T = self.T
         c = T**2 * self.of.chain.controls.gathered(by_strings) + by_c
         if not self.of.free_duration:
             return self.of.joined(c, 0.0)
-        whole = 2 / T * np.einsum("is,isa->a", self.strings, by_strings) + np.einsum("ij,ija->a", self.by_duration, impulses) + by_duration
+        whole = 2 / T * np.einsum("is,isa->a", self.strings, by_strings) + np.einsum("ij,ija->a", self.by_duration, costate.impulses) + by_duration
+        if self.carried is not None:
+            whole = whole + np.einsum("ij,ija->a", self.lengths_by_duration, costate.lengths)
         return self.of.joined(c, whole)
 
     def split(self, step: Array) -> tuple[Array, float]:
@@ -189,9 +196,12 @@ class Expansion:
         """Return the step of the motion (one column) that follows a step of w and takes away its rows."""
         stations, n = len(self.of.chain.at), 3 * self.of.chain.nodes
         impulses, lengths = (np.zeros((stations, n)), np.zeros((stations, self.of.chain.bars))) if rows is None else rows
+        longer = 0.0 if step is None else self.split(step)[1]
         if step is not None:
-            impulses = impulses + self.linear.of_strings(self.strings_of(step)) + self.split(step)[1] * self.moved_by_duration
-        return self.linear.solve(Rows(impulses[:, :, None], lengths[:, :, None]))
+            impulses = impulses + self.linear.of_strings(self.strings_of(step)) + longer * self.moved_by_duration
+            lengths = lengths + longer * self.lengths_by_duration
+        moved = self.linear.solve(Rows(impulses[:, :, None], lengths[:, :, None]))
+        return moved if self.carried is None else moved.moved(self.carried[0], longer)
 
     def change(self, moved: Motion, longer: float = 0.0) -> Array:
         """Return the change (m,) of the goals."""
@@ -241,9 +251,11 @@ class Expansion:
         paths = self._path_curvature(moved, change, longer)
         if paths is not None:
             slopes, by_duration, by_controls = _sum(slopes, paths.motion), by_duration + paths.duration, paths.controls
+        if self.carried is not None:
+            by_duration = by_duration + self._carried_curvature(*self.carried, slopes, longer)
         costate = self.linear.solve_back(slopes)
         by_strings = by_strings + self.linear.by_strings(costate.impulses)[:, :, 0]
-        result = self._by_w(by_strings[:, :, None], costate.impulses, by_duration, by_controls)[:, 0]
+        result = self._by_w(by_strings[:, :, None], costate, by_duration, by_controls)[:, 0]
         if of.free_duration:
             controls = of.chain.controls
             again = 2 * T * longer * controls.gathered(self.own[:, :, None])[:, :, 0]
@@ -252,6 +264,12 @@ class Expansion:
             result = result + of.joined(again, whole)
         by_c, by_T = of.objective.curvature(self.c, T, change, longer)
         return np.asarray(of.units * (result + of.joined(by_c, by_T) / of.cost_scale))
+
+    def _carried_curvature(self, first: Motion, second: Motion, slopes: Motion, longer: float) -> float:
+        """Return how the derivative by the duration changes where it moves supports: with slopes that change there, and as they speed up."""
+        pushes, lengths = self.linear.along(second)
+        again = (pushes * self.costate.impulses[:, :, 0]).sum() + (lengths * self.costate.lengths[:, :, 0]).sum()
+        return float((slopes.places * first.places).sum() + (slopes.rates * first.rates).sum() + longer * again)
 
 
 def _sum(one: Motion, other: Motion) -> Motion:

@@ -91,11 +91,10 @@ class ReducedOnly(Transcription):
     """Transcriptions that keep bars by rows of their own. `solve` gives them problems in full coordinates as those of a `ReducedTwin`."""
 
     def refusal(self, model: Model) -> str:
-        """Return why not, unless bars are all that is to be kept: reduced coordinates, supports that stand still."""
-        name = type(self).__name__
-        if model.mechanism.joints:
-            return f'{name} keeps bars, not joints: give a problem with Model(scene, coordinates="reduced"), or MultipleShooting'
-        return f"{name} does not know moved supports (Scene.supports): use MultipleShooting" if model.scene.supports is not None else ""
+        """Return why not, unless bars are all that is to be kept: reduced coordinates."""
+        if not model.mechanism.joints:
+            return ""
+        return f'{type(self).__name__} keeps bars, not joints: give a problem with Model(scene, coordinates="reduced"), or MultipleShooting'
 
 
 def unrolled(model: Model, function: ca.Function) -> ca.Function:

@@ -33,7 +33,7 @@ class ImplicitMidpoint(ReducedOnly):
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind; from `solve`, if the model has moved supports.
+        If a value is not of its kind; from `solve`, if the model has full coordinates and redundant constraints.
 
     Notes
     -----
@@ -102,7 +102,7 @@ class Collocation(ReducedOnly):
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind; from `solve`, if the model has moved supports.
+        If a value is not of its kind; from `solve`, if the model has full coordinates and redundant constraints.
 
     References
     ----------

@@ -42,7 +42,7 @@ class Variational(ReducedOnly):
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind; from `solve`, if the model has moved supports.
+        If a value is not of its kind; from `solve`, if the model has full coordinates and redundant constraints.
 
     Notes
     -----
@@ -92,6 +92,7 @@ class _Chain:
     def __init__(self, v: Variables, used: Array) -> None:
         self.v, self.model, self.mech = v, v.model, v.model.mechanism
         self.nq, self.bars = v.model.nq, v.model.mechanism.bars
+        self.moved = [] if v.model.scene.supports is None else v.model.scene.supports.nodes
         self._back = v.entries.constants(-v.fractions[:, None])
         self._row_scale = v.scales.mass * v.scales.length / v.count
         # velocities within, and the clock, are unknowns only where something depends on them
@@ -133,7 +134,8 @@ class _Chain:
         # First and last: v is given, at the end backwards in time. T² and shares instead of h: polynomial also where the duration is free.
         z, (q0, rate, q1, c, lam, duration, share, passed) = split_symbol(kind, nq, nq, nq, m, self.bars, 1, 1, 1)
         force = self._force(q0, rate, v.gamma(c, EARLY), lam, duration * passed)
-        row = self._momentum((q1 - q0) / share - duration * rate) - duration**2 * share / 2 * force
+        (p0, speed), (p1, _) = (self._carried(duration * time) for time in (passed, passed + share))
+        row = self._momentum((q1 - q0) / share - duration * rate, (p1 - p0) / share - duration * speed) - duration**2 * share / 2 * force
         first = np.concatenate([q[0], v.states[0, nq : 2 * nq], q[1], own[0], self.lam[0], T, v.share[0], v.time[0]])
         rows = tuple(f"dynamics of interval {k}, {name}{at}" for k, at in ((0, ""), (v.count - 1, " at its end")) for name in names)
         last = self._backwards(v.states[-1:, nq : 2 * nq], self.lam[-1:], slice(-1, None))
@@ -145,7 +147,9 @@ class _Chain:
             both = before + after
             gamma = (before * v.gamma(c, LATE) + after * v.gamma(d, EARLY)) / both
             force = self._force(q1, (q2 - q0) / (duration * both), gamma, lam, duration * passed)
-            row = self._momentum((q2 - q1) / after - (q1 - q0) / before) - duration**2 * both / 2 * force
+            p0, p1, p2 = (self._carried(duration * time)[0] for time in (passed - before, passed, passed + after))
+            row = self._momentum((q2 - q1) / after - (q1 - q0) / before, (p2 - p1) / after - (p1 - p0) / before)
+            row -= duration**2 * both / 2 * force
             index = np.hstack(
                 [q[:-2], q[1:-1], q[2:], own[:-1], own[1:], self.lam[1:-1], v.repeated(T, v.count - 1), v.share[:-1], v.share[1:], v.time[1:-1]]
             )
@@ -162,14 +166,19 @@ class _Chain:
 
     def _lengths(self) -> list[Block]:
         v, nq = self.v, self.nq
-        z = ca.SX.sym("z", 2 * nq)
-        x = ca.vertcat(z, ca.SX.zeros(self.model.nx - 2 * nq))
-        lengths, rates = bar_rows(self.model, x, v.scales)
-        at_nodes = ca.Function("lengths", [z[:nq]], [ca.substitute(lengths, z[nq:], ca.SX.zeros(nq))])
+        q, speeds, when = ca.SX.sym("q", nq), ca.SX.sym("v", nq), ca.SX.sym("when", 2 if self.moved else 0)
+        time = when[0] * when[1] if self.moved else 0
+        lengths, rates = bar_rows(self.model, self._state(q, speeds, time), v.scales)
+        at_nodes = ca.Function("lengths", [ca.vertcat(q, when)], [ca.substitute(lengths, speeds, ca.SX.zeros(nq))])
         names = interval_names(v.count, bar_names(self.bars, "length"))
         last = tuple(f"dynamics of interval {v.count - 1}, {name}" for name in bar_names(self.bars, "rate"))
-        self._rates = Block(ca.Function("rates", [z], [rates]), v.states[-1:, : 2 * nq], last)
-        return [Block(at_nodes, v.states[1:, :nq], names), self._rates]
+        self._rates = Block(ca.Function("rates", [ca.vertcat(q, speeds, when)], [rates]), self._when(v.states[-1:, : 2 * nq], slice(-1, None)), last)
+        return [Block(at_nodes, self._when(v.states[1:, :nq], slice(1, None)), names), self._rates]
+
+    def _when(self, entries: Indices, nodes: slice) -> Indices:
+        """Entries at nodes of the mesh, with those of their times where supports are moved."""
+        v = self.v
+        return np.hstack([entries, v.repeated(v.duration, len(entries)), v.time[nodes]]) if self.moved else entries
 
     def _block(self, name: str, z: Any, row: Any, index: Indices, names: tuple[str, ...]) -> Block:
         return Block(ca.Function(name, [z], [row / self._row_scale]), index, names)
@@ -187,9 +196,19 @@ class _Chain:
             total = total + nodal_forces(mech, mech.bar_vectors(N), lam.T)
         return self.model.split(self.model.pack(total, total, 0))[0]
 
-    def _momentum(self, change: Any) -> Any:
-        """M times a change of the free coordinates."""
+    def _carried(self, time: Any) -> tuple[Any, Any]:
+        """Places and velocities (3×m) of the supports that are moved, at a time since the start."""
+        supports = self.model.scene.supports
+        if supports is None:
+            return ca.DM(3, 0), ca.DM(3, 0)
+        places, speeds, _ = supports.rates()(time + float(self.v.target.start[-1]))
+        return places, speeds
+
+    def _momentum(self, change: Any, carried: Any) -> Any:
+        """M times a change of the free coordinates, and of the supports that are moved, along the free coordinates."""
         _, V, _ = self.model.unpack(self._state(change, change, 0))
+        if self.moved:
+            V[:, self.moved] = carried
         P = ca.mtimes(V, sparse(self.mech.M))
         return self.model.split(self.model.pack(P, P, 0))[0]
 
@@ -216,7 +235,7 @@ class _Chain:
         blocks = [replace(self._leaving, index=index, names=interval_names(v.count - 1, state_names(self.model)[nq : 2 * nq]))]
         if self.bars:
             rates = interval_names(v.count - 1, bar_names(self.bars, "rate"))
-            blocks.append(replace(self._rates, index=v.states[1:-1, : 2 * nq], names=rates))
+            blocks.append(replace(self._rates, index=self._when(v.states[1:-1, : 2 * nq], slice(1, -1)), names=rates))
         return blocks
 
     def _clock(self) -> Block:

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from planning import driven, folding, prism, raising
+from planning import driven, folding, prism, raising, shaken
 
 import ocp
 import tenscasadi as tc
@@ -48,6 +48,7 @@ CHOICES = {
         lambda: widening(ocp.TensionLimits(upper=60.0)),
         "chosen: Variational of 30 intervals by Ipopt",
     ),
+    "moved supports, free duration": (lambda: shaken((0.4, 2.0)), "chosen: Variational of 30 intervals by Ipopt"),
     "full coordinates, nodes without mass pinned": (
         lambda: in_full_coordinates(leaning()),
         "chosen: Variational of 30 intervals by Ipopt; found in reduced coordinates",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -35,6 +36,16 @@ def folding(**changes):
     """Class 2: a D-bar pinned at a node."""
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.6).string_lengths), ocp.AtRest()]
     return ocp.Problem(driven(tc.shapes.d_bar(pinned=[0])), goals=goals, costs=[ocp.Effort()], **changes)
+
+
+def shaken(duration=1.0, *bounds):
+    """A prism of which one foot is shaken and one is lifted raises its top."""
+    (a, b, c), (d, e, f) = prism(1.0).nodes[:2].tolist()
+    feet = {0: lambda t: (a + 0.03 * ca.sin(4 * t), b, c), 1: lambda t: (d, e, f + 0.02 * t**2)}
+    model = driven(prism(1.0, pinned=[0, 1, 2]), supports=tc.SupportMotion(feet), gravity=tc.Gravity((0.0, 0.0, -2.0)))
+    goals = [ocp.NodePositions({5: (None, None, 1.05)}), ocp.NodeVelocities({4: (None, None, 0.0)})]
+    bounds = [ocp.ForceDensityLimits(1.0, 100.0), *bounds]
+    return ocp.Problem(model, duration, goals=goals, bounds=bounds, costs=[ocp.Effort(), *[ocp.Duration(5.0)] * isinstance(duration, tuple)])
 
 
 def program(problem, transcription):

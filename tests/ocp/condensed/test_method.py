@@ -22,11 +22,6 @@ PRISM = tc.shapes.prism()
 D_BAR = tc.shapes.d_bar(pinned=[0])
 
 
-def lifted(t):
-    x, y, z = PRISM.nodes[0]
-    return (x, y, z + 0.05 * t**2)
-
-
 CASES = {
     "prism": (ocp.Problem(driven(PRISM), goals=RISE, bounds=[LIMITS], costs=[ocp.Effort()]), ocp.Variational(20)),
     "ball": (
@@ -76,14 +71,23 @@ def test_finds_what_ipopt_finds(case):
     assert np.abs(again.trajectory.states - plan.trajectory.states).max() < 0.05
 
 
-def test_supports_may_be_moved():
-    """As multiple shooting knows them, in the limit of short intervals."""
-    scene = tc.Scene(tc.shapes.prism(pinned=[0, 1, 2]), control=tc.ForceDensity(), supports=tc.SupportMotion({0: lifted}))
-    goals = [ocp.NodePositions({5: (None, None, 1.03)})]
-    problem = ocp.Problem(tc.Model(scene), goals=goals, bounds=[LIMITS], costs=[ocp.Effort()])
-    plan = ocp.solve(problem, ocp.Variational(20), ocp.CondensedNewton())
+@pytest.mark.parametrize("limited", [False, True], ids=["", "slow"])
+@pytest.mark.parametrize("duration", [1.0, (0.4, 2.0)], ids=["fixed", "free duration"])
+def test_supports_may_be_moved(duration, limited):
+    """As multiple shooting knows them, and exact integration."""
+    slow = ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities[:, 5]), upper=0.01)
+    problem = planning.shaken(duration, *[slow] * limited)
+    assert applies(problem) == ""
+    plan = ocp.solve(problem, ocp.Variational(24, accuracy=1e-7), ocp.CondensedNewton())
+    known = ocp.solve(problem, ocp.MultipleShooting(24))
     assert plan.success, plan.message
-    assert plan.objective == pytest.approx(ocp.solve(problem, ocp.MultipleShooting(20)).objective, rel=5e-3)
+    assert plan.objective == pytest.approx(known.objective, rel=2e-3)
+    assert plan.time[-1] == pytest.approx(known.time[-1], rel=5e-3)
+    end = planning.integrated(plan)
+    assert problem.model.nodes(end)[5, 2] == pytest.approx(1.05, abs=1e-6)
+    assert problem.model.velocities(end)[4, 2] == pytest.approx(0.0, abs=1e-6)
+    if limited:
+        assert np.linalg.norm(plan.trajectory.velocities[:, 5], axis=1).max() < 0.1 + 1e-4
 
 
 def test_multipliers_are_what_costs_change_by():

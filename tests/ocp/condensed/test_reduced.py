@@ -37,6 +37,13 @@ def class_two() -> tc.Structure:
     return tc.Structure(nodes, bars, strings)
 
 
+def shaken(**scene: object) -> tc.Model:
+    """A prism with three pinned feet, of which two are moved."""
+    (a, b, c), (d, e, f) = tc.shapes.prism().nodes[:2].tolist()
+    moved = {0: lambda t: (a + 0.1 * ca.sin(3 * t), b, c), 1: lambda t: (d, e, f + 0.1 * t**3)}
+    return driven(tc.shapes.prism(pinned=[0, 1, 2], string_mass=0.05), supports=tc.SupportMotion(moved), **scene)
+
+
 CASES = {
     "class two": (ocp.Problem(driven(class_two()), goals=[ocp.StringLengths({0: 0.83}), ocp.AtRest()], costs=[ocp.Effort()]), ocp.Variational(8)),
     "free duration, waypoint": (
@@ -55,6 +62,16 @@ CASES = {
             costs=[ocp.Effort()],
         ),
         ocp.Variational(8),
+    ),
+    "moved supports": (
+        ocp.Problem(
+            shaken(gravity=tc.Gravity((0, 0, -3.0)), segments=2),
+            (0.5, 1.5),
+            goals=[ocp.NodePositions({5: (None, None, 1.02)}), ocp.NodeVelocities({4: (0.0, None, None)}), ON_THE_WAY],
+            bounds=[LIMITS],
+            costs=EVERY,
+        ),
+        ocp.Variational([1, 2, 1, 1, 1.5, 1, 1, 0.5]),
     ),
     "a roller": (
         ocp.Problem(
@@ -133,11 +150,12 @@ def heavy_limits() -> list[Bound]:
 
 
 @pytest.mark.parametrize("linear", [False, True])
-@pytest.mark.parametrize("duration", [1.0, (0.5, 1.5)])
-def test_limits_along_the_way_have_exact_first_and_second_derivatives(duration, linear):
-    problem = ocp.Problem(
-        driven(tc.shapes.prism(), gravity=tc.Gravity(), forces=PUSH), duration, goals=RISE, bounds=[LIMITS, *heavy_limits()], costs=EVERY
-    )
+@pytest.mark.parametrize(
+    ("duration", "moved"), [(1.0, False), ((0.5, 1.5), False), ((0.5, 1.5), True)], ids=["fixed", "free duration", "free duration, moved supports"]
+)
+def test_limits_along_the_way_have_exact_first_and_second_derivatives(duration, moved, linear):
+    model = shaken(gravity=tc.Gravity()) if moved else driven(tc.shapes.prism(), gravity=tc.Gravity(), forces=PUSH)
+    problem = ocp.Problem(model, duration, goals=RISE[: 1 if moved else 2], bounds=[LIMITS, *heavy_limits()], costs=EVERY)
     control = ocp.PiecewiseLinear(groups=[(0, 1, 2)]) if linear else ocp.PiecewiseConstant()
     transcription = ocp.Variational([1, 2, 1, 1, 1.5, 1], control=control)
     scales = Scales.of(problem)

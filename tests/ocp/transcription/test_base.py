@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import pytest
-from planning import folding, program, raising
+from planning import folding, integrated, program, raising, shaken
 
 import ocp
 import tenscasadi as tc
@@ -61,6 +61,37 @@ def test_joined_and_pinned_bars(transcription):
     assert found.replay_error < 5e-3
     assert found.trajectory.bar_length_error.max() < 1e-8
     assert np.abs(found.trajectory.nodes[:, 0] - found.trajectory.nodes[0, 0]).max() == 0.0
+
+
+@pytest.mark.parametrize("free", [False, True], ids=["fixed duration", "free duration, slow"])
+@pytest.mark.parametrize(
+    "transcription",
+    [
+        ocp.ImplicitMidpoint(24),
+        ocp.Variational(24, accuracy=1e-7),
+        ocp.Variational(24, control=ocp.PiecewiseLinear(), accuracy=1e-6),
+        ocp.Collocation(24),
+    ],
+    ids=["ImplicitMidpoint", "Variational", "linear", "Collocation"],
+)
+def test_supports_may_be_moved(transcription, free):
+    """As multiple shooting knows them, and SciPy."""
+    slow = ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities[:, 5]), upper=0.01)
+    problem = shaken((0.4, 2.0), slow) if free else shaken()
+    known = ocp.solve(problem, ocp.MultipleShooting(24, control=transcription.control))
+    found = ocp.solve(problem, transcription)
+    assert found.success, found.message
+    assert found.objective == pytest.approx(known.objective, rel=2e-3)
+    assert found.time[-1] == pytest.approx(known.time[-1], rel=5e-3)
+    assert found.trajectory.bar_length_error.max() < 1e-8
+    if transcription.accuracy is not None and not transcription.control.linear:
+        nodes, velocities = (read(integrated(found)) for read in (problem.model.nodes, problem.model.velocities))
+        assert nodes[5, 2] == pytest.approx(1.05, abs=1e-6)
+        assert velocities[4, 2] == pytest.approx(0.0, abs=1e-6)
+        assert nodes == pytest.approx(found.trajectory.nodes[-1], abs=1e-6)
+    if free:
+        assert 0.5 < found.time[-1] < 1.9
+        assert np.linalg.norm(found.trajectory.velocities[:, 5], axis=1).max() == pytest.approx(0.1, rel=1e-3)
 
 
 @pytest.mark.parametrize("make", [ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation], ids=lambda kind: kind.__name__)
