@@ -111,7 +111,10 @@ def contact_step(model: Model) -> float:
 
 def lightest_mass(model: Model) -> float:
     """Compute the least mass, kg, that a force on one free node moves, were it not for bars: 1/max diag M⁻¹."""
-    return float(1 / np.linalg.inv(np.asarray(model.mechanism.free_mass.toarray())).diagonal().max())
+    mech = model.mechanism
+    if model.coordinates == "full":  # pinned nodes without mass are free there, and held by Ω: M⁻ has masses for them that do not matter
+        return float(1 / mech.inverse[0].diagonal().max())
+    return float(1 / np.linalg.inv(np.asarray(mech.free_mass.toarray())).diagonal().max())
 
 
 def log_growth(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignored: float, bound: float, parameters: Any = None) -> float:

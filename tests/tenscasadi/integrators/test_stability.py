@@ -66,6 +66,9 @@ def test_steps_in_contact_follow_the_lightest_node() -> None:
     assert lightest_mass(Model(Scene(shapes.prism(bar_mass=0.3)))) == pytest.approx(0.3 / 4)  # an end of a rod
     assert contact_rate(free) == 0.0
     assert contact_step(free) == np.inf
+    hung = Structure([(0, 0, 1), (0, 0, 0), (0, 1, 0)], strings=[(0, 1), (1, 2)], node_mass=[0, 0.5, 2.0], pinned=[0], stiffness=1.0)
+    for coordinates in ("reduced", "full"):  # in full ones the pin, which has no mass, is free, and held by a force
+        assert lightest_mass(Model(Scene(hung), coordinates)) == pytest.approx(0.5)
     soft, damped = (Model(Scene(masses, ground=Ground(stiffness=200.0, damping=damping))) for damping in (0.0, 30.0))
     assert contact_rate(soft) == pytest.approx(20.0)
     assert contact_rate(damped) == pytest.approx(60.0)
