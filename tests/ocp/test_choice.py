@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from planning import driven, folding, prism, raising, shaken
 import ocp
 import tenscasadi as tc
 from ocp.boundary.find_target import find_target
-from ocp.choice import choose, choose_intervals
-from ocp.condensed.method import solve_condensed
+from ocp.choice import Choice, choose, choose_intervals
+from ocp.condensed.method import NOT_SETTLED, solve_condensed
 from ocp.problem.scaling import Scales
 from ocp.transcription.initial_guess import Guess
 
@@ -117,6 +118,21 @@ def test_ipopt_goes_on_where_costs_are_not_settled_and_the_better_plan_is_kept(m
     order = "Ipopt, after Variational of 30 intervals by CondensedNewton", "CondensedNewton, after Variational of 30 intervals by Ipopt"
     assert plan.message.endswith(f"chosen: Variational of 30 intervals by {order[cost == 0]}")
     assert cost == 0 or plan.objective < 100
+
+
+@pytest.mark.parametrize("status", [NOT_SETTLED, "settled"])
+def test_only_plans_whose_costs_are_settled_are_guesses_for_the_next_method(monkeypatch, status):
+    """A plan that still changes has multipliers that lead elsewhere: the next method begins with the guess that there was."""
+    problem, given = raising(), object()
+    missing = replace(ocp.solve(problem, ocp.Variational(4)), success=False, status=status)
+    assert missing.duals is not None
+    ways = [Choice(ocp.Variational(4), ocp.CondensedNewton()), Choice(ocp.Variational(6), ocp.Ipopt(), guess=given)]
+    of_package, begun = sys.modules["ocp.solve"], []
+    monkeypatch.setattr(of_package, "choose", lambda *asked: iter(ways))
+    monkeypatch.setattr(of_package, "_by_method", lambda asked, way, *rest: begun.append((asked.guess, way.guess)) or missing)
+    plan = ocp.solve(problem)
+    assert plan.message.endswith("tried: Variational of 4 intervals by CondensedNewton, Variational of 6 intervals by Ipopt")
+    assert begun == [(None, None), (None, given) if status == NOT_SETTLED else (missing, None)]
 
 
 def test_what_was_tried_is_said_where_no_plan_is_found():
