@@ -40,7 +40,8 @@ class SampledControl:
     """The `steps` steps of a run to `t_end`, s, with the control held in each; `varies`: it may change from step to step.
 
     ends (steps + 1,): where steps begin and end, s, None: all are equally long. unseen: which functions of time change too fast for them, as
-    messages tell it. early: s, by which the last step is shorter than these say, of which rounding leaves nothing to be seen.
+    messages tell it. early: s, by which the last step is shorter than these say, of which rounding leaves nothing to be seen. asks: whether
+    a function of the user's is called for it, which is asked once for each step.
     """
 
     steps: int
@@ -50,6 +51,7 @@ class SampledControl:
     ends: Array | None = None
     unseen: str = ""
     early: float = 0.0
+    asks: bool = False
 
     @property
     def step(self) -> float:
@@ -94,7 +96,7 @@ def sample_control(control: ControlInput | ControlProfile, default: Array, t_end
     if isinstance(control, ControlProfile):
         return _sample_profile(control, nu, t_end, t_end / steps, positive)
     if callable(control):
-        return SampledControl(steps, t_end, nu > 0, _of_function(control, nu, t_end / steps, positive))
+        return SampledControl(steps, t_end, nu > 0, _of_function(control, nu, t_end / steps, positive), asks=nu > 0)
     value = default
     if control is not None:
         table = _check_lengths("control", _array(control, nu), positive)
@@ -139,7 +141,7 @@ def cut_steps(inputs: SampledControl, breaks: Array, near: float | None = None) 
         owners = owner[first : first + count]
         return inputs.sample(int(owners[0]), int(owners[-1] - owners[0]) + 1)[owners - owners[0]] if len(owners) else inputs.sample(0, 0)
 
-    return SampledControl(len(owner), inputs.t_end, inputs.varies, sample, cut)
+    return SampledControl(len(owner), inputs.t_end, inputs.varies, sample, cut, asks=inputs.asks)
 
 
 def _sample_profile(profile: ControlProfile, nu: int, t_end: float, longest: float, positive: bool) -> SampledControl:

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import re
+import sys
+from typing import Any
 
+import numpy as np
 import pytest
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.sundials import Cvodes
-from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Linear
+from tenscasadi.scene.strings import Linear, RestLength
+from tenscasadi.simulation.missed_events import Repetition
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
@@ -85,3 +90,111 @@ def test_steps_too_long_for_a_vibration_are_told_without_events() -> None:
         assert run.success
         assert ("its steps, too long for the fastest that moves, put it off by some" in run.message or "energy is off" in run.message) == told
         assert (off(model, run) > 1e-3) == told
+
+
+def hanging_chain() -> Model:
+    """Undamped strings that let go and catch under three masses, along whose motion errors grow."""
+    x = np.arange(4.0)
+    nodes = np.column_stack([x, 0.3 * np.sin(x), 0 * x])
+    strings = [(0, 1), (1, 2), (2, 3)]
+    structure = Structure(nodes, strings=strings, node_mass=[0, 2.2, 0.9, 0.4], pinned=[0], stiffness=2.6e4, rest_length=0.91)
+    return Model(Scene(structure, gravity=Gravity()))
+
+
+@pytest.mark.parametrize("steps", [600, 1620, 3240])
+@pytest.mark.parametrize("scheme", [RungeKutta4(), Rattle(order=4)])
+def test_errors_that_grow_after_the_first_events_are_told(scheme: Scheme, steps: int) -> None:
+    model = hanging_chain()
+    run = simulate(model, 0.9, 0.9 / steps, scheme, compiled=False)
+    told = WORD.search(run.message)
+    assert told, run.message
+    wrong = off(model, run)
+    assert wrong > 0.02
+    assert wrong / 5 < float(told[1]) < 30 * wrong
+
+
+def test_rattle_on_a_terrain_tells_its_error() -> None:
+    terrain = Terrain(0.1 * np.sin(np.arange(30.0)).reshape(5, 6), (-2, -2), (1, 1), stiffness=1e4, damping=5.0, friction=0.3)
+    nodes, strings = [(0, 0, 0.5), (1, 0.25, 0.5), (2, 0.27, 0.5)], [(0, 1), (1, 2)]
+    structure = Structure(nodes, strings=strings, node_mass=[0, 1.27, 2.77], pinned=[0], stiffness=2.3e4, damping=1.4, rest_length=0.945)
+    model = Model(Scene(structure, gravity=Gravity(), ground=terrain))
+    run = simulate(model, 1.1, 1.1 / 400, Rattle(), compiled=False)
+    told = WORD.search(run.message)
+    assert told, run.message
+    truth = simulate(model, 1.1, scheme=DormandPrince853(1e-11), compiled=False)
+    assert float(told[1]) == pytest.approx(abs(run.nodes[-1] - truth.nodes[-1]).max(), rel=0.9)
+
+
+def test_energy_that_is_kept_hides_no_error() -> None:
+    """Gauss's points keep the energy of a mass between two strings, but not where it is."""
+    structure = Structure(
+        [(0, 0, 0), (1, 0.25, 0), (2, 0.27, 0)], strings=[(0, 1), (1, 2)], node_mass=[0, 0.12, 0], pinned=[0, 2], stiffness=1400.0, rest_length=0.83
+    )
+    model = Model(Scene(structure, gravity=Gravity((-4.0, -12.0, 6.0))))
+    for steps, told in ((120, True), (240, False)):
+        run = simulate(model, 1.3, 1.3 / steps, Collocation(2), compiled=False)
+        assert ("its steps, too long for the fastest that moves, put it off by some" in run.message) == told
+        assert (off(model, run) > 0.01) == told
+
+
+def test_steps_that_bear_no_longer_ones_need_no_word() -> None:
+    """Twice as long, they are above the stability limit of a vibration that nothing excites."""
+    structure = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=1e4, rest_length=1.0)
+    model = Model(Scene(structure, slack=Linear(), gravity=Gravity((0.0, 0.0, -1.0))))
+    start = model.state(structure.nodes, [(0.0, 0.0, 1.0), (1e-9, 0.0, 1.0)])
+    for steps in (200, 3000):
+        step = 0.9 * stable_step(model, safety=1.0)
+        run = simulate(model, steps * step, step, state=start, compiled=False)
+        assert run.message == f"finished {steps} steps of {run.step:g} s"
+
+
+def taken_again(
+    monkeypatch: pytest.MonkeyPatch, model: Model, t_end: float, step: float, state: Any = None, control: Any = None
+) -> tuple[Trajectory, Repetition]:
+    """Simulate; the run can be taken again."""
+    seen: list[Any] = []
+
+    def see(*given: Any) -> str:
+        seen.append(given)
+        return ""
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules["tenscasadi.simulation.simulate"], "describe_missed_events", see)
+        run = simulate(model, t_end, step, state=state, control=control, compiled=False)
+    return run, Repetition(*seen[0])
+
+
+def test_longer_steps_end_where_controls_jump(monkeypatch: pytest.MonkeyPatch) -> None:
+    structure = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=50.0, rest_length=1.0)
+    model = Model(Scene(structure, slack=Linear(), control=RestLength()))
+    _, again = taken_again(monkeypatch, model, 1.0, 1.0 / 44, control=[[0.6], [1.2], [0.6], [1.2]])
+    assert again.apart(2) < 1e-3 * again.motion
+
+
+@pytest.mark.parametrize("save_every", [1, 3])
+def test_functions_that_control_are_asked_once_for_each_step(save_every: int) -> None:
+    structure = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=1e4, damping=0.1, rest_length=1.0)
+    model = Model(Scene(structure, control=RestLength()))
+    asked: list[float] = []
+
+    def control(time: float) -> list[float]:
+        asked.append(time)
+        return [0.8]
+
+    run = simulate(model, 1.0, 1.0 / 300, control=control, save_every=save_every, compiled=False)
+    assert len(asked) == 300
+    told = WORD.search(run.message)
+    assert told, run.message
+    assert 0.05 < float(told[1]) < 0.5
+
+
+def test_a_piece_near_the_end_of_a_run_is_a_whole_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two masses, slack for most of the run, are caught in its last steps: the piece begins before."""
+    structure = Structure([(0, 0, 0), (0.1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=2e3, rest_length=1.0)
+    model = Model(Scene(structure))
+    start = model.state(structure.nodes, [(-0.45, 0, 0), (0.45, 0, 0)])
+    run, again = taken_again(monkeypatch, model, 1.08, 0.0027, state=start)
+    changed = int(np.flatnonzero(np.diff(run.tension[:, 0] != 0))[0])
+    assert changed > len(run.time) - 200
+    wrong = off(model, run)
+    assert wrong / 10 < again.error_of_piece() < 10 * wrong
