@@ -75,11 +75,12 @@ def reduced_twin(problem: Problem, guess: InitialGuess | None) -> ReducedTwin | 
 def _in_reduced(model: Model) -> Model:
     """Return the model of the same scene in reduced coordinates; the model keeps it, as its functions take time to build."""
     kept: dict[Any, Any] = model.functions
-    if "reduced" not in kept:
+    key = ("reduced",)
+    if key not in kept:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RedundantConstraints)
-            kept["reduced"] = Model(model.scene)
-    twin: Model = kept["reduced"]
+            kept[key] = Model(model.scene)
+    twin: Model = kept[key]
     return twin
 
 
