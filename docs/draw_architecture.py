@@ -39,9 +39,13 @@ PLANNING = {
     "problem": (1, BOTTOM, "goals, bounds,\ncosts"),
     "boundary": (2, BOTTOM, "start and end\nthat say\nsomething new"),
     "transcription": (3, BOTTOM, "sparse nonlinear\nprogram"),
-    "solvers": (4, BOTTOM, "IPOPT, Fatrop;\nalso condensed,\nsampling, phases"),
+    "solvers": (4, BOTTOM, "IPOPT, Fatrop"),
     "plan": (5, BOTTOM, "replay, report,\nrefinement"),
     "control": (6, BOTTOM, "LQR, MPC,\nMPPI"),
+    "sampling": (3, BOTTOM + 1, "random motions,\nthrough contact"),
+    "condensed": (4, BOTTOM + 1, "large plans,\nby Newton"),
+    "phases": (5, BOTTOM + 1, "take-off,\nlanding"),
+    "files": (6, BOTTOM + 1, "problems\nin TOML"),
 }
 # from, to, the value that is handed on
 FLOW = [
@@ -82,7 +86,7 @@ def draw_arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float], l
 
 def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     """Draw the picture and save it as `path`."""
-    figure = Figure(figsize=(13, 8.2), layout="constrained")
+    figure = Figure(figsize=(13, 9.6), layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.subplots()
     for rooms, colour in ((ROOMS, TENSCASADI), (PLANNING, OCP)):
@@ -109,9 +113,9 @@ def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     draw_arrow(ax, (x + WIDTH / 2, y - 0.3), (x1 - WIDTH / 2, y1 + 0.1))
     left = place(-0.62, 0)[0]
     ax.text(left, place(0, 1.0)[1], "tenscasadi", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
-    ax.text(left, place(0, BOTTOM)[1], "ocp", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
-    ax.set(xlim=(left - 0.4, place(6, 0)[0] + 1.1), ylim=(place(0, BOTTOM)[1] - 0.9, 1.0))
-    ax.set_title("Folders, and the values that they hand on: a folder imports only from folders to its left")
+    ax.text(left, place(0, BOTTOM + 0.5)[1], "ocp", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
+    ax.set(xlim=(left - 0.4, place(6, 0)[0] + 1.1), ylim=(place(0, BOTTOM + 1)[1] - 0.9, 1.0))
+    ax.set_title("Folders, and the values that they hand on, from left to right")
     ax.axis("off")
     figure.savefig(path, dpi=100)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import runpy
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -98,6 +99,20 @@ def test_a_package_imports_only_packages_to_its_left(module):
             assert other_room in OPEN_TO_OCP, f"{module} imports {other}: ocp uses {sorted(OPEN_TO_OCP)} only"
         else:
             assert level < own or other_room == room, f"{module} imports {other}, which is not to its left"
+
+
+@pytest.mark.parametrize(("package", "order"), [("tenscasadi", TENSCASADI), ("ocp", OCP)])
+def test_the_document_tells_this_order(package, order):
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    (line,) = [line for line in text.splitlines() if line.startswith(f"    {package} ")]
+    told = [set(level.split(", ")) for level in line.removeprefix(f"    {package} ").strip().split(" < ")]
+    assert told == [level if isinstance(level, set) else {level} for level in order]
+
+
+def test_the_picture_shows_every_folder():
+    picture = runpy.run_path(str(ROOT / "docs" / "draw_architecture.py"))
+    for package, drawn in (("tenscasadi", picture["ROOMS"]), ("ocp", picture["PLANNING"])):
+        assert {path.parent.name for path in (ROOT / package).glob("*/__init__.py")} == set(drawn)
 
 
 def test_no_circle_of_modules():
