@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
@@ -11,6 +12,7 @@ import numpy as np
 from ocp.boundary.target import Target
 from ocp.condensed.method import applies, limited_on_the_way
 from ocp.problem.control import winds
+from ocp.problem.costs import Duration, Effort
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.sampling.method import default_intervals
@@ -40,7 +42,8 @@ Method = Solver | CondensedNewton | Sampling
 class Choice(NamedTuple):
     """A transcription and a solver.
 
-    finer: whether it is for plans that were found, whose replay misses; guess: on its intervals, if known; noise: of that guess, 0 for the usual.
+    finer: whether it is for plans that were found, whose replay misses; guess: on its intervals, if known; noise: of that guess, 0 for the usual;
+    again: whether it is for where IPOPT has stopped at a saddle.
     """
 
     transcription: Transcription
@@ -48,10 +51,11 @@ class Choice(NamedTuple):
     finer: bool = False
     guess: Guess | None = None
     noise: float = 0.0
+    again: bool = False
 
     def describe(self) -> str:
         """Return such as "Variational of 30 intervals by Ipopt"."""
-        from_noise = f" from a guess with noise {self.noise:g}" if self.noise else ""
+        from_noise = f" from a guess with noise {self.noise:g}" if self.noise else " from noise" if self.again else ""
         return f"{type(self.transcription).__name__} of {self.transcription.count} intervals by {type(self.solver).__name__}{from_noise}"
 
 
@@ -77,11 +81,15 @@ def choose(problem: Problem, target: Target, guess: InitialGuess | None, toleran
         yield Choice(corrected, CondensedNewton(), guess=known)
         yield Choice(finer, CondensedNewton())
         yield from _noisy(problem, target, guess, corrected)
+    follows = condensed and not first_condensed
+    # leaves saddles in half the iterations that IPOPT takes; with other costs it has led to worse optima
+    leaves = follows and all(isinstance(cost, (Effort, Duration)) for cost in problem.costs)
     if not corrected.refusal(model):
-        yield Choice(corrected, ipopt, guess=known)
+        yield Choice(corrected, replace(ipopt, restart=not leaves), guess=known)
         yield Choice(finer, ipopt, finer=True)
-    if condensed and not first_condensed:
+    if follows:
         yield Choice(corrected, CondensedNewton(), guess=known)
+        yield Choice(corrected, ipopt, guess=evaluate_guess(guess, problem, target, count).disturbed(problem), again=True)
         yield from _noisy(problem, target, guess, corrected)
     yield Choice(MultipleShooting(count), ipopt, guess=known)
     yield Choice(MultipleShooting(count, scheme=DormandPrince853(), substeps=2), ipopt, finer=True)

@@ -31,7 +31,7 @@ from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
-from ocp.solvers.ipopt import TIME_UP, Ipopt
+from ocp.solvers.ipopt import SADDLE, TIME_UP, Ipopt
 from ocp.solvers.wider_rates import TOO_SLOW
 from ocp.starts import MOST_STARTS, seeded, solve_each
 from ocp.transcription.base import ReducedOnly, Transcription
@@ -118,8 +118,9 @@ def solve(
     Where neither transcription nor solver is given, both are chosen, and the number of intervals: three for each radian of the fastest vibration,
     30 at least. Where nodes may touch a ground, `Sampling`; else `Variational`, corrected to a third of the tolerance, from five bars on (nine
     where more than force densities is limited) with `CondensedNewton`, where it takes the costs, or with `Ipopt`. Where the first fails, or its
-    replay misses, the next one follows, from its plan: `MultipleShooting`, the condensed method also from guesses with much noise. Where its costs
-    are not settled, `Ipopt` goes on for a while, and the better plan is kept. The message says which were tried.
+    replay misses, the next one follows, from its plan: where `Ipopt` meets a saddle `CondensedNewton`, for efforts and durations, then
+    `MultipleShooting`, the condensed method also from guesses with much noise. Where its costs are not settled, `Ipopt` goes on for a while,
+    and the better plan is kept. The message says which were tried.
 
     A problem in full coordinates is planned in reduced ones, as motions do not depend on them, but with `MultipleShooting`: the plan, its replay
     and the verdict are of the model that is given, and own expressions get its states. Where constraints are redundant, or bounds and costs are
@@ -210,7 +211,8 @@ def _by_choice(asked: _Asked) -> Plan:
     for choice in choose(problem, target, asked.guess, asked.limit):
         best = max(tried.values(), key=_worth, default=None)
         optimal = best is not None and best.duals is not None and best.status != NOT_SETTLED
-        if best is not None and (asked.late() or (choice.finer and not optimal) or (choice.noise and optimal)):
+        saddle = any(plan.status == SADDLE for plan in tried.values())
+        if best is not None and (asked.late() or (choice.finer and not optimal) or (choice.noise and optimal) or (choice.again and not saddle)):
             continue
         way, own = (choice._replace(guess=None), asked._replace(guess=best)) if optimal else (choice, asked)
         plan = tried[choice.describe()] = _by_method(own, way, target, scales)
@@ -224,6 +226,7 @@ def _by_choice(asked: _Asked) -> Plan:
     said = f"chosen: {chosen}" + (f", after {others}" if others else "")
     return replace(
         best,
+        solver=replace(best.solver, restart=True) if isinstance(best.solver, Ipopt) else best.solver,
         message=f"{best.message}; {said if best.success else 'tried: ' + ', '.join(tried)}",
         iterations=sum(plan.iterations for plan in tried.values()),
         seconds=time.perf_counter() - asked.began,

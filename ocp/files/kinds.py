@@ -103,7 +103,7 @@ _NEWTON = {"max_iterations": WHOLE, "tolerance": NUMBER, "verbose": Flag()}
 _SAMPLES = dict.fromkeys(("knots", "samples", "seed", "rounds", "iterations", "attempts", "threads"), WHOLE)
 SOLVER = Kind(
     (
-        define(Ipopt, {**_NEWTON, "options": TableOf(PLAIN), "seconds": NUMBER, "warm": Flag()}),
+        define(Ipopt, {**_NEWTON, "options": TableOf(PLAIN), "seconds": NUMBER, "warm": Flag(), "restart": Flag()}),
         define(CondensedNewton, _NEWTON),
         define(Fatrop, {**_NEWTON, "options": TableOf(PLAIN)}),
         define(Sampling, {"groups": _GROUPS, **_SAMPLES, "verbose": Flag()}),

@@ -15,7 +15,7 @@ from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.solvers.base import Solution
-from ocp.solvers.ipopt import STOPPED, TIME_UP
+from ocp.solvers.ipopt import SADDLE, STOPPED, TIME_UP
 from ocp.solvers.wider_rates import TOO_SLOW, rate_rows, widening
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import hermite_state, locate_share
@@ -48,6 +48,7 @@ _STOPS = {
     "Maximum_WallTime_Exceeded": "stopped at the time limit: raise Ipopt(seconds=...)",
     "Maximum_CpuTime_Exceeded": "stopped at the time limit: raise max_cpu_time in Ipopt(options=...)",
     TIME_UP: "stopped at the time limit, with the best so far: raise seconds",
+    SADDLE: "stopped at a saddle: leave out restart=False, or give another guess",
     STOPPED: "stopped on request, by Ipopt(watch=...) or from the keyboard, with the best so far",
 }
 _CONTACT = "through contact with a ground derivatives mislead the solver: try solver=ocp.Sampling(), or phases"

@@ -73,7 +73,7 @@ class Ipopt:
     However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch a ground its derivatives mislead, and it
     hardly finds a motion, whatever the guess: see `Sampling` and `Phase`. MUMPS runs without its own scaling, which triples its
     speed on these problems, and orders pivots by AMD, or from 800 intervals on by METIS. Where curvature is
-    negative several times in a row, the solver begins once more, from the guess with its noise; the iterations of both count.
+    negative several times in a row, at a saddle, the solver begins once more, from the guess with its noise; the iterations of both count.
 
     Parameters
     ----------
@@ -93,6 +93,8 @@ class Ipopt:
     warm : bool
         Whether the guess is nearly a solution, such as another plan. The solver keeps to it, and to its multipliers where mesh and
         constraints are the same.
+    restart : bool
+        Whether the solver begins once more where it meets a saddle, or stops there.
 
     Raises
     ------
@@ -123,6 +125,7 @@ class Ipopt:
     seconds: float | None = None
     watch: Watcher | None = None
     warm: bool = False
+    restart: bool = True
 
     def __post_init__(self) -> None:
         check_options("Ipopt", self.max_iterations, self.tolerance, self.verbose, self.options, "{'mu_strategy': 'adaptive'}")
@@ -130,8 +133,9 @@ class Ipopt:
             positive_number("Ipopt.seconds", self.seconds)
         if self.watch is not None and not callable(self.watch):
             raise TypeError(f"Ipopt.watch is {shown(self.watch)}: give a function of an ocp.Progress, or None")
-        if not isinstance(self.warm, bool):
-            raise TypeError(f"Ipopt.warm is {shown(self.warm)}: give True or False")
+        for name in ("warm", "restart"):
+            if not isinstance(getattr(self, name), bool):
+                raise TypeError(f"Ipopt.{name} is {shown(getattr(self, name))}: give True or False")
         _check_library(self.options)
 
     def solve(self, program: Program, deadline: float | None = None) -> Solution:
@@ -158,7 +162,7 @@ class Ipopt:
         if program.noise is None or program.multipliers is not None or self.warm:
             return run(program, deadline)
         even = run(program, deadline, leaves_saddles=True)
-        if even.status != SADDLE:
+        if even.status != SADDLE or not self.restart:
             return even
         solution = run(program.disturbed(), deadline)
         return solution._replace(iterations=even.iterations + solution.iterations)

@@ -46,10 +46,13 @@ CHOICES = {
     "six bars": (widening, "chosen: Variational of 30 intervals by CondensedNewton"),
     "one bar": (leaning, "chosen: Variational of 30 intervals by Ipopt"),
     "six bars, limits on the way": (
-        lambda: widening(ocp.TensionLimits(upper=60.0)),
-        "chosen: Variational of 30 intervals by Ipopt",
+        lambda: widening(ocp.TensionLimits(upper=60.0)),  # a saddle
+        "chosen: Variational of 30 intervals by CondensedNewton, after Variational of 30 intervals by Ipopt",
     ),
-    "moved supports, free duration": (lambda: shaken((0.4, 2.0)), "chosen: Variational of 30 intervals by Ipopt"),
+    "moved supports, free duration": (
+        lambda: shaken((0.4, 2.0)),  # a saddle, too
+        "chosen: Variational of 30 intervals by CondensedNewton, after Variational of 30 intervals by Ipopt",
+    ),
     "full coordinates, nodes without mass pinned": (
         lambda: in_full_coordinates(leaning()),
         "chosen: Variational of 30 intervals by Ipopt; found in reduced coordinates",

@@ -223,7 +223,7 @@ def planning_calls() -> dict[str, Call]:
         "ocp.Collocation": (ocp.Collocation, mesh | {"degree": 2}),
         "PiecewiseConstant": (ocp.PiecewiseConstant, {"groups": ((0, 1), (2, 3)), "changes": 3}),
         "PiecewiseLinear": (ocp.PiecewiseLinear, {"groups": ((0, 1), (2, 3))}),
-        "Ipopt": (ocp.Ipopt, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}, "seconds": 1.0, "watch": None, "warm": False}),
+        "Ipopt": (ocp.Ipopt, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}, "seconds": 1.0, "watch": None, "warm": False, "restart": True}),
         "CondensedNewton": (ocp.CondensedNewton, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False}),
         "Fatrop": (ocp.Fatrop, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}}),
         "Sampling": (

@@ -49,6 +49,10 @@ def test_noise_is_added_where_a_saddle_is_met_and_nowhere_else():
     at_once, noisy = begins(back, ocp.InverseDynamics(noise=0.3))
     assert (once, at_once) == (2, 1)
     assert plan.objective == pytest.approx(noisy.objective, rel=0.01)
+    stopped = ocp.solve(back, ocp.Variational(12), ocp.Ipopt(restart=False))
+    assert not stopped.success
+    assert stopped.iterations < plan.iterations
+    assert "stopped at a saddle: leave out restart=False" in stopped.message
 
 
 def test_an_interruption_keeps_the_best():
@@ -106,6 +110,7 @@ def test_a_plan_as_guess_takes_fewer_iterations():
         (lambda: ocp.Ipopt(seconds=-1.0), ValueError, "Ipopt.seconds"),
         (lambda: ocp.Ipopt(watch=3), TypeError, "Ipopt.watch is 3: give a function"),
         (lambda: ocp.Ipopt(warm="yes"), TypeError, "Ipopt.warm is 'yes': give True or False"),
+        (lambda: ocp.Ipopt(restart=1), TypeError, "Ipopt.restart is 1: give True or False"),
     ],
 )
 def test_wrong_values_are_refused(make, error, words):
