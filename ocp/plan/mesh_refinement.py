@@ -78,7 +78,7 @@ def refine_mesh(
     return _refine(plan, cut, again, tolerance, attempts, corrected)
 
 
-def refine_phases(plan: P, model: Model, again: Callable[[Array, P], P], tolerance: float, attempts: int) -> tuple[P, str]:
+def refine_phases(plan: P, again: Callable[[Array, P], P], tolerance: float, attempts: int) -> tuple[P, str]:
     """As `refine_mesh`, of a plan whose phases have the same relative lengths of intervals: each is cut in two."""
     return _refine(plan, lambda coarse, _: np.repeat(coarse.transcription.fractions, 2), again, tolerance, attempts)
 
@@ -125,7 +125,7 @@ def refined(plan: Any, tolerance: float, attempts: int, solve: Callable[..., Any
     if isinstance(solver, Sampling):
         found, missed = _sampled_again(plan, tolerance, lambda known: solve(plan.problem, known.transcription, solver, known, tolerance, **options))
     elif plan.problem.phases:
-        found, missed = refine_phases(plan, plan.model, again, tolerance, attempts)
+        found, missed = refine_phases(plan, again, tolerance, attempts)
     else:
         correctable = isinstance(solver, (Ipopt, CondensedNewton)) and not plan.tracked
         found, missed = refine_mesh(plan, plan.model, again, tolerance, attempts, corrected if correctable else None)
