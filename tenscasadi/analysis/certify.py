@@ -16,7 +16,6 @@ from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import stable_step
-from tenscasadi.scene.over_time import OverTime
 from tenscasadi.scene.pulses import Resolution, is_bounded
 from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.simulate import lay_run, simulate
@@ -209,12 +208,12 @@ class _Pairs:
         return unseen_changes(scene.over_time, first, first + self._t_end, count, _RESOLUTION)
 
     def _round_clock(self) -> float:
-        """Bound what the rounding of the clock does to the end, m: functions of time are asked for a time that is off by it.
+        """Bound what the rounding of the clock does to the end, m: functions and tables of time are asked for a time that is off by it.
 
         Their changes act as accelerations from the start on, each by so much too late or too early.
         """
         model, state = self._model, self._options["state"]
-        if not any(not isinstance(load, OverTime) or load.is_function for load in model.scene.over_time):
+        if not model.scene.over_time:
             return 0.0
         start, p = np.array(model.start_at(self._options["parameters"]) if state is None else state), self._options["parameters"]
         with resolving(_RESOLUTION):

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.time_functions import as_numbers, at_edges, check_over_run, express, find_breaks, interpolate, trace
+from tenscasadi.scene.time_functions import as_numbers, at_edges, check_over_run, express, find_breaks, interpolate, short_beside_steep, trace
 from tenscasadi.util.validate import Array, finite_array
 
 
@@ -121,7 +121,7 @@ class OverTime:
             Times, s, in order.
         """
         if self.times is not None:
-            return np.asarray(self.times)
+            return short_beside_steep(np.asarray(self.times))
         if not self.is_function:
             return np.empty(0)
         return at_edges(np.concatenate([self.breaks, find_breaks(trace(self.at), first, last)]), first, last, steps)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -21,6 +22,7 @@ CURE = "write it with NumPy's or CasADi's mathematics, without math, float() and
 _STEEP = 10.0  # times the median of a run: values above are looked at more closely
 _FINEST = 100  # roundings of the time: no closer
 _LAST, _GROWS = 4, 10.0  # what grows as much in so many looks, each on a tenth of the last, has no end
+_FAR_LONGER = 100.0  # than the next piece of a table
 _ROUNDINGS = 4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
 _REFINEMENTS = 40  # halvings of a part of a run in which a condition may hold for a short time
 _BISECTIONS = 60  # from a part of a run to the last digit
@@ -215,12 +217,31 @@ def trace(function: Any) -> ca.Function:
 
 
 def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
-    """Piecewise linear values (rows × m/rows, column by column) from a table (K, m), held constant outside its times: zeros cost nothing."""
-    t = ca.SX.sym("t")  # pw_lin knows no MX
-    inside = ca.fmin(ca.fmax(t, times[0]), times[-1])
-    entries = [ca.pw_lin(inside, ca.DM(times), ca.DM(column)) if column.any() else 0 for column in table.T]
+    """Piecewise linear values (rows × m/rows, column by column) from a table (K, m), held constant outside its times: zeros cost nothing.
+
+    Only the two entries around a time have a share in the sum: pieces of CasADi's `pw_lin` go on beyond their ends and cancel there, which
+    leaves nothing of a steep pulse's neighbours but rounding.
+    """
+    t = ca.SX.sym("t")
+    begun = [t >= float(at) for at in times]
+    shares = [ca.SX(1 - begun[0]), *[ca.SX(0)] * (len(times) - 2), begun[-1]]
+    for k, (first, last) in enumerate(pairwise(times)):
+        within, part = begun[k] - begun[k + 1], (t - float(first)) / float(last - first)
+        shares[k] += within * (1 - part)
+        shares[k + 1] += within * part
+    entries = [sum((float(value) * share for value, share in zip(column, shares, strict=True) if value), ca.SX(0)) for column in table.T]
     columns = [ca.vertcat(*entries[k : k + rows]) for k in range(0, len(entries), rows)]
     return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*columns)))])(time)
+
+
+def short_beside_steep(times: Array) -> Array:
+    """Return the times of a table, and more of them beside pieces far shorter than the next one, as far away as those are long.
+
+    A step that ends where a steep piece begins may see a rounding of the clock of it, and counts that for its whole length.
+    """
+    inner, before, after = times[1:-1], np.diff(times)[:-1], np.diff(times)[1:]
+    late, early = after > _FAR_LONGER * before, before > _FAR_LONGER * after
+    return np.unique(np.concatenate([times, inner[late] + before[late], inner[early] - after[early]]))
 
 
 def at_edges(breaks: Array, first: float, last: float, steps: int) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -66,3 +67,22 @@ def test_certificates_hold_the_rounding_of_the_clock(width: float, impulse: floa
     assert "the clock's rounding may add" in found.message
     smooth = tc.NodalForce(lambda t: [[0, 0, 0], [0, np.sin(3 * t), 0]])
     assert tc.certify(tc.Model(tc.Scene(string, forces=smooth)), 1.0, compiled=False).error < 1e-12
+
+
+@pytest.mark.parametrize(("middle", "width"), [(0.8589195577097951, 6.2e-8), (0.123456789, 1e-7), (0.5, 1e-5)])
+def test_a_steep_table_is_followed_to_the_last_digits(middle, width):
+    """A triangular pulse of half a newton second on a mass of 1 kg, against exact fractions of the table's own numbers."""
+    times, force = [0.0, middle - width, middle, middle + width, 1.0], np.zeros((5, 1, 3))
+    force[2, 0, 0] = 0.5 / width
+    begins, peaks, ends = (Fraction(time) for time in times[1:4])
+    top = Fraction(float(force[2, 0, 0]))
+    # the end is at the sum of impulses times what is left of the time, piece by piece of the table
+    rising = (peaks - begins) * top / 2 * (1 - begins - (peaks - begins) * Fraction(2, 3))
+    exact = float(rising + (ends - peaks) * top / 2 * (1 - peaks - (ends - peaks) / 3))
+    model = tc.Model(tc.Scene(tc.Structure([(0, 0, 0)], node_mass=1.0), forces=tc.NodalForce(force, times)))
+    clock = np.spacing(middle) / width  # rounding of the time, of the width
+    for scheme in (tc.DormandPrince853(), tc.DormandPrince853(rtol=1e-10)):
+        run = tc.simulate(model, 1.0, 0.01, scheme, compiled=False)
+        assert abs(run.nodes[-1, 0, 0] - exact) < 2 * clock * exact + 1e-15
+    reference = tc.certify(model, 1.0, compiled=False)
+    assert abs(reference.nodes[0, 0] - exact) <= reference.error < np.spacing(1.0) / width

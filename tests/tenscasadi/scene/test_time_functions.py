@@ -13,7 +13,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.supports import SupportMotion
-from tenscasadi.scene.time_functions import find_breaks
+from tenscasadi.scene.time_functions import find_breaks, interpolate, short_beside_steep
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
 
@@ -130,3 +130,21 @@ def test_numbers_of_casadi_may_stand_in_lists() -> None:
     NodalForce(push).check_run(0.0, 1.0)
     with pytest.raises(ValueError, match=r"NodalForce\.values\(0\.0\)\[1, 1\] is nan"):
         NodalForce(lambda t: [REST, [0, ca.if_else(t < 0.5, np.nan, 2), 0]]).check(2)
+
+
+def test_tables_are_exact_at_their_times_and_beside_steep_pieces():
+    times, table = np.array([0.0, 0.3, 0.3 + 1e-9, 1.0]), np.array([[2.0, 0.0], [0.0, 0.0], [1e9, 0.0], [3.0, 0.0]])
+    t = ca.SX.sym("t")
+    values = interpolate(t, times, table, 1)
+    at = ca.Function("at", [t], [values, ca.jacobian(values[0, 0], t)])
+    found = [np.asarray(at(time)[0]).ravel().tolist() for time in (-1.0, *times, 2.0)]
+    assert found == [[2.0, 0.0], [2.0, 0.0], [0.0, 0.0], [1e9, 0.0], [3.0, 0.0], [3.0, 0.0]]
+    assert float(at(0.15)[0][0]) == pytest.approx(1.0, rel=1e-15)
+    assert float(at(0.15)[1]) == pytest.approx(-2 / 0.3)
+    assert float(at(1.5)[1]) == 0.0
+
+
+def test_steps_are_short_beside_short_pieces_of_a_table():
+    times = np.array([0.0, 0.5, 0.501, 0.503, 1.0])
+    assert short_beside_steep(times) == pytest.approx([0.0, 0.499, 0.5, 0.501, 0.503, 0.505, 1.0])
+    assert short_beside_steep(times[[0, 1, 4]]).tolist() == [0.0, 0.5, 1.0]
