@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
@@ -14,6 +15,7 @@ from ocp.boundary.tangents import Tangents
 from ocp.boundary.target import Target
 from ocp.boundary.unreachable import UnreachableGoal
 from ocp.problem.bounds.bound import PathBound, PathConstraint, RateBound
+from ocp.problem.bounds.geometric_bounds import Obstacle
 from ocp.problem.control import control_name, winds
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
@@ -58,11 +60,8 @@ def check_end(problem: Problem, target: Target) -> None:
     Raises UnreachableGoal, naming goal and limit, where a limit excludes the goal; ValueError where limits leave no force densities there.
     """
     state = target.state
-    bounds = path_constraints(problem, PathBound)
+    bounds = [*path_constraints(problem, PathBound), *_at_ends_of_bars(problem)]
     if state is None or problem.free_start or problem.repeating or not (bounds or path_constraints(problem, RateBound)):
-        return
-    bounds, rates = (path_constraints(problem, kind) for kind in (PathBound, RateBound))
-    if not bounds and not rates:
         return
     turned = _elsewhere(problem, state)
     fixed, shaped = _fixed_entries(problem, target, state, turned is not None)
@@ -83,6 +82,17 @@ def check_end(problem: Problem, target: Target) -> None:
     if told:
         raise ValueError(f"Problem.bounds leave no force densities where the goals are met: {told}: widen one, or move the goal")
     _check_rates(problem, state, shaped)
+
+
+def _at_ends_of_bars(problem: Problem) -> list[PathConstraint]:
+    """Return the distances of obstacles from the ends of bars: a goal places one of them, and leaves open where the bar is."""
+    structure, found = problem.model.scene.structure, []
+    for bound in problem.bounds:
+        if isinstance(bound, Obstacle):
+            ends = np.unique(structure.bars if bound.bars is None else structure.bars[list(bound.bars)])
+            moved = ends[~structure.fixed[ends].all(axis=1)].tolist()
+            found += [replace(bound, bars=[], nodes=moved).constraint(problem.model)] if moved else []
+    return found
 
 
 class _Limits(NamedTuple):

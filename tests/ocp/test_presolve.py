@@ -95,6 +95,10 @@ REFUSED = {
         lambda: asked(ocp.Obstacle((0.6, 0.0, 0.8), 0.2), goals=[ocp.NodePositions({1: (0.6, 0.0, None)}), ocp.AtRest()], model=driven(arm())),
         ("NodePositions: node 1 x and obstacle clear of bar 0 has to be at least 0.2 m, and is", "where the goals are met: move the goal"),
     ),
+    "the goal of one end of a bar is in the obstacle": (
+        lambda: asked(ocp.Obstacle((0.5, 0.0, 1.2), 0.05), goals=[ocp.NodePositions({3: (0.5, 0.0, 1.2)})]),
+        ("NodePositions: node 3 x and obstacle clear of node 3 has to be at least 0.05 m, and is", "where the goals are met: move the goal"),
+    ),
     "the goal is outside the box": (
         lambda: asked(ocp.InsideBox(upper=(0.5, None, None), nodes=[1]), goals=[ocp.NodePositions({1: (0.6, 0.0, None)})], model=driven(arm())),
         ("NodePositions: node 1 x and x of node 1 has to be at most 0.5 m, and is 0.6 where the goals are met",),
