@@ -18,6 +18,7 @@ from ocp.condensed.reduced import ReducedProblem
 from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function, units_of
 from ocp.problem.bounds.string_bounds import ForceDensityLimits
 from ocp.problem.control import winds
+from ocp.problem.costs import Smoothness
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, typical_cost
 from ocp.solvers.base import Outcome
@@ -65,6 +66,8 @@ def applies(problem: Problem) -> str:
         return "some of its bars depend on each other"
     if problem.free_start:
         return "its start is free"
+    if problem.costs and all(isinstance(cost, Smoothness) for cost in problem.costs):
+        return "its cost, Smoothness alone, leaves open how large force densities are"
     costs = foreign_costs(problem.costs)
     return f"it has the cost {' and '.join(costs)}, of more than force densities and the duration" if costs else ""
 

@@ -193,6 +193,7 @@ def beyond(plan, limited):
     ("change", "words"),
     [
         ({"costs": [ocp.Work()]}, "it has the cost Work"),
+        ({"costs": [ocp.Smoothness()]}, "its cost, Smoothness alone, leaves open how large force densities are"),
         ({"start": ocp.FreeStart()}, "its start is free"),
         ({"model": tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), ground=tc.Ground()))}, "its scene has a ground"),
     ],
