@@ -70,7 +70,7 @@ class Chain:
         x = ca.SX.sym("x", model.nx)
         N, V, _ = model.unpack(x)
         self._unpack = ca.Function("unpack", [x], [ca.vec(N), ca.vec(V)])
-        self.first_place, self.first_rate = (value[0] for value in self.unpack(start[None]))
+        self.first_rate = self.unpack(start[None])[1][0]
         T, part, share = ca.SX.sym("T"), ca.SX.sym("t"), ca.SX.sym("s")
         terms = forces.terms(
             model.scene, self.mech, ca.DM(self.mech.N), ca.DM.zeros(*self.mech.N.shape), ca.DM.zeros(model.nu), self.clock + T * part

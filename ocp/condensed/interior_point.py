@@ -41,6 +41,7 @@ LEAST_GIVE = 1e-300  # of rows whose barrier is infinite: 0 is for rows that are
 HOPELESS = 40, 0.8  # iterations, and what they leave at least of what is unmet where limits along the way leave no way
 SLUGGISH = 8, 0.03  # iterations and relative change of costs: barriers that are in the way are lowered before their optimum
 NEARLY_SETTLED, NEARLY_WITHIN = 1e-2, 5  # the same where no step is found any more
+POLISHES = 12  # at most
 LEAST_POLISHED = 1e-5  # distance from limits
 POLISHED_NEAR = 0.02  # in order-one rows: distance from limits along the way, from which on they have no say
 QUICKLY = 0.1  # what a step leaves at most where the next one may do with its expansion
@@ -327,10 +328,10 @@ class Search:
         )
 
 
-def polish(of: ReducedProblem, point: Point, tolerance: float, most: int = 12) -> Point:
+def polish(of: ReducedProblem, point: Point, tolerance: float) -> Point:
     """Return the nearest point, relative to the distances from limits, that meets goals and motion exactly."""
     limits, working = Limits(of.lower, of.upper), WorkingRows(of.paths)
-    for _ in range(most):
+    for _ in range(POLISHES):
         if not point.worst > tolerance:
             break
         expansion = of.about(point.w, point.motion)
