@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.util.interval_arithmetic import UnknownOperation, bound
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, shown
 
 _CASADI = (ca.SX, ca.MX, ca.DM)
 _PROBES = 4000  # parts of a run at whose ends functions are looked at
@@ -36,16 +36,19 @@ _REMAINDERS = {ca.OP_FMOD: ca.sin, ca.OP_REMAINDER: ca.cos}  # they switch where
 
 def express(field: str, function: Callable[[Any], Any], time: Any) -> Any:
     """Return what a user's function makes of a CasADi time: a matrix, a vector or the rows of one. Raises ValueError naming `field`."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
+        try:
             found = function(time)
+        except Exception as error:  # whatever the caller's function raises
+            fault = re.sub(r"\S+:\d+: ", "", str(error))  # CasADi begins with its own files and lines
+            raise ValueError(f"{field} raised {type(error).__name__}({fault}) on a CasADi time: {CURE}") from error
+        try:
             if isinstance(found, _CASADI):
                 return found
             return ca.vertcat(*map(_row, found)) if isinstance(found, Iterable) else ca.DM(found)
-    except Exception as error:  # whatever the caller's function raises
-        fault = re.sub(r"\S+:\d+: ", "", str(error))  # CasADi begins with its own files and lines
-        raise ValueError(f"{field} raised {type(error).__name__}({fault}) on a CasADi time: {CURE}") from error
+        except Exception as error:  # CasADi's own words list all that it could take
+            raise ValueError(f"{field} returns {shown(found)} on a CasADi time: give numbers and expressions of it; {CURE}") from error
 
 
 def _row(entries: Any) -> Any:

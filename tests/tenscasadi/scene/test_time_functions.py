@@ -148,3 +148,12 @@ def test_steps_are_short_beside_short_pieces_of_a_table():
     times = np.array([0.0, 0.5, 0.501, 0.503, 1.0])
     assert short_beside_steep(times) == pytest.approx([0.0, 0.499, 0.5, 0.501, 0.503, 0.505, 1.0])
     assert short_beside_steep(times[[0, 1, 4]]).tolist() == [0.0, 0.5, 1.0]
+
+
+@pytest.mark.parametrize("place", [None, "x", (0, None, 0)])
+def test_what_is_no_expression_is_told_in_one_line(place: Any) -> None:
+    with pytest.raises(
+        ValueError, match=r"SupportMotion\.positions\[0\] returns .* on a CasADi time: give numbers and expressions of it; "
+    ) as caught:
+        run(supports=SupportMotion({0: lambda t: place}))
+    assert "\n" not in str(caught.value)
