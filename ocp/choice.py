@@ -89,7 +89,8 @@ def choose(problem: Problem, target: Target, guess: InitialGuess | None, toleran
         yield Choice(finer, ipopt, finer=True)
     if follows:
         yield Choice(corrected, CondensedNewton(), guess=known)
-        yield Choice(corrected, ipopt, guess=evaluate_guess(guess, problem, target, count).disturbed(problem), again=True)
+        even = evaluate_guess(guess, problem, target, count) if known is None else known
+        yield Choice(corrected, ipopt, guess=even.disturbed(problem), again=True)
         yield from _noisy(problem, target, guess, corrected)
     yield Choice(MultipleShooting(count), ipopt, guess=known)
     yield Choice(MultipleShooting(count, scheme=DormandPrince853(), substeps=2), ipopt, finer=True)

@@ -13,9 +13,9 @@ import scipy.sparse as sp
 from ocp.condensed.chain import Motion, Rows
 from ocp.condensed.limits import LimitDuals, Limits
 from ocp.condensed.metric import Metric, Projector
+from ocp.condensed.path_rows import WorkingRows
 from ocp.condensed.reduced import Expansion, Leftover, ReducedProblem
 from ocp.condensed.tangential import Model, Step
-from ocp.condensed.working_rows import WorkingRows
 from tenscasadi.util.validate import Array, Indices
 
 TIME = "time"  # how it ended: the time was over
@@ -41,7 +41,7 @@ LEAST_GIVE = 1e-300  # of rows whose barrier is infinite: 0 is for rows that are
 HOPELESS = 40, 0.8  # iterations, and what they leave at least of what is unmet where limits along the way leave no way
 SLUGGISH = 8, 0.03  # iterations and relative change of costs: barriers that are in the way are lowered before their optimum
 NEARLY_SETTLED, NEARLY_WITHIN = 1e-2, 5  # the same where no step is found any more
-POLISHES = 12  # at most
+POLISHES = 12  # steps of `polish`, at most
 LEAST_POLISHED = 1e-5  # distance from limits
 POLISHED_NEAR = 0.02  # in order-one rows: distance from limits along the way, from which on they have no say
 QUICKLY = 0.1  # what a step leaves at most where the next one may do with its expansion

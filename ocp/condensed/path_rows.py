@@ -1,4 +1,4 @@
-"""The limits along the way, as rows of the condensed problem: values, and derivatives by motion, force densities and duration."""
+"""The limits along the way, as rows of the condensed problem: values, derivatives, and which of them count among the rows of a step."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from ocp.boundary.target import Target
 from ocp.condensed.chain import Chain, Motion
@@ -21,6 +22,11 @@ from ocp.transcription.initial_guess import Guess
 from ocp.transcription.sparse_nlp import Block, symbol_kind
 from ocp.transcription.variables import Variables
 from tenscasadi.util.validate import Array, Indices
+
+MOST_WORKING = 400  # rows of a step
+FELT = 1e-2  # of the metric: what a row adds to it at least
+UNMET = 1e-9  # in order-one rows
+SAMPLE = 30  # rows, from which is learnt what they add
 
 
 class Slopes(NamedTuple):
@@ -208,3 +214,29 @@ def _pattern(matrix: Any) -> tuple[Indices, Indices]:
     sparsity = matrix if isinstance(matrix, ca.Sparsity) else matrix.sparsity()
     row, column = (np.array(entries, dtype=np.intp) for entries in sparsity.get_triplet())
     return row, column
+
+
+class WorkingRows:
+    """Rows that are met, as their limits are equal, and those whose barriers bend the costs most.
+
+    All others act through products with the second derivatives alone.
+    """
+
+    def __init__(self, paths: PathRows) -> None:
+        self.free, self.met = paths.limits.free, np.flatnonzero(~paths.limits.free)
+        self.size = 0.0  # of B D⁻¹ Bᵀ, typical
+
+    def learn(self, sizes: Array) -> None:
+        """Remember how far the metric lets rows give way."""
+        if len(sizes):
+            self.size = float(np.median(sizes))
+
+    def choose(self, stiffness: Array, left: Array) -> Indices:
+        """Return rows (p',), those that are met first, given how stiff their barriers are, and what they leave unmet."""
+        felt = stiffness * self.size > FELT if self.size else stiffness >= np.sort(stiffness)[-SAMPLE:].min(initial=np.inf)
+        return np.append(self.met, self.stiffest(stiffness, felt | (np.abs(left) > UNMET)))
+
+    def stiffest(self, stiffness: Array, among: NDArray[np.bool_]) -> Indices:
+        """Return those rows that are stiffest, in their order, among some that are not met."""
+        rows = np.flatnonzero(among & self.free)
+        return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:MOST_WORKING]])
