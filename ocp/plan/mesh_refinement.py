@@ -117,7 +117,10 @@ def refined(plan: Any, tolerance: float, attempts: int, solve: Callable[..., Any
     options = {"tracked": True} if plan.tracked else {}
 
     def again(intervals: Array, known: Any) -> Any:
-        return solve(plan.problem, replace(known.transcription, intervals=tuple(intervals.tolist())), solver, known, tolerance, **options)
+        finer_mesh = replace(known.transcription, intervals=tuple(intervals.tolist()))
+        if finer_mesh.accuracy is not None:  # of the tolerance that it was found for
+            finer_mesh = replace(finer_mesh, accuracy=min(finer_mesh.accuracy, CAUTION * tolerance))
+        return solve(plan.problem, finer_mesh, solver, known, tolerance, **options)
 
     def corrected(known: Any) -> Any:
         return solve(plan.problem, replace(known.transcription, accuracy=CAUTION * tolerance), solver, known, tolerance, **options)

@@ -101,3 +101,16 @@ def test_what_was_not_found_is_not_refined():
 def test_bad_arguments_of_refine(coarse, arguments):
     with pytest.raises((TypeError, ValueError), match=r"tolerance|attempts"):
         coarse.refine(*arguments)
+
+
+@pytest.mark.parametrize("solver", [ocp.Ipopt(), ocp.CondensedNewton()])
+def test_a_plan_of_a_loose_accuracy_is_refined(solver):
+    """Corrections that stop at the accuracy of the first plan would undo what a finer mesh gains."""
+    plan = ocp.solve(raising(), ocp.Variational(20, accuracy=1e-3), solver, tolerance=1e-2)
+    assert plan.success
+    tolerance = plan.worst_error / 20
+    fine = plan.refine(tolerance)
+    assert fine.success, fine.message
+    assert fine.worst_error <= tolerance
+    assert len(fine.force_density) > 20
+    assert fine.transcription.accuracy < tolerance
