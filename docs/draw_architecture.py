@@ -72,16 +72,44 @@ def draw_room(ax: Axes, name: str, column: float, row: float, text: str, colour:
     """One folder."""
     x, y = place(column, row)
     corner = (x - WIDTH / 2, y - HEIGHT / 2)
-    ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, boxstyle="round,pad=0.02,rounding_size=0.1", facecolor=colour, edgecolor="#555555"))
+    ax.add_patch(
+        FancyBboxPatch(
+            corner,
+            WIDTH,
+            HEIGHT,
+            boxstyle="round,pad=0.02,rounding_size=0.1",
+            facecolor=colour,
+            edgecolor="#555555",
+        )
+    )
     ax.text(x, y + 0.27, name, ha="center", va="center", fontsize=10.5, fontweight="bold")
     ax.text(x, y - 0.13, text, ha="center", va="center", fontsize=7.8, linespacing=1.15)
 
 
-def draw_arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float], label: str = "", dashed: bool = False) -> None:
+def draw_arrow(
+    ax: Axes,
+    start: tuple[float, float],
+    end: tuple[float, float],
+    label: str = "",
+    dashed: bool = False,
+) -> None:
     """The path of a value."""
-    style = {"arrowstyle": "-|>", "color": "#333333", "lw": 1.3, "linestyle": "--" if dashed else "-"}
+    style = {
+        "arrowstyle": "-|>",
+        "color": "#333333",
+        "lw": 1.3,
+        "linestyle": "--" if dashed else "-",
+    }
     ax.annotate("", end, start, arrowprops=style)
-    ax.text((start[0] + end[0]) / 2, (start[1] + end[1]) / 2 + 0.12, label, ha="center", va="bottom", fontsize=8, style="italic")
+    ax.text(
+        (start[0] + end[0]) / 2,
+        (start[1] + end[1]) / 2 + 0.12,
+        label,
+        ha="center",
+        va="bottom",
+        fontsize=8,
+        style="italic",
+    )
 
 
 def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
@@ -112,8 +140,26 @@ def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     x1, y1 = place(*every["analysis"][:2])
     draw_arrow(ax, (x + WIDTH / 2, y - 0.3), (x1 - WIDTH / 2, y1 + 0.1))
     left = place(-0.62, 0)[0]
-    ax.text(left, place(0, 1.0)[1], "tenscasadi", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
-    ax.text(left, place(0, BOTTOM + 0.5)[1], "ocp", rotation=90, fontsize=13, fontweight="bold", va="center", ha="center")
+    ax.text(
+        left,
+        place(0, 1.0)[1],
+        "tenscasadi",
+        rotation=90,
+        fontsize=13,
+        fontweight="bold",
+        va="center",
+        ha="center",
+    )
+    ax.text(
+        left,
+        place(0, BOTTOM + 0.5)[1],
+        "ocp",
+        rotation=90,
+        fontsize=13,
+        fontweight="bold",
+        va="center",
+        ha="center",
+    )
     ax.set(xlim=(left - 0.4, place(6, 0)[0] + 1.1), ylim=(place(0, BOTTOM + 1)[1] - 0.9, 1.0))
     ax.set_title("Folders, and the values that they hand on, from left to right")
     ax.axis("off")

@@ -21,8 +21,17 @@ BALL, RADIUS = (0.0, -0.05, 0.9), 0.25  # m
 
 def arm() -> tc.Structure:
     """Node 0: shoulder on the ground, 1: hand; nodes 2-5: winches on the ground."""
-    nodes = [(0, 0, 0), (-0.6, 0.1, np.sqrt(1 - 0.37)), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)]
-    return tc.Structure(nodes, bars=[(0, 1)], strings=[(1, 2), (1, 3), (1, 4), (1, 5)], pinned=[0, 2, 3, 4, 5])
+    nodes = [
+        (0, 0, 0),
+        (-0.6, 0.1, np.sqrt(1 - 0.37)),
+        (-1, 0, 0),
+        (1, 0, 0),
+        (0, -1, 0),
+        (0, 1, 0),
+    ]
+    return tc.Structure(
+        nodes, bars=[(0, 1)], strings=[(1, 2), (1, 3), (1, 4), (1, 5)], pinned=[0, 2, 3, 4, 5]
+    )
 
 
 def main(folder: Path = Path()) -> dict[str, ocp.Plan]:
@@ -44,8 +53,12 @@ def main(folder: Path = Path()) -> dict[str, ocp.Plan]:
         print(f"--- {name}\n{plan.summary()}")
         print(plan.report())
         print(f"hand          at {replay.nodes[-1, 1].round(5)} m, wanted {REACH}")
-        print(f"ball          bars come as near as {nearest(replay):.4f} m to its centre, its radius is {RADIUS} m")
-    figure = plots.time_lapse(plans["round the ball"].replay(), instants=6, title="arm: reaches round a ball")
+        print(
+            f"ball          bars come as near as {nearest(replay):.4f} m to its centre, its radius is {RADIUS} m"
+        )
+    figure = plots.time_lapse(
+        plans["round the ball"].replay(), instants=6, title="arm: reaches round a ball"
+    )
     figure.axes[0].view_init(elev=20, azim=-8)  # type: ignore[attr-defined]  # along the way: it goes round the side
     draw_ball(figure.axes[0])
     figure.savefig(folder / "arm_reaches.png", dpi=150)
@@ -56,7 +69,12 @@ def draw_ball(axes: Any) -> None:
     """The ball, as a net that lets the arm shine through."""
     around, down = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
     x, y, z = np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)
-    axes.plot_wireframe(*(centre + RADIUS * side for centre, side in zip(BALL, (x, y, z), strict=True)), color="tab:red", linewidth=0.4, zorder=1)
+    axes.plot_wireframe(
+        *(centre + RADIUS * side for centre, side in zip(BALL, (x, y, z), strict=True)),
+        color="tab:red",
+        linewidth=0.4,
+        zorder=1,
+    )
 
 
 def nearest(motion: tc.Trajectory) -> float:
@@ -64,8 +82,13 @@ def nearest(motion: tc.Trajectory) -> float:
     least = np.inf
     for a, b in motion.bars:
         start, along = motion.nodes[:, a], motion.nodes[:, b] - motion.nodes[:, a]
-        share = np.clip(np.sum((np.array(BALL) - start) * along, axis=1) / np.sum(along**2, axis=1), 0, 1)
-        least = min(least, float(np.linalg.norm(start + share[:, None] * along - np.array(BALL), axis=1).min()))
+        share = np.clip(
+            np.sum((np.array(BALL) - start) * along, axis=1) / np.sum(along**2, axis=1), 0, 1
+        )
+        least = min(
+            least,
+            float(np.linalg.norm(start + share[:, None] * along - np.array(BALL), axis=1).min()),
+        )
     return least
 
 

@@ -1,6 +1,7 @@
 """A ball of six bars rolls down a hilly slope, bumps into a wall, and comes to rest in a hollow.
 
-The ground is two surfaces: a height field, bilinear between the points of a grid, with friction along it; and a wall.
+The ground is two surfaces: a height field, bilinear between the points of a grid, with friction
+along it; and a wall.
 
 Run it with a folder for the picture: python examples/ball_on_terrain.py pictures
 """
@@ -17,7 +18,12 @@ import tenscasadi as tc
 from tenscasadi import plots
 
 LENGTH, WIDTH = 8.0, 4.0  # of the height field, m
-LAW: dict[str, Any] = {"stiffness": 3000.0, "damping": 30.0, "friction": 0.5, "slip_speed": 0.1}  # N/m, N s/m, 1, m/s
+LAW: dict[str, Any] = {
+    "stiffness": 3000.0,
+    "damping": 30.0,
+    "friction": 0.5,
+    "slip_speed": 0.1,
+}  # N/m, N s/m, 1, m/s
 WALL = 0.6  # m, where it stands
 
 
@@ -30,20 +36,35 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[tc.Terrain, tc.Tra
     wall = tc.Ground(normal=(-1, 0, 0), height=-WALL, stiffness=3000.0)
     model = tc.Model(tc.Scene(ball, gravity=tc.Gravity(), ground=[field, wall]))
     start = model.state(ball.nodes, np.tile([2.5, 0.0, 0.0], (len(ball.nodes), 1)))
-    run = tc.simulate(model, 5.0, 5e-4, state=start, save_every=20, correction=tc.Projection(every=10))
+    run = tc.simulate(
+        model, 5.0, 5e-4, state=start, save_every=20, correction=tc.Projection(every=10)
+    )
     print(run.summary())
     way = run.nodes.mean(axis=1)
     reached = float(run.nodes[..., 0].max())
     depth = np.asarray(field.depth(run.nodes[-1].T)).ravel()
-    print(f"its centre goes {way[-1, 0] - way[0, 0]:.2f} m ahead and {way[0, 2] - way[-1, 2]:.2f} m down, {reached - WALL:.3f} m into the wall")
-    print(f"at the end it stands on nodes {np.flatnonzero(depth > 0).tolist()}, at {np.abs(run.velocities[-1]).max():.1g} m/s at most")
-    plots.time_lapse(run, 7, ground=model.scene.ground, title="a ball rolls over a height field against a wall", path=folder / "ball_on_terrain.png")
+    print(
+        f"its centre goes {way[-1, 0] - way[0, 0]:.2f} m ahead and {way[0, 2] - way[-1, 2]:.2f} m down, {reached - WALL:.3f} m into the wall"
+    )
+    print(
+        f"at the end it stands on nodes {np.flatnonzero(depth > 0).tolist()}, at {np.abs(run.velocities[-1]).max():.1g} m/s at most"
+    )
+    plots.time_lapse(
+        run,
+        7,
+        ground=model.scene.ground,
+        title="a ball rolls over a height field against a wall",
+        path=folder / "ball_on_terrain.png",
+    )
     return field, run
 
 
 def hills(points: int) -> tc.Terrain:
     """A slope of 22 % with waves in it."""
-    x, y = np.linspace(-LENGTH / 2, LENGTH / 2, points)[:, None], np.linspace(-WIDTH / 2, WIDTH / 2, points // 2 + 1)
+    x, y = (
+        np.linspace(-LENGTH / 2, LENGTH / 2, points)[:, None],
+        np.linspace(-WIDTH / 2, WIDTH / 2, points // 2 + 1),
+    )
     heights = 0.1 * np.sin(2.2 * x) + 0.1 * y**2 - 0.22 * x
     return tc.Terrain(heights, (-LENGTH / 2, -WIDTH / 2), (LENGTH / 2, WIDTH / 2), **LAW)
 

@@ -1,8 +1,9 @@
 """A ball of six bars rolls one face over: force densities that tip it over an edge and bring it to rest, in its own shape, on the face beyond.
 
-Gravity and a soft ground with friction (a mat: the ball stands 2 cm deep in it; slip is damped, rather than rubbed, below 0.3 m/s). The first
-guess is a simulation: winding two strings to half and to a third of their lengths, and back, makes an elastic ball fall over somehow. Of
-all plans the solver gives the first that it comes to: nothing is asked of its cost.
+Gravity and a soft ground with friction (a mat: the ball stands 2 cm deep in it; slip is damped,
+rather than rubbed, below 0.3 m/s). The first guess is a simulation: winding two strings to half and
+to a third of their lengths, and back, makes an elastic ball fall over somehow. Of all plans the
+solver gives the first that it comes to: nothing is asked of its cost.
 
 Run it with a folder for the pictures: python examples/ball_rolls.py pictures
 """
@@ -21,10 +22,21 @@ import ocp
 import tenscasadi as tc
 from tenscasadi import plots
 
-BEHIND, EDGE, AHEAD = 11, (3, 7), 1  # the ball stands on EDGE and BEHIND, and rolls onto EDGE and AHEAD
+BEHIND, EDGE, AHEAD = (
+    11,
+    (3, 7),
+    1,
+)  # the ball stands on EDGE and BEHIND, and rolls onto EDGE and AHEAD
 DURATION = 0.9  # s
-TIPPING = {12: 0.5, 23: 0.3}  # strings and the share of their rest lengths to which they are wound: found by trying pairs of strings
-WOUND = (0.2, 0.25, 0.55)  # s, when they are wound, when they begin to be let out again, and when they have been
+TIPPING = {
+    12: 0.5,
+    23: 0.3,
+}  # strings and the share of their rest lengths to which they are wound: found by trying pairs of strings
+WOUND = (
+    0.2,
+    0.25,
+    0.55,
+)  # s, when they are wound, when they begin to be let out again, and when they have been
 LEAST, MOST = 10.0, 500.0  # N/m, force densities
 STIFFNESS = 1000.0  # N/m, of the ground
 
@@ -33,8 +45,15 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[ocp.Plan, tc.Traje
     """Prints the plan and where its replay comes to stand, saves the pictures, and returns the plan and two seconds after its replay."""
     folder.mkdir(parents=True, exist_ok=True)
     ball = standing(tc.shapes.six_bar_ball(stiffness=1000.0, damping=5.0, prestress=100.0))
-    scene = tc.Scene(ball, gravity=tc.Gravity(), ground=tc.Ground(stiffness=STIFFNESS, damping=20.0, friction=0.8, slip_speed=0.3))
-    elastic, wound, planned = (tc.Model(replace(scene, control=control)) for control in (None, tc.RestLength(), tc.ForceDensity()))
+    scene = tc.Scene(
+        ball,
+        gravity=tc.Gravity(),
+        ground=tc.Ground(stiffness=STIFFNESS, damping=20.0, friction=0.8, slip_speed=0.3),
+    )
+    elastic, wound, planned = (
+        tc.Model(replace(scene, control=control))
+        for control in (None, tc.RestLength(), tc.ForceDensity())
+    )
 
     still = tc.simulate(elastic, 3.0, 1e-3, correction=tc.Projection(every=10))
     start, lengths = planned.state(still.nodes[-1]), string_lengths(still)
@@ -44,24 +63,51 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[ocp.Plan, tc.Traje
         planned,
         DURATION,
         start=start,
-        goals=[ocp.NodePositions(dict.fromkeys((*EDGE, AHEAD), (None, None, depth))), ocp.StringLengths(lengths), ocp.AtRest()],
+        goals=[
+            ocp.NodePositions(dict.fromkeys((*EDGE, AHEAD), (None, None, depth))),
+            ocp.StringLengths(lengths),
+            ocp.AtRest(),
+        ],
         bounds=[ocp.ForceDensityLimits(LEAST, MOST)],
     )
     grid = ocp.Variational(120 if quick else 240, control=ocp.PiecewiseLinear())
     guess = ocp.Arrays(tipped.states, tipped.force_density)
-    plan = ocp.solve(problem, grid, ocp.Ipopt(tolerance=1e-3), guess, tolerance=0.3 if quick else 0.05)
+    plan = ocp.solve(
+        problem, grid, ocp.Ipopt(tolerance=1e-3), guess, tolerance=0.3 if quick else 0.05
+    )
     print(plan.summary())
 
     replay = plan.replay()
-    after = tc.simulate(wound, 2.0, 1e-3, state=replay.states[-1], control=ball.rest_length, save_every=10)
+    after = tc.simulate(
+        wound, 2.0, 1e-3, state=replay.states[-1], control=ball.rest_length, save_every=10
+    )
     watched = [BEHIND, *EDGE, AHEAD]
-    for name, motion in (("at the start", still), ("tipped", tipped), ("replayed", replay), ("2 s later", after)):
+    for name, motion in (
+        ("at the start", still),
+        ("tipped", tipped),
+        ("replayed", replay),
+        ("2 s later", after),
+    ):
         heights, speed = motion.nodes[-1][watched, 2].round(3), np.abs(motion.velocities[-1]).max()
         print(f"{name:13s} nodes {watched} at z = {heights} m, speed {speed:.2g} m/s")
-    apart, deformed = (np.abs(change).max() for change in (replay.nodes[-1] - plan.trajectory.nodes[-1], string_lengths(replay) - lengths))
-    print(f"replay        ends {apart:.2g} m from the planned nodes, and {deformed:.2g} m from the ball's lengths")
+    apart, deformed = (
+        np.abs(change).max()
+        for change in (
+            replay.nodes[-1] - plan.trajectory.nodes[-1],
+            string_lengths(replay) - lengths,
+        )
+    )
+    print(
+        f"replay        ends {apart:.2g} m from the planned nodes, and {deformed:.2g} m from the ball's lengths"
+    )
     film(replay, folder / "ball_rolls.png")
-    plots.force_densities(plan, lower=LEAST, upper=MOST, title="ball: planned force densities", path=folder / "ball_rolls_forces.png")
+    plots.force_densities(
+        plan,
+        lower=LEAST,
+        upper=MOST,
+        title="ball: planned force densities",
+        path=folder / "ball_rolls_forces.png",
+    )
     return plan, after
 
 
@@ -97,7 +143,9 @@ def film(motion: tc.Trajectory, path: Path, instants: int = 6) -> None:
         side = motion.nodes[np.argmin(abs(motion.time - time))][:, [0, 2]]
         ax.axhspan(-0.1, 0.0, color="0.9")
         ax.add_collection(LineCollection(side[motion.strings], colors="tab:blue", linewidths=0.8))
-        ax.add_collection(LineCollection(side[motion.bars], colors="0.25", linewidths=3.5, capstyle="round"))
+        ax.add_collection(
+            LineCollection(side[motion.bars], colors="0.25", linewidths=3.5, capstyle="round")
+        )
         ax.plot(*side[face].T, "o", color="tab:red", label="the face that it rolls onto")
         ax.plot(*side[[BEHIND]].T, "s", color="tab:orange", label="the node that it leaves")
         ax.set_title(f"t = {time:.2g} s", fontsize=10)
@@ -107,7 +155,13 @@ def film(motion: tc.Trajectory, path: Path, instants: int = 6) -> None:
         ax.set_xlabel("x (m)")
     for ax in panels[:, 0]:
         ax.set_ylabel("z (m)")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+    figure.legend(
+        *panels[0, 0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=2,
+        fontsize=9,
+        frameon=False,
+    )
     figure.suptitle("six-bar ball: rolls one face over, seen from the side")
     figure.savefig(path, dpi=150)
 

@@ -1,9 +1,10 @@
 """A ball of six bars travels over flat ground and up and down 10°, steered 20 times a second by sampled motions (`ocp.Mppi`).
 
-Nothing is planned, and no derivative is taken: contact and friction are simulated as they are. The controller is told to move at 0.7 m/s,
-straight on, and to keep its height and shape. It is wrong about its world: the ball is a tenth heavier than it believes, the ground three times
-stiffer and more slippery. It knows the slope. Force densities do not hold the ball's shape by themselves: left alone it collapses within half a
-second.
+Nothing is planned, and no derivative is taken: contact and friction are simulated as they are. The
+controller is told to move at 0.7 m/s, straight on, and to keep its height and shape. It is wrong
+about its world: the ball is a tenth heavier than it believes, the ground three times stiffer and
+more slippery. It knows the slope. Force densities do not hold the ball's shape by themselves: left
+alone it collapses within half a second.
 
 Run it with a folder for the picture: python examples/ball_travels.py pictures
 """
@@ -26,7 +27,11 @@ BEHIND, EDGE = 11, (3, 7)  # nodes of the face that it stands on; it rolls over 
 SPEED = 0.7  # m/s
 PERIOD, DURATION = 0.05, 4.0  # s
 LEAST, MOST, USUAL = 50.0, 1000.0, 300.0  # N/m, force densities
-BELIEVED = {"mass": 1.0, "stiffness": 1000.0, "friction": 0.8}  # kg of a bar, N/m and μ of the ground
+BELIEVED = {
+    "mass": 1.0,
+    "stiffness": 1000.0,
+    "friction": 0.8,
+}  # kg of a bar, N/m and μ of the ground
 ACTUAL = {"mass": 1.1, "stiffness": 3000.0, "friction": 0.6}
 
 
@@ -48,24 +53,37 @@ def main(folder: Path = Path(), quick: bool = False) -> list[Row]:
     print("slope   ahead   aside   a decision takes: median, 95 of 100, most")
     for slope in (0.0,) if quick else (0.0, 10.0, -10.0):
         row = travel(slope, start, 1.5 if quick else DURATION)
-        times = "  ".join(f"{1e3 * np.quantile(row.seconds, share):.2f} ms" for share in (0.5, 0.95, 1.0))
+        times = "  ".join(
+            f"{1e3 * np.quantile(row.seconds, share):.2f} ms" for share in (0.5, 0.95, 1.0)
+        )
         print(f"{slope:4.0f}° {row.ahead:6.2f} m {row.aside:5.2f} m  {times}")
         rows.append(row)
     draw(rows, folder / "ball_travels.png")
     return rows
 
 
-def world(slope: float, mass: float, stiffness: float, friction: float, control: Any = None) -> tc.Model:
+def world(
+    slope: float, mass: float, stiffness: float, friction: float, control: Any = None
+) -> tc.Model:
     """The ball on a ground that rises along x: gravity is tilted instead."""
     ball = tc.shapes.six_bar_ball(stiffness=3000.0, damping=5.0, prestress=USUAL, bar_mass=mass)
     edge, behind = ball.nodes[list(EDGE)], ball.nodes[BEHIND]
     down, ahead = edge.sum(axis=0) + behind, edge.mean(axis=0) - behind
     x, z = ahead / np.linalg.norm(ahead), -down / np.linalg.norm(down)
-    nodes = ball.nodes @ np.array([x, np.cross(z, x), z]).T  # it stands on a face, and x points over an edge
+    nodes = (
+        ball.nodes @ np.array([x, np.cross(z, x), z]).T
+    )  # it stands on a face, and x points over an edge
     angle = np.radians(slope)
     gravity = tc.Gravity((-9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle)))
     ground = tc.Ground(stiffness=stiffness, damping=20.0, friction=friction, slip_speed=0.3)
-    return tc.Model(tc.Scene(ball.replace(nodes=nodes - [0, 0, nodes[:, 2].min()]), control=control, gravity=gravity, ground=ground))
+    return tc.Model(
+        tc.Scene(
+            ball.replace(nodes=nodes - [0, 0, nodes[:, 2].min()]),
+            control=control,
+            gravity=gravity,
+            ground=ground,
+        )
+    )
 
 
 def standing_still() -> np.ndarray:
@@ -76,7 +94,9 @@ def standing_still() -> np.ndarray:
 
 def travel(slope: float, nodes: np.ndarray, duration: float) -> Row:
     """One run of the ball from rest."""
-    believed, actual = (world(slope, **given, control=tc.ForceDensity()) for given in (BELIEVED, ACTUAL))
+    believed, actual = (
+        world(slope, **given, control=tc.ForceDensity()) for given in (BELIEVED, ACTUAL)
+    )
     height, length = float(nodes[:, 2].mean()), float(believed.structure.string_lengths.mean())
 
     def wrong(now: ocp.Instant) -> Any:
@@ -102,22 +122,36 @@ def draw(rows: list[Row], path: Path, instants: int = 5) -> None:
     figure = Figure(figsize=(9.6, 3.9 * len(rows) + 0.6), layout="constrained")
     for ax, row in zip(np.ravel(figure.subplots(len(rows), 1, sharex=True)), rows, strict=True):
         angle, motion = np.radians(row.slope), row.motion
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # from the ground's axes to the level
+        turn = np.array(
+            [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        )  # from the ground's axes to the level
         ground = turn @ [[-0.8, 3.6], [0.0, 0.0]]
         ax.fill_between(ground[0], ground[1], ground[1] - 0.15, color="0.9")
         shots = np.linspace(0, len(motion.time) - 1, instants).astype(int)
         for shade, shot in zip(np.linspace(0.25, 1.0, instants), shots, strict=True):
             side = motion.nodes[shot][:, [0, 2]] @ turn.T
-            ax.add_collection(LineCollection(side[motion.strings], colors="tab:blue", linewidths=0.7, alpha=shade))
-            ax.add_collection(LineCollection(side[motion.bars], colors="0.25", linewidths=3.0, capstyle="round", alpha=shade))
+            ax.add_collection(
+                LineCollection(side[motion.strings], colors="tab:blue", linewidths=0.7, alpha=shade)
+            )
+            ax.add_collection(
+                LineCollection(
+                    side[motion.bars], colors="0.25", linewidths=3.0, capstyle="round", alpha=shade
+                )
+            )
         centre = motion.nodes.mean(axis=1)[:, [0, 2]] @ turn.T
         ax.plot(*centre.T, color="tab:red", lw=1.2, label="way of the centre")
-        ax.set(aspect="equal", ylabel="z (m)", title=f"{row.slope:g}°: {row.ahead:.2f} m in {motion.time[-1]:g} s")
+        ax.set(
+            aspect="equal",
+            ylabel="z (m)",
+            title=f"{row.slope:g}°: {row.ahead:.2f} m in {motion.time[-1]:g} s",
+        )
         ax.set_xlim(-0.7, 3.5)
         ax.set_ylim(np.array([-0.3, 1.45]) + min(0.0, 3.0 * np.tan(angle)))  # the same scale in all
     ax.set_xlabel("x (m)")
     figure.axes[0].legend(loc="upper left", fontsize=9, frameon=False)
-    figure.suptitle("six-bar ball, steered by sampled motions; shown at equal intervals of time, later is darker")
+    figure.suptitle(
+        "six-bar ball, steered by sampled motions; shown at equal intervals of time, later is darker"
+    )
     figure.savefig(path, dpi=150)
 
 

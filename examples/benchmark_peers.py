@@ -1,13 +1,15 @@
 """The same motion by tenscasadi, MuJoCo and SciPy: seconds per simulated second over the error, each swept over its own step or tolerance.
 
-A free prism and a free six-bar ball with elastic strings, prestressed, turning at 3.7 rad/s, no gravity, one second. MuJoCo reads what
-`tenscasadi.export_mjcf` writes: each bar a free body and each string a tendon that pulls beyond its rest length; contacts and constraints are
-switched off. Two things differ and do not change the motion: its bars have an inertia about their own axis, about which they do not turn,
-and quaternions in place of ends.
-SciPy integrates the right-hand side as one writes it in NumPy. All are measured against the same certified reference, in whole runs:
-nothing is extrapolated. Three columns of seconds: the stepping alone; the whole call from a prepared model to the end of the run; and once,
-before the first run, the set-up: for tenscasadi building the equations, generating C and compiling it with an empty cache, for MuJoCo
-reading its XML.
+A free prism and a free six-bar ball with elastic strings, prestressed, turning at 3.7 rad/s, no
+gravity, one second. MuJoCo reads what `tenscasadi.export_mjcf` writes: each bar a free body and
+each string a tendon that pulls beyond its rest length; contacts and constraints are switched off.
+Two things differ and do not change the motion: its bars have an inertia about their own axis, about
+which they do not turn, and quaternions in place of ends.
+SciPy integrates the right-hand side as one writes it in NumPy. All are measured against the same
+certified reference, in whole runs: nothing is extrapolated. Three columns of seconds: the stepping
+alone; the whole call from a prepared model to the end of the run; and once, before the first run,
+the set-up: for tenscasadi building the equations, generating C and compiling it with an empty
+cache, for MuJoCo reading its XML.
 
 Run it with a folder for the picture: python examples/benchmark_peers.py pictures
 MuJoCo is optional: pip install 'tenscasadi[peers]'
@@ -17,7 +19,9 @@ from __future__ import annotations
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: small matrices gain nothing from threads
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # before NumPy is loaded: small matrices gain nothing from threads
 
 import sys
 import time
@@ -70,7 +74,11 @@ class Result(NamedTuple):
 
     def rate(self, name: str) -> float:
         """Steps per second of a method of equal steps, the median over its steps; NaN when it was not run."""
-        return float(median([point.rate for point in self.curves[name]])) if name in self.curves else np.nan
+        return (
+            float(median([point.rate for point in self.curves[name]]))
+            if name in self.curves
+            else np.nan
+        )
 
 
 def main(folder: Path = Path(), quick: bool = False) -> list[Result]:
@@ -82,15 +90,26 @@ def main(folder: Path = Path(), quick: bool = False) -> list[Result]:
     except ImportError:
         mujoco = None
         print("MuJoCo is not installed and left out: pip install 'tenscasadi[peers]'\n")
-    shapes = {"prism": tc.shapes.prism(prestress=50.0, stiffness=1000.0), "six-bar ball": tc.shapes.six_bar_ball(prestress=50.0, stiffness=1000.0)}
+    shapes = {
+        "prism": tc.shapes.prism(prestress=50.0, stiffness=1000.0),
+        "six-bar ball": tc.shapes.six_bar_ball(prestress=50.0, stiffness=1000.0),
+    }
     results = []
     for shape, structure in list(shapes.items())[: 1 if quick else 2]:
         result = measure(shape, structure, mujoco, quick)
         results.append(result)
         report(result)
-        curves = {name: [point[:2] for point in points if point.error < _WORST] for name, points in result.curves.items()}
+        curves = {
+            name: [point[:2] for point in points if point.error < _WORST]
+            for name, points in result.curves.items()
+        }
         picture = folder / f"benchmark_peers_{shape.replace(' ', '_').replace('-', '_')}.png"
-        work_precision(curves, reference_error=result.reference_error, title=f"{shape}, elastic strings, 1 s", path=picture)
+        work_precision(
+            curves,
+            reference_error=result.reference_error,
+            title=f"{shape}, elastic strings, 1 s",
+            path=picture,
+        )
     return results
 
 
@@ -101,44 +120,82 @@ def measure(shape: str, s: tc.Structure, mujoco: Any, quick: bool) -> Result:
     start = model.state(s.nodes, velocities)
     reference = tc.certify(model, T_END, start)
     repeats = 1 if quick else 5
-    counts = np.unique(np.geomspace(100 if quick else 40, 4000, 4 if quick else 16).astype(int)).tolist()
+    counts = np.unique(
+        np.geomspace(100 if quick else 40, 4000, 4 if quick else 16).astype(int)
+    ).tolist()
 
     curves: dict[str, list[Point]] = {}
     setup: dict[str, float] = {}
-    schemes: tuple[Any, ...] = (tc.RungeKutta4(), tc.DormandPrince853(), tc.DormandPrince54(), tc.Rattle())[: 2 if quick else 4]
+    schemes: tuple[Any, ...] = (
+        tc.RungeKutta4(),
+        tc.DormandPrince853(),
+        tc.DormandPrince54(),
+        tc.Rattle(),
+    )[: 2 if quick else 4]
     for scheme in schemes:
-        for correction in (None, tc.Projection())[: 1 if quick or scheme == tc.Rattle() else 2]:  # Rattle keeps bars by itself
-            name = f"tenscasadi {type(scheme).__name__}" + ("" if correction is None else ", Projection")
+        for correction in (None, tc.Projection())[
+            : 1 if quick or scheme == tc.Rattle() else 2
+        ]:  # Rattle keeps bars by itself
+            name = f"tenscasadi {type(scheme).__name__}" + (
+                "" if correction is None else ", Projection"
+            )
             setup[name] = our_setup(s, start, scheme, correction)
-            points = [our_run(model, start, scheme, correction, count, reference.nodes, repeats) for count in counts]
+            points = [
+                our_run(model, start, scheme, correction, count, reference.nodes, repeats)
+                for count in counts
+            ]
             curves[name] = [point for point in points if np.isfinite(point.error)]
     if mujoco is not None:
         for integrator in ("RK4", "Euler", "implicitfast"):
-            points = [mujoco_run(mujoco, s, integrator, count, reference.nodes, repeats) for count in counts]
+            points = [
+                mujoco_run(mujoco, s, integrator, count, reference.nodes, repeats)
+                for count in counts
+            ]
             curves[f"MuJoCo {integrator}"] = [point for point in points if np.isfinite(point.error)]
-            setup[f"MuJoCo {integrator}"] = clock(lambda: mujoco.MjData(mujoco.MjModel.from_xml_string(mujoco_scene(s, 1e-3))))
+            setup[f"MuJoCo {integrator}"] = clock(
+                lambda: mujoco.MjData(mujoco.MjModel.from_xml_string(mujoco_scene(s, 1e-3)))
+            )
     for method in ("DOP853", "RK45"):
         tolerances = np.geomspace(1e-3, 1e-12, 4 if quick else 19)
-        curves[f"SciPy {method}"] = [scipy_run(s, start, method, float(rtol), reference.nodes, repeats) for rtol in tolerances]
+        curves[f"SciPy {method}"] = [
+            scipy_run(s, start, method, float(rtol), reference.nodes, repeats)
+            for rtol in tolerances
+        ]
         setup[f"SciPy {method}"] = clock(lambda: numpy_rhs(s))
     return Result(shape, reference.error, curves, setup)
 
 
 def report(result: Result) -> None:
     """Prints who needs how long for which accuracy: the stepping, the whole call, and the set-up of the method that steps fastest."""
-    programs = [name for name in ("tenscasadi", "MuJoCo", "SciPy") if any(curve.startswith(name) for curve in result.curves)]
-    print(f"{result.shape}: seconds per simulated second of the fastest within a tolerance; reference error {result.reference_error:.1g} m")
-    print(f"{'m':>6}  {'':<12}{'stepping':>10}{'whole call':>12}{'set-up, once':>14}  times ours: stepping, whole call")
+    programs = [
+        name
+        for name in ("tenscasadi", "MuJoCo", "SciPy")
+        if any(curve.startswith(name) for curve in result.curves)
+    ]
+    print(
+        f"{result.shape}: seconds per simulated second of the fastest within a tolerance; reference error {result.reference_error:.1g} m"
+    )
+    print(
+        f"{'m':>6}  {'':<12}{'stepping':>10}{'whole call':>12}{'set-up, once':>14}  times ours: stepping, whole call"
+    )
     for tolerance in TOLERANCES:
         ours = [result.cheapest("tenscasadi", tolerance, whole)[0] for whole in (False, True)]
         for program in programs:
             seconds, name = result.cheapest(program, tolerance)
             whole = result.cheapest(program, tolerance, True)[0]
             setup = result.setup.get(name, np.nan)
-            times = "" if program == "tenscasadi" else f"  {seconds / ours[0]:.0f}, {whole / ours[1]:.2g}"
-            print(f"{tolerance:6.0e}  {program:<12}{seconds:>10.2g}{whole:>12.2g}{setup:>14.2g}{times:<14} {name.removeprefix(program + ' ')}")
+            times = (
+                ""
+                if program == "tenscasadi"
+                else f"  {seconds / ours[0]:.0f}, {whole / ours[1]:.2g}"
+            )
+            print(
+                f"{tolerance:6.0e}  {program:<12}{seconds:>10.2g}{whole:>12.2g}{setup:>14.2g}{times:<14} {name.removeprefix(program + ' ')}"
+            )
     ours_rk4, theirs = result.rate("tenscasadi RungeKutta4"), result.rate("MuJoCo RK4")
-    compared = "" if np.isnan(theirs) else f", MuJoCo's {theirs:,.0f}: {ours_rk4 / theirs:.0f} times"
+    compared = (
+        "" if np.isnan(theirs) else f", MuJoCo's {theirs:,.0f}: {ours_rk4 / theirs:.0f} times"
+    )
     print(f"steps of RK4 per second: {ours_rk4:,.0f}{compared}\n")
 
 
@@ -155,25 +212,59 @@ def our_setup(s: tc.Structure, start: np.ndarray, scheme: Any, correction: Any) 
     with TemporaryDirectory() as empty:
         os.environ["TENSCASADI_CACHE"] = empty
         try:
-            return clock(lambda: tc.simulate(tc.Model(tc.Scene(s)), 1e-3, 1e-3, scheme, state=start, correction=correction, energy_balance=False))
+            return clock(
+                lambda: tc.simulate(
+                    tc.Model(tc.Scene(s)),
+                    1e-3,
+                    1e-3,
+                    scheme,
+                    state=start,
+                    correction=correction,
+                    energy_balance=False,
+                )
+            )
         finally:
             os.environ.pop("TENSCASADI_CACHE")
             if before is not None:
                 os.environ["TENSCASADI_CACHE"] = before
 
 
-def our_run(model: tc.Model, start: np.ndarray, scheme: Any, correction: Any, count: int, reference: np.ndarray, repeats: int) -> Point:
+def our_run(
+    model: tc.Model,
+    start: np.ndarray,
+    scheme: Any,
+    correction: Any,
+    count: int,
+    reference: np.ndarray,
+    repeats: int,
+) -> Point:
     """`count` equal steps by tenscasadi, in one call."""
     runs = []
     for _ in range(repeats + 1):  # the first one may compile
         began = time.perf_counter()
-        run = tc.simulate(model, T_END, T_END / count, scheme, state=start, correction=correction, save_every=count, energy_balance=False)
+        run = tc.simulate(
+            model,
+            T_END,
+            T_END / count,
+            scheme,
+            state=start,
+            correction=correction,
+            save_every=count,
+            energy_balance=False,
+        )
         runs.append((time.perf_counter() - began, run.seconds))
     whole, seconds = (median(values) for values in zip(*runs[1:], strict=True))
-    return Point(distance(run.nodes[-1], reference) if run.success else np.inf, seconds / T_END, whole / T_END, count / seconds)
+    return Point(
+        distance(run.nodes[-1], reference) if run.success else np.inf,
+        seconds / T_END,
+        whole / T_END,
+        count / seconds,
+    )
 
 
-def mujoco_run(mujoco: Any, s: tc.Structure, integrator: str, count: int, reference: np.ndarray, repeats: int) -> Point:
+def mujoco_run(
+    mujoco: Any, s: tc.Structure, integrator: str, count: int, reference: np.ndarray, repeats: int
+) -> Point:
     """`count` equal steps by MuJoCo, in one call."""
     model = mujoco.MjModel.from_xml_string(mujoco_scene(s, T_END / count))
     model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
@@ -192,22 +283,38 @@ def mujoco_run(mujoco: Any, s: tc.Structure, integrator: str, count: int, refere
     mujoco.mj_kinematics(model, data)
     nodes = np.array([data.site(f"n{node}").xpos for node in range(len(s.nodes))])
     lost = data.time < 0.99 * T_END  # MuJoCo starts again where it diverges
-    return Point(np.inf if lost else distance(nodes, reference), seconds / T_END, whole / T_END, count / seconds)
+    return Point(
+        np.inf if lost else distance(nodes, reference),
+        seconds / T_END,
+        whole / T_END,
+        count / seconds,
+    )
 
 
 def mujoco_scene(s: tc.Structure, step: float) -> str:
     """The structure in MuJoCo's XML, turning at the start."""
     with TemporaryDirectory() as folder:
-        return tc.export_mjcf(tc.Scene(s), Path(folder) / "scene.xml", np.cross(TURNING, s.nodes), step=step).read_text()
+        return tc.export_mjcf(
+            tc.Scene(s), Path(folder) / "scene.xml", np.cross(TURNING, s.nodes), step=step
+        ).read_text()
 
 
-def scipy_run(s: tc.Structure, start: np.ndarray, method: str, rtol: float, reference: np.ndarray, repeats: int) -> Point:
+def scipy_run(
+    s: tc.Structure,
+    start: np.ndarray,
+    method: str,
+    rtol: float,
+    reference: np.ndarray,
+    repeats: int,
+) -> Point:
     """`solve_ivp` with a tolerance, on the right-hand side in NumPy."""
     rhs = numpy_rhs(s)
 
     def run() -> tuple[float, Any]:
         began = time.perf_counter()
-        solution = solve_ivp(rhs, (0.0, T_END), start, method=method, rtol=max(rtol, 3e-14), atol=rtol)
+        solution = solve_ivp(
+            rhs, (0.0, T_END), start, method=method, rtol=max(rtol, 3e-14), atol=rtol
+        )
         return time.perf_counter() - began, solution
 
     runs = [run() for _ in range(repeats)]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: small matrices gain nothing from threads
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # before NumPy is loaded: small matrices gain nothing from threads
 
 import time
 from collections.abc import Callable
@@ -30,31 +32,53 @@ class Row(NamedTuple):
 
 def main(quick: bool = False) -> list[Row]:
     """Measures, prints the table and returns its rows. `quick`: a tenth of the steps, once instead of five times."""
-    shapes = {"prism": tc.shapes.prism(stiffness=1000.0, prestress=30.0), "six-bar ball": tc.shapes.six_bar_ball(stiffness=1000.0, prestress=30.0)}
+    shapes = {
+        "prism": tc.shapes.prism(stiffness=1000.0, prestress=30.0),
+        "six-bar ball": tc.shapes.six_bar_ball(stiffness=1000.0, prestress=30.0),
+    }
     drives: dict[str, Any] = {"force densities": tc.ForceDensity(), "elastic strings": None}
     rows = []
-    print(f"{'RK4 steps per second':32}{'compiled':>12}{'virtual m.':>12}{'NumPy':>12}{'comp./NumPy':>13}{'v.m./NumPy':>12}")
+    print(
+        f"{'RK4 steps per second':32}{'compiled':>12}{'virtual m.':>12}{'NumPy':>12}{'comp./NumPy':>13}{'v.m./NumPy':>12}"
+    )
     for shape, structure in shapes.items():
         for drive, control in drives.items():
-            row = measure(f"{shape}, {drive}", tc.Model(tc.Scene(structure, control=control)), quick)
+            row = measure(
+                f"{shape}, {drive}", tc.Model(tc.Scene(structure, control=control)), quick
+            )
             rows.append(row)
             ratio = "–" if row.compiled is None else f"{row.compiled / row.numpy:.0f}"
             speed = "no compiler" if row.compiled is None else f"{row.compiled:,.0f}"
-            print(f"{row.scene:32}{speed:>12}{row.virtual_machine:>12,.0f}{row.numpy:>12,.0f}{ratio:>13}{row.virtual_machine / row.numpy:>12.0f}")
+            print(
+                f"{row.scene:32}{speed:>12}{row.virtual_machine:>12,.0f}{row.numpy:>12,.0f}{ratio:>13}{row.virtual_machine / row.numpy:>12.0f}"
+            )
     return rows
 
 
 def measure(scene: str, model: tc.Model, quick: bool) -> Row:
     """Medians of runs that take turns, so that all meet the same load of the machine."""
-    start = model.state(model.structure.nodes, 0.1 * np.random.default_rng(0).normal(size=model.structure.nodes.shape))
-    start = tc.simulate(model, STEP, STEP, state=start, correction=tc.Projection(), compiled=False).states[-1]  # no bar is stretched
+    start = model.state(
+        model.structure.nodes,
+        0.1 * np.random.default_rng(0).normal(size=model.structure.nodes.shape),
+    )
+    start = tc.simulate(
+        model, STEP, STEP, state=start, correction=tc.Projection(), compiled=False
+    ).states[-1]  # no bar is stretched
     rhs = numpy_rhs(model)
     theirs, ours = rhs(start), model.ode(start, model.initial_control).full().ravel()
     if not np.allclose(theirs, ours, rtol=1e-10, atol=1e-10 * np.abs(ours).max()):
         raise RuntimeError(f"{scene}: the NumPy port is off by {np.abs(theirs - ours).max():g}")
 
     def ours_seconds(compiled: bool | None, steps: int) -> float:
-        run = tc.simulate(model, steps * STEP, STEP, state=start, compiled=compiled, energy_balance=False, save_every=1000)
+        run = tc.simulate(
+            model,
+            steps * STEP,
+            STEP,
+            state=start,
+            compiled=compiled,
+            energy_balance=False,
+            save_every=1000,
+        )
         return run.seconds if compiled is False or run.compiled else np.nan
 
     def numpy_seconds(steps: int) -> float:
@@ -66,7 +90,9 @@ def measure(scene: str, model: tc.Model, quick: bool) -> Row:
     speeds: dict[str, list[float]] = {name: [] for name in count}
     for _ in range(1 if quick else 5):
         speeds["compiled"].append(count["compiled"] / ours_seconds(None, count["compiled"]))
-        speeds["virtual machine"].append(count["virtual machine"] / ours_seconds(False, count["virtual machine"]))
+        speeds["virtual machine"].append(
+            count["virtual machine"] / ours_seconds(False, count["virtual machine"])
+        )
         speeds["NumPy"].append(count["NumPy"] / numpy_seconds(count["NumPy"]))
     compiled, virtual, plain = (median(values) for values in speeds.values())
     return Row(scene, None if np.isnan(compiled) else compiled, virtual, plain)
@@ -88,7 +114,9 @@ def numpy_rhs(model: tc.Model) -> Callable[[np.ndarray], np.ndarray]:
     def rhs(x: np.ndarray) -> np.ndarray:
         N, V = x[: 3 * n].reshape(n, 3), x[3 * n :].reshape(n, 3)
         S, B, Bd = C_s @ N, C_b @ N, C_b @ V
-        density = np.maximum(k * (1 - rest / np.sqrt((S * S).sum(1))), 0)[:, None] if elastic else gamma
+        density = (
+            np.maximum(k * (1 - rest / np.sqrt((S * S).sum(1))), 0)[:, None] if elastic else gamma
+        )
         A = strings_to_nodes @ (density * S)
         lam = -((Bd * Bd).sum(1) + (B * (C_b @ A)).sum(1)) / (G * (B * B).sum(1))
         return np.concatenate([x[3 * n :], (A + bars_to_nodes @ (lam[:, None] * B)).ravel()])
@@ -96,7 +124,9 @@ def numpy_rhs(model: tc.Model) -> Callable[[np.ndarray], np.ndarray]:
     return rhs
 
 
-def numpy_rk4(rhs: Callable[[np.ndarray], np.ndarray], x: np.ndarray, h: float, steps: int) -> np.ndarray:
+def numpy_rk4(
+    rhs: Callable[[np.ndarray], np.ndarray], x: np.ndarray, h: float, steps: int
+) -> np.ndarray:
     """`steps` steps of the classical Runge-Kutta method."""
     for _ in range(steps):
         k1 = rhs(x)

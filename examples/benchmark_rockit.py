@@ -1,9 +1,10 @@
 """Against rockit: same problem, same model expression, same grid and start, IPOPT for both; seconds and replay errors.
 
-Both are shown twice: with IPOPT's options as they come, and with those that this package chooses. rockit gets what it cannot
-know: the rows of the goals without those that repeat what bars and momenta keep (with all of them no solver
-converges), and the guess. (Its DirectCollocation cannot take a guess in version 0.6.7.) Install it by `pip install rockit-meco`;
-without it the example says so.
+Both are shown twice: with IPOPT's options as they come, and with those that this package chooses.
+rockit gets what it cannot know: the rows of the goals without those that repeat what bars and
+momenta keep (with all of them no solver converges), and the guess. (Its DirectCollocation cannot
+take a guess in version 0.6.7.) Install it by `pip install rockit-meco`; without it the example says
+so.
 """
 
 from __future__ import annotations
@@ -27,14 +28,19 @@ from ocp.transcription.initial_guess import make_guess
 
 BAR = 1.4  # m
 LEAST, MOST = 5.0, 100.0  # N/m
-# What `ocp.Ipopt` chooses for a program without contact, and what IPOPT and MUMPS do where nothing is chosen.
+# What `ocp.Ipopt` chooses for a program without contact, and what IPOPT and MUMPS do where nothing
+# is chosen.
 TUNED = {
     **{"mumps_scaling": 0, "mumps_permuting_scaling": 0, "mumps_pivot_order": 0, "mu_init": 1e-4},
     **{"nlp_scaling_method": "none", "min_refinement_steps": 0, "constr_mult_init_max": 0.0},
 }
 AS_IT_COMES = {
     **{"mumps_scaling": 77, "mumps_permuting_scaling": 7, "mumps_pivot_order": 7, "mu_init": 0.1},
-    **{"nlp_scaling_method": "gradient-based", "min_refinement_steps": 1, "constr_mult_init_max": 1000.0},
+    **{
+        "nlp_scaling_method": "gradient-based",
+        "min_refinement_steps": 1,
+        "constr_mult_init_max": 1000.0,
+    },
 }
 
 
@@ -53,17 +59,28 @@ def problem() -> ocp.Problem:
     """A prism is raised from 1 m to 1.1 m in a second, from rest to rest, at the least effort."""
 
     def prism(height: float) -> tc.Structure:
-        return tc.shapes.prism(bars=3, radius=np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height=height)
+        return tc.shapes.prism(
+            bars=3, radius=np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height=height
+        )
 
     goals = [ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest()]
     model = tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity()))
-    return ocp.Problem(model, goals=goals, bounds=[ocp.ForceDensityLimits(LEAST, MOST)], costs=[ocp.Effort()])
+    return ocp.Problem(
+        model, goals=goals, bounds=[ocp.ForceDensityLimits(LEAST, MOST)], costs=[ocp.Effort()]
+    )
 
 
 def ours(name: str, transcription: Transcription, options: dict[str, Any] | None = None) -> Row:
     """A plan of this package, with its own choice of options or with others."""
     plan = ocp.solve(problem(), transcription, ocp.Ipopt(options=options or {}))
-    return Row(name, "as they come" if options else "ours", plan.seconds, plan.iterations, plan.replay_error, plan.objective)
+    return Row(
+        name,
+        "as they come" if options else "ours",
+        plan.seconds,
+        plan.iterations,
+        plan.replay_error,
+        plan.objective,
+    )
 
 
 def theirs(rockit: Any, name: str, method: Any, options: dict[str, Any] | None = None) -> Row:
@@ -82,7 +99,9 @@ def theirs(rockit: Any, name: str, method: Any, options: dict[str, Any] | None =
     stage.subject_to(u <= MOST)
     stage.add_objective(stage.integral(ca.sumsqr(u)))
     chosen = {f"ipopt.{key}": value for key, value in (options or {}).items()}
-    stage.solver("ipopt", {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, **chosen})
+    stage.solver(
+        "ipopt", {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, **chosen}
+    )
     stage.method(method)
     stage.set_initial(x, guess.states.T)
     stage.set_initial(u, guess.force_density.T)
@@ -92,7 +111,12 @@ def theirs(rockit: Any, name: str, method: Any, options: dict[str, Any] | None =
     replay = tc.simulate(model, 1.0, 0.1 / count, state=target.start, control=gamma, compiled=False)
     metres = np.abs(np.asarray(target.misfit(replay.states[-1])[0].full())).max()
     return Row(
-        name, "ours" if options else "as they come", seconds, int(solution.stats["iter_count"]), float(metres), float(np.sum(gamma**2) / count)
+        name,
+        "ours" if options else "as they come",
+        seconds,
+        int(solution.stats["iter_count"]),
+        float(metres),
+        float(np.sum(gamma**2) / count),
     )
 
 
@@ -111,26 +135,49 @@ def main(quick: bool = False) -> list[Row]:
         "Variational, corrected": ocp.Variational(count, accuracy=1e-9 if count > 20 else 1e-4),
         "MultipleShooting, 2 substeps": ocp.MultipleShooting(count, substeps=2),
         "Collocation, degree 2": ocp.Collocation(count, degree=2),
-        "Collocation, degree 3, a third of the intervals": ocp.Collocation(max(5, count // 3), degree=3),
+        "Collocation, degree 3, a third of the intervals": ocp.Collocation(
+            max(5, count // 3), degree=3
+        ),
     }
-    rows = [repeated(partial(ours, name, t, o), repeats) for name, t in transcriptions.items() for o in (None, AS_IT_COMES)]
+    rows = [
+        repeated(partial(ours, name, t, o), repeats)
+        for name, t in transcriptions.items()
+        for o in (None, AS_IT_COMES)
+    ]
     own = len(rows)
     try:
         rockit: Any = importlib.import_module("rockit")
     except ImportError:
-        print("rockit is not installed (pip install rockit-meco): only this package's plans are shown, nothing is compared")
+        print(
+            "rockit is not installed (pip install rockit-meco): only this package's plans are shown, nothing is compared"
+        )
     else:
         for substeps in (2, 1):
-            name, method = f"rockit, MultipleShooting, M={substeps}", rockit.MultipleShooting(N=count, M=substeps, intg="rk")
-            rows += [repeated(partial(theirs, rockit, name, method, o), repeats) for o in (None, TUNED)]
-    print(f"{'':<50}{'options':>14}{'seconds':>10}{'iterations':>12}{'replay error (m)':>18}{'objective':>12}")
+            name, method = (
+                f"rockit, MultipleShooting, M={substeps}",
+                rockit.MultipleShooting(N=count, M=substeps, intg="rk"),
+            )
+            rows += [
+                repeated(partial(theirs, rockit, name, method, o), repeats) for o in (None, TUNED)
+            ]
+    print(
+        f"{'':<50}{'options':>14}{'seconds':>10}{'iterations':>12}{'replay error (m)':>18}{'objective':>12}"
+    )
     for row in rows:
-        print(f"{row.name:<50}{row.options:>14}{row.seconds:>10.3f}{row.iterations:>12}{row.replay_error:>18.1e}{row.objective:>12.4f}")
+        print(
+            f"{row.name:<50}{row.options:>14}{row.seconds:>10.3f}{row.iterations:>12}{row.replay_error:>18.1e}{row.objective:>12.4f}"
+        )
     for peer in rows[own:]:
-        better = [row for row in rows[:own] if row.replay_error <= peer.replay_error and row.options == peer.options]
+        better = [
+            row
+            for row in rows[:own]
+            if row.replay_error <= peer.replay_error and row.options == peer.options
+        ]
         if better:
             best = min(better, key=lambda row: row.seconds)
-            print(f"{peer.name}, options {peer.options}: {best.name} is as exact and {peer.seconds / best.seconds:.1f} times as fast")
+            print(
+                f"{peer.name}, options {peer.options}: {best.name} is as exact and {peer.seconds / best.seconds:.1f} times as fast"
+            )
     return rows
 
 

@@ -1,13 +1,16 @@
 """Thousands of motions at once: steps per second of rollouts, against one motion at a time, MuJoCo's rollouts, and one model for each stiffness.
 
-The six-bar ball with elastic strings, classical Runge-Kutta steps of 1 ms, each motion from a start of its own. Each line is a median of
-ratios measured by turns in one process; whole calls are clocked, with the checks of every motion that they make. One thread is clocked in
-seconds of the processor, which other work on the machine does not lengthen; several threads in seconds of the wall.
+The six-bar ball with elastic strings, classical Runge-Kutta steps of 1 ms, each motion from a start
+of its own. Each line is a median of ratios measured by turns in one process; whole calls are
+clocked, with the checks of every motion that they make. One thread is clocked in seconds of the
+processor, which other work on the machine does not lengthen; several threads in seconds of the
+wall.
 
-MuJoCo reads what `tenscasadi.export_mjcf` writes: each bar a free body and each string a tendon that pulls beyond its rest length;
-`mujoco.rollout` returns the state after each step, which it cannot leave out. On the ground two things differ: here nodes are points that a
-penalty with Coulomb friction holds (no equations to solve), there small spheres on which a solver of soft constraints acts with the same
-stiffness.
+MuJoCo reads what `tenscasadi.export_mjcf` writes: each bar a free body and each string a tendon
+that pulls beyond its rest length; `mujoco.rollout` returns the state after each step, which it
+cannot leave out. On the ground two things differ: here nodes are points that a penalty with Coulomb
+friction holds (no equations to solve), there small spheres on which a solver of soft constraints
+acts with the same stiffness.
 
 MuJoCo is optional: pip install 'tenscasadi[peers]'
 """
@@ -16,7 +19,9 @@ from __future__ import annotations
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: small matrices gain nothing from threads
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # before NumPy is loaded: small matrices gain nothing from threads
 
 import time
 from collections.abc import Callable
@@ -49,7 +54,9 @@ def main(quick: bool = False) -> list[Row]:
     """Measures, prints the table and returns its rows. `quick`: few motions, once."""
     n, repeats = (64, 1) if quick else (4096, 3)
     structure = tc.shapes.six_bar_ball(stiffness=1000.0, prestress=50.0)
-    structure = structure.replace(nodes=structure.nodes + [0.0, 0.0, HEIGHT - structure.nodes[:, 2].min()])
+    structure = structure.replace(
+        nodes=structure.nodes + [0.0, 0.0, HEIGHT - structure.nodes[:, 2].min()]
+    )
     flying = tc.Model(tc.Scene(structure))
     starts = throw(flying, n)
     print(f"{'':<62} {'steps/s':>11}  {'the other':>10}  ratio")
@@ -58,7 +65,17 @@ def main(quick: bool = False) -> list[Row]:
         rows += against_simulate(flying, starts, correction, repeats, quick)
     if (os.cpu_count() or 1) > 1:
         name = "two threads, against one"
-        rows.append(compare(name, roll(flying, starts, threads=2), n * STEPS, roll(flying, starts, threads=1), n * STEPS, repeats, time.perf_counter))
+        rows.append(
+            compare(
+                name,
+                roll(flying, starts, threads=2),
+                n * STEPS,
+                roll(flying, starts, threads=1),
+                n * STEPS,
+                repeats,
+                time.perf_counter,
+            )
+        )
     rows += against_mujoco(structure, n, repeats, quick)
     rows.append(stiffnesses(structure, 20 if quick else 1000, 1 if quick else 3))
     return rows
@@ -81,7 +98,15 @@ def roll(model: tc.Model, starts: np.ndarray, **options: Any) -> Callable[[], An
     return run
 
 
-def compare(name: str, ours: Any, steps: int, other: Any, other_steps: int, repeats: int, clock: Callable[[], float] = time.process_time) -> Row:
+def compare(
+    name: str,
+    ours: Any,
+    steps: int,
+    other: Any,
+    other_steps: int,
+    repeats: int,
+    clock: Callable[[], float] = time.process_time,
+) -> Row:
     """Run both by turns, after once to compile."""
     ours(), other()
     rates = []
@@ -91,12 +116,19 @@ def compare(name: str, ours: Any, steps: int, other: Any, other_steps: int, repe
             run()
             times.append(clock())
         rates.append((steps / (times[1] - times[0]), other_steps / (times[2] - times[1])))
-    row = Row(name, median(a for a, _ in rates), median(b for _, b in rates), median(a / b for a, b in rates))
+    row = Row(
+        name,
+        median(a for a, _ in rates),
+        median(b for _, b in rates),
+        median(a / b for a, b in rates),
+    )
     print(f"{row.name:<62} {row.ours:>11,.0f}  {row.other:>10,.0f}  {row.ratio:.1f}", flush=True)
     return row
 
 
-def against_simulate(model: tc.Model, starts: np.ndarray, correction: tc.Projection | None, repeats: int, quick: bool) -> list[Row]:
+def against_simulate(
+    model: tc.Model, starts: np.ndarray, correction: tc.Projection | None, repeats: int, quick: bool
+) -> list[Row]:
     """One thread against `simulate`, with all lanes and with fewer."""
     n, count = len(starts), 2_000 if quick else 50_000
     with_it = ", with Projection" if correction else ""
@@ -106,12 +138,26 @@ def against_simulate(model: tc.Model, starts: np.ndarray, correction: tc.Project
 
     once = tc.rollouts(model, STEPS * STEP, STEP, starts, correction=correction)
     name = f"rollouts, {once.lanes} lanes{with_it}, against simulate"
-    rows = [compare(name, roll(model, starts, correction=correction, threads=1), n * STEPS, one, count, repeats)]
+    rows = [
+        compare(
+            name,
+            roll(model, starts, correction=correction, threads=1),
+            n * STEPS,
+            one,
+            count,
+            repeats,
+        )
+    ]
     for lanes in () if quick else (4,) if correction else (4, 2):
         if lanes < once.lanes:
-            kernel, held = build_kernel(model, tc.RungeKutta4(), correction, measured=True, lanes=lanes), np.zeros((1, 1, model.nw))
+            kernel, held = (
+                build_kernel(model, tc.RungeKutta4(), correction, measured=True, lanes=lanes),
+                np.zeros((1, 1, model.nw)),
+            )
             run = partial(kernel, starts, held, STEP, STEPS)
-            rows.append(compare(f"its kernel, {lanes} lanes{with_it}", run, n * STEPS, one, count, repeats))
+            rows.append(
+                compare(f"its kernel, {lanes} lanes{with_it}", run, n * STEPS, one, count, repeats)
+            )
     return rows
 
 
@@ -123,7 +169,11 @@ def against_mujoco(s: tc.Structure, n: int, repeats: int, quick: bool) -> list[R
         print("MuJoCo is not installed and left out: pip install 'tenscasadi[peers]'\n")
         return []
     count, steps = (8, 10) if quick else (64, 200)
-    ground = tc.Scene(s, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1e4, damping=30.0, friction=0.6, slip_speed=0.05))
+    ground = tc.Scene(
+        s,
+        gravity=tc.Gravity(),
+        ground=tc.Ground(stiffness=1e4, damping=30.0, friction=0.6, slip_speed=0.05),
+    )
     rows = []
     for scene, place in ((tc.Scene(s), "in flight"), (ground, "on the ground")):
         model = tc.Model(scene)
@@ -136,14 +186,25 @@ def against_mujoco(s: tc.Structure, n: int, repeats: int, quick: bool) -> list[R
             mujoco.mj_getState(theirs, data, state, kind)
             states = np.tile(state, (count, 1))
             other = partial(rollout.rollout, theirs, [data], states, nstep=steps)
-            rows.append(compare(f"rollouts {place}, against mujoco.rollout {integrator}", ours, n * STEPS, other, count * steps, repeats))
+            rows.append(
+                compare(
+                    f"rollouts {place}, against mujoco.rollout {integrator}",
+                    ours,
+                    n * STEPS,
+                    other,
+                    count * steps,
+                    repeats,
+                )
+            )
     return rows
 
 
 def mujoco_model(mujoco: Any, scene: tc.Scene, integrator: str) -> Any:
     """What MuJoCo makes of a scene."""
     with TemporaryDirectory() as folder:
-        model = mujoco.MjModel.from_xml_path(str(tc.export_mjcf(scene, Path(folder) / "scene.xml", step=STEP)))
+        model = mujoco.MjModel.from_xml_path(
+            str(tc.export_mjcf(scene, Path(folder) / "scene.xml", step=STEP))
+        )
     model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
     return model
 
@@ -158,18 +219,32 @@ def stiffnesses(structure: tc.Structure, values: int, models: int) -> Row:
         return time.perf_counter() - began
 
     model = tc.Model(tc.Scene(structure, parameters=tc.Parameters(scale=["stiffness"])))
-    first, again = (clocked(partial(tc.rollouts, model, 0.1, STEP, parameters=factor * scales)) for factor in (1.0, 1.01))
+    first, again = (
+        clocked(partial(tc.rollouts, model, 0.1, STEP, parameters=factor * scales))
+        for factor in (1.0, 1.01)
+    )
 
     def build() -> None:
-        for scale in np.random.default_rng().uniform(0.5, 2.0, models):  # values that no cache has seen
-            tc.simulate(tc.Model(tc.Scene(structure.replace(stiffness=structure.stiffness * scale))), 0.1, STEP)
+        for scale in np.random.default_rng().uniform(
+            0.5, 2.0, models
+        ):  # values that no cache has seen
+            tc.simulate(
+                tc.Model(tc.Scene(structure.replace(stiffness=structure.stiffness * scale))),
+                0.1,
+                STEP,
+            )
 
     each = clocked(build) / models
     print(
         f"\n{values} values of stiffness, 0.1 s each: {first:.2f} s as a parameter ({again:.3f} s for other values: nothing is compiled again), "
         f"{each * values:,.0f} s as {values} models ({each:.2f} s each, from {models} of them)"
     )
-    return Row("values of stiffness per second, a parameter against models", values / again, 1 / each, values / again * each)
+    return Row(
+        "values of stiffness per second, a parameter against models",
+        values / again,
+        1 / each,
+        values / again * each,
+    )
 
 
 if __name__ == "__main__":

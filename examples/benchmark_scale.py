@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: small matrices gain nothing from threads
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # before NumPy is loaded: small matrices gain nothing from threads
 
 import sys
 import time
@@ -27,7 +29,9 @@ LINKS = (10, 100, 1000, 5000)  # bars that share nodes
 
 class Row(NamedTuple):
     """One structure. Seconds to build the model's right-hand side and to compile it, its instructions, and ns a member for one evaluation
-    (NaN: no compiler); MB of memory that the process has needed at most up to then (NaN where the system does not tell)."""
+    (NaN: no compiler); MB of memory that the process has needed at most up to then (NaN where the
+    system does not tell).
+    """
 
     name: str
     bars: int
@@ -46,8 +50,16 @@ def chain(prisms: int) -> tc.Structure:
     first = 6 * np.arange(prisms)[:, None, None]
     nodes = one.nodes + 1.2 * np.arange(prisms)[:, None, None] * (0.0, 0.0, 1.0)
     ties = [(3 + k, 6 + (k + turn) % 3) for k in range(3) for turn in (0, 1)]
-    strings = np.concatenate([(first + one.strings).reshape(-1, 2), (first[:-1] + ties).reshape(-1, 2)])
-    return tc.Structure(nodes.reshape(-1, 3), (first + one.bars).reshape(-1, 2), strings, stiffness=1000.0, damping=1.0)
+    strings = np.concatenate(
+        [(first + one.strings).reshape(-1, 2), (first[:-1] + ties).reshape(-1, 2)]
+    )
+    return tc.Structure(
+        nodes.reshape(-1, 3),
+        (first + one.bars).reshape(-1, 2),
+        strings,
+        stiffness=1000.0,
+        damping=1.0,
+    )
 
 
 def links(bars: int) -> tc.Structure:
@@ -60,8 +72,12 @@ def links(bars: int) -> tc.Structure:
 def measure(name: str, structure: tc.Structure) -> Row:
     """Builds, compiles and times the right-hand side of one structure under gravity."""
     began = time.perf_counter()
-    # Joined bars: Ω couples neighbours only, while λ of reduced coordinates couples all bars that hang together.
-    model = tc.Model(tc.Scene(structure, gravity=tc.Gravity()), coordinates="full" if len(structure.pinned) else "reduced")
+    # Joined bars: Ω couples neighbours only, while λ of reduced coordinates couples all bars that
+    # hang together.
+    model = tc.Model(
+        tc.Scene(structure, gravity=tc.Gravity()),
+        coordinates="full" if len(structure.pinned) else "reduced",
+    )
     ode = model.ode
     built = time.perf_counter() - began
     members = len(structure.bars) + len(structure.strings)
@@ -75,7 +91,17 @@ def measure(name: str, structure: tc.Structure) -> Row:
         machine_code = compile_function(several)
         compiling = time.perf_counter() - began
         compiled = share * seconds(machine_code, states)
-    return Row(name, len(structure.bars), members, built, count_instructions(ode), compiling, virtual, compiled, memory())
+    return Row(
+        name,
+        len(structure.bars),
+        members,
+        built,
+        count_instructions(ode),
+        compiling,
+        virtual,
+        compiled,
+        memory(),
+    )
 
 
 def seconds(function: ca.Function, states: np.ndarray) -> float:
@@ -105,17 +131,24 @@ def memory() -> float:
         return float("nan")
     import resource
 
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
+        1e6 if sys.platform == "darwin" else 1e3
+    )
 
 
 def main(quick: bool = False) -> list[Row]:
     """Prints the table and returns its rows, from small to large. `quick`: three structures of a few hundred members."""
     cases: list[tuple[int, str, Callable[[], tc.Structure]]] = []
     cases += [(18 * n, f"chain of {n} prisms", partial(chain, n)) for n in CHAINS]
-    cases += [(3 * p * q, f"membrane ({p}, {q})", partial(tc.shapes.membrane, p, q, damping=1.0)) for p, q in MEMBRANES]
+    cases += [
+        (3 * p * q, f"membrane ({p}, {q})", partial(tc.shapes.membrane, p, q, damping=1.0))
+        for p, q in MEMBRANES
+    ]
     cases += [(n, f"{n} joined bars, full", partial(links, n)) for n in LINKS]
     rows = []
-    print(f"{'':23}{'bars':>6}{'members':>9}{'build s':>9}{'instructions':>14}{'compile s':>11}{'v.m. ns':>9}{'C ns':>7}{'peak MB':>9}")
+    print(
+        f"{'':23}{'bars':>6}{'members':>9}{'build s':>9}{'instructions':>14}{'compile s':>11}{'v.m. ns':>9}{'C ns':>7}{'peak MB':>9}"
+    )
     for size, name, make in sorted(cases, key=lambda case: case[0]):
         if quick and not 150 < size < 1000:
             continue
@@ -123,7 +156,9 @@ def main(quick: bool = False) -> list[Row]:
         rows.append(row)
         shown = f"{row.name:23}{row.bars:6}{row.members:9}{row.build:9.3f}{row.instructions:14}{row.compile:11.2f}"
         print(f"{shown}{row.virtual_machine:9.1f}{row.compiled:7.1f}{row.memory:9.0f}")
-    print("v.m., C: nanoseconds a member for one evaluation, in CasADi's virtual machine and compiled")
+    print(
+        "v.m., C: nanoseconds a member for one evaluation, in CasADi's virtual machine and compiled"
+    )
     return rows
 
 

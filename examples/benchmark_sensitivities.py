@@ -1,7 +1,7 @@
 """What exact derivatives of a run cost, in runs: forward, a tangent for each input, adjoint, all inputs at once, and central differences.
 
-All are of the same steps, so that differences show what finite differences lose: much where the motion is unstable, as of a ball that stands on
-an edge.
+All are of the same steps, so that differences show what finite differences lose: much where the
+motion is unstable, as of a ball that stands on an edge.
 """
 
 from __future__ import annotations
@@ -33,32 +33,62 @@ def main(quick: bool = False) -> list[Row]:
     scenes = {
         "prism, force densities": tc.Scene(prism, control=tc.ForceDensity(), gravity=tc.Gravity()),
         "ball, elastic strings": tc.Scene(ball, gravity=tc.Gravity()),
-        "ball on the ground": tc.Scene(ball, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1e4, damping=10.0, height=-0.55)),
+        "ball on the ground": tc.Scene(
+            ball, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1e4, damping=10.0, height=-0.55)
+        ),
     }
     rows = []
     for name, scene in list(scenes.items())[: 1 if quick else 3]:
         for scheme in (tc.RungeKutta4(),) if quick else (tc.RungeKutta4(), tc.Rattle()):
-            rows.append(measure(f"{name}, {type(scheme).__name__}", tc.Model(scene), scheme, 0.1 if quick else 2.0, False if quick else None))
-    print(f"{'':40s}{'inputs':>7s}{'run':>9s}   in runs: forward  a tangent  adjoint of 1  differences   they differ by")
+            rows.append(
+                measure(
+                    f"{name}, {type(scheme).__name__}",
+                    tc.Model(scene),
+                    scheme,
+                    0.1 if quick else 2.0,
+                    False if quick else None,
+                )
+            )
+    print(
+        f"{'':40s}{'inputs':>7s}{'run':>9s}   in runs: forward  a tangent  adjoint of 1  differences   they differ by"
+    )
     for row in rows:
         costs = f"{row.forward:19.1f}{row.forward / row.inputs:11.2f}{row.adjoint:14.1f}{2 * row.inputs:13d}{row.differ:17.1e}"
         print(f"{row.name:40s}{row.inputs:7d}{1e3 * row.run:7.2f} ms{costs}")
     return rows
 
 
-def measure(name: str, model: tc.Model, scheme: tc.RungeKutta4 | tc.Rattle, t_end: float, compiled: bool | None) -> Row:
+def measure(
+    name: str,
+    model: tc.Model,
+    scheme: tc.RungeKutta4 | tc.Rattle,
+    t_end: float,
+    compiled: bool | None,
+) -> Row:
     """One row of the table, medians of nine."""
     start = model.initial_state
 
     def run(state: np.ndarray) -> tc.Trajectory:
-        return tc.simulate(model, t_end, 1e-3, scheme, state, save_every=10**6, energy_balance=False, compiled=compiled)
+        return tc.simulate(
+            model,
+            t_end,
+            1e-3,
+            scheme,
+            state,
+            save_every=10**6,
+            energy_balance=False,
+            compiled=compiled,
+        )
 
     def derivatives(**options: object) -> tc.Sensitivities:
         return tc.sensitivities(model, start, t_end, 1e-3, scheme, compiled=compiled, **options)  # type: ignore[arg-type]
 
     exact = derivatives(mode="forward").jacobian
     moves = 1e-6 * np.eye(model.nx)
-    central = np.stack([(run(start + move).states[-1] - run(start - move).states[-1]) / 2e-6 for move in moves], axis=1)
+    central = np.stack(
+        [(run(start + move).states[-1] - run(start - move).states[-1]) / 2e-6 for move in moves],
+        axis=1,
+    )
     times = []
     for _ in range(9):  # one after the other, so that what else the machine does slows all three
         one = run(start).seconds

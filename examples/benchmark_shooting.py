@@ -1,14 +1,17 @@
 """Time per iteration of multiple shooting: derivatives put together from stages, against CasADi's of the unrolled steps, by turns in one run.
 
-Both are of the same program and solved by the same IPOPT, so that iterates are equal but for rounding; an iteration's time is that of the first
-few. What derivatives do not take is MUMPS (a factorisation, or several where curvature is negative) and IPOPT itself: the same in both.
+Both are of the same program and solved by the same IPOPT, so that iterates are equal but for
+rounding; an iteration's time is that of the first few. What derivatives do not take is MUMPS (a
+factorisation, or several where curvature is negative) and IPOPT itself: the same in both.
 """
 
 from __future__ import annotations
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: so that the processor's seconds are those of one thread
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # before NumPy is loaded: so that the processor's seconds are those of one thread
 
 import time
 from collections.abc import Callable
@@ -58,31 +61,48 @@ def measured(name: str, problem: ocp.Problem, intervals: int, iterations: int, r
     took: list[list[tuple[float, float]]] = [[], []]
     ends = [staged.first, staged.first]
     for _ in range(repeats):
-        w, multipliers = staged.first + 1e-6 * rng.standard_normal(len(staged.first)), rng.standard_normal(len(staged.lower))
+        w, multipliers = (
+            staged.first + 1e-6 * rng.standard_normal(len(staged.first)),
+            rng.standard_normal(len(staged.lower)),
+        )
         for k, program in enumerate(programs):
             own = derivatives(program, w, multipliers)
             began = time.process_time()
             solution = runs[k](program)
             took[k].append((own, 1e3 * (time.process_time() - began) / solution.iterations))
             ends[k] = solution.w if solution.last is None else solution.last
-    (own, whole), (own_unrolled, whole_unrolled) = ([median(column) for column in zip(*rows, strict=True)] for rows in took)
-    return Row(name, intervals, (own, own_unrolled), (whole, whole_unrolled), float(np.abs(ends[0] - ends[1]).max()))
+    (own, whole), (own_unrolled, whole_unrolled) = (
+        [median(column) for column in zip(*rows, strict=True)] for rows in took
+    )
+    return Row(
+        name,
+        intervals,
+        (own, own_unrolled),
+        (whole, whole_unrolled),
+        float(np.abs(ends[0] - ends[1]).max()),
+    )
 
 
 def derivatives(program: Program, w: np.ndarray, multipliers: np.ndarray) -> float:
     """Milliseconds of a Jacobian and a Hessian at a point."""
     functions = program.derivatives()
-    return milliseconds(lambda: functions["nlp_jac_g"](w, [])) + milliseconds(lambda: functions["nlp_hess_l"](w, [], 1.0, multipliers))
+    return milliseconds(lambda: functions["nlp_jac_g"](w, [])) + milliseconds(
+        lambda: functions["nlp_hess_l"](w, [], 1.0, multipliers)
+    )
 
 
 def main(quick: bool = False) -> list[Row]:
     """Prints the table and returns its rows. `quick`: the prism alone, on few intervals."""
-    print(f"{'ms of the processor':<20}{'intervals':>10}{'derivatives':>13}{'unrolled':>10}{'ratio':>7}{'iteration':>11}{'unrolled':>10}{'ratio':>7}")
+    print(
+        f"{'ms of the processor':<20}{'intervals':>10}{'derivatives':>13}{'unrolled':>10}{'ratio':>7}{'iteration':>11}{'unrolled':>10}{'ratio':>7}"
+    )
     rows: list[Row] = []
     for name, (make, intervals) in STRUCTURES.items():
         if quick and rows:
             break
-        row = measured(name, make(), 5 if quick else intervals, 2 if quick else ITERATIONS, 1 if quick else 3)
+        row = measured(
+            name, make(), 5 if quick else intervals, 2 if quick else ITERATIONS, 1 if quick else 3
+        )
         rows.append(row)
         (own, own_unrolled), (whole, whole_unrolled) = row.derivatives, row.iteration
         print(

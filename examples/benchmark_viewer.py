@@ -1,8 +1,9 @@
 """How many frames a second the viewer draws in a headless browser without a graphics card: played by the server, and from a page of its own.
 
-Run it: python examples/benchmark_viewer.py, with Debian's chromium or one that TENSCASADI_BROWSER names, and with playwright.
-Frames are those in which WebGL draws something; the player sends 30 a second. What a frame costs in processor time, of all processes of the
-browser, says more than their number on a machine that does other things, too (Linux alone tells it).
+Run it: python examples/benchmark_viewer.py, with Debian's chromium or one that TENSCASADI_BROWSER
+names, and with playwright. Frames are those in which WebGL draws something; the player sends 30 a
+second. What a frame costs in processor time, of all processes of the browser, says more than their
+number on a machine that does other things, too (Linux alone tells it).
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ from tenscasadi.viewer import view
 
 SECONDS = 6.0  # of counting
 SOFTWARE = (
-    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"),
+    *(
+        "--no-sandbox",
+        "--use-gl=angle",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--disable-quic",
+        "--no-first-run",
+    ),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 )
 SIZE = {"width": 1000, "height": 700}
@@ -54,7 +62,11 @@ class Row(NamedTuple):
 def ball(seconds: float) -> tc.Trajectory:
     """A six-bar ball that is thrown and rolls on the ground."""
     structure = tc.shapes.six_bar_ball(prestress=50.0, stiffness=1000.0, damping=2.0)
-    scene = tc.Scene(structure, gravity=tc.Gravity(), ground=tc.Ground(height=-1.0, stiffness=3000.0, damping=30.0, friction=0.5))
+    scene = tc.Scene(
+        structure,
+        gravity=tc.Gravity(),
+        ground=tc.Ground(height=-1.0, stiffness=3000.0, damping=30.0, friction=0.5),
+    )
     model = tc.Model(scene)
     start = model.state(structure.nodes, np.tile([0.5, 0.2, 0.0], (len(structure.nodes), 1)))
     return tc.simulate(model, seconds, 5e-4, state=start, correction=tc.Projection(), save_every=10)
@@ -75,7 +87,9 @@ def processor_seconds(parent: int) -> float:
     if not Path("/proc/self/stat").exists():
         return float("nan")
     below, total = {parent}, 0
-    for path in sorted(Path("/proc").glob("[0-9]*/stat"), key=lambda path: int(path.parent.name)):  # children after their parents
+    for path in sorted(
+        Path("/proc").glob("[0-9]*/stat"), key=lambda path: int(path.parent.name)
+    ):  # children after their parents
         try:
             fields = path.read_text().rpartition(")")[2].split()
         except OSError:  # it has ended
@@ -96,7 +110,10 @@ def frames(browser: Any, url: str, seconds: float) -> tuple[float, float, float]
     page.wait_for_function("window.drawn > 0")
     opening = time.perf_counter() - began
     page.wait_for_timeout(2000)
-    spent, (first, begin) = processor_seconds(os.getpid()), page.evaluate("[window.drawn, performance.now()]")
+    spent, (first, begin) = (
+        processor_seconds(os.getpid()),
+        page.evaluate("[window.drawn, performance.now()]"),
+    )
     page.wait_for_timeout(1000 * seconds)
     last, end = page.evaluate("[window.drawn, performance.now()]")
     cost = 1000 * (processor_seconds(os.getpid()) - spent) / max(last - first, 1)
@@ -108,27 +125,50 @@ def measure(seconds: float = SECONDS, motions: dict[str, tc.Trajectory] | None =
     """Play each motion by the server and as a page."""
     from playwright.sync_api import sync_playwright
 
-    path = os.environ.get("TENSCASADI_BROWSER") or shutil.which("chromium") or shutil.which("google-chrome")
-    shown = {"six-bar ball, 10 s": ball(10.0), "tower of 300 bars": tower(10.0)} if motions is None else motions
+    path = (
+        os.environ.get("TENSCASADI_BROWSER")
+        or shutil.which("chromium")
+        or shutil.which("google-chrome")
+    )
+    shown = (
+        {"six-bar ball, 10 s": ball(10.0), "tower of 300 bars": tower(10.0)}
+        if motions is None
+        else motions
+    )
     rows = []
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
-        browser = playwright.chromium.launch(executable_path=path, headless=True, args=list(SOFTWARE))
+        browser = playwright.chromium.launch(
+            executable_path=path, headless=True, args=list(SOFTWARE)
+        )
         for name, motion in shown.items():
             members = len(motion.bars) + len(motion.strings)
             with view(motion, title=name, browser=False, wait=False) as served:
-                rows.append(Row(name, members, "server", *frames(browser, str(served.url), seconds)))
+                rows.append(
+                    Row(name, members, "server", *frames(browser, str(served.url), seconds))
+                )
             page = Path(folder) / "page.html"
             view(motion, title=name, html=page)
-            rows.append(Row(name, members, f"page of {page.stat().st_size / 1e6:.1f} MB", *frames(browser, page.as_uri(), seconds)))
+            rows.append(
+                Row(
+                    name,
+                    members,
+                    f"page of {page.stat().st_size / 1e6:.1f} MB",
+                    *frames(browser, page.as_uri(), seconds),
+                )
+            )
         browser.close()
     return rows
 
 
 def main(quick: bool = False) -> list[Row]:
     rows = measure(1.0, {"six-bar ball, 0.2 s": ball(0.2)}) if quick else measure()
-    print(f"{'motion':24s} {'members':>8s} {'played by':>16s} {'frames/s':>9s} {'ms each':>8s} {'opened in':>10s}")
+    print(
+        f"{'motion':24s} {'members':>8s} {'played by':>16s} {'frames/s':>9s} {'ms each':>8s} {'opened in':>10s}"
+    )
     for row in rows:
-        print(f"{row.name:24s} {row.members:8d} {row.way:>16s} {row.frames:9.1f} {row.cost:8.0f} {row.opening:8.1f} s")
+        print(
+            f"{row.name:24s} {row.members:8d} {row.way:>16s} {row.frames:9.1f} {row.cost:8.0f} {row.opening:8.1f} s"
+        )
     return rows
 
 

@@ -1,7 +1,8 @@
 """Motions through contact as planning problems, each solved by `ocp.solve(problem)` as it is: jumps, landings, a crawl, a ball that tips over.
 
-Force densities are between limits above 0: at 0 a structure is a heap of bars, and with `Effort` alone it lies down. Where a shape matters,
-goals say it. Run it for what is found, and a picture of each: python examples/contact_problems.py pictures
+Force densities are between limits above 0: at 0 a structure is a heap of bars, and with `Effort`
+alone it lies down. Where a shape matters, goals say it. Run it for what is found, and a picture of
+each: python examples/contact_problems.py pictures
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ def main(folder: Path = Path(), quick: bool = False) -> dict[str, ocp.Plan]:
     for name in list(PROBLEMS)[: 2 if quick else None]:
         asked, began = PROBLEMS[name], time.perf_counter()
         plans[name] = ocp.solve(asked.build(), tolerance=asked.tolerance)
-        print(f"{name:24} {'found' if plans[name].success else 'not found':9} {time.perf_counter() - began:6.2f} s  {plans[name].message}")
+        print(
+            f"{name:24} {'found' if plans[name].success else 'not found':9} {time.perf_counter() - began:6.2f} s  {plans[name].message}"
+        )
     draw(plans, folder / "contact_problems.png")
     return plans
 
@@ -45,7 +48,9 @@ def main(folder: Path = Path(), quick: bool = False) -> dict[str, ocp.Plan]:
 def low_prism(stiffness: float = 1e4, damping: float = 20.0) -> tc.Model:
     """A prism of three bars of 1 m and 0.3 kg, 0.6 m high, on a ground with friction."""
     height = 0.6
-    prism = tc.shapes.prism(3, np.sqrt(1.0 - height**2) / (2 * np.sin(np.radians(75))), height, bar_mass=0.3)
+    prism = tc.shapes.prism(
+        3, np.sqrt(1.0 - height**2) / (2 * np.sin(np.radians(75))), height, bar_mass=0.3
+    )
     ground = tc.Ground(stiffness=stiffness, damping=damping, friction=0.6, slip_speed=1e-2)
     return tc.Model(tc.Scene(prism, control=tc.ForceDensity(), gravity=tc.Gravity(), ground=ground))
 
@@ -53,7 +58,9 @@ def low_prism(stiffness: float = 1e4, damping: float = 20.0) -> tc.Model:
 def heavy_prism() -> tc.Model:
     """A prism of three bars of 1 m and 1 kg on a soft ground, which damps slipping."""
     height = 0.55
-    prism = tc.shapes.prism(3, np.sqrt(1.0 - height**2) / (2 * np.sin(np.radians(75))), height, bar_mass=1.0)
+    prism = tc.shapes.prism(
+        3, np.sqrt(1.0 - height**2) / (2 * np.sin(np.radians(75))), height, bar_mass=1.0
+    )
     ground = tc.Ground(stiffness=1e3, damping=20.0, friction=0.8, slip_speed=0.3)
     return tc.Model(tc.Scene(prism, control=tc.ForceDensity(), gravity=tc.Gravity(), ground=ground))
 
@@ -68,36 +75,58 @@ def ball_on_face(slope: float = 0.0) -> tc.Model:
     angle = np.radians(slope)
     gravity = tc.Gravity((-9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle)))
     ground = tc.Ground(stiffness=1e4, damping=60.0, friction=0.8, slip_speed=0.05)
-    return tc.Model(tc.Scene(ball.replace(nodes=nodes - [0, 0, nodes[:, 2].min()]), control=tc.ForceDensity(), gravity=gravity, ground=ground))
+    return tc.Model(
+        tc.Scene(
+            ball.replace(nodes=nodes - [0, 0, nodes[:, 2].min()]),
+            control=tc.ForceDensity(),
+            gravity=gravity,
+            ground=ground,
+        )
+    )
 
 
 def top_of_a_jump(nodes: int) -> list[ocp.Constraint]:
     """What holds at the top of a jump, of a structure whose nodes all weigh the same: it neither rises nor falls, and no node touches the ground."""
     return [
-        ocp.Constraint("rise", lambda end: ca.sum2(end.velocities)[2] / nodes, -0.1, 0.1, at_end=True),
+        ocp.Constraint(
+            "rise", lambda end: ca.sum2(end.velocities)[2] / nodes, -0.1, 0.1, at_end=True
+        ),
         ocp.Constraint("height of nodes", lambda end: end.nodes[2, :].T, 0.02, at_end=True),
     ]
 
 
-def prism_jumps(rise: float, stiffness: float = 1e4, damping: float = 20.0, duration: float = 0.5) -> ocp.Problem:
+def prism_jumps(
+    rise: float, stiffness: float = 1e4, damping: float = 20.0, duration: float = 0.5
+) -> ocp.Problem:
     """The prism jumps: its centre of mass is `rise` m higher at the end, which is the top of its way."""
     model = low_prism(stiffness, damping)
     goal = ocp.CentreOfMass((None, None, model.structure.nodes[:, 2].mean() + rise))
-    return ocp.Problem(model, duration, goals=[goal], bounds=[ocp.ForceDensityLimits(5.0, 500.0), *top_of_a_jump(6)])
+    return ocp.Problem(
+        model,
+        duration,
+        goals=[goal],
+        bounds=[ocp.ForceDensityLimits(5.0, 500.0), *top_of_a_jump(6)],
+    )
 
 
 def ball_jumps(rise: float = 0.2) -> ocp.Problem:
     """The ball jumps from a face."""
     model = ball_on_face()
     goal = ocp.CentreOfMass((None, None, model.structure.nodes[:, 2].mean() + rise))
-    return ocp.Problem(model, 0.6, goals=[goal], bounds=[ocp.ForceDensityLimits(50.0, 2000.0), *top_of_a_jump(12)])
+    return ocp.Problem(
+        model, 0.6, goals=[goal], bounds=[ocp.ForceDensityLimits(50.0, 2000.0), *top_of_a_jump(12)]
+    )
 
 
 def prism_lands(rise: float = 0.15) -> ocp.Problem:
     """The prism jumps, and comes to rest where it stood."""
     model = low_prism(damping=60.0)
     x, y, z = model.structure.nodes.mean(axis=0).tolist()
-    goals = [ocp.Waypoint([ocp.CentreOfMass((None, None, z + rise))], share=0.45), ocp.CentreOfMass((x, y, z)), ocp.AtRest()]
+    goals = [
+        ocp.Waypoint([ocp.CentreOfMass((None, None, z + rise))], share=0.45),
+        ocp.CentreOfMass((x, y, z)),
+        ocp.AtRest(),
+    ]
     return ocp.Problem(model, 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(5.0, 500.0)])
 
 
@@ -109,7 +138,14 @@ def prism_crawls(step: float = 0.1, period: float = 0.4, cycles: int = 3) -> ocp
     steps = [ocp.CentreOfMass((x + k * step, None, z)) for k in range(1, cycles + 1)]
     goals = [ocp.Waypoint([goal], share=k / cycles) for k, goal in enumerate(steps[:-1], 1)]
     bounds = [ocp.ForceDensityLimits(20.0, 400.0)]
-    return ocp.Problem(model, cycles * period, start, goals=[*goals, steps[-1]], bounds=bounds, costs=[ocp.Prestress(100.0)])
+    return ocp.Problem(
+        model,
+        cycles * period,
+        start,
+        goals=[*goals, steps[-1]],
+        bounds=bounds,
+        costs=[ocp.Prestress(100.0)],
+    )
 
 
 def ball_tips(slope: float = 0.0) -> ocp.Problem:
@@ -120,15 +156,27 @@ def ball_tips(slope: float = 0.0) -> ocp.Problem:
     angle = np.where(np.isin(np.arange(12), (*EDGE, BEHIND)), np.pi, np.arctan2(up, ahead))
     first = int(np.argmin(angle))  # the node that comes down
     turn = angle[first]
-    x, z = (ahead * np.cos(turn) + up * np.sin(turn) + nodes[EDGE[0], 0], up * np.cos(turn) - ahead * np.sin(turn))
+    x, z = (
+        ahead * np.cos(turn) + up * np.sin(turn) + nodes[EDGE[0], 0],
+        up * np.cos(turn) - ahead * np.sin(turn),
+    )
     turned = np.column_stack([x, nodes[:, 1], z])
     places = {node: tuple(turned[node].tolist()) for node in (*EDGE, first)}
     goals = [ocp.NodePositions(places), ocp.CentreOfMass((None, None, z.mean())), ocp.AtRest()]
-    return ocp.Problem(model, 0.8, goals=goals, bounds=[ocp.ForceDensityLimits(50.0, 1000.0)], costs=[ocp.Prestress(200.0)])
+    return ocp.Problem(
+        model,
+        0.8,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(50.0, 1000.0)],
+        costs=[ocp.Prestress(200.0)],
+    )
 
 
 PROBLEMS: dict[str, Asked] = {
-    **{f"prism jumps {rise} m": Asked(lambda rise=rise: prism_jumps(rise)) for rise in (0.1, 0.2, 0.3, 0.4)},  # type: ignore[misc]
+    **{
+        f"prism jumps {rise} m": Asked(lambda rise=rise: prism_jumps(rise))  # type: ignore[misc]
+        for rise in (0.1, 0.2, 0.3, 0.4)
+    },
     "ball jumps 0.2 m": Asked(ball_jumps),
     "prism jumps and lands": Asked(prism_lands, 0.05),
     "prism crawls 3 cycles": Asked(prism_crawls),
@@ -141,7 +189,9 @@ def draw(plans: dict[str, ocp.Plan], path: Path, instants: int = 6) -> None:
     """Side views of each motion at equal intervals of time, and the way of the centre."""
     rows = -(-len(plans) // 2)
     figure = Figure(figsize=(12.0, 1.6 * rows + 0.5), layout="constrained")
-    for ax, (name, plan) in zip(np.ravel(figure.subplots(rows, 2, squeeze=False)), plans.items(), strict=False):
+    for ax, (name, plan) in zip(
+        np.ravel(figure.subplots(rows, 2, squeeze=False)), plans.items(), strict=False
+    ):
         motion = plan.replay()
         centre = motion.nodes.mean(axis=1)
         size, apart = np.ptp(motion.nodes[0], axis=0).max(), np.ptp(centre[:, 0]) > 0.05
@@ -149,15 +199,23 @@ def draw(plans: dict[str, ocp.Plan], path: Path, instants: int = 6) -> None:
         shots = np.linspace(0, len(motion.time) - 1, instants).astype(int)
         for k, shot in enumerate(shots):
             side = motion.nodes[shot][:, [0, 2]] + [1.15 * size * k, 0.0]
-            ax.add_collection(LineCollection(side[motion.strings], colors="tab:blue", linewidths=0.6, alpha=0.8))
-            ax.add_collection(LineCollection(side[motion.bars], colors="0.25", linewidths=2.0, capstyle="round"))
+            ax.add_collection(
+                LineCollection(side[motion.strings], colors="tab:blue", linewidths=0.6, alpha=0.8)
+            )
+            ax.add_collection(
+                LineCollection(side[motion.bars], colors="0.25", linewidths=2.0, capstyle="round")
+            )
             ax.plot(centre[shot, 0] + 1.15 * size * k, centre[shot, 2], "o", color="tab:red", ms=3)
         ax.set(aspect="equal", ylabel="z (m)", title=f"{name}, {motion.time[-1]:g} s", xticks=[])
-        ax.set_xlim(-0.8 * size, 1.15 * size * (instants - 0.4) + (np.ptp(centre[:, 0]) if apart else 0.0))
+        ax.set_xlim(
+            -0.8 * size, 1.15 * size * (instants - 0.4) + (np.ptp(centre[:, 0]) if apart else 0.0)
+        )
         ax.set_ylim(-0.1, motion.nodes[:, :, 2].max() + 0.1)
     for ax in figure.axes[len(plans) :]:
         ax.set_axis_off()
-    figure.suptitle("side views at equal intervals of time, next to each other; the centre of mass in red")
+    figure.suptitle(
+        "side views at equal intervals of time, next to each other; the centre of mass in red"
+    )
     figure.savefig(path, dpi=150)
 
 

@@ -39,12 +39,22 @@ def main(folder: Path = Path()) -> ocp.Plan:
     replay = plan.replay()
     strings = np.linalg.norm(np.diff(replay.nodes[:, structure.strings], axis=2)[:, :, 0], axis=2)
     middle = strings[np.argmin(abs(replay.time - 1.0))]
-    print(f"strings       {strings[0].round(4)} → {middle.round(4)} (wanted {folded.round(4)}) → {strings[-1].round(4)} m")
+    print(
+        f"strings       {strings[0].round(4)} → {middle.round(4)} (wanted {folded.round(4)}) → {strings[-1].round(4)} m"
+    )
     first = plan.trajectory.nodes[: len(plan.time) // 2 + 1]
     print(f"node 0 moves by {np.abs(first[:, 0] - structure.nodes[0]).max():.1g} m")
     half = tc.simulate(problem.model, 1.0, 5e-3, control=plan.force_density[:20], compiled=False)
-    plots.time_lapse(half, instants=5, title="D-bar: folds, pinned at one node", path=folder / "dbar_folds.png")
-    plots.force_densities(plan, lower=1.0, upper=100.0, title="D-bar: planned force densities", path=folder / "dbar_folds_forces.png")
+    plots.time_lapse(
+        half, instants=5, title="D-bar: folds, pinned at one node", path=folder / "dbar_folds.png"
+    )
+    plots.force_densities(
+        plan,
+        lower=1.0,
+        upper=100.0,
+        title="D-bar: planned force densities",
+        path=folder / "dbar_folds_forces.png",
+    )
     return plan
 
 

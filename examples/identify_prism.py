@@ -1,7 +1,7 @@
 """A prism is shaken and watched: stiffness and damping of its strings and the mass of its bars are found from the places of its nodes.
 
-One compiled code serves all values that are tried: each step of the search is one call of `rollouts`, and what a new value costs is
-measured against a model that is built with it.
+One compiled code serves all values that are tried: each step of the search is one call of
+`rollouts`, and what a new value costs is measured against a model that is built with it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,11 @@ import tenscasadi as tc
 
 DURATION, STEP, EVERY = 1.0, 1e-3, 20  # s, s, steps between two pictures
 NOISE = 1e-4  # m, of the camera
-TRUE = {"stiffness": [620.0, 410.0], "damping": 1.7, "bar_mass": 1.23}  # what is to be found: top and vertical strings, all strings, all bars
+TRUE = {
+    "stiffness": [620.0, 410.0],
+    "damping": 1.7,
+    "bar_mass": 1.23,
+}  # what is to be found: top and vertical strings, all strings, all bars
 DIFFERENCE = 1e-4  # relative, of the derivatives
 
 
@@ -34,7 +38,8 @@ class Found(NamedTuple):
 def shaken_prism() -> tc.Structure:
     """A prism that stands on three pinned nodes and carries known masses; its strings and bars are a guess.
 
-    Without a mass that is known, all that is sought could be twice as large, and the motion would be the same.
+    Without a mass that is known, all that is sought could be twice as large, and the motion would
+    be the same.
     """
     structure = tc.shapes.prism(stiffness=500.0, prestress=20.0, damping=1.0, pinned=(0, 1, 2))
     return structure.replace(node_mass=[0, 0, 0, 0.5, 0.5, 0.5])
@@ -43,8 +48,18 @@ def shaken_prism() -> tc.Structure:
 def main(quick: bool = False) -> Found:
     """Prints what is found and what a new value costs, and returns it."""
     structure = shaken_prism()
-    groups = {"stiffness": [[3, 4, 5], [6, 7, 8]], "damping": "all", "bar_mass": "all"}  # strings between pinned nodes do nothing
-    model = tc.Model(tc.Scene(structure, gravity=tc.Gravity(), parameters=tc.Parameters("stiffness", "damping", "bar_mass", groups=groups)))
+    groups = {
+        "stiffness": [[3, 4, 5], [6, 7, 8]],
+        "damping": "all",
+        "bar_mass": "all",
+    }  # strings between pinned nodes do nothing
+    model = tc.Model(
+        tc.Scene(
+            structure,
+            gravity=tc.Gravity(),
+            parameters=tc.Parameters("stiffness", "damping", "bar_mass", groups=groups),
+        )
+    )
     kick = np.zeros((6, 3))
     kick[3:] = 0.8, -0.3, 0.2
     nominal, true = model.parameters.nominal, model.parameters.values(TRUE)
@@ -68,11 +83,21 @@ def main(quick: bool = False) -> Found:
 
     fit = least_squares(residual, np.ones(len(nominal)), jacobian, bounds=(0.1, 10.0))
     deviation = nominal * np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
-    found = Found(model.parameters.names, fit.x * nominal, true, deviation, *measure(model, start, 2 if quick else 5))
+    found = Found(
+        model.parameters.names,
+        fit.x * nominal,
+        true,
+        deviation,
+        *measure(model, start, 2 if quick else 5),
+    )
     print(f"{len(seen) // 18} pictures with {NOISE:g} m of noise, {fit.nfev} steps of the search")
-    for name, unit, value, real, spread in zip(found.names, model.parameters.units, found.values, found.true, found.deviation, strict=True):
+    for name, unit, value, real, spread in zip(
+        found.names, model.parameters.units, found.values, found.true, found.deviation, strict=True
+    ):
         print(f"{name:<14} {value:9.4f} ± {spread:.4f} {unit:<5} (true: {real:g})")
-    print(f"a new value: {found.built_anew:.2g} s with a model built anew, {found.as_parameters:.2g} s as parameters, simulated alone")
+    print(
+        f"a new value: {found.built_anew:.2g} s with a model built anew, {found.as_parameters:.2g} s as parameters, simulated alone"
+    )
     return found
 
 

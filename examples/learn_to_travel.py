@@ -1,11 +1,13 @@
 """A ball of six bars learns to travel: rhythms of its strings are tried side by side in a vector environment of gymnasium, and the best bred.
 
-Each string is wound and let out as a sine with an amplitude and a phase of its own. A generation of rhythms is one vector environment, an
-episode for each; ground and masses differ from episode to episode. The cross-entropy method goes on from the best tenth.
+Each string is wound and let out as a sine with an amplitude and a phase of its own. A generation of
+rhythms is one vector environment, an episode for each; ground and masses differ from episode to
+episode. The cross-entropy method goes on from the best tenth.
 
 It also measures decisions and steps per second, of one environment and of 1024.
 
-Needs gymnasium: pip install 'tenscasadi[gym]'. Run it with a folder for the picture: python examples/learn_to_travel.py pictures
+Needs gymnasium: pip install 'tenscasadi[gym]'. Run it with a folder for the picture: python
+examples/learn_to_travel.py pictures
 """
 
 from __future__ import annotations
@@ -50,10 +52,14 @@ def main(folder: Path = Path(), quick: bool = False) -> Learned:
     )
     distance = learn(task, generations=3 if quick else 15, count=64 if quick else 128)
     for k, row in enumerate(distance):
-        print(f"generation {k:2d}: median {np.median(row):5.2f} m, best {row.max():5.2f} m in {DURATION:g} s")
+        print(
+            f"generation {k:2d}: median {np.median(row):5.2f} m, best {row.max():5.2f} m in {DURATION:g} s"
+        )
     speeds = [measure(task, count, 20 if quick else 100) for count in (1, 1024)]
     for count, speed in speeds:
-        print(f"{count:5d} environments: {speed:9.0f} decisions, {speed * STEPS / 1e6:.2f} million steps per second")
+        print(
+            f"{count:5d} environments: {speed:9.0f} decisions, {speed * STEPS / 1e6:.2f} million steps per second"
+        )
     draw(distance, folder / "learn_to_travel.png")
     return Learned(distance, speeds)
 
@@ -68,7 +74,15 @@ def ball() -> tc.Model:
     standing = structure.replace(nodes=nodes - [0, 0, nodes[:, 2].min()])
     ground = tc.Ground(stiffness=5e3, damping=50.0, friction=0.7, slip_speed=0.05)
     varied = tc.Parameters("ground_stiffness", scale=["bar_mass"])
-    return tc.Model(tc.Scene(standing, control=tc.RestLength(), gravity=tc.Gravity(), ground=ground, parameters=varied))
+    return tc.Model(
+        tc.Scene(
+            standing,
+            control=tc.RestLength(),
+            gravity=tc.Gravity(),
+            ground=ground,
+            parameters=varied,
+        )
+    )
 
 
 def forward(now: Transition) -> np.ndarray:
@@ -88,7 +102,9 @@ def learn(task: Task, generations: int, count: int) -> np.ndarray:
         distance, alive = np.zeros(count), np.ones(count, dtype=bool)
         for k in range(task.decisions):
             angle = 2 * np.pi * FREQUENCY * PERIOD * k
-            _, rewards, terminated, _, _ = envs.step(rhythms[:, 0] * np.sin(angle) + rhythms[:, 1] * np.cos(angle))
+            _, rewards, terminated, _, _ = envs.step(
+                rhythms[:, 0] * np.sin(angle) + rhythms[:, 1] * np.cos(angle)
+            )
             distance += np.where(alive, rewards, 0.0)
             alive &= ~terminated
         best = rhythms[np.argsort(distance)[-count // 10 :]]
@@ -117,9 +133,23 @@ def draw(distance: np.ndarray, path: Path) -> None:
     figure = Figure(figsize=(7.2, 3.6), layout="constrained")
     ax = figure.subplots()
     for shares, alpha in (((0.0, 1.0), 0.15), ((0.25, 0.75), 0.3)):
-        ax.fill_between(np.arange(len(distance)), *np.quantile(distance, shares, axis=1), color="tab:blue", alpha=alpha, lw=0)
-    ax.plot(np.median(distance, axis=1), color="tab:blue", label="median; half and all of the rhythms shaded")
-    ax.set(xlabel="generation", ylabel=f"way along x in {DURATION:g} s (m)", title="a six-bar ball learns to travel")
+        ax.fill_between(
+            np.arange(len(distance)),
+            *np.quantile(distance, shares, axis=1),
+            color="tab:blue",
+            alpha=alpha,
+            lw=0,
+        )
+    ax.plot(
+        np.median(distance, axis=1),
+        color="tab:blue",
+        label="median; half and all of the rhythms shaded",
+    )
+    ax.set(
+        xlabel="generation",
+        ylabel=f"way along x in {DURATION:g} s (m)",
+        title="a six-bar ball learns to travel",
+    )
     ax.legend(frameon=False, loc="upper left")
     ax.grid(visible=True, color="0.9")
     figure.savefig(path, dpi=150)

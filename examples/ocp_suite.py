@@ -1,6 +1,7 @@
 """A hundred planning problems of the kinds that users bring, each solved by default, with the error of its replay against a stated tolerance.
 
-Run it: python examples/ocp_suite.py, or with the kinds of problems to solve: python examples/ocp_suite.py tower arm
+Run it: python examples/ocp_suite.py, or with the kinds of problems to solve: python
+examples/ocp_suite.py tower arm
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ class Row(NamedTuple):
 
 def cases(kinds: Sequence[str] = (), quick: bool = False) -> Iterator[Case]:
     """The problems (of some kinds; quick: some of them)."""
-    for case in chain(small_cases(), large_cases(), reaching_cases(), constrained_cases(), contact_cases()):
+    for case in chain(
+        small_cases(), large_cases(), reaching_cases(), constrained_cases(), contact_cases()
+    ):
         if (not kinds or case.kind in kinds) and (case.quick or not quick):
             yield case
 
@@ -56,16 +59,29 @@ def solved(case: Case) -> tuple[Row, str]:
     began = time.perf_counter()
     plan = ocp.solve(case.problem(), tolerance=case.tolerance)
     seconds = time.perf_counter() - began
-    row = Row(case.kind, case.name, plan.success, plan.iterations, seconds, plan.objective, plan.replay_error, case.tolerance)
+    row = Row(
+        case.kind,
+        case.name,
+        plan.success,
+        plan.iterations,
+        seconds,
+        plan.objective,
+        plan.replay_error,
+        case.tolerance,
+    )
     return row, plan.message
 
 
 def print_kinds(rows: Sequence[Row]) -> None:
     """Prints how many of each kind were solved, and their seconds and iterations."""
-    print(f"\n{'kind':16}  problems  solved  seconds: median  ninetieth percentile  iterations: median  ninetieth percentile")
+    print(
+        f"\n{'kind':16}  problems  solved  seconds: median  ninetieth percentile  iterations: median  ninetieth percentile"
+    )
     for kind in [*dict.fromkeys(row.kind for row in rows), "all"]:
         own = [row for row in rows if kind in (row.kind, "all")]
-        seconds, iterations = ([getattr(row, what) for row in own] for what in ("seconds", "iterations"))
+        seconds, iterations = (
+            [getattr(row, what) for row in own] for what in ("seconds", "iterations")
+        )
         share = sum(row.met for row in own) / len(own)
         print(
             f"{kind:16}  {len(own):8}  {share:6.0%}  {np.median(seconds):15.2f}  {np.percentile(seconds, 90):20.2f}"
@@ -81,7 +97,10 @@ def main(quick: bool = False, kinds: Sequence[str] = ()) -> list[Row]:
         row, said = solved(case)
         found = "yes" if row.success else "no"
         numbers = f"{row.iterations:10}  {row.seconds:7.2f}  {row.objective:10.6g}  {row.error:12.1e}  {row.tolerance:9.0e}"
-        print(f"{row.name:36}  {found:5}  {numbers}" + ("" if row.met else f"  ← {said[:100]}"), flush=True)
+        print(
+            f"{row.name:36}  {found:5}  {numbers}" + ("" if row.met else f"  ← {said[:100]}"),
+            flush=True,
+        )
         rows.append(row)
     print_kinds(rows)
     return rows

@@ -2,9 +2,10 @@
 
 Run it with a folder for the pictures: python examples/paper_membrane.py pictures
 
-What the paper leaves open is read as follows. Both ends are closed by caps, whose load acts on the end rings along the axis. Strings are of
-UHMWPE (970 kg/m³, 2.7 GPa), as thick as their tension at 1 atm asks for, with half of their mass on each of their ends, and damped by
-c = 2 η √(k m), η = 0.1. Pressure follows the membrane, the caps' load does not.
+What the paper leaves open is read as follows. Both ends are closed by caps, whose load acts on the
+end rings along the axis. Strings are of UHMWPE (970 kg/m³, 2.7 GPa), as thick as their tension at 1
+atm asks for, with half of their mass on each of their ends, and damped by c = 2 η √(k m), η = 0.1.
+Pressure follows the membrane, the caps' load does not.
 """
 
 from __future__ import annotations
@@ -72,8 +73,12 @@ def membrane(p: int, q: int) -> tc.Structure:
 def run(p: int, q: int, rise: float = RISE) -> tc.Trajectory:
     """The motion after the pressure has become `rise` atm at t = 0."""
     pressure = tc.Pressure(membrane_faces(p, q).tolist(), rise * ATMOSPHERE)
-    scene = tc.Scene(membrane(p, q), ends="lumped", pressure=pressure, forces=tc.NodalForce(rise * caps(p, q)))
-    return tc.simulate(tc.Model(scene), T_END, STEP, save_every=5, compiled=False)  # runs once: to compile it would take longer
+    scene = tc.Scene(
+        membrane(p, q), ends="lumped", pressure=pressure, forces=tc.NodalForce(rise * caps(p, q))
+    )
+    return tc.simulate(
+        tc.Model(scene), T_END, STEP, save_every=5, compiled=False
+    )  # runs once: to compile it would take longer
 
 
 def radial(trajectory: tc.Trajectory, p: int, q: int) -> np.ndarray:
@@ -91,25 +96,44 @@ def main(folder: Path = Path(), quick: bool = False) -> dict[tuple[int, int], Ro
     """Prints the table, saves the pictures and returns the table's rows by (p, q). `quick`: the coarsest and the middle membrane only."""
     folder.mkdir(parents=True, exist_ok=True)
     rows, runs = {}, {}
-    print(f"pressure {ATMOSPHERE:g} Pa → {RISE:g} times that; R = {RADIUS:g} m, L = {LENGTH:g} m; middle ring\n")
-    print(f"{'(p, q)':>9} {'first peak m':>13} {'expected m':>11} {'at ms':>6} {'axial m':>9} {'strings':>8} {'mass kg':>8}")
+    print(
+        f"pressure {ATMOSPHERE:g} Pa → {RISE:g} times that; R = {RADIUS:g} m, L = {LENGTH:g} m; middle ring\n"
+    )
+    print(
+        f"{'(p, q)':>9} {'first peak m':>13} {'expected m':>11} {'at ms':>6} {'axial m':>9} {'strings':>8} {'mass kg':>8}"
+    )
     for p, q in list(EXPECTED)[: 2 if quick else 3]:
         runs[p, q] = trajectory = run(p, q)
         middle = radial(trajectory, p, q)[:, 0]
         k = first_peak(middle)
         axial = np.abs(trajectory.nodes[:, p * (q // 2) : p * (q // 2 + 1), 2]).max()
         structure = membrane(p, q)
-        row = rows[p, q] = Row(float(middle[k]), float(trajectory.time[k]), float(axial), float(structure.string_mass.sum()))
-        print(f"({p:2},{q:3}) {row.peak:15.4f} {EXPECTED[p, q]:11.4f} {1e3 * row.time:6.1f} {axial:9.1e} {len(structure.strings):8} {row.mass:8.0f}")
+        row = rows[p, q] = Row(
+            float(middle[k]),
+            float(trajectory.time[k]),
+            float(axial),
+            float(structure.string_mass.sum()),
+        )
+        print(
+            f"({p:2},{q:3}) {row.peak:15.4f} {EXPECTED[p, q]:11.4f} {1e3 * row.time:6.1f} {axial:9.1e} {len(structure.strings):8} {row.mass:8.0f}"
+        )
     print("\npaper: no vertical motion of the centre nodes, radial vibration that is damped")
     coarse = next(iter(runs))
     rest = radial(runs[coarse], *coarse)[len(runs[coarse].time) // 2 :, 0].mean()
-    print(f"here:  vertical motion below {max(row.axial for row in rows.values()):.0e} m; radial vibration about its new rest near {rest:.3f} m is")
-    print("       damped, least in the finest membrane (c falls with a string's mass); it beats with the axial vibration that the caps drive")
+    print(
+        f"here:  vertical motion below {max(row.axial for row in rows.values()):.0e} m; radial vibration about its new rest near {rest:.3f} m is"
+    )
+    print(
+        "       damped, least in the finest membrane (c falls with a string's mass); it beats with the axial vibration that the caps drive"
+    )
 
     sizes = list(runs)
     for p, q in (sizes[0], sizes[-1]):
-        plots.structure(membrane(p, q), title=f"membrane: p = {p}, q = {q}, at 1 atm", path=folder / f"paper_membrane_{p}_{q}.png")
+        plots.structure(
+            membrane(p, q),
+            title=f"membrane: p = {p}, q = {q}, at 1 atm",
+            path=folder / f"paper_membrane_{p}_{q}.png",
+        )
     figure_9(runs).savefig(folder / "paper_membrane.png", dpi=150)
     return rows
 
@@ -119,17 +143,29 @@ def figure_9(runs: dict[tuple[int, int], tc.Trajectory]) -> Figure:
     figure = Figure(figsize=(7.2, 5.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     for (p, q), trajectory in runs.items():
-        upper.plot(1e3 * trajectory.time, 1e3 * radial(trajectory, p, q)[:, 0], lw=1.2, label=f"p = {p}, q = {q}")
+        upper.plot(
+            1e3 * trajectory.time,
+            1e3 * radial(trajectory, p, q)[:, 0],
+            lw=1.2,
+            label=f"p = {p}, q = {q}",
+        )
         end = trajectory.nodes[:, -1, 2] - trajectory.nodes[0, -1, 2]
         lower.plot(1e3 * trajectory.time, 1e3 * trajectory.nodes[:, p * (q // 2), 2], lw=1.2)
-        lower.plot(1e3 * trajectory.time, 1e3 * end, lw=0.9, ls="--", color=lower.lines[-1].get_color())
+        lower.plot(
+            1e3 * trajectory.time, 1e3 * end, lw=0.9, ls="--", color=lower.lines[-1].get_color()
+        )
     upper.set(ylabel="radial motion (mm)", xlim=(0, 1e3 * T_END))
     upper.set_title(f"membrane after a rise of pressure to {RISE:g} atm: centre", fontsize=10)
     lower.set(ylabel="axial motion (mm)", xlabel="time (ms)")
     lower.set_title("centre: full lines, at 0; end ring: dashed", fontsize=10)
     for ax in (upper, lower):
         ax.grid(visible=True, color="0.9")
-    figure.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=len(runs), frameon=False)
+    figure.legend(
+        *upper.get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=len(runs),
+        frameon=False,
+    )
     return figure
 
 

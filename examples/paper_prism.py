@@ -30,10 +30,14 @@ def prism() -> tc.Structure:
     sides = [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3)]
     uprights = [(0, 3), (1, 4), (2, 5)]
     nodes = np.concatenate([triangle, triangle + (0.0, 0.0, 1.0)])
-    return tc.Structure(nodes, [(2, 4), (0, 5), (1, 3)], sides + uprights, stiffness=100.0, string_mass=0.04).prestressed(30.0)
+    return tc.Structure(
+        nodes, [(2, 4), (0, 5), (1, 3)], sides + uprights, stiffness=100.0, string_mass=0.04
+    ).prestressed(30.0)
 
 
-def run(segments: int, ends: Ends, correction: tc.Projection | None = tc.Projection()) -> tc.Trajectory:
+def run(
+    segments: int, ends: Ends, correction: tc.Projection | None = tc.Projection()
+) -> tc.Trajectory:
     """Five seconds from rest with each string in `segments`."""
     model = tc.Model(tc.Scene(prism(), segments=segments, ends=ends))
     # Each model runs once: to compile it would take longer.
@@ -51,15 +55,23 @@ def main(folder: Path = Path(), quick: bool = False) -> dict[tuple[Ends, int], f
     folder.mkdir(parents=True, exist_ok=True)
     divisions = (1, 3, 5, MOST - 1) if quick else tuple(range(1, MOST))
     runs = {(ends, n): run(n, ends) for ends in ENDS for n in (*divisions, MOST)}
-    errors = {(ends, n): distance(runs[ends, n], runs[ends, MOST]) for ends in ENDS for n in divisions}
+    errors = {
+        (ends, n): distance(runs[ends, n], runs[ends, MOST]) for ends in ENDS for n in divisions
+    }
 
-    print(f"{prism()!r}, {T_END:g} s from rest; L2 distance of node 1 from its run with {MOST} segments, relative to its position\n")
+    print(
+        f"{prism()!r}, {T_END:g} s from rest; L2 distance of node 1 from its run with {MOST} segments, relative to its position\n"
+    )
     print(f"{'segments':>8}" + "".join(f"{ends:>12}" for ends in ENDS))
     for n in divisions:
         print(f"{n:8}" + "".join(f"{errors[ends, n]:12.3%}" for ends in ENDS))
     last = [errors[ends, MOST - 1] for ends in ENDS]
-    print("\npaper: less than 0.5 % from the 9th to the 10th division, string mass on inner nodes only")
-    print(f"here:  {last[0]:.2%} with string mass on inner nodes only, {last[1]:.2%} with its share on the strings' ends too (ends='lumped')")
+    print(
+        "\npaper: less than 0.5 % from the 9th to the 10th division, string mass on inner nodes only"
+    )
+    print(
+        f"here:  {last[0]:.2%} with string mass on inner nodes only, {last[1]:.2%} with its share on the strings' ends too (ends='lumped')"
+    )
     plain = run(1, "interior", correction=None).bar_length_error.max()
     kept = max(trajectory.bar_length_error.max() for trajectory in runs.values())
     print(
@@ -67,11 +79,24 @@ def main(folder: Path = Path(), quick: bool = False) -> dict[tuple[Ends, int], f
     )
 
     five = runs["interior", 5]
-    early = tc.simulate(tc.Model(tc.Scene(prism(), segments=5)), 1.0, STEP, correction=tc.Projection(), compiled=False)
-    plots.time_lapse(early, instants=4, title="prism: its first second, five segments a string", path=folder / "paper_prism.png")
+    early = tc.simulate(
+        tc.Model(tc.Scene(prism(), segments=5)),
+        1.0,
+        STEP,
+        correction=tc.Projection(),
+        compiled=False,
+    )
+    plots.time_lapse(
+        early,
+        instants=4,
+        title="prism: its first second, five segments a string",
+        path=folder / "paper_prism.png",
+    )
     for n in (1, 5, MOST):
         title = f"prism: {n} segment{'s' * (n > 1)} a string, t = 2 s"
-        plots.structure(runs["lumped", n], time=2.0, title=title, path=folder / f"paper_prism_{n}.png")
+        plots.structure(
+            runs["lumped", n], time=2.0, title=title, path=folder / f"paper_prism_{n}.png"
+        )
     figure_5(runs, five.time).savefig(folder / "paper_prism_node_1.png", dpi=150)
     convergence(errors).savefig(folder / "paper_prism_convergence.png", dpi=150)
     return errors
@@ -84,11 +109,24 @@ def figure_5(runs: dict[tuple[Ends, int], tc.Trajectory], time: np.ndarray) -> F
     for ax, ends in zip(figure.subplots(2, 1, sharex=True, sharey=True), ENDS, strict=True):
         for k, n in enumerate(shown):
             last = n == MOST
-            ax.plot(time, runs[ends, n].nodes[:, 0, 1], color="black" if last else f"C{k}", ls="--" if last else "-", lw=1.3, label=f"{n}")
-        ax.set(ylabel="y of node 1 (m)", title=f'prism: string mass with ends="{ends}"', xlim=(0, T_END))
+            ax.plot(
+                time,
+                runs[ends, n].nodes[:, 0, 1],
+                color="black" if last else f"C{k}",
+                ls="--" if last else "-",
+                lw=1.3,
+                label=f"{n}",
+            )
+        ax.set(
+            ylabel="y of node 1 (m)",
+            title=f'prism: string mass with ends="{ends}"',
+            xlim=(0, T_END),
+        )
         ax.grid(visible=True, color="0.9")
     ax.set_xlabel("time (s)")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside right upper", title="segments", frameon=False)
+    figure.legend(
+        *ax.get_legend_handles_labels(), loc="outside right upper", title="segments", frameon=False
+    )
     return figure
 
 
@@ -100,7 +138,11 @@ def convergence(errors: dict[tuple[Ends, int], float]) -> Figure:
         points = [(n, 100 * error) for (kind, n), error in errors.items() if kind == ends]
         ax.semilogy(*zip(*points, strict=True), marker=marker, label=f'ends="{ends}"')
     ax.plot(MOST - 1, 0.5, "v", color="black", ms=8, label="paper: less than")
-    ax.set(xlabel="segments a string", ylabel=f"error of node 1 against {MOST} segments (%)", xticks=range(1, MOST))
+    ax.set(
+        xlabel="segments a string",
+        ylabel=f"error of node 1 against {MOST} segments (%)",
+        xticks=range(1, MOST),
+    )
     ax.set_title("prism: how many segments are enough")
     ax.grid(visible=True, which="both", color="0.92")
     ax.yaxis.set_major_formatter("{x:g}")

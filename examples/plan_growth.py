@@ -1,7 +1,7 @@
 """How plans grow with the structure: free towers of three-bar prisms, 3 to 96 bars, that rise by a tenth in a second, from rest to rest.
 
-Each is planned by default, and up to 24 bars also by `Variational` with IPOPT on as many intervals. Seconds are those of the processor, from
-`ocp.solve` to the plan, preparation and replay included.
+Each is planned by default, and up to 24 bars also by `Variational` with IPOPT on as many intervals.
+Seconds are those of the processor, from `ocp.solve` to the plan, preparation and replay included.
 
 Run it with a folder for the picture: python examples/plan_growth.py pictures
 """
@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: so that the processor's seconds are those of one thread
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # before NumPy is loaded: so that the processor's seconds are those of one thread
 
 import sys
 import time
@@ -45,19 +47,35 @@ class Row(NamedTuple):
 def solved(stages: int, method: str, intervals: int = 0) -> Row:
     """The plan of one tower."""
     problem = free_tower(stages)
-    given = (ocp.Variational(intervals, accuracy=1e-4 * stages), ocp.Ipopt()) if method == PROGRAM else ()
+    given = (
+        (ocp.Variational(intervals, accuracy=1e-4 * stages), ocp.Ipopt())
+        if method == PROGRAM
+        else ()
+    )
     began = time.process_time()
     plan = ocp.solve(problem, *given)
     seconds = time.process_time() - began
     count = len(plan.time) - 1
-    return Row(3 * stages, method, plan.success, count, seconds, plan.iterations, plan.replay_error, plan.error_growth, plan.objective)
+    return Row(
+        3 * stages,
+        method,
+        plan.success,
+        count,
+        seconds,
+        plan.iterations,
+        plan.replay_error,
+        plan.error_growth,
+        plan.objective,
+    )
 
 
 def main(folder: Path = Path(), quick: bool = False) -> list[Row]:
     """Prints the table, draws it, and returns its rows. `quick`: up to 12 bars."""
     folder.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
-    print(f"{'bars':>5}  {'method':21}{'success':>8}{'intervals':>10}{'seconds':>9}{'iterations':>11}{'replay m':>10}{'growth':>9}{'objective':>11}")
+    print(
+        f"{'bars':>5}  {'method':21}{'success':>8}{'intervals':>10}{'seconds':>9}{'iterations':>11}{'replay m':>10}{'growth':>9}{'objective':>11}"
+    )
     for stages in STAGES[: 3 if quick else None]:
         rows.append(solved(stages, DEFAULT))
         if stages <= PROGRAM_STAGES:
@@ -75,12 +93,31 @@ def draw(rows: list[Row], path: Path) -> None:
     axes = figure.subplots()
     for method, marker, above in ((DEFAULT, "o", -13), (PROGRAM, "s", 7)):
         own = [row for row in rows if row.method == method and row.success]
-        axes.plot([row.bars for row in own], [row.seconds for row in own], marker=marker, label=method)
+        axes.plot(
+            [row.bars for row in own], [row.seconds for row in own], marker=marker, label=method
+        )
         for row in own:
-            axes.annotate(f"{row.seconds:.2g}", (row.bars, row.seconds), xytext=(3, above), textcoords="offset points", fontsize=8)
+            axes.annotate(
+                f"{row.seconds:.2g}",
+                (row.bars, row.seconds),
+                xytext=(3, above),
+                textcoords="offset points",
+                fontsize=8,
+            )
     bars = np.array([6.0, max(row.bars for row in rows)])
-    axes.plot(bars, 0.3 * rows[0].seconds * (bars / 3) ** 2, ":", color="grey", label="second power of the bars")
-    axes.set(xscale="log", yscale="log", xlabel="bars of the tower", ylabel="seconds of the processor, from problem to plan")
+    axes.plot(
+        bars,
+        0.3 * rows[0].seconds * (bars / 3) ** 2,
+        ":",
+        color="grey",
+        label="second power of the bars",
+    )
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="bars of the tower",
+        ylabel="seconds of the processor, from problem to plan",
+    )
     ticks = sorted({row.bars for row in rows})
     axes.set_xticks(ticks, [str(tick) for tick in ticks])
     axes.minorticks_off()

@@ -1,7 +1,8 @@
 """A prism jumps 0.3 m and lands on its feet, at rest: a plan in four phases, replayed on a ground that gives way.
 
-It pushes, rises, falls and catches itself. Where the feet stand, the plan has the ground's forces on them as unknowns, in the cone of friction;
-where they land, an impact without rebound. The replay knows nothing of phases: its ground is a spring with damping and friction.
+It pushes, rises, falls and catches itself. Where the feet stand, the plan has the ground's forces
+on them as unknowns, in the cone of friction; where they land, an impact without rebound. The replay
+knows nothing of phases: its ground is a spring with damping and friction.
 
 Run it with a folder for the picture: python examples/plan_landing.py pictures
 """
@@ -25,7 +26,9 @@ LEAST, MOST = 5.0, 500.0  # N/m
 def main(folder: Path = Path()) -> ocp.Plan:
     """Prints the plan and what its replay reaches, saves the picture, and returns the plan."""
     folder.mkdir(parents=True, exist_ok=True)
-    prism = tc.shapes.prism(3, np.sqrt(BAR**2 - HEIGHT**2) / (2 * np.sin(np.radians(75))), HEIGHT, bar_mass=0.3)
+    prism = tc.shapes.prism(
+        3, np.sqrt(BAR**2 - HEIGHT**2) / (2 * np.sin(np.radians(75))), HEIGHT, bar_mass=0.3
+    )
     ground = tc.Ground(stiffness=1e4, damping=60.0, friction=0.6, slip_speed=1e-2)
     top = ocp.CentreOfMass((None, None, HEIGHT / 2 + RISE))
     problem = ocp.Problem(
@@ -44,9 +47,14 @@ def main(folder: Path = Path()) -> ocp.Plan:
 
     replay = plan.replay()
     rise = replay.nodes[:, :, 2].mean(axis=1) - HEIGHT / 2
-    apart, speed = np.abs(replay.nodes[-1] - plan.trajectory.nodes[-1]).max(), np.abs(replay.velocities[-1]).max()
+    apart, speed = (
+        np.abs(replay.nodes[-1] - plan.trajectory.nodes[-1]).max(),
+        np.abs(replay.velocities[-1]).max(),
+    )
     print(f"rises         {rise.max():.4f} m, wanted {RISE} m")
-    print(f"comes to rest {apart:.2g} m from the planned nodes, at {speed:.2g} m/s, feet {replay.nodes[-1, FEET, 2].min():.2g} m deep in the ground")
+    print(
+        f"comes to rest {apart:.2g} m from the planned nodes, at {speed:.2g} m/s, feet {replay.nodes[-1, FEET, 2].min():.2g} m deep in the ground"
+    )
     draw(plan, replay, folder / "plan_landing.png")
     return plan
 
@@ -59,13 +67,27 @@ def draw(plan: ocp.Plan, replay: tc.Trajectory, path: Path) -> None:
     instants = np.concatenate([ends[:-1], (ends[1:] + ends[:-1]) / 2, ends[-1:]])
     for column, time in enumerate(sorted(instants)):
         nodes = replay.nodes[np.argmin(np.abs(replay.time - time))]
-        for pairs, style in ((replay.strings, {"color": "tab:red", "lw": 0.8}), (replay.bars, {"color": "0.25", "lw": 2.5})):
-            shapes.plot(*(nodes[pairs][:, :, axis].T + 1.1 * column * (axis == 0) for axis in (0, 2)), **style)
+        for pairs, style in (
+            (replay.strings, {"color": "tab:red", "lw": 0.8}),
+            (replay.bars, {"color": "0.25", "lw": 2.5}),
+        ):
+            shapes.plot(
+                *(nodes[pairs][:, :, axis].T + 1.1 * column * (axis == 0) for axis in (0, 2)),
+                **style,
+            )
         shapes.annotate(f"{time:.2f} s", (1.1 * column, -0.25), ha="center")
     shapes.axhline(0.0, color="tab:green", lw=1)
-    shapes.set(aspect="equal", ylim=(-0.32, None), xticks=[], ylabel="z (m)", title="a prism jumps 0.3 m and lands at rest: its replay")
+    shapes.set(
+        aspect="equal",
+        ylim=(-0.32, None),
+        xticks=[],
+        ylabel="z (m)",
+        title="a prism jumps 0.3 m and lands at rest: its replay",
+    )
     heights.plot(replay.time, replay.nodes[:, :, 2].mean(axis=1), label="replayed")
-    heights.plot(plan.time, plan.trajectory.nodes[:, :, 2].mean(axis=1), "k.", ms=3, label="planned")
+    heights.plot(
+        plan.time, plan.trajectory.nodes[:, :, 2].mean(axis=1), "k.", ms=3, label="planned"
+    )
     heights.set(ylabel="centre of mass (m)", xticklabels=[])
     heights.legend(frameon=False)
     forces.step(plan.time[:-1], plan.force_density, where="post", lw=0.8)

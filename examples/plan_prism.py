@@ -21,7 +21,12 @@ LOW, HIGH = 0.3, 1.2  # m
 
 def prism(height: float) -> tc.Structure:
     """The prism of three bars that stands `height` m tall in equilibrium."""
-    return tc.shapes.prism(bars=3, radius=np.sqrt(BAR**2 - height**2) / (2 * np.sin(TWIST / 2)), height=height, bar_mass=1.0)
+    return tc.shapes.prism(
+        bars=3,
+        radius=np.sqrt(BAR**2 - height**2) / (2 * np.sin(TWIST / 2)),
+        height=height,
+        bar_mass=1.0,
+    )
 
 
 def main(folder: Path = Path()) -> ocp.Plan:
@@ -41,11 +46,23 @@ def main(folder: Path = Path()) -> ocp.Plan:
 
     replay = plan.replay()
     height = np.ptp(replay.nodes[-1] @ axis(replay.nodes[-1]))
-    print(f"height        {LOW} → {height:.6f} m, wanted {HIGH} m; bars off by {replay.bar_length_error.max():.1e} of their length")
+    print(
+        f"height        {LOW} → {height:.6f} m, wanted {HIGH} m; bars off by {replay.bar_length_error.max():.1e} of their length"
+    )
     rest_lengths = plan.rest_lengths(stiffness=1000.0)
-    print(f"rest lengths  {rest_lengths.min():.4f} … {rest_lengths.max():.4f} m for strings of 1000 N/m")
-    plots.time_lapse(replay, instants=5, title="prism: from flat to tall", path=folder / "plan_prism.png")
-    plots.force_densities(plan, lower=least, upper=most, title="prism: planned force densities", path=folder / "plan_prism_forces.png")
+    print(
+        f"rest lengths  {rest_lengths.min():.4f} … {rest_lengths.max():.4f} m for strings of 1000 N/m"
+    )
+    plots.time_lapse(
+        replay, instants=5, title="prism: from flat to tall", path=folder / "plan_prism.png"
+    )
+    plots.force_densities(
+        plan,
+        lower=least,
+        upper=most,
+        title="prism: planned force densities",
+        path=folder / "plan_prism_forces.png",
+    )
     return plan
 
 

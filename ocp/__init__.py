@@ -1,7 +1,8 @@
 """Plans of force densities for tensegrity structures: problem → transcription → solver → plan, replayed by tenscasadi.
 
-Goals, bounds, costs, guesses and options are values. Each raises TypeError or ValueError, naming the field and what would be right, where it is
-made, or where a `Problem` learns which structure it is for.
+Goals, bounds, costs, guesses and options are values. Each raises TypeError or ValueError, naming
+the field and what would be right, where it is made, or where a `Problem` learns which structure it
+is for.
 """
 
 from __future__ import annotations
@@ -20,7 +21,13 @@ from ocp.plan.robustness import Robustness
 from ocp.problem.bounds.bar_bounds import BarForceLimits, Buckling
 from ocp.problem.bounds.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
 from ocp.problem.bounds.ground_bounds import AboveSurface
-from ocp.problem.bounds.string_bounds import ForceDensityLimits, ForceDensityRateLimits, RestLengthLimits, RestLengthRateLimits, TensionLimits
+from ocp.problem.bounds.string_bounds import (
+    ForceDensityLimits,
+    ForceDensityRateLimits,
+    RestLengthLimits,
+    RestLengthRateLimits,
+    TensionLimits,
+)
 from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.goals.goal import Shape, SoftGoal, StringLengths

@@ -21,7 +21,12 @@ from tenscasadi.util.validate import file_path, instance
 from tenscasadi.util.whole_file import write_files, write_whole
 
 
-def export_program(problem: Problem, transcription: Transcription, folder: str | Path, guess: InitialGuess | None = None) -> list[Path]:
+def export_program(
+    problem: Problem,
+    transcription: Transcription,
+    folder: str | Path,
+    guess: InitialGuess | None = None,
+) -> list[Path]:
     """Write the nonlinear program of a plan as C that needs nothing but the C library.
 
     Parameters
@@ -51,12 +56,14 @@ def export_program(problem: Problem, transcription: Transcription, folder: str |
 
     Notes
     -----
-    The program: minimise f(w) subject to lower ≤ g(w) ≤ upper and limits of w, all scaled. Its functions are `nlp_f`, `nlp_g`, `nlp_grad_f`,
-    `nlp_jac_g` and `nlp_hess_l` (the upper triangle of the Hessian of lam_f f + lam_gᵀ g), with exact sparse derivatives. The tables say what
-    each entry of w and g is, its limits, and its scale, by which it is multiplied for physical units; unknowns.csv also where to start.
+    The program: minimise f(w) subject to lower ≤ g(w) ≤ upper and limits of w, all scaled. Its
+    functions are `nlp_f`, `nlp_g`, `nlp_grad_f`, `nlp_jac_g` and `nlp_hess_l` (the upper triangle
+    of the Hessian of lam_f f + lam_gᵀ g), with exact sparse derivatives. The tables say what each
+    entry of w and g is, its limits, and its scale, by which it is multiplied for physical units;
+    unknowns.csv also where to start.
 
-    An `accuracy` of the transcription is no part of it, which `program.h` says: `solve` gets there by solving the program several times, with
-    other limits of the rows of the motion.
+    An `accuracy` of the transcription is no part of it, which `program.h` says: `solve` gets there
+    by solving the program several times, with other limits of the rows of the motion.
 
     Examples
     --------
@@ -72,13 +79,27 @@ def export_program(problem: Problem, transcription: Transcription, folder: str |
     program = program_of(problem, transcription, guess)
     w = program.problem["x"]
     p = ca.MX.sym("p", 0)
-    values = [ca.Function(f"nlp_{name}", [w, p], [program.problem[name]], ["x", "p"], [name]) for name in "fg"]
+    values = [
+        ca.Function(f"nlp_{name}", [w, p], [program.problem[name]], ["x", "p"], [name])
+        for name in "fg"
+    ]
     sizes = f"{len(program.w_names)} unknowns (unknowns.csv), {len(program.names)} rows (rows.csv), costs = {program.objective!r} f"
     comment = [f"minimise f(w) subject to limits of g(w) and w: {sizes}."]
     if transcription.accuracy is not None:
-        comment.append(f"{type(transcription).__name__}.accuracy is {transcription.accuracy:g} m, and no part of it: this is what is solved first.")
-    written = _generate(target, "program", [*values, *program.parts.unrolled().derivatives.values()], comment)
-    unknowns = zip(program.w_names, program.w_scale, program.w_lower, program.w_upper, program.first, strict=True)
+        comment.append(
+            f"{type(transcription).__name__}.accuracy is {transcription.accuracy:g} m, and no part of it: this is what is solved first."
+        )
+    written = _generate(
+        target, "program", [*values, *program.parts.unrolled().derivatives.values()], comment
+    )
+    unknowns = zip(
+        program.w_names,
+        program.w_scale,
+        program.w_lower,
+        program.w_upper,
+        program.first,
+        strict=True,
+    )
     rows = zip(program.names, program.scale, program.lower, program.upper, strict=True)
     return [
         *written,
@@ -111,9 +132,10 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
 
     Notes
     -----
-    The function is `decide` (time, state, before) → after, as `Mpc.function` describes it, also where it has a fourth input. before and after are
-    α × intervals numbers, interval by interval; the first α of `after` are to be applied. mpc.h holds the sizes, the period, and `MPC_FIRST`
-    to begin with.
+    The function is `decide` (time, state, before) → after, as `Mpc.function` describes it, also
+    where it has a fourth input. before and after are α × intervals numbers, interval by interval;
+    the first α of `after` are to be applied. mpc.h holds the sizes, the period, and `MPC_FIRST` to
+    begin with.
 
     Examples
     --------
@@ -133,7 +155,9 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
     ]
     decide = mpc.function()
     if "earlier" in decide.name_in():
-        lines.append("earlier: the state at the last decision, NAN to begin with; limits of rates hold from there on.")
+        lines.append(
+            "earlier: the state at the last decision, NAN to begin with; limits of rates hold from there on."
+        )
     constants = [
         f"#define MPC_STATES {mpc.model.nx}",
         f"#define MPC_STRINGS {mpc.model.nu}",
@@ -144,12 +168,25 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
     return _generate(file_path("folder", folder), "mpc", [decide], lines, constants)
 
 
-def _generate(folder: Path, name: str, functions: Sequence[ca.Function], comment: Sequence[str], constants: Sequence[str] = ()) -> list[Path]:
+def _generate(
+    folder: Path,
+    name: str,
+    functions: Sequence[ca.Function],
+    comment: Sequence[str],
+    constants: Sequence[str] = (),
+) -> list[Path]:
     """`name`.c and `name`.h, whose head says what they are."""
     generator = ca.CodeGenerator(f"{name}.c", {"with_header": True})
     for function in functions:
         generator.add(function)
-    head = ["/*", *(f" * {line}" for line in [*comment, CALL]), *(f" * {_signature(function)}" for function in functions), " */", *constants, ""]
+    head = [
+        "/*",
+        *(f" * {line}" for line in [*comment, CALL]),
+        *(f" * {_signature(function)}" for function in functions),
+        " */",
+        *constants,
+        "",
+    ]
     files = generated(generator, name)
     return write_files(folder, {**files, f"{name}.h": "\n".join(head) + files[f"{name}.h"]})
 
@@ -171,6 +208,8 @@ def _table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Pa
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(head)
-    writer.writerows([name, *(repr(float(value)) for value in np.asarray(numbers))] for name, *numbers in rows)
+    writer.writerows(
+        [name, *(repr(float(value)) for value in np.asarray(numbers))] for name, *numbers in rows
+    )
     write_whole(path, text.getvalue())
     return path

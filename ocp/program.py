@@ -13,7 +13,15 @@ from ocp.boundary.controlled import controlled, count_rows
 from ocp.boundary.find_target import find_target
 from ocp.boundary.sensitivities import HARDLY_REACHED, Reach
 from ocp.boundary.target import Target
-from ocp.plan.diagnosis import StateAt, explain_failure, goals_met, long_steps, measure_misses, state_function, units_of
+from ocp.plan.diagnosis import (
+    StateAt,
+    explain_failure,
+    goals_met,
+    long_steps,
+    measure_misses,
+    state_function,
+    units_of,
+)
 from ocp.presolve import check_end, check_freedom, check_groups, check_start
 from ocp.problem.control import stretched, winds
 from ocp.problem.instant import forces_of
@@ -21,7 +29,12 @@ from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, control_scale
 from ocp.solvers.base import Outcome, Solution, Solver
-from ocp.solvers.deferred_correction import TOO_COARSE, Corrected, check_correctable, solve_corrected
+from ocp.solvers.deferred_correction import (
+    TOO_COARSE,
+    Corrected,
+    check_correctable,
+    solve_corrected,
+)
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import NOWHERE, TIME_UP, Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
@@ -33,9 +46,12 @@ from ocp.transcription.sparse_nlp import Program
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.util.validate import instance
 
-GENTLE = 1.0  # radians of the fastest vibration in a step that tells how far rest lengths move the goals' rows
+# radians of the fastest vibration in a step that tells how far rest lengths move the goals' rows
+GENTLE = 1.0
 MOST_SUBSTEPS = 50
-LOOSENING = 0.3  # of the strongest force density: disturbs a guess along which some rows are out of control
+LOOSENING = (
+    0.3  # of the strongest force density: disturbs a guess along which some rows are out of control
+)
 
 
 class _Task(NamedTuple):
@@ -71,22 +87,34 @@ def solve_program(
 ) -> Outcome:
     """Solve the nonlinear program that a transcription makes of a problem.
 
-    duals: multipliers to start from, where they are known. deadline: of `time.perf_counter`, s; None: no limit.
+    duals: multipliers to start from, where they are known. deadline: of `time.perf_counter`, s;
+    None: no limit.
     """
     problem = _smooth(problem)
     check_correctable(transcription, solver)
     if isinstance(solver, Fatrop) and transcription.control.changes is not None:
-        raise ValueError(f"PiecewiseConstant.changes is {transcription.control.changes}, and Fatrop finds no plan of few changes: give ocp.Ipopt()")
+        raise ValueError(
+            f"PiecewiseConstant.changes is {transcription.control.changes}, and Fatrop finds no plan of few changes: give ocp.Ipopt()"
+        )
     _check(problem, transcription, target)
     task = _Task(problem, transcription, target, scales, _reach(problem, transcription), solver)
-    disturbed = guess.disturbed(problem)  # what strings do not move along a symmetric guess they may move along others
+    disturbed = guess.disturbed(
+        problem
+    )  # what strings do not move along a symmetric guess they may move along others
     imposed = controlled(target, task.reach, disturbed.force_density, guess.duration)
     guess = guess if isinstance(solver, Ipopt) and not problem.free_start else disturbed
     found = _attempt(task, imposed, guess, deadline, duals)
-    if count_rows(imposed) < count_rows(target) and not (found.solution.success and _met(task, found)) and not _late(deadline):
-        # Rows that no string moved along the guess are missed: along a less regular motion they may be within reach.
+    if (
+        count_rows(imposed) < count_rows(target)
+        and not (found.solution.success and _met(task, found))
+        and not _late(deadline)
+    ):
+        # Rows that no string moved along the guess are missed: along a less regular motion they may
+        # be within reach.
         loosened = _loosened(problem, disturbed)
-        more = controlled(target, task.reach, loosened.force_density, loosened.duration, HARDLY_REACHED)
+        more = controlled(
+            target, task.reach, loosened.force_density, loosened.duration, HARDLY_REACHED
+        )
         if count_rows(more) > count_rows(imposed):
             found = _attempt(task, more, loosened, deadline)
     return _outcome(task, found)
@@ -103,16 +131,25 @@ def prepare(problem: Problem, control: Profile) -> tuple[Target, Scales]:
     return target, scales
 
 
-def program_of(problem: Problem, transcription: Transcription, guess: InitialGuess | None = None) -> Program:
+def program_of(
+    problem: Problem, transcription: Transcription, guess: InitialGuess | None = None
+) -> Program:
     """Return the program that `solve` gives to its solver. Raises as `solve`."""
     instance("problem", problem, Problem, "an ocp.Problem")
     refuse_phases(problem.phases, "export_program")
-    instance("transcription", transcription, Transcription, "a transcription, such as ocp.MultipleShooting()")
+    instance(
+        "transcription",
+        transcription,
+        Transcription,
+        "a transcription, such as ocp.MultipleShooting()",
+    )
     target, scales = prepare(problem, transcription.control)
     problem = _smooth(problem)
     _check(problem, transcription, target)
     first = evaluate_guess(guess, problem, target, transcription.count).disturbed(problem)
-    imposed = controlled(target, _reach(problem, transcription), first.force_density, first.duration)
+    imposed = controlled(
+        target, _reach(problem, transcription), first.force_density, first.duration
+    )
     return transcription.program(problem, imposed, scales, first)
 
 
@@ -135,7 +172,11 @@ def _reach(problem: Problem, transcription: Transcription) -> Reach:
     if winds(problem.model):  # elastic strings vibrate, also where they do not move along the guess
         model = problem.model
         rate = fastest_rate(model, problem.first_state, model.initial_control)
-        substeps = int(np.clip(np.ceil(rate * problem.longest / transcription.count / GENTLE), 1, MOST_SUBSTEPS))
+        substeps = int(
+            np.clip(
+                np.ceil(rate * problem.longest / transcription.count / GENTLE), 1, MOST_SUBSTEPS
+            )
+        )
     return Reach(problem.model, problem.shortest < problem.longest, substeps, together, held)
 
 
@@ -147,13 +188,21 @@ def _loosened(problem: Problem, guess: Guess) -> Guess:
     """Return the guess with force densities that differ from string to string and from interval to interval, always in the same way."""
     lower, upper = problem.control_limits
     change = np.random.default_rng(0).uniform(size=guess.force_density.shape)
-    size = control_scale(problem, float(np.abs(forces_of(problem.model, guess.states[:-1], guess.force_density)).max()) or 1.0)
+    size = control_scale(
+        problem,
+        float(np.abs(forces_of(problem.model, guess.states[:-1], guess.force_density)).max())
+        or 1.0,
+    )
     if winds(problem.model):
         size = -size  # shorter is stronger
-    return replace(guess, force_density=np.clip(guess.force_density + LOOSENING * size * change, lower, upper))
+    return replace(
+        guess, force_density=np.clip(guess.force_density + LOOSENING * size * change, lower, upper)
+    )
 
 
-def _attempt(task: _Task, imposed: Target, guess: Guess, deadline: float | None, duals: Duals | None = None) -> _Found:
+def _attempt(
+    task: _Task, imposed: Target, guess: Guess, deadline: float | None, duals: Duals | None = None
+) -> _Found:
     """Make the program and solve it, from multipliers where they are known."""
     problem, transcription, solver = task.problem, task.transcription, task.solver
     program = transcription.program(problem, imposed, task.scales, guess)
@@ -166,7 +215,9 @@ def _attempt(task: _Task, imposed: Target, guess: Guess, deadline: float | None,
     lower, upper = problem.control_limits
     # Interior-point methods overstep limits by their tolerance.
     duration = np.clip(duration.squeeze(), problem.shortest, problem.longest)
-    says = Guess(planned.T if states is None else states, np.clip(controls.T, lower, upper), float(duration))
+    says = Guess(
+        planned.T if states is None else states, np.clip(controls.T, lower, upper), float(duration)
+    )
     return _Found(imposed, program, solution, says, gap)
 
 
@@ -174,16 +225,24 @@ def _solved(task: _Task, program: Program, solver: Solver, deadline: float | Non
     """Solve the program, corrected where an accuracy is asked for."""
     accuracy = task.transcription.accuracy
     if accuracy is not None and isinstance(solver, Ipopt):
-        return solve_corrected(program, solver, task.problem.model, task.transcription.fractions, accuracy, deadline)
+        return solve_corrected(
+            program, solver, task.problem.model, task.transcription.fractions, accuracy, deadline
+        )
     limited = {} if deadline is None else {"deadline": deadline}  # own solvers may know none
     return Corrected(solver.solve(program, **limited), None, 0.0)
 
 
-def _within_rates(task: _Task, program: Program, solver: Ipopt, deadline: float | None) -> Corrected:
+def _within_rates(
+    task: _Task, program: Program, solver: Ipopt, deadline: float | None
+) -> Corrected:
     """Solve a program with limits of rates. Where the solver hardly gets within them, find by how much they have to be wider, or start there."""
     patience = Patience(program, solver, deadline)
     found = _solved(task, program, replace(solver, watch=patience), deadline)
-    if found.solution.success or (patience.wider is None and found.solution.status not in NOWHERE) or found.solution.status == TIME_UP:
+    if (
+        found.solution.success
+        or (patience.wider is None and found.solution.status not in NOWHERE)
+        or found.solution.status == TIME_UP
+    ):
         return found
     wider = patience.wider or patience.ask()
     iterations = found.solution.iterations + wider.iterations
@@ -195,12 +254,16 @@ def _within_rates(task: _Task, program: Program, solver: Ipopt, deadline: float 
         return Corrected(solution._replace(iterations=iterations), None, 0.0)
     known = replace(program, first=solution.w, multipliers=solution.multipliers)
     found = _solved(task, known, replace(solver, warm=True), deadline)
-    return found._replace(solution=found.solution._replace(iterations=iterations + found.solution.iterations))
+    return found._replace(
+        solution=found.solution._replace(iterations=iterations + found.solution.iterations)
+    )
 
 
 def _planned(task: _Task, found: _Found) -> StateAt:
     """Return the planned state (nx,) as a function of the share of the duration, as waypoints see it."""
-    return state_function(task.problem.model, found.guess.states, found.guess.duration, task.transcription.fractions)
+    return state_function(
+        task.problem.model, found.guess.states, found.guess.duration, task.transcription.fractions
+    )
 
 
 def _met(task: _Task, found: _Found) -> bool:
@@ -223,7 +286,9 @@ def _outcome(task: _Task, found: _Found) -> Outcome:
         success=not why,
         status=solution.status,
         iterations=solution.iterations,
-        duals=named_duals(program, imposed, solution.w, *solution.multipliers) if solution.success and solution.multipliers else None,
+        duals=named_duals(program, imposed, solution.w, *solution.multipliers)
+        if solution.success and solution.multipliers
+        else None,
         gap=gap,
         why=why,
         imposed=imposed.begin_at(guess.states[0]).describe(),
@@ -242,7 +307,16 @@ def _why(task: _Task, found: _Found) -> str:
         return ""
     held = replace(guess, force_density=held_values(guess.force_density, transcription.count))
     step = transcription.longest_step(guess.duration)
-    too_long = long_steps(task.problem.model, guess.states, held.force_density, step, guess.duration)
+    too_long = long_steps(
+        task.problem.model, guess.states, held.force_density, step, guess.duration
+    )
     return explain_failure(
-        measure_misses(target, state_at), imposed.begin_at(guess.states[0]), task.reach, program, solution, held, too_long, units_of(task.problem)
+        measure_misses(target, state_at),
+        imposed.begin_at(guess.states[0]),
+        task.reach,
+        program,
+        solution,
+        held,
+        too_long,
+        units_of(task.problem),
     )

@@ -35,7 +35,10 @@ class ReducedTwin:
         """Return a guess for the given problem as one for its twin. Raises ValueError for arrays of another size."""
         full = self.given.model
         if isinstance(value, Arrays):
-            return replace(value, states=_lowered(self, finite_array("Arrays.states", value.states, (None, full.nx))))
+            return replace(
+                value,
+                states=_lowered(self, finite_array("Arrays.states", value.states, (None, full.nx))),
+            )
         if isinstance(value, Plan) and value.trajectory.states.shape[1] == full.nx:
             motion = replace(value.trajectory, states=_lowered(self, value.trajectory.states))
             return replace(value, trajectory=motion, model=self.problem.model, problem=self.problem)
@@ -55,11 +58,13 @@ class ReducedTwin:
 def reduced_twin(problem: Problem, guess: InitialGuess | None) -> ReducedTwin | None:
     """Return the twin of a problem in full coordinates; None for others, and where there is none.
 
-    There is none where constraints are redundant, as forces of bars then depend on coordinates, and for bounds, costs or guesses of other
-    classes than this package's.
+    There is none where constraints are redundant, as forces of bars then depend on coordinates, and
+    for bounds, costs or guesses of other classes than this package's.
     """
     model = problem.model
-    own = all(type(item).__module__.startswith("ocp.") for item in (*problem.bounds, *problem.costs))
+    own = all(
+        type(item).__module__.startswith("ocp.") for item in (*problem.bounds, *problem.costs)
+    )
     if not model.mechanism.joints or model.redundancy or not own or not isinstance(guess, _GUESSES):
         return None
     try:
@@ -67,8 +72,18 @@ def reduced_twin(problem: Problem, guess: InitialGuess | None) -> ReducedTwin | 
         bounds = [_seen(bound, model) for bound in problem.bounds]
         costs = [_seen(cost, model) for cost in problem.costs]
         start = _lower(model, twin, problem.first_state)
-        return None if twin.redundancy else ReducedTwin(problem, replace(problem, model=twin, start=start, bounds=bounds, costs=costs))
-    except (TypeError, ValueError, RuntimeError):  # such as an expression of the state that is SX in one model and MX in the other
+        return (
+            None
+            if twin.redundancy
+            else ReducedTwin(
+                problem, replace(problem, model=twin, start=start, bounds=bounds, costs=costs)
+            )
+        )
+    except (
+        TypeError,
+        ValueError,
+        RuntimeError,
+    ):  # such as an expression of the state that is SX in one model and MX in the other
         return None
 
 
@@ -90,7 +105,9 @@ class _Seen(Instant):
     def __init__(self, model: Model, now: Instant) -> None:
         N, V, clock = now.model.unpack(now.state)
         columns = model.mechanism.physical.tolist()
-        super().__init__(model, model.pack(N[:, columns], V[:, columns], clock), now.control, now.time)
+        super().__init__(
+            model, model.pack(N[:, columns], V[:, columns], clock), now.control, now.time
+        )
         self._now = now
 
     @cached_property
@@ -119,12 +136,23 @@ def _lowered(twin: ReducedTwin, states: Array) -> Array:
 def _lower(full: Model, reduced: Model, states: Array) -> Array:
     """Return states (…, nx) in reduced coordinates."""
     mech = reduced.mechanism
-    parts = (values(states).reshape(*states.shape[:-1], -1) for values in (full.nodes, full.velocities))
-    return np.concatenate([*(mech.local(flat)[..., mech.free_index] for flat in parts), full.split(states)[2]], axis=-1)
+    parts = (
+        values(states).reshape(*states.shape[:-1], -1) for values in (full.nodes, full.velocities)
+    )
+    return np.concatenate(
+        [*(mech.local(flat)[..., mech.free_index] for flat in parts), full.split(states)[2]],
+        axis=-1,
+    )
 
 
 def _lifted(twin: ReducedTwin, states: Array) -> Array:
     """Return states (…, nx) in full coordinates."""
     full, reduced = twin.given.model, twin.problem.model
-    parts = (values(states)[..., full.mechanism.physical, :] for values in (reduced.nodes, reduced.velocities))
-    return np.concatenate([*(columns.reshape(*states.shape[:-1], -1) for columns in parts), reduced.split(states)[2]], axis=-1)
+    parts = (
+        values(states)[..., full.mechanism.physical, :]
+        for values in (reduced.nodes, reduced.velocities)
+    )
+    return np.concatenate(
+        [*(columns.reshape(*states.shape[:-1], -1) for columns in parts), reduced.split(states)[2]],
+        axis=-1,
+    )

@@ -21,19 +21,34 @@ _KEEP = "keep to it by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
 
 
 def judged(
-    plan: Plan, target: Target, found: Outcome, tolerance: float, chosen: bool = False, replay: Callable[[Plan], Trajectory] | None = None
+    plan: Plan,
+    target: Target,
+    found: Outcome,
+    tolerance: float,
+    chosen: bool = False,
+    replay: Callable[[Plan], Trajectory] | None = None,
 ) -> Plan:
     """Return the plan with the errors of its replay, whether it is a success, and what is to be said of it.
 
-    chosen: whether the package chose how near to fine steps it is to be, and not the user: then the replay alone counts. replay: what replays
-    it; None: the plan itself.
+    chosen: whether the package chose how near to fine steps it is to be, and not the user: then the
+    replay alone counts. replay: what replays it; None: the plan itself.
     """
-    error, speed_error, why, replayed = _replay_errors(plan, target.begin_at(found.states[0]), replay)
+    error, speed_error, why, replayed = _replay_errors(
+        plan, target.begin_at(found.states[0]), replay
+    )
     plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
     how = "its replay under ocp.track" if plan.tracked else "its replay"
-    found = found._replace(success=found.success or (chosen and found.coarse and plan.worst_error <= tolerance))
-    success, verdict = _verdict(plan, found, tolerance, f"at the end of {how} {why}" if why and np.isfinite(error) else "")
-    ends = f"{how} ends {error:.2g} m and {speed_error:.2g} m/s from the goal" if np.isfinite(error) else why or f"{how} diverges"
+    found = found._replace(
+        success=found.success or (chosen and found.coarse and plan.worst_error <= tolerance)
+    )
+    success, verdict = _verdict(
+        plan, found, tolerance, f"at the end of {how} {why}" if why and np.isfinite(error) else ""
+    )
+    ends = (
+        f"{how} ends {error:.2g} m and {speed_error:.2g} m/s from the goal"
+        if np.isfinite(error)
+        else why or f"{how} diverges"
+    )
     parts = verdict, found.imposed, ends, _overstepped(plan, replayed) if success else ""
     return replace(plan, success=success, message="; ".join(part for part in parts if part))
 
@@ -43,12 +58,16 @@ def _overstepped(plan: Plan, replayed: Trajectory | None) -> str:
     problem = plan.problem
     if problem is None or replayed is None or not problem.model.scene.grounds:
         return ""
-    broken = report_of(problem, plan.time, plan.trajectory.states, plan.control, replayed, None).violated
+    broken = report_of(
+        problem, plan.time, plan.trajectory.states, plan.control, replayed, None
+    ).violated
     if not broken:
         return ""
     worst = max(broken, key=lambda one: abs(one.worst - one.limit) / (abs(one.limit) or 1.0))
+    unit = worst.unit and f" {worst.unit}"
     return (
-        f"{worst.name} is {worst.worst:.3g}{worst.unit and ' '}{worst.unit} at {worst.time:.3g} s, beyond its limit of {worst.limit:g}: see report()"
+        f"{worst.name} is {worst.worst:.3g}{unit} at {worst.time:.3g} s, "
+        f"beyond its limit of {worst.limit:g}: see report()"
     )
 
 
@@ -58,12 +77,17 @@ def _verdict(plan: Plan, found: Outcome, tolerance: float, broken: str) -> tuple
     if not found.success:
         return False, f"{found.why}; {growth}" if growth and plan.duals is not None else found.why
     if plan.worst_error <= tolerance:
-        return True, f"found after {found.iterations} iterations" + (f"; {growth}: {_KEEP}" if growth else "")
+        return True, f"found after {found.iterations} iterations" + (
+            f"; {growth}: {_KEEP}" if growth else ""
+        )
     within = f"more than {tolerance:.2g} m (or {tolerance:.2g} m per duration)"
     beyond = f"{broken}: {within}" if broken else f"its replay misses the goal by {within}"
     told = f"a plan was found after {found.iterations} iterations, but {beyond}"
     if growth and not plan.tracked:
-        return False, f"{growth}: {told}: {_KEEP}, and judge it so by solve(..., tracked=True), or give plan.refine({tolerance:.2g})"
+        return (
+            False,
+            f"{growth}: {told}: {_KEEP}, and judge it so by solve(..., tracked=True), or give plan.refine({tolerance:.2g})",
+        )
     return False, f"too coarse: {told}: {_finer(plan, found)}, or plan.refine({tolerance:.2g})"
 
 
@@ -80,15 +104,21 @@ def _finer(plan: Plan, found: Outcome) -> str:
         return "give a harder ground, more damping of it, or longer phases"
     too_long = ""
     if found.time is None and plan.transcription is not None:
-        held, step = held_values(found.force_density, plan.transcription.count), plan.transcription.longest_step(found.duration)
+        held, step = (
+            held_values(found.force_density, plan.transcription.count),
+            plan.transcription.longest_step(found.duration),
+        )
         too_long = long_steps(plan.known_model("solve"), found.states, held, step, found.duration)
     return too_long or "give more intervals, or substeps"
 
 
-def _replay_errors(plan: Plan, target: Target, replay: Callable[[Plan], Trajectory] | None) -> tuple[float, float, str, Trajectory | None]:
+def _replay_errors(
+    plan: Plan, target: Target, replay: Callable[[Plan], Trajectory] | None
+) -> tuple[float, float, str, Trajectory | None]:
     """Measure how far the replay ends from the goals, and from limits of the end; without goals for the place (or speed) from the plan.
 
-    NaN where it does not get there; and why, where that is known, or which limit of the end is missed most. And the replay.
+    NaN where it does not get there; and why, where that is known, or which limit of the end is
+    missed most. And the replay.
     """
     if not np.all(np.isfinite(plan.force_density)) or not plan.time[-1] > 0:
         return np.nan, np.nan, "", None
@@ -101,17 +131,29 @@ def _replay_errors(plan: Plan, target: Target, replay: Callable[[Plan], Trajecto
     if not replayed.success:
         return np.nan, np.nan, "", None
     times = replayed.time / replayed.time[-1]
-    missed = measure_misses(target, lambda share: np.array([np.interp(share, times, column) for column in replayed.states.T]))
+    missed = measure_misses(
+        target,
+        lambda share: np.array([np.interp(share, times, column) for column in replayed.states.T]),
+    )
     metres, speeds = ([amount for amount, _ in rows] for rows in missed)
     if not metres:
         metres = np.linalg.norm(replayed.nodes[-1] - plan.trajectory.nodes[-1], axis=1).tolist()
-    if not speeds and plan.problem is not None and plan.problem.model.scene.grounds and any(part.names for _, part, _ in target.instants):
+    if (
+        not speeds
+        and plan.problem is not None
+        and plan.problem.model.scene.grounds
+        and any(part.names for _, part, _ in target.instants)
+    ):
         speeds = [0.0]  # on a ground that gives way nodes vibrate: what has no goal is not measured
     if not speeds:
-        speeds = np.linalg.norm(replayed.velocities[-1] - plan.trajectory.velocities[-1], axis=1).tolist()
+        speeds = np.linalg.norm(
+            replayed.velocities[-1] - plan.trajectory.velocities[-1], axis=1
+        ).tolist()
     if plan.problem is None:
         return float(max(metres)), float(max(speeds)), "", replayed
     ends = np.array([plan.trajectory.states[-1], replayed.states[-1]])
-    broken = broken_at_end(plan.problem, ends, np.array([plan.control[-1], replayed.control[-1]]), float(plan.time[-1]))
+    broken = broken_at_end(
+        plan.problem, ends, np.array([plan.control[-1], replayed.control[-1]]), float(plan.time[-1])
+    )
     told = broken.told if broken.distance > max(*metres, float(plan.time[-1]) * max(speeds)) else ""
     return float(max(*metres, broken.distance)), float(max(speeds)), told, replayed

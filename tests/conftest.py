@@ -17,10 +17,13 @@ os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 # before tests are imported, which inherit it: the same examples each time, unless somebody explores
-settings.register_profile("tenscasadi", derandomize="TENSCASADI_FUZZ" not in os.environ, database=None)
+settings.register_profile(
+    "tenscasadi", derandomize="TENSCASADI_FUZZ" not in os.environ, database=None
+)
 settings.load_profile("tenscasadi")
 
-SHARED = "TENSCASADI_TEST_CACHE"  # a folder that several runs of the tests share; it has to be as new as the code
+# a folder that several runs of the tests share; it has to be as new as the code
+SHARED = "TENSCASADI_TEST_CACHE"
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -56,12 +56,18 @@ def damaged(draw: random.Random, whole: bytes) -> bytes:
     if way == 0:
         return bytes(content[: draw.randrange(len(content))])
     for _ in range(draw.choice([1, 3, 20])):
-        place = draw.randrange(len(content)) if way == 1 else len(content) - draw.randrange(1, min(len(content), 6000))
+        place = (
+            draw.randrange(len(content))
+            if way == 1
+            else len(content) - draw.randrange(1, min(len(content), 6000))
+        )
         content[place] ^= 1 << draw.randrange(8)
     return bytes(content)
 
 
-def changed(draw: random.Random, arrays: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], object]:
+def changed(
+    draw: random.Random, arrays: dict[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], object]:
     """One field with another number, another shape or other text, or lost."""
     name = draw.choice([name for name in arrays if name != "format"])
     value, way = np.array(arrays[name]), draw.randrange(5)
@@ -73,10 +79,16 @@ def changed(draw: random.Random, arrays: dict[str, np.ndarray]) -> tuple[dict[st
     if value.dtype.kind == "U":
         text = str(value) if value.ndim == 0 else ""
         place = draw.randrange(len(text) + 1)
-        return arrays | {name: np.asarray(text[:place] + draw.choice('0e9"{},:-[]') + text[place + 1 :])}, (name, "text", place)
+        return arrays | {
+            name: np.asarray(text[:place] + draw.choice('0e9"{},:-[]') + text[place + 1 :])
+        }, (name, "text", place)
     if value.size and value.dtype.kind in NUMBERS:
         place, number = draw.randrange(value.size), draw.choice(NUMBERS[value.dtype.kind])
-        value.flat[place] = np.clip(number, np.iinfo(value.dtype).min, np.iinfo(value.dtype).max) if value.dtype.kind == "i" else number
+        value.flat[place] = (
+            np.clip(number, np.iinfo(value.dtype).min, np.iinfo(value.dtype).max)
+            if value.dtype.kind == "i"
+            else number
+        )
         return arrays | {name: value}, (name, place, number)
     return arrays, "nothing"
 

@@ -27,19 +27,49 @@ from tenscasadi.util.tables import Tabular
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"tenscasadi": tenscasadi, "ocp": ocp}
 
-# numpydoc's own codes: sections in order, a one-line summary with a period, every parameter with type and description, results, examples
-REQUIRED = {"GL07", "GL08", "SS01", "SS02", "SS03", "SS04", "SS06", "PR01", "PR02", "PR03", "PR04", "PR07", "RT01", "RT03", "YD01", "EX01"}
+# numpydoc's own codes: sections in order, a one-line summary with a period, every parameter with
+# type and description, results, examples
+REQUIRED = {
+    "GL07",
+    "GL08",
+    "SS01",
+    "SS02",
+    "SS03",
+    "SS04",
+    "SS06",
+    "PR01",
+    "PR02",
+    "PR03",
+    "PR04",
+    "PR07",
+    "RT01",
+    "RT03",
+    "YD01",
+    "EX01",
+}
 METHODS = REQUIRED - {"EX01"}  # the class shows one
 
 
 def public() -> dict[str, Any]:
-    packages = {**PACKAGES, "tenscasadi.envs": tenscasadi.envs, "tenscasadi.viewer": tenscasadi.viewer}
-    return {f"{name}.{item}": getattr(package, item) for name, package in packages.items() for item in package.__all__}
+    packages = {
+        **PACKAGES,
+        "tenscasadi.envs": tenscasadi.envs,
+        "tenscasadi.viewer": tenscasadi.viewer,
+    }
+    return {
+        f"{name}.{item}": getattr(package, item)
+        for name, package in packages.items()
+        for item in package.__all__
+    }
 
 
 def fields(cls: type) -> set[str]:
     if dataclasses.is_dataclass(cls):
-        return {field.name for field in dataclasses.fields(cls) if not field.name.startswith("_") and field.init}
+        return {
+            field.name
+            for field in dataclasses.fields(cls)
+            if not field.name.startswith("_") and field.init
+        }
     return set(getattr(cls, "_fields", ()))
 
 
@@ -50,11 +80,15 @@ def faults(name: str, codes: set[str]) -> list[str]:
 def methods(name: str, cls: type) -> Iterator[str]:
     inherited = [vars(base) for base in (Tabular, PlannedForces) if issubclass(cls, base)]
     for own, value in ChainMap(vars(cls), *inherited).items():
-        if not own.startswith("_") and (inspect.isfunction(value) or isinstance(value, (classmethod, staticmethod))):
+        if not own.startswith("_") and (
+            inspect.isfunction(value) or isinstance(value, (classmethod, staticmethod))
+        ):
             yield f"{name}.{own}"
 
 
-@pytest.mark.parametrize("name", [name for name, value in public().items() if not isinstance(value, ModuleType)])
+@pytest.mark.parametrize(
+    "name", [name for name, value in public().items() if not isinstance(value, ModuleType)]
+)
 def test_public_names_are_documented(name):
     value = public()[name]
     if not isinstance(value, type):
@@ -66,8 +100,15 @@ def test_public_names_are_documented(name):
     else:
         found = faults(name, REQUIRED - {"PR01", "PR02", "PR03"} if fields(value) else REQUIRED)
         document = ClassDoc(value)
-        told = {part.strip() for section in ("Parameters", "Attributes") for entry in document[section] for part in entry.name.split(",")}
-        found += [f"{name}: {missing} is not documented" for missing in sorted(fields(value) - told)]
+        told = {
+            part.strip()
+            for section in ("Parameters", "Attributes")
+            for entry in document[section]
+            for part in entry.name.split(",")
+        }
+        found += [
+            f"{name}: {missing} is not documented" for missing in sorted(fields(value) - told)
+        ]
         found += [fault for method in methods(name, value) for fault in faults(method, METHODS)]
     assert not found, "\n".join(found)
 
@@ -75,8 +116,16 @@ def test_public_names_are_documented(name):
 @pytest.mark.parametrize("name", ["tenscasadi.shapes", "tenscasadi.plots", "tenscasadi.animation"])
 def test_functions_of_public_modules_are_documented(name):
     module = importlib.import_module(name) if name != "tenscasadi.shapes" else tenscasadi.shapes
-    functions = [item for item in getattr(module, "__all__", dir(module)) if inspect.isfunction(getattr(module, item)) and item[0] != "_"]
-    own = [item for item in functions if getattr(module, item).__module__.startswith(module.__name__.rpartition(".")[0])]
+    functions = [
+        item
+        for item in getattr(module, "__all__", dir(module))
+        if inspect.isfunction(getattr(module, item)) and item[0] != "_"
+    ]
+    own = [
+        item
+        for item in functions
+        if getattr(module, item).__module__.startswith(module.__name__.rpartition(".")[0])
+    ]
     found = [fault for item in own for fault in faults(f"{module.__name__}.{item}", REQUIRED)]
     assert functions
     assert not found, "\n".join(found)
@@ -88,7 +137,9 @@ def examples() -> list[doctest.DocTest]:
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             if path.name not in ("__init__.py", "__main__.py"):
-                module = importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+                module = importlib.import_module(
+                    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+                )
                 found += [test for test in finder.find(module) if test.examples]
     return found
 
@@ -102,11 +153,17 @@ def test_examples_run(example, tmp_path, monkeypatch):
     assert not told, "".join(told)
 
 
-@pytest.mark.parametrize("path", [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))], ids=str)
+@pytest.mark.parametrize(
+    "path",
+    [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))],
+    ids=str,
+)
 def test_no_docstring_opens_with_what(path):
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
-            assert not (ast.get_docstring(node) or "").startswith("What "), getattr(node, "name", path.name)
+            assert not (ast.get_docstring(node) or "").startswith("What "), getattr(
+                node, "name", path.name
+            )
 
 
 def test_a_missing_parameter_would_be_seen():
@@ -114,4 +171,6 @@ def test_a_missing_parameter_would_be_seen():
         """Return the step."""
         return step
 
-    assert {"PR01", "RT01", "EX01"} <= {code for code, _ in validate(get_doc_object(undocumented))["errors"]}
+    assert {"PR01", "RT01", "EX01"} <= {
+        code for code, _ in validate(get_doc_object(undocumented))["errors"]
+    }

@@ -16,7 +16,9 @@ from loading import EXAMPLES, load_example
 
 
 def simulate_ball(rows: Any) -> None:
-    plain, corrected = ([row for row in rows if (row.correction is None) == without] for without in (True, False))
+    plain, corrected = (
+        [row for row in rows if (row.correction is None) == without] for without in (True, False)
+    )
     assert max(row.bar_length for row in corrected) < 1e-15
     for kind in (plain, corrected):  # ten times the step, order 4
         assert 2e3 < kind[0].position / kind[-1].position < 5e4
@@ -78,7 +80,9 @@ def learn_to_travel(learned: Any) -> None:
 
 def prism_gait(result: Any) -> None:
     plan, walk = result
-    assert plan.replay_error < 0.02, plan.message  # whether the cost is settled, too, depends on rounding
+    assert plan.replay_error < 0.02, (
+        plan.message
+    )  # whether the cost is settled, too, depends on rounding
     assert walk[0, 2] < 0.02  # one period of the plan itself
     forward, _, departure = walk[1]
     assert forward > 0.25
@@ -86,13 +90,17 @@ def prism_gait(result: Any) -> None:
 
 
 def benchmark_rollouts(rows: Any) -> None:
-    assert all(row.ours > 0 and row.other > 0 for row in rows)  # an idle machine gives the figures of the README
+    assert all(
+        row.ours > 0 and row.other > 0 for row in rows
+    )  # an idle machine gives the figures of the README
     assert rows[-1].ratio > 10  # values of a parameter take no compiler
 
 
 def benchmark_rhs(rows: Any) -> None:
     shapes, drives = ("prism", "six-bar ball"), ("force densities", "elastic strings")
-    assert [row.scene for row in rows] == [f"{shape}, {drive}" for shape in shapes for drive in drives]
+    assert [row.scene for row in rows] == [
+        f"{shape}, {drive}" for shape in shapes for drive in drives
+    ]
     for row in rows:  # an idle machine gives several times these
         assert row.virtual_machine > 2 * row.numpy > 0
         assert row.compiled is None or row.compiled > 20 * row.numpy
@@ -124,7 +132,9 @@ def paper_membrane(rows: Any) -> None:
 def stiff_strings(tables: Any) -> None:
     for rows in tables:
         assert max(row.error for row in rows) < 1e-6
-        assert max(row.steps for row in rows if "Collocation" in row.scheme) * 100 < min(row.steps for row in rows if "Runge" in row.scheme)
+        assert max(row.steps for row in rows if "Collocation" in row.scheme) * 100 < min(
+            row.steps for row in rows if "Runge" in row.scheme
+        )
 
 
 def extremes(rows: Any) -> None:
@@ -174,7 +184,10 @@ IN_A_BROWSER = "benchmark_viewer"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == IN_A_BROWSER)) for name in NAMES])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name == IN_A_BROWSER)) for name in NAMES],
+)
 def test_example(name, tmp_path, monkeypatch, capsys):
     if name == IN_A_BROWSER and chromium() is None:
         pytest.skip("there is no browser: install chromium, or name one in TENSCASADI_BROWSER")
@@ -183,18 +196,30 @@ def test_example(name, tmp_path, monkeypatch, capsys):
     main = load_example(name).main
     pictures = tmp_path / "new" / "folder"
     possible = {"folder": pictures, "quick": True}
-    arguments = {key: value for key, value in possible.items() if key in inspect.signature(main).parameters}
+    arguments = {
+        key: value for key, value in possible.items() if key in inspect.signature(main).parameters
+    }
     result = main(**arguments)
     assert len(capsys.readouterr().out) > 100
     written = [path for path in tmp_path.rglob("*") if path.is_file()]
-    assert all(path.suffix == ".png" and path.stem.startswith(name) and path.stat().st_size > 5000 for path in written)
+    assert all(
+        path.suffix == ".png" and path.stem.startswith(name) and path.stat().st_size > 5000
+        for path in written
+    )
     assert {path.parent for path in written} == ({pictures} if "folder" in arguments else set())
     for claim in CLAIMS:
         if claim.__name__ == name:
             claim(result)
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in EXAMPLES.glob("*.py") if "folder: Path" in path.read_text(encoding="utf-8")))
+@pytest.mark.parametrize(
+    "name",
+    sorted(
+        path.stem
+        for path in EXAMPLES.glob("*.py")
+        if "folder: Path" in path.read_text(encoding="utf-8")
+    ),
+)
 def test_a_folder_that_cannot_be_made_is_told_before_all_else(name, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, name, ModuleType(name))
     main = load_example(name).main
@@ -220,7 +245,9 @@ def test_examples_run_as_scripts(tmp_path):
 
 
 def test_code_does_not_grow_with_large_structures(monkeypatch):
-    monkeypatch.setitem(sys.modules, "benchmark_scale", ModuleType("benchmark_scale"))  # leaves with the test
+    monkeypatch.setitem(
+        sys.modules, "benchmark_scale", ModuleType("benchmark_scale")
+    )  # leaves with the test
     example = load_example("benchmark_scale")
     for make in (example.chain, example.links):
         small, large = (example.measure("", make(n)) for n in (150, 450))

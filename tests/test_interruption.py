@@ -16,7 +16,13 @@ import tenscasadi as tc
 from tenscasadi.util.compile import find_compiler
 
 SCHEMES = [
-    *(tc.RungeKutta4(), tc.DormandPrince54(), tc.DormandPrince853(), tc.Rattle(), tc.Collocation(2)),
+    *(
+        tc.RungeKutta4(),
+        tc.DormandPrince54(),
+        tc.DormandPrince853(),
+        tc.Rattle(),
+        tc.Collocation(2),
+    ),
     *(tc.DormandPrince54(rtol=1e-6), tc.DormandPrince853(rtol=1e-6), tc.Cvodes(), tc.Idas()),
 ]
 COMPILED = [tc.RungeKutta4(), tc.Collocation(2), tc.DormandPrince54(rtol=1e-6)]
@@ -44,11 +50,15 @@ for text in sys.argv[2:]:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.parametrize(("compiled", "schemes"), [(False, SCHEMES), pytest.param(True, COMPILED, marks=needs_compiler)])
+@pytest.mark.parametrize(
+    ("compiled", "schemes"), [(False, SCHEMES), pytest.param(True, COMPILED, marks=needs_compiler)]
+)
 def test_ctrl_c_keeps_the_motion_up_to_there(compiled: bool, schemes: list[Any]) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(tc.__file__).parents[1])}
     command = [sys.executable, "-c", CHILD, str(compiled), *map(repr, schemes)]
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as child:
         assert child.stdout is not None
         for scheme in schemes:
             assert child.stdout.readline() == "begun\n"
@@ -57,6 +67,8 @@ def test_ctrl_c_keeps_the_motion_up_to_there(compiled: bool, schemes: list[Any])
             child.send_signal(signal.SIGINT)
             found, last = child.stdout.readline().split()
             assert found == "True"
-            assert float(last) > 0.5, scheme  # of the million seconds that were asked for; rows are a thousand seconds apart
+            assert float(last) > 0.5, (
+                scheme
+            )  # of the million seconds that were asked for; rows are a thousand seconds apart
             assert time.monotonic() - sent < 10
         assert child.wait(30) == 0

@@ -25,7 +25,15 @@ from public_calls import Call, quick_calls
 import ocp
 import tenscasadi as tc
 
-OWN = (TypeError, ValueError, tc.CompileError, tc.EquilibriumError, tc.NoReference, tc.NoScheme, ocp.UnreachableGoal)
+OWN = (
+    TypeError,
+    ValueError,
+    tc.CompileError,
+    tc.EquilibriumError,
+    tc.NoReference,
+    tc.NoScheme,
+    ocp.UnreachableGoal,
+)
 NUMBER_OF_CALLS = int(os.environ.get("TENSCASADI_FUZZ", "20000"))  # of the slow run
 LONGEST = 15  # s a call
 
@@ -33,12 +41,26 @@ LONGEST = 15  # s a call
 def finite(result: Any) -> bool:
     """No NaN in a result that says success."""
     if isinstance(result, ocp.Plan):
-        return not result.success or (finite(result.trajectory) and np.isfinite(result.force_density).all() and np.isfinite(result.objective))
+        return not result.success or (
+            finite(result.trajectory)
+            and np.isfinite(result.force_density).all()
+            and np.isfinite(result.objective)
+        )
     if isinstance(result, tc.Trajectory):
-        values = (result.time, result.nodes, result.velocities, result.tension, result.energy, result.states)
+        values = (
+            result.time,
+            result.nodes,
+            result.velocities,
+            result.tension,
+            result.energy,
+            result.states,
+        )
         return not result.success or all(np.isfinite(value).all() for value in values)
     if isinstance(result, tc.Rollouts):
-        return bool(np.isfinite(result.final[result.success]).all() and np.isfinite(result.energy_error[result.success]).all())
+        return bool(
+            np.isfinite(result.final[result.success]).all()
+            and np.isfinite(result.energy_error[result.success]).all()
+        )
     return True
 
 
@@ -85,14 +107,21 @@ def find_fault(draw: Callable[[Any], Any], calls: dict[str, Call]) -> str:
                 result = function(**changed)
         except OWN as error:
             path = changed.get("path")
-            file = [path] if isinstance(path, str) and os.path.isfile(path) else []  # another call has written it
+            file = (
+                [path] if isinstance(path, str) and os.path.isfile(path) else []
+            )  # another call has written it
             words = [*right, *HINTS.get(name, ()), "Problem.start", name, *file]
-            named = any(re.search(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])", str(error)) for word in words)
+            named = any(
+                re.search(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])", str(error))
+                for word in words
+            )
             return "" if named else f"{name}: no field in {error}"
         except OSError as error:
             return "" if {"path", "folder"} & set(right) else f"{name}: {error}"
         except TooSlow:
-            if any(isinstance(value, int) and value == 10**9 for value in changed.values()):  # seconds of motion
+            if any(
+                isinstance(value, int) and value == 10**9 for value in changed.values()
+            ):  # seconds of motion
                 return ""
             raise
     return "" if finite(result) else f"{name}: NaN"
@@ -113,7 +142,17 @@ HINTS: dict[str, tuple[str, ...]] = {  # fields that are asked about in place of
 }
 
 
-NO_INPUT = {"shapes", "AtRest", "Clip", "Linear", "ForceDensity", "RestLength", "RungeKutta4", "Single", "Equilibrium"}
+NO_INPUT = {
+    "shapes",
+    "AtRest",
+    "Clip",
+    "Linear",
+    "ForceDensity",
+    "RestLength",
+    "RungeKutta4",
+    "Single",
+    "Equilibrium",
+}
 FILLED_IN = {
     *("ClassOne", "Energy", "Multipliers", "Constraints", "Linearization", "Modes"),
     *("Recommendation", "Sensitivities", "Duals", "Report", "ClosedLoop"),
@@ -122,7 +161,11 @@ RESULTS_AND_MODELS = [
     *("Structure", "Model", "ParameterLayout", "Trajectory", "Tradeoff", "Rollouts", "Sweep"),
     *("Plan", "Robustness", "Mpc", "Mppi", "Tracker"),
 ]
-EQUATIONS = {"ParameterLayout.item_values", "ParameterLayout.check", "Plan.guess"}  # for the equations' own use
+EQUATIONS = {
+    "ParameterLayout.item_values",
+    "ParameterLayout.check",
+    "Plan.guess",
+}  # for the equations' own use
 
 
 def takes_input(value: Any) -> bool:
@@ -160,12 +203,28 @@ def test_odd_input_to_what_simulates_solves_or_draws_is_refused_by_name() -> Non
 def test_every_public_name_meets_odd_input() -> None:
     """But for names without input, exceptions, and what the packages themselves fill in; methods of goals, loads and schemes take equations."""
     calls = {**quick_calls(), **costly_calls(), **ensemble_calls()}
-    met = {part for name in calls for part in (name.partition(",")[0], name.removeprefix("ocp."), name.partition(".")[0])}
+    met = {
+        part
+        for name in calls
+        for part in (name.partition(",")[0], name.removeprefix("ocp."), name.partition(".")[0])
+    }
     public = {name: getattr(package, name) for package in (tc, ocp) for name in package.__all__}
-    raised = {name for name, value in public.items() if isinstance(value, type) and issubclass(value, Exception)}
+    raised = {
+        name
+        for name, value in public.items()
+        if isinstance(value, type) and issubclass(value, Exception)
+    }
     missing = set(public) - met - raised - NO_INPUT - FILLED_IN
     for name in RESULTS_AND_MODELS:
-        missing |= {f"{name}.{key}" for key, value in vars(public[name]).items() if key[0] != "_" and takes_input(value)} - met - EQUATIONS
+        missing |= (
+            {
+                f"{name}.{key}"
+                for key, value in vars(public[name]).items()
+                if key[0] != "_" and takes_input(value)
+            }
+            - met
+            - EQUATIONS
+        )
     assert not missing, f"give them a case in tests/support: {sorted(missing)}"
 
 

@@ -18,7 +18,12 @@ from tenscasadi.cli.parser import command_parser
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCUMENTS = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))]
-GENERATED = ("api/", "command_line.md", "scene_fields.md", "viewer/")  # pages that the site makes of the code
+GENERATED = (
+    "api/",
+    "command_line.md",
+    "scene_fields.md",
+    "viewer/",
+)  # pages that the site makes of the code
 
 
 def blocks(language: str, text: str = README) -> list[str]:
@@ -61,12 +66,19 @@ def test_snippets_of_documents_run(name, tmp_path, monkeypatch, capsys):
 
 
 def test_scene_files_of_documents_run(tmp_path):
-    found = [text for name in DOCUMENTS for text in blocks("toml", (ROOT / name).read_text(encoding="utf-8")) if text.startswith("format")]
+    found = [
+        text
+        for name in DOCUMENTS
+        for text in blocks("toml", (ROOT / name).read_text(encoding="utf-8"))
+        if text.startswith("format")
+    ]
     assert len(found) >= 3
     for text in found:
         (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
         if "[simulation]" in text:
-            run = replace(tc.load_simulation(tmp_path / "scene.toml"), t_end=0.05).run(compiled=False)
+            run = replace(tc.load_simulation(tmp_path / "scene.toml"), t_end=0.05).run(
+                compiled=False
+            )
             assert run.success, run.message
         else:
             tc.load_scene(tmp_path / "scene.toml")
@@ -88,7 +100,11 @@ def test_files_that_documents_name_exist(name):
     text = (ROOT / name).read_text(encoding="utf-8")
     folder = (ROOT / name).parent
     for path in re.findall(r"\]\(((?!http)[^)#]+)\)", text):
-        assert (folder / path).exists() or path.startswith(GENERATED) or path.removeprefix("../").startswith(GENERATED), path
+        assert (
+            (folder / path).exists()
+            or path.startswith(GENERATED)
+            or path.removeprefix("../").startswith(GENERATED)
+        ), path
     for path in re.findall(r"`((?:tenscasadi|ocp|tests|examples|docs)/[\w/.]*)`", text):
         assert (ROOT / path).exists(), path
 
@@ -100,8 +116,12 @@ def test_two_commands_do_all_set_up():
     assert "pytest" in tests
 
 
-COMMAND = re.compile(r"(?<![\w/.])(?:\.venv/bin/)?tenscasadi (?:plan|simulate|tradeoff|info|new|view|export) [^`\n>]+")
-SHELL = "\n".join(block for name in DOCUMENTS for block in blocks("sh", (ROOT / name).read_text(encoding="utf-8")))
+COMMAND = re.compile(
+    r"(?<![\w/.])(?:\.venv/bin/)?tenscasadi (?:plan|simulate|tradeoff|info|new|view|export) [^`\n>]+"
+)
+SHELL = "\n".join(
+    block for name in DOCUMENTS for block in blocks("sh", (ROOT / name).read_text(encoding="utf-8"))
+)
 IN_DOCUMENTS = re.findall(r"^tenscasadi [^\n>|]+", SHELL, re.MULTILINE)
 
 
@@ -114,7 +134,9 @@ def test_folders_named_exist_and_all_are_named():
     for package in ("tenscasadi", "ocp"):
         table = README.split(f"| in `{package}/` |")[1].split("\n\n")[0]
         named = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
-        assert sorted(named) == sorted(path.parent.name for path in (ROOT / package).glob("*/__init__.py"))
+        assert sorted(named) == sorted(
+            path.parent.name for path in (ROOT / package).glob("*/__init__.py")
+        )
 
 
 def test_pictures_are_small():

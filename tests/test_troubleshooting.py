@@ -20,8 +20,17 @@ def texts_of(tree: ast.Module) -> list[str]:
     found = []
     for node in nodes:
         if isinstance(node, ast.JoinedStr):
-            found.append("".join(str(part.value) if isinstance(part, ast.Constant) else "…" for part in node.values))
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in pieces:
+            found.append(
+                "".join(
+                    str(part.value) if isinstance(part, ast.Constant) else "…"
+                    for part in node.values
+                )
+            )
+        elif (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and id(node) not in pieces
+        ):
             found.append(re.sub(r"\{[^}]*\}", "…", node.value))
     return found
 
@@ -29,7 +38,9 @@ def texts_of(tree: ast.Module) -> list[str]:
 @pytest.fixture(scope="module")
 def texts() -> str:
     modules = [path for package in ("tenscasadi", "ocp") for path in (ROOT / package).rglob("*.py")]
-    return "\n".join(text for path in modules for text in texts_of(ast.parse(path.read_text(encoding="utf-8"))))
+    return "\n".join(
+        text for path in modules for text in texts_of(ast.parse(path.read_text(encoding="utf-8")))
+    )
 
 
 def test_there_are_messages():

@@ -9,7 +9,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("tenscasadi", "ocp")
-IMPORTED_BY_NAME = ("tenscasadi.plots", "tenscasadi.envs", "tenscasadi.viewer")  # what needs more to be installed, or loaded
+IMPORTED_BY_NAME = (
+    "tenscasadi.plots",
+    "tenscasadi.envs",
+    "tenscasadi.viewer",
+)  # what needs more to be installed, or loaded
 
 
 @cache
@@ -34,7 +38,9 @@ def _public_names() -> dict[str, list[str]]:
     for room in IMPORTED_BY_NAME:
         rooms[room] += [f"{room}.{name}" for name in _exports(room)]
     rooms["tenscasadi.plots"].append("tenscasadi.animation.animate")
-    return {room: rooms[room] for package in PACKAGES for room in rooms if room.split(".")[0] == package}
+    return {
+        room: rooms[room] for package in PACKAGES for room in rooms if room.split(".")[0] == package
+    }
 
 
 def _exports(package: str) -> dict[str, str]:
@@ -43,7 +49,9 @@ def _exports(package: str) -> dict[str, str]:
     found = {}
     for node in module.body:
         if isinstance(node, ast.ImportFrom) and node.module:
-            found |= {alias.asname or alias.name: f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {
+                alias.asname or alias.name: f"{node.module}.{alias.name}" for alias in node.names
+            }
     for node in module.body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
             return {name: found[name] for name in ast.literal_eval(node.value)}
@@ -59,7 +67,14 @@ def _file(package: str) -> Path:
 
 
 def _overview(rooms: dict[str, list[str]]) -> str:
-    lines = ["# API", "", "Each folder of both packages has a page, with all that is public there.", "", "| folder | names |", "|---|---|"]
+    lines = [
+        "# API",
+        "",
+        "Each folder of both packages has a page, with all that is public there.",
+        "",
+        "| folder | names |",
+        "|---|---|",
+    ]
     for room, names in rooms.items():
         links = ", ".join(f"[`{name.split('.')[-1]}`][{name}]" for name in names)
         lines.append(f"| [{room}]({room}.md) | {links} |")

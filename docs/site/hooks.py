@@ -22,7 +22,12 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    generated = {**api_pages(), "command_line.md": command_line_page(), "scene_fields.md": scene_fields_page(), **viewer_pages()}
+    generated = {
+        **api_pages(),
+        "command_line.md": command_line_page(),
+        "scene_fields.md": scene_fields_page(),
+        **viewer_pages(),
+    }
     for page in list(files.documentation_pages()):
         if page.src_uri.startswith("tutorials/"):
             generated[page.src_uri.replace(".md", ".ipynb")] = notebook(page.content_string)

@@ -18,8 +18,20 @@ def notebook(page: str) -> str:
             continue
         code = index % 2 == 1
         text = part.strip() if code else LINK.sub(r"\1.html", part.strip())
-        cell: dict[str, Any] = {"id": f"cell-{index}", "metadata": {}, "source": text.splitlines(keepends=True)}
-        cells.append({"cell_type": "code", "execution_count": None, "outputs": [], **cell} if code else {"cell_type": "markdown", **cell})
+        cell: dict[str, Any] = {
+            "id": f"cell-{index}",
+            "metadata": {},
+            "source": text.splitlines(keepends=True),
+        }
+        cells.append(
+            {"cell_type": "code", "execution_count": None, "outputs": [], **cell}
+            if code
+            else {"cell_type": "markdown", **cell}
+        )
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     metadata = {"kernelspec": kernel, "language_info": {"name": "python"}}
-    return json.dumps({"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}, indent=1, ensure_ascii=False)
+    return json.dumps(
+        {"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5},
+        indent=1,
+        ensure_ascii=False,
+    )

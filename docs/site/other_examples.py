@@ -11,7 +11,9 @@ MARK = "<!-- other examples -->"
 
 def with_other_examples(page: str) -> str:
     """A page (Markdown) with the table in the place of its mark."""
-    others = [path for path in sorted(EXAMPLES.glob("*.py")) if f"`examples/{path.name}`" not in page]
+    others = [
+        path for path in sorted(EXAMPLES.glob("*.py")) if f"`examples/{path.name}`" not in page
+    ]
     rows = [f"| `examples/{path.name}` | {_summary(path)} |" for path in others]
     return page.replace(MARK, "\n".join(["| example | what it does |", "|---|---|", *rows]))
 

@@ -16,7 +16,13 @@ import tenscasadi as tc
 from tenscasadi.viewer import view
 
 EXAMPLES = str(Path(__file__).resolve().parents[2] / "examples")
-FROM_MAIN = ("plan_prism", "dbar_folds", "plan_landing", "ball_on_terrain", "arm_reaches")  # examples whose result is worth watching
+FROM_MAIN = (
+    "plan_prism",
+    "dbar_folds",
+    "plan_landing",
+    "ball_on_terrain",
+    "arm_reaches",
+)  # examples whose result is worth watching
 
 
 @cache
@@ -24,7 +30,9 @@ def viewer_pages() -> dict[str, str]:
     """The pages' HTML by path."""
     if EXAMPLES not in sys.path:
         sys.path.append(EXAMPLES)
-    return {f"viewer/{name}.html": _page(thing) for name, thing in {**_results(), **_motions()}.items()}
+    return {
+        f"viewer/{name}.html": _page(thing) for name, thing in {**_results(), **_motions()}.items()
+    }
 
 
 def _page(thing: Any) -> str:
@@ -42,7 +50,11 @@ def _results() -> dict[str, Any]:
         with TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
             results[name] = __import__(name).main(folder=Path(folder))
     field, run = results["ball_on_terrain"]
-    return {**results, "ball_on_terrain": (run, field), "arm_reaches": results["arm_reaches"]["round the ball"]}
+    return {
+        **results,
+        "ball_on_terrain": (run, field),
+        "arm_reaches": results["arm_reaches"]["round the ball"],
+    }
 
 
 def _motions() -> dict[str, Any]:
@@ -58,8 +70,16 @@ def _motions() -> dict[str, Any]:
     rods = tc.shapes.double_pendulum(angles=double_pendulum.ANGLES)
     return {
         "simulate_ball": tc.simulate(thrown, 1.0, 1e-3, state=start),
-        "double_pendulum": tc.simulate(tc.Model(tc.Scene(rods, gravity=tc.Gravity())), 3.0, 1e-3, correction=tc.Projection()),
-        "paper_dbar": tc.simulate(tc.Model(tc.Scene(paper_dbar.d_bar())), 5.0, 1e-3, correction=tc.Projection(), compiled=False),
+        "double_pendulum": tc.simulate(
+            tc.Model(tc.Scene(rods, gravity=tc.Gravity())), 3.0, 1e-3, correction=tc.Projection()
+        ),
+        "paper_dbar": tc.simulate(
+            tc.Model(tc.Scene(paper_dbar.d_bar())),
+            5.0,
+            1e-3,
+            correction=tc.Projection(),
+            compiled=False,
+        ),
         "paper_lander": (paper_lander.drop(paper_lander.ball(), 3.0)[0], tc.Ground()),
         "paper_membrane": paper_membrane.run(8, 5),
     }

@@ -17,13 +17,23 @@ EFFORT = (ocp.Effort(),)
 Span = float | tuple[float, float]
 
 
-def reshaped(start: tc.Structure, end: tc.Structure, lower: float, duration: Span = 1.0, **scene: Any) -> ocp.Problem:
+def reshaped(
+    start: tc.Structure, end: tc.Structure, lower: float, duration: Span = 1.0, **scene: Any
+) -> ocp.Problem:
     """The structure takes the string lengths of another one, from rest to rest, at force densities of `lower` to 200 N/m."""
     goals = [ocp.StringLengths(end.string_lengths), ocp.AtRest()]
-    return ocp.Problem(driven(start, **scene), duration, goals=goals, bounds=[ocp.ForceDensityLimits(lower, 200.0)], costs=EFFORT)
+    return ocp.Problem(
+        driven(start, **scene),
+        duration,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(lower, 200.0)],
+        costs=EFFORT,
+    )
 
 
-def free_prism(bars: int, low: float, high: float, duration: Span = 1.0, **scene: Any) -> ocp.Problem:
+def free_prism(
+    bars: int, low: float, high: float, duration: Span = 1.0, **scene: Any
+) -> ocp.Problem:
     """A free prism changes its height."""
     return reshaped(prism(bars, low), prism(bars, high), 2.0, duration, **scene)
 
@@ -32,18 +42,32 @@ def falling() -> ocp.Problem:
     """A prism changes shape in free fall."""
     goals = [ocp.StringLengths(prism(3, 1.05).string_lengths)]
     model = driven(prism(3, 1.0), gravity=tc.Gravity())
-    return ocp.Problem(model, 0.5, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)], costs=EFFORT)
+    return ocp.Problem(
+        model, 0.5, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)], costs=EFFORT
+    )
 
 
 def standing_prism(bars: int, angle: float) -> ocp.Problem:
     """A prism whose lower nodes are pinned lifts its upper ones, as far as the bars allow, by turning them by `angle` rad."""
     structure = prism(bars, 1.0, pinned=range(bars))
     turned, ends = structure.nodes.copy(), structure.bars
-    turned[bars:, :2] = turned[bars:, :2] @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    turned[bars:, :2] = turned[bars:, :2] @ [
+        [np.cos(angle), np.sin(angle)],
+        [-np.sin(angle), np.cos(angle)],
+    ]
     flat = np.linalg.norm((turned[ends[:, 1]] - turned[ends[:, 0]])[:, :2], axis=1)
     turned[bars:, 2] = np.sqrt(structure.bar_lengths**2 - flat**2)
-    goals = [ocp.NodePositions({node: tuple(turned[node]) for node in range(bars, len(turned))}), ocp.AtRest()]
-    return ocp.Problem(driven(structure), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)], costs=EFFORT)
+    goals = [
+        ocp.NodePositions({node: tuple(turned[node]) for node in range(bars, len(turned))}),
+        ocp.AtRest(),
+    ]
+    return ocp.Problem(
+        driven(structure),
+        1.0,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(2.0, 200.0)],
+        costs=EFFORT,
+    )
 
 
 def free_tower(stages: int, low: float = 0.8, high: float = 0.88, bars: int = 3) -> ocp.Problem:
@@ -56,32 +80,55 @@ def standing_tower(stages: int, low: float, high: float, **scene: Any) -> ocp.Pr
     structure = tower(stages, low, pinned=range(3))
     top = range(3 * stages, 3 * stages + 3)
     goals = [ocp.NodePositions(dict.fromkeys(top, (None, None, stages * high))), ocp.AtRest()]
-    return ocp.Problem(driven(structure, **scene), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 500.0)], costs=EFFORT)
+    return ocp.Problem(
+        driven(structure, **scene),
+        1.0,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(1.0, 500.0)],
+        costs=EFFORT,
+    )
 
 
-def d_bar(start: float, end: float, pinned: tuple[int, ...] = (0,), duration: Span = 1.0) -> ocp.Problem:
+def d_bar(
+    start: float, end: float, pinned: tuple[int, ...] = (0,), duration: Span = 1.0
+) -> ocp.Problem:
     """A D-bar folds or unfolds."""
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=end).string_lengths), ocp.AtRest()]
-    return ocp.Problem(driven(tc.shapes.d_bar(angle=start, pinned=pinned)), duration, goals=goals, costs=EFFORT)
+    return ocp.Problem(
+        driven(tc.shapes.d_bar(angle=start, pinned=pinned)), duration, goals=goals, costs=EFFORT
+    )
 
 
 def t_bar(turn: float, duration: Span = 1.0) -> ocp.Problem:
     """A free T-bar turns its short bars against its long ones, in the plane."""
     structure = tc.shapes.t_bar()
     nodes = structure.nodes.copy()
-    nodes[[1, 3], 0], nodes[[1, 3], 1] = nodes[[1, 3], 1] * np.sin(turn), nodes[[1, 3], 1] * np.cos(turn)
+    nodes[[1, 3], 0], nodes[[1, 3], 1] = (
+        nodes[[1, 3], 1] * np.sin(turn),
+        nodes[[1, 3], 1] * np.cos(turn),
+    )
     lengths = np.linalg.norm(np.diff(nodes[structure.strings], axis=1)[:, 0], axis=1)
-    return ocp.Problem(driven(structure), duration, goals=[ocp.StringLengths(lengths), ocp.AtRest()], costs=EFFORT)
+    return ocp.Problem(
+        driven(structure), duration, goals=[ocp.StringLengths(lengths), ocp.AtRest()], costs=EFFORT
+    )
 
 
 def ball(size: float, duration: Span = 1.0, **scene: Any) -> ocp.Problem:
     """The six-bar ball is pressed or blown up: every bar keeps its direction and moves towards the middle, or away from it."""
     goals = [ocp.Shape(six_bar_ball(size).nodes), ocp.AtRest()]
     start = tc.shapes.six_bar_ball()
-    return ocp.Problem(driven(start, **scene), duration, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 200.0)], costs=EFFORT)
+    return ocp.Problem(
+        driven(start, **scene),
+        duration,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(1.0, 200.0)],
+        costs=EFFORT,
+    )
 
 
-def hub_folds(count: int, start: float, end: float, pinned: Sequence[int] = (), **scene: Any) -> ocp.Problem:
+def hub_folds(
+    count: int, start: float, end: float, pinned: Sequence[int] = (), **scene: Any
+) -> ocp.Problem:
     """Bars around a hub fold up or down, like those of an umbrella."""
     return reshaped(hub(spread(count, start), pinned=pinned), hub(spread(count, end)), 0.5, **scene)
 
@@ -92,7 +139,13 @@ def net_moves(size: int, depth: float) -> ocp.Problem:
     middle = int(np.argmin(np.linalg.norm(structure.nodes - structure.nodes.mean(axis=0), axis=1)))
     place = structure.nodes[middle] + (depth, depth / 2, 0)
     goals = [ocp.NodePositions({middle: tuple(place)}), ocp.AtRest()]
-    return ocp.Problem(driven(structure), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(0.5, 200.0)], costs=EFFORT)
+    return ocp.Problem(
+        driven(structure),
+        1.0,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(0.5, 200.0)],
+        costs=EFFORT,
+    )
 
 
 def small_cases() -> Iterator[Case]:
@@ -108,13 +161,28 @@ def small_cases() -> Iterator[Case]:
     yield Case("prism", "prism in free fall", falling, 1e-4)
     yield Case("prism", "prism of 8", partial(free_prism, 8, 1.0, 1.1), 1e-3)
     yield Case("prism", "prism of 12", partial(free_prism, 12, 1.0, 1.1), 1e-3)
-    yield Case("free duration", "prism of 3, free duration", partial(free_prism, 3, 1.0, 1.1, (0.6, 1.6)), 1e-4)
-    yield Case("free duration", "prism of 4, free duration", partial(free_prism, 4, 1.0, 1.1, (0.6, 1.6)), 1e-4)
+    yield Case(
+        "free duration",
+        "prism of 3, free duration",
+        partial(free_prism, 3, 1.0, 1.1, (0.6, 1.6)),
+        1e-4,
+    )
+    yield Case(
+        "free duration",
+        "prism of 4, free duration",
+        partial(free_prism, 4, 1.0, 1.1, (0.6, 1.6)),
+        1e-4,
+    )
     yield Case("D-bar, T-bar", "D-bar, free, opens", partial(d_bar, np.pi / 4, 0.9, ()), 1e-4)
     yield Case("D-bar, T-bar", "D-bar, pinned, folds", partial(d_bar, np.pi / 4, 0.6), 1e-4, True)
     yield Case("D-bar, T-bar", "D-bar, pinned, folds far", partial(d_bar, np.pi / 4, 0.3), 1e-3)
     yield Case("D-bar, T-bar", "D-bar, pinned, unfolds", partial(d_bar, 0.4, 1.0), 1e-3)
-    yield Case("free duration", "D-bar, free duration", partial(d_bar, np.pi / 4, 0.6, (0,), (0.7, 1.5)), 1e-4)
+    yield Case(
+        "free duration",
+        "D-bar, free duration",
+        partial(d_bar, np.pi / 4, 0.6, (0,), (0.7, 1.5)),
+        1e-4,
+    )
     yield Case("D-bar, T-bar", "T-bar turns", partial(t_bar, 0.3), 1e-4, True)
     yield Case("D-bar, T-bar", "T-bar turns far", partial(t_bar, 0.7), 1e-4)
     yield Case("free duration", "T-bar, free duration", partial(t_bar, 0.4, (0.6, 1.4)), 1e-4)
@@ -131,17 +199,33 @@ def large_cases() -> Iterator[Case]:
     yield Case("tower", "tower of 12 bars, rings of 6", partial(free_tower, 2, 0.8, 0.85, 6), 1e-3)
     yield Case("tower", "tower of 6 bars sinks", partial(free_tower, 2, 0.9, 0.75), 1e-3)
     yield Case("tower", "tower of 6 bars on its feet", partial(standing_tower, 2, 0.8, 0.9), 1e-3)
-    yield Case("tower", "tower of 6 bars under its weight", partial(standing_tower, 2, 0.8, 0.85, gravity=tc.Gravity()), 1e-3)
-    yield Case("tower", "tower of 12 bars under its weight", partial(standing_tower, 4, 0.8, 0.85, gravity=tc.Gravity()), 1e-3)
+    yield Case(
+        "tower",
+        "tower of 6 bars under its weight",
+        partial(standing_tower, 2, 0.8, 0.85, gravity=tc.Gravity()),
+        1e-3,
+    )
+    yield Case(
+        "tower",
+        "tower of 12 bars under its weight",
+        partial(standing_tower, 4, 0.8, 0.85, gravity=tc.Gravity()),
+        1e-3,
+    )
     yield Case("hub", "hub of 4 folds", partial(hub_folds, 4, 0.3, 0.6), 1e-3)
     yield Case("hub", "hub of 5 folds", partial(hub_folds, 5, 0.4, 0.1), 1e-3)
     yield Case("hub", "hub of 6 folds far", partial(hub_folds, 6, 0.1, 0.9), 1e-3)
     yield Case("hub", "hub of 5, held in the middle", partial(hub_folds, 5, 0.4, 0.1, (0,)), 1e-3)
     for size, depth in ((1, 0.2), (2, 0.15), (3, 0.15)):
         yield Case("net", f"net of {size * size} knots", partial(net_moves, size, depth), 1e-3)
-    yield Case("massive strings", "prism, strings of two pieces", partial(heavy_strings, 3, 2), 1e-3)
-    yield Case("massive strings", "prism, strings of three pieces", partial(heavy_strings, 3, 3), 1e-3)
-    yield Case("massive strings", "prism of 4, strings of two pieces", partial(heavy_strings, 4, 2), 1e-3)
+    yield Case(
+        "massive strings", "prism, strings of two pieces", partial(heavy_strings, 3, 2), 1e-3
+    )
+    yield Case(
+        "massive strings", "prism, strings of three pieces", partial(heavy_strings, 3, 3), 1e-3
+    )
+    yield Case(
+        "massive strings", "prism of 4, strings of two pieces", partial(heavy_strings, 4, 2), 1e-3
+    )
 
 
 def heavy_strings(bars: int, segments: int) -> ocp.Problem:
@@ -150,4 +234,6 @@ def heavy_strings(bars: int, segments: int) -> ocp.Problem:
     top = range(bars, 2 * bars)
     goals = [ocp.NodePositions(dict.fromkeys(top, (None, None, 1.05)))]
     model = driven(structure, segments=segments)
-    return ocp.Problem(model, 0.5, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 500.0)], costs=EFFORT)
+    return ocp.Problem(
+        model, 0.5, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 500.0)], costs=EFFORT
+    )

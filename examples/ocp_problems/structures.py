@@ -25,14 +25,20 @@ def prism(bars: int, height: float, length: float = 1.4, **options: Any) -> tc.S
     return tc.shapes.prism(bars, radius, height, **options)
 
 
-def tower(stages: int, height: float, bars: int = 3, length: float = 1.4, **options: Any) -> tc.Structure:
+def tower(
+    stages: int, height: float, bars: int = 3, length: float = 1.4, **options: Any
+) -> tc.Structure:
     """Prisms on top of each other, each `height` m tall, which share their rings; every other one turns the other way."""
     radius = np.sqrt(length**2 - height**2) / (2 * np.sin(turn(bars) / 2))
     one = range(bars)
     nodes, ends, strings, first = [], [], [], 0.0
     for level in range(stages + 1):
         angles = first + 2 * np.pi * np.arange(bars) / bars
-        nodes.append(np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(bars, level * height)]))
+        nodes.append(
+            np.column_stack(
+                [radius * np.cos(angles), radius * np.sin(angles), np.full(bars, level * height)]
+            )
+        )
         ring, above, way = level * bars, (level + 1) * bars, 1 if level % 2 == 0 else -1
         strings += [(ring + k, ring + (k + 1) % bars) for k in one]
         if level < stages:
@@ -55,23 +61,39 @@ def six_bar_ball(size: float, **options: Any) -> tc.Structure:
 def arm(bars: int = 1, **options: Any) -> tc.Structure:
     """Bars of 1 m on top of each other, hinged on the ground and to each other; four strings hold the top of each from around its foot."""
     joints = [(0.0, 0.0, float(level)) for level in range(bars + 1)]
-    around = [(x, y, float(level)) for level in range(bars) for x, y in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))]
-    strings = [(level + 1, bars + 1 + 4 * level + side) for level in range(bars) for side in range(4)]
+    around = [
+        (x, y, float(level))
+        for level in range(bars)
+        for x, y in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
+    ]
+    strings = [
+        (level + 1, bars + 1 + 4 * level + side) for level in range(bars) for side in range(4)
+    ]
     pinned = [0, *range(bars + 1, bars + 1 + 4 * bars)]
-    return tc.Structure([*joints, *around], [(k, k + 1) for k in range(bars)], strings, pinned=pinned, **options)
+    return tc.Structure(
+        [*joints, *around], [(k, k + 1) for k in range(bars)], strings, pinned=pinned, **options
+    )
 
 
 def hub(tips: np.ndarray, **options: Any) -> tc.Structure:
     """Bars from a common middle to these tips (n, 3), which strings join to each other."""
     count = len(tips)
     strings = [(a, b) for a in range(1, count + 1) for b in range(a + 1, count + 1)]
-    return tc.Structure([(0, 0, 0), *tips], [(0, k) for k in range(1, count + 1)], strings, **options)
+    return tc.Structure(
+        [(0, 0, 0), *tips], [(0, k) for k in range(1, count + 1)], strings, **options
+    )
 
 
 def spread(count: int, lift: float) -> np.ndarray:
     """Unit vectors: one upwards, the others around, `lift` rad below the horizon."""
     angles = 2 * np.pi * np.arange(count - 1) / (count - 1)
-    around = np.column_stack([np.cos(lift) * np.cos(angles), np.cos(lift) * np.sin(angles), np.full(count - 1, -np.sin(lift))])
+    around = np.column_stack(
+        [
+            np.cos(lift) * np.cos(angles),
+            np.cos(lift) * np.sin(angles),
+            np.full(count - 1, -np.sin(lift)),
+        ]
+    )
     return np.vstack([around, (0, 0, 1)])
 
 
@@ -80,11 +102,18 @@ def net(size: int, **options: Any) -> tc.Structure:
     side = size + 2
     nodes = [(0.5 * row, 0.5 * column, 0.0) for row in range(side) for column in range(side)]
     inside = [row * side + column for row in range(1, side - 1) for column in range(1, side - 1)]
-    across = [(k, k + step) for k in range(side * side) for step in (1, side) if (k + step in inside or k in inside) and k + step < side * side]
+    across = [
+        (k, k + step)
+        for k in range(side * side)
+        for step in (1, side)
+        if (k + step in inside or k in inside) and k + step < side * side
+    ]
     strings = [(a, b) for a, b in across if b - a == side or b // side == a // side]
     used = sorted({node for string in strings for node in string})
     place = {node: k for k, node in enumerate(used)}
     pinned = [place[node] for node in used if node not in inside]
     mass = [0.2 if node in inside else 0.0 for node in used]
     ends = [(place[a], place[b]) for a, b in strings]
-    return tc.Structure([nodes[node] for node in used], [], ends, node_mass=mass, pinned=pinned, **options)
+    return tc.Structure(
+        [nodes[node] for node in used], [], ends, node_mass=mass, pinned=pinned, **options
+    )

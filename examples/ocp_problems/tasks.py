@@ -18,49 +18,88 @@ from ocp_problems.shape_changes import EFFORT, Span, ball, free_prism, free_towe
 from ocp_problems.structures import arm, driven, prism, tower
 
 
-def reach(place: float, weight: bool = False, duration: Span = 1.0, costs: tuple[Cost, ...] = EFFORT, top: float = 300.0) -> ocp.Problem:
+def reach(
+    place: float,
+    weight: bool = False,
+    duration: Span = 1.0,
+    costs: tuple[Cost, ...] = EFFORT,
+    top: float = 300.0,
+) -> ocp.Problem:
     """A bar on a hinge between four strings leans over."""
     model = driven(arm(), gravity=tc.Gravity() if weight else None)
     goals = [ocp.NodePositions({1: (place, 0.2, None)}), ocp.AtRest()]
-    return ocp.Problem(model, duration, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, top)], costs=costs)
+    return ocp.Problem(
+        model, duration, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, top)], costs=costs
+    )
 
 
 def long_arm(bars: int, lean: float, weight: bool = False) -> ocp.Problem:
     """An arm of some bars, at first straight, moves its tip sideways."""
     model = driven(arm(bars), gravity=tc.Gravity() if weight else None)
     goals = [ocp.NodePositions({bars: (lean, 0.1, None)}), ocp.AtRest()]
-    return ocp.Problem(model, 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 300.0)], costs=EFFORT)
+    return ocp.Problem(
+        model, 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 300.0)], costs=EFFORT
+    )
 
 
 def there_and_back(height: float = 1.1) -> ocp.Problem:
     """A prism grows and is back as it was, ready to start again."""
     goals = [ocp.Waypoint([ocp.Shape(prism(3, height).nodes)], time=0.5), ocp.Periodic()]
-    return ocp.Problem(driven(prism(3, 1.0)), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)], costs=EFFORT)
+    return ocp.Problem(
+        driven(prism(3, 1.0)),
+        1.0,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(2.0, 200.0)],
+        costs=EFFORT,
+    )
 
 
 def prism_by_way_of(*heights: float, duration: Span = 1.0) -> ocp.Problem:
     """A prism takes several heights, one after the other."""
     *between, last = heights
-    waypoints = [ocp.Waypoint([ocp.StringLengths(prism(3, h).string_lengths)], share=(k + 1) / len(heights)) for k, h in enumerate(between)]
+    waypoints = [
+        ocp.Waypoint([ocp.StringLengths(prism(3, h).string_lengths)], share=(k + 1) / len(heights))
+        for k, h in enumerate(between)
+    ]
     goals = [*waypoints, ocp.StringLengths(prism(3, last).string_lengths), ocp.AtRest()]
-    return ocp.Problem(driven(prism(3, 1.0)), duration, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)], costs=EFFORT)
+    return ocp.Problem(
+        driven(prism(3, 1.0)),
+        duration,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(2.0, 200.0)],
+        costs=EFFORT,
+    )
 
 
 def arm_by_way_of(side: float) -> ocp.Problem:
     """An arm leans over by way of a place aside."""
-    goals = [ocp.Waypoint([ocp.NodePositions({1: (0.0, side, None)})], share=0.5), ocp.NodePositions({1: (0.4, 0.2, None)}), ocp.AtRest()]
-    return ocp.Problem(driven(arm()), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 300.0)], costs=EFFORT)
+    goals = [
+        ocp.Waypoint([ocp.NodePositions({1: (0.0, side, None)})], share=0.5),
+        ocp.NodePositions({1: (0.4, 0.2, None)}),
+        ocp.AtRest(),
+    ]
+    return ocp.Problem(
+        driven(arm()), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 300.0)], costs=EFFORT
+    )
 
 
 def limited(*bounds: Bound, costs: tuple[Cost, ...] = EFFORT) -> ocp.Problem:
     """A prism grows within further limits."""
     asked = free_prism(3, 1.0, 1.1)
-    return ocp.Problem(asked.model, 1.0, goals=asked.goals, bounds=[*asked.bounds, *bounds], costs=costs)
+    return ocp.Problem(
+        asked.model, 1.0, goals=asked.goals, bounds=[*asked.bounds, *bounds], costs=costs
+    )
 
 
 def within(asked: ocp.Problem, *bounds: Bound) -> ocp.Problem:
     """The problem within further limits."""
-    return ocp.Problem(asked.model, asked.duration, goals=asked.goals, bounds=[*asked.bounds, *bounds], costs=asked.costs)
+    return ocp.Problem(
+        asked.model,
+        asked.duration,
+        goals=asked.goals,
+        bounds=[*asked.bounds, *bounds],
+        costs=asked.costs,
+    )
 
 
 def leaning_tower(stages: int) -> ocp.Problem:
@@ -68,13 +107,24 @@ def leaning_tower(stages: int) -> ocp.Problem:
     structure, top = tower(stages, 0.8, pinned=range(3)), 3 * stages
     x, y, _ = structure.nodes[top]
     goals = [ocp.NodePositions({top: (x + 0.125 * stages, y, None)}), ocp.AtRest()]
-    return ocp.Problem(driven(structure), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 500.0)], costs=EFFORT)
+    return ocp.Problem(
+        driven(structure),
+        1.0,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(1.0, 500.0)],
+        costs=EFFORT,
+    )
 
 
 def around(stages: int) -> ocp.Obstacle:
     """A ball in the straight way of that node."""
     nodes, top, way = tower(stages, 0.8).nodes, 3 * stages, 0.125 * stages
-    return ocp.Obstacle(nodes[top] + np.array([0.4, 0.2, -0.2]) * way, 0.3 * way, bars=[], nodes=[top, top + 1, top + 2])
+    return ocp.Obstacle(
+        nodes[top] + np.array([0.4, 0.2, -0.2]) * way,
+        0.3 * way,
+        bars=[],
+        nodes=[top, top + 1, top + 2],
+    )
 
 
 def past_a_ball(stages: int) -> ocp.Problem:
@@ -90,28 +140,49 @@ def slowly(stages: int) -> ocp.Problem:
 def short(stages: int) -> ocp.Problem:
     """A free tower changes its height, and no string is longer on the way than at its ends, but for 1 %."""
     longest = np.maximum(*(tower(stages, height).string_lengths for height in (0.8, 0.88)))
-    return within(free_tower(stages), ocp.Constraint("length", lambda now: now.lengths, upper=1.01 * longest))
+    return within(
+        free_tower(stages), ocp.Constraint("length", lambda now: now.lengths, upper=1.01 * longest)
+    )
 
 
 def beside(stages: int) -> ocp.Problem:
     """The same tower by way of a place beside the ball, slowly."""
     asked, top, way = leaning_tower(stages), 3 * stages, 0.125 * stages
     x, y, _ = asked.model.scene.structure.nodes[top]
-    waypoint = ocp.Waypoint([ocp.NodePositions({top: (x + 0.4 * way, y - 0.45 * way, None)})], share=0.5)
+    waypoint = ocp.Waypoint(
+        [ocp.NodePositions({top: (x + 0.4 * way, y - 0.45 * way, None)})], share=0.5
+    )
     bounds = [*asked.bounds, around(stages), slow(1.6 * way)]
-    return ocp.Problem(asked.model, 1.0, goals=[waypoint, *asked.goals], bounds=bounds, costs=EFFORT)
+    return ocp.Problem(
+        asked.model, 1.0, goals=[waypoint, *asked.goals], bounds=bounds, costs=EFFORT
+    )
 
 
 def quickest(asked: ocp.Problem) -> ocp.Problem:
     """The problem at the least duration of 0.2 to 2 s; a little effort counts, too."""
-    return ocp.Problem(asked.model, (0.2, 2.0), goals=asked.goals, bounds=asked.bounds, costs=[ocp.Duration(), ocp.Effort(1e-5)])
+    return ocp.Problem(
+        asked.model,
+        (0.2, 2.0),
+        goals=asked.goals,
+        bounds=asked.bounds,
+        costs=[ocp.Duration(), ocp.Effort(1e-5)],
+    )
 
 
 def loaded(structure: tc.Structure, rise: float, **scene: Any) -> ocp.Problem:
     """A structure of rings of three, pinned at its feet, lifts its top against a load."""
     top = range(len(structure.nodes) - 3, len(structure.nodes))
-    goals = [ocp.NodePositions({k: (None, None, structure.nodes[k, 2] + rise) for k in top}), ocp.AtRest()]
-    return ocp.Problem(driven(structure, **scene), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 500.0)], costs=EFFORT)
+    goals = [
+        ocp.NodePositions({k: (None, None, structure.nodes[k, 2] + rise) for k in top}),
+        ocp.AtRest(),
+    ]
+    return ocp.Problem(
+        driven(structure, **scene),
+        1.0,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(1.0, 500.0)],
+        costs=EFFORT,
+    )
 
 
 def wind(structure: tc.Structure, force: float) -> tc.NodalForce:
@@ -124,14 +195,19 @@ def wind(structure: tc.Structure, force: float) -> tc.NodalForce:
 def shaken(lift: float) -> ocp.Problem:
     """A prism whose feet are shaken, and are still again in the end, lifts its top."""
     structure = prism(3, 1.0, pinned=range(3))
-    feet = {k: (lambda t, x=x, y=y: (x + 0.03 * ca.sin(2 * np.pi * t) ** 2, y, 0.0)) for k, (x, y, _) in enumerate(structure.nodes[:3])}
+    feet = {
+        k: (lambda t, x=x, y=y: (x + 0.03 * ca.sin(2 * np.pi * t) ** 2, y, 0.0))
+        for k, (x, y, _) in enumerate(structure.nodes[:3])
+    }
     return loaded(structure, lift, supports=tc.SupportMotion(feet))
 
 
 def in_full_coordinates(asked: ocp.Problem) -> ocp.Problem:
     """The problem of a model in full coordinates."""
     model = tc.Model(asked.model.scene, coordinates="full")
-    return ocp.Problem(model, asked.duration, goals=asked.goals, bounds=asked.bounds, costs=asked.costs)
+    return ocp.Problem(
+        model, asked.duration, goals=asked.goals, bounds=asked.bounds, costs=asked.costs
+    )
 
 
 def reaching_cases() -> Iterator[Case]:
@@ -145,45 +221,145 @@ def reaching_cases() -> Iterator[Case]:
     yield Case("arm", "arm of five bars", partial(long_arm, 5, 1.0), 1e-3)
     yield Case("waypoints", "prism there and back", there_and_back, 2e-4)
     yield Case("waypoints", "prism there and back, far", partial(there_and_back, 1.2), 1e-3)
-    yield Case("waypoints", "prism by way of one height", partial(prism_by_way_of, 1.1, 0.9), 1e-3, True)
-    yield Case("waypoints", "prism by way of two heights", partial(prism_by_way_of, 1.1, 0.9, 1.05, duration=1.5), 1e-3)
-    yield Case("waypoints", "prism by way of one, free duration", partial(prism_by_way_of, 1.1, 0.9, duration=(0.8, 2.0)), 1e-3)
+    yield Case(
+        "waypoints", "prism by way of one height", partial(prism_by_way_of, 1.1, 0.9), 1e-3, True
+    )
+    yield Case(
+        "waypoints",
+        "prism by way of two heights",
+        partial(prism_by_way_of, 1.1, 0.9, 1.05, duration=1.5),
+        1e-3,
+    )
+    yield Case(
+        "waypoints",
+        "prism by way of one, free duration",
+        partial(prism_by_way_of, 1.1, 0.9, duration=(0.8, 2.0)),
+        1e-3,
+    )
     yield Case("waypoints", "arm by way of a place", partial(arm_by_way_of, -0.4), 1e-3)
     yield Case("least time", "prism, least time", lambda: quickest(free_prism(3, 1.0, 1.1)), 1e-3)
-    yield Case("least time", "prism of 4, least time", lambda: quickest(free_prism(4, 1.0, 1.1)), 1e-3)
+    yield Case(
+        "least time", "prism of 4, least time", lambda: quickest(free_prism(4, 1.0, 1.1)), 1e-3
+    )
     yield Case("least time", "arm, least time", lambda: quickest(reach(0.4)), 1e-3, True)
-    yield Case("least time", "arm under its weight, least time", lambda: quickest(reach(0.4, True)), 1e-3)
+    yield Case(
+        "least time", "arm under its weight, least time", lambda: quickest(reach(0.4, True)), 1e-3
+    )
     yield Case("least time", "tower, least time", lambda: quickest(free_tower(2)), 1e-3)
-    yield Case("least time", "prism on its feet, least time", lambda: quickest(standing_prism(3, 0.1)), 1e-3)
+    yield Case(
+        "least time",
+        "prism on its feet, least time",
+        lambda: quickest(standing_prism(3, 0.1)),
+        1e-3,
+    )
 
 
 def constrained_cases() -> Iterator[Case]:
     """Loads, limits on the way, moved supports, other coordinates, other costs."""
-    yield Case("limits", "prism, limited tension", lambda: limited(ocp.TensionLimits(upper=12.0)), 1e-4)
-    yield Case("limits", "prism, limited winding", lambda: limited(ocp.RestLengthRateLimits(0.4, stiffness=1000.0)), 1e-4)
-    yield Case("limits", "prism, limited bar forces", lambda: limited(ocp.BarForceLimits(compression=30.0)), 1e-3)
+    yield Case(
+        "limits", "prism, limited tension", lambda: limited(ocp.TensionLimits(upper=12.0)), 1e-4
+    )
+    yield Case(
+        "limits",
+        "prism, limited winding",
+        lambda: limited(ocp.RestLengthRateLimits(0.4, stiffness=1000.0)),
+        1e-4,
+    )
+    yield Case(
+        "limits",
+        "prism, limited bar forces",
+        lambda: limited(ocp.BarForceLimits(compression=30.0)),
+        1e-3,
+    )
     yield Case("limits", "prism, a speed limit of its own", lambda: limited(slow(0.25)), 1e-3)
-    yield Case("limits", "arm around an obstacle", lambda: within(reach(0.6), ocp.Obstacle((0.3, 0.15, 0.95), 0.12, nodes=[1])), 1e-3)
-    yield Case("limits", "tower in a box", lambda: within(free_tower(2), ocp.InsideBox(upper=(None, None, 1.685))), 1e-3)
-    yield Case("limits", "ball, limited tension", lambda: within(ball(0.9), ocp.TensionLimits(upper=20.0)), 1e-3)
-    yield Case("limits", "tower, bars apart", lambda: within(free_tower(2), ocp.BarClearance(0.05)), 1e-3)
+    yield Case(
+        "limits",
+        "arm around an obstacle",
+        lambda: within(reach(0.6), ocp.Obstacle((0.3, 0.15, 0.95), 0.12, nodes=[1])),
+        1e-3,
+    )
+    yield Case(
+        "limits",
+        "tower in a box",
+        lambda: within(free_tower(2), ocp.InsideBox(upper=(None, None, 1.685))),
+        1e-3,
+    )
+    yield Case(
+        "limits",
+        "ball, limited tension",
+        lambda: within(ball(0.9), ocp.TensionLimits(upper=20.0)),
+        1e-3,
+    )
+    yield Case(
+        "limits", "tower, bars apart", lambda: within(free_tower(2), ocp.BarClearance(0.05)), 1e-3
+    )
     for stages in (4, 8):
         bars = 3 * stages
-        yield Case("obstacles at size", f"tower of {bars} bars round a ball", partial(past_a_ball, stages), 1e-3)
-        yield Case("obstacles at size", f"tower of {bars} bars by way of a place beside it", partial(beside, stages), 1e-3)
-        yield Case("obstacles at size", f"free tower of {bars} bars, slow", partial(slowly, stages), 1e-3)
-        yield Case("obstacles at size", f"free tower of {bars} bars, strings hardly longer", partial(short, stages), 1e-3)
+        yield Case(
+            "obstacles at size",
+            f"tower of {bars} bars round a ball",
+            partial(past_a_ball, stages),
+            1e-3,
+        )
+        yield Case(
+            "obstacles at size",
+            f"tower of {bars} bars by way of a place beside it",
+            partial(beside, stages),
+            1e-3,
+        )
+        yield Case(
+            "obstacles at size", f"free tower of {bars} bars, slow", partial(slowly, stages), 1e-3
+        )
+        yield Case(
+            "obstacles at size",
+            f"free tower of {bars} bars, strings hardly longer",
+            partial(short, stages),
+            1e-3,
+        )
     yield Case("costs", "prism, smooth", lambda: limited(costs=(ocp.Smoothness(),)), 1e-3)
-    yield Case("costs", "prism, near a prestress", lambda: limited(costs=(ocp.Prestress(20.0),)), 1e-3)
-    yield Case("costs", "prism, least work", lambda: limited(costs=(ocp.Work(), ocp.Effort(1e-3))), 1e-3)
-    yield Case("loads", "prism lifts a weight", lambda: loaded(prism(3, 1.0, pinned=range(3)), 0.05, gravity=tc.Gravity()), 1e-3)
-    yield Case("loads", "prism of heavy nodes", lambda: loaded(prism(3, 1.0, pinned=range(3), node_mass=1.0), 0.05, gravity=tc.Gravity()), 1e-3)
-    yield Case("loads", "prism in the wind", lambda: loaded(prism(3, 1.0, pinned=range(3)), 0.05, forces=wind(prism(3, 1.0), 2.0)), 1e-3)
-    yield Case("loads", "tower in the wind", lambda: loaded(tower(2, 0.8, pinned=range(3)), 0.1, forces=wind(tower(2, 0.8), 1.0)), 1e-3)
+    yield Case(
+        "costs", "prism, near a prestress", lambda: limited(costs=(ocp.Prestress(20.0),)), 1e-3
+    )
+    yield Case(
+        "costs", "prism, least work", lambda: limited(costs=(ocp.Work(), ocp.Effort(1e-3))), 1e-3
+    )
+    yield Case(
+        "loads",
+        "prism lifts a weight",
+        lambda: loaded(prism(3, 1.0, pinned=range(3)), 0.05, gravity=tc.Gravity()),
+        1e-3,
+    )
+    yield Case(
+        "loads",
+        "prism of heavy nodes",
+        lambda: loaded(prism(3, 1.0, pinned=range(3), node_mass=1.0), 0.05, gravity=tc.Gravity()),
+        1e-3,
+    )
+    yield Case(
+        "loads",
+        "prism in the wind",
+        lambda: loaded(prism(3, 1.0, pinned=range(3)), 0.05, forces=wind(prism(3, 1.0), 2.0)),
+        1e-3,
+    )
+    yield Case(
+        "loads",
+        "tower in the wind",
+        lambda: loaded(tower(2, 0.8, pinned=range(3)), 0.1, forces=wind(tower(2, 0.8), 1.0)),
+        1e-3,
+    )
     yield Case("coordinates", "prism on shaken feet", partial(shaken, 0.05), 1e-3)
-    yield Case("coordinates", "prism, full coordinates", lambda: in_full_coordinates(free_prism(3, 1.0, 1.1)), 1e-3)
-    yield Case("coordinates", "tower, full coordinates", lambda: in_full_coordinates(free_tower(2)), 1e-3)
-    yield Case("coordinates", "arm, full coordinates", lambda: in_full_coordinates(reach(0.4)), 1e-3)
+    yield Case(
+        "coordinates",
+        "prism, full coordinates",
+        lambda: in_full_coordinates(free_prism(3, 1.0, 1.1)),
+        1e-3,
+    )
+    yield Case(
+        "coordinates", "tower, full coordinates", lambda: in_full_coordinates(free_tower(2)), 1e-3
+    )
+    yield Case(
+        "coordinates", "arm, full coordinates", lambda: in_full_coordinates(reach(0.4)), 1e-3
+    )
 
 
 def slow(limit: float) -> ocp.Constraint:

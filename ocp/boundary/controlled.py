@@ -9,7 +9,9 @@ from ocp.boundary.target import Target
 from tenscasadi.util.validate import Array
 
 
-def controlled(target: Target, reach: Reach, force_density: Array, duration: float, least: float = REACHED) -> Target:
+def controlled(
+    target: Target, reach: Reach, force_density: Array, duration: float, least: float = REACHED
+) -> Target:
     """Return the target without the rows that the strings cannot move, to first order, along the motion under force densities (K, α)."""
     if not count_rows(target) or target.free_start is not None:  # a free start moves them too
         return target
@@ -19,10 +21,14 @@ def controlled(target: Target, reach: Reach, force_density: Array, duration: flo
         if not part.count:
             return part
         end = max(1, round(share * intervals))
-        kept = reach.controlled(part.single, part.weights, target.start, force_density, duration, end, least)
+        kept = reach.controlled(
+            part.single, part.weights, target.start, force_density, duration, end, least
+        )
         return part if len(kept) == part.count else part.keep(kept, "out of control")
 
-    waypoints = tuple(one._replace(target=reduced(one.target, one.share)) for one in target.waypoints)
+    waypoints = tuple(
+        one._replace(target=reduced(one.target, one.share)) for one in target.waypoints
+    )
     return replace(reduced(target, 1.0), waypoints=waypoints)
 
 

@@ -22,8 +22,9 @@ FEW = 6  # parts of a mass matrix that are inverted as dense blocks: all bars ha
 class Linearised(NamedTuple):
     """Motion, linearised at P states.
 
-    rates: ẋ (P, nx). weighted, inverse: J M⁻¹ (P, c, nq) and (J M⁻¹ Jᵀ)⁻¹ (P, c, c), through which accelerations depend on forces. slopes: entries
-    (P, ·) of the derivatives of F + Jᵀ μ and J q̈ + c by state and control; q̈ and μ stand still.
+    rates: ẋ (P, nx). weighted, inverse: J M⁻¹ (P, c, nq) and (J M⁻¹ Jᵀ)⁻¹ (P, c, c), through which
+    accelerations depend on forces. slopes: entries (P, ·) of the derivatives of F + Jᵀ μ and J q̈ +
+    c by state and control; q̈ and μ stand still.
     """
 
     rates: Array
@@ -35,7 +36,8 @@ class Linearised(NamedTuple):
 class Dynamics:
     """Forces F on the free coordinates, and constraints of bars and joints with gradients J, of a model.
 
-    The system of the multipliers is inverted in numbers, point by point: expressions of the accelerations' derivatives would be dense.
+    The system of the multipliers is inverted in numbers, point by point: expressions of the
+    accelerations' derivatives would be dense.
     """
 
     def __init__(self, model: Model) -> None:
@@ -53,23 +55,39 @@ class Dynamics:
         mu = kind.sym("mu", count)
         _, v, clock = model.split(x)
         J = ca.jacobian(rates, x)[:, nq : 2 * nq]
-        onwards = ca.vertcat(v, kind.zeros(nq, 1), *([1] if clock.shape[0] else []))  # the state's rate while nothing accelerates
+        onwards = ca.vertcat(
+            v, kind.zeros(nq, 1), *([1] if clock.shape[0] else [])
+        )  # the state's rate while nothing accelerates
         bias = ca.jtimes(rates, x, onwards) if count else rates
         pushed = force + ca.mtimes(J.T, mu)
         kept = ca.mtimes(J, a) + bias
         slopes = ca.jacobian(ca.vertcat(pushed, kept), ca.vertcat(x, u))
-        self._places = tuple(np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet())
-        row, column = (np.array(entries, dtype=np.intp) for entries in slopes.sparsity().get_triplet())
+        self._places = tuple(
+            np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet()
+        )
+        row, column = (
+            np.array(entries, dtype=np.intp) for entries in slopes.sparsity().get_triplet()
+        )
         self._order = np.lexsort((row, column))  # row by row of the transpose
         pointers = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=nx + model.nu))])
-        self._transposed = sp.csr_array((np.zeros(len(row)), row[self._order], pointers), shape=(nx + model.nu, nq + count))
-        self._values = ca.Function("values", [x, u], [ca.vec(ca.densify(part)) for part in (force, bias, J.nz[:])])
+        self._transposed = sp.csr_array(
+            (np.zeros(len(row)), row[self._order], pointers), shape=(nx + model.nu, nq + count)
+        )
+        self._values = ca.Function(
+            "values", [x, u], [ca.vec(ca.densify(part)) for part in (force, bias, J.nz[:])]
+        )
         self._slopes = ca.Function("slopes", [x, u, mu, a], [ca.vec(ca.densify(slopes.nz[:]))])
         mass = model.mechanism.free_mass
-        held = sp.diags_array(np.where(mass.diagonal() == 0, mass.diagonal().max(initial=0.0) or 1.0, 0.0))  # nodes without mass are pinned
+        held = sp.diags_array(
+            np.where(mass.diagonal() == 0, mass.diagonal().max(initial=0.0) or 1.0, 0.0)
+        )  # nodes without mass are pinned
         self._inverse_mass = block_inverse(mass + held, np.ones(nq, bool))
         parts = separate_parts(self._inverse_mass.toarray())
-        self._blocks = [(index, self._inverse_mass[index][:, index].toarray()) for index, _ in parts] if len(parts) <= FEW else []
+        self._blocks = (
+            [(index, self._inverse_mass[index][:, index].toarray()) for index, _ in parts]
+            if len(parts) <= FEW
+            else []
+        )
 
     @staticmethod
     def of(model: Model) -> Dynamics:
@@ -96,7 +114,12 @@ class Dynamics:
             accelerations = accelerations + _times(weighted.transpose(0, 2, 1), mu)
         (slopes,) = ArrayFunction(self._slopes.map(P))(states, controls, mu, accelerations)
         _, v, clock = self.model.split(states)
-        return Linearised(np.column_stack([v, accelerations, np.ones_like(clock)]), weighted, inverse, slopes[:, self._order])
+        return Linearised(
+            np.column_stack([v, accelerations, np.ones_like(clock)]),
+            weighted,
+            inverse,
+            slopes[:, self._order],
+        )
 
     def _accelerated(self, forces: Array) -> Array:
         """Return M⁻¹ forces (nq, m)."""
@@ -116,7 +139,9 @@ class Dynamics:
         forces[:, transposed.indices[begin:], strings] = at.slopes[:, begin:]
         forces, kept = np.split(forces, [model.nq], axis=1)
         back = at.inverse @ (at.weighted @ forces + kept)
-        free = self._accelerated(forces.transpose(1, 0, 2).reshape(model.nq, P * model.nu)).reshape(model.nq, P, model.nu)
+        free = self._accelerated(forces.transpose(1, 0, 2).reshape(model.nq, P * model.nu)).reshape(
+            model.nq, P, model.nu
+        )
         return np.asarray(free.transpose(1, 0, 2) - at.weighted.transpose(0, 2, 1) @ back)
 
     def pull(self, at: Linearised, k: int, pulls: Array) -> Array:
@@ -125,7 +150,9 @@ class Dynamics:
         on = pulls[nq : 2 * nq]
         back = at.inverse[k] @ (at.weighted[k] @ on)
         self._transposed.data = at.slopes[k]
-        result = self._transposed @ np.concatenate([self._accelerated(on) - at.weighted[k].T @ back, -back])
+        result = self._transposed @ np.concatenate(
+            [self._accelerated(on) - at.weighted[k].T @ back, -back]
+        )
         result[nq : 2 * nq] += pulls[:nq]
         return np.asarray(result)
 
@@ -141,7 +168,9 @@ def _inverted(S: Array) -> Array:
     scales = scale[:, :, None] * scale[:, None, :]
     eye = np.eye(S.shape[1])
     inverse = np.linalg.inv(S * scales + REGULARISATION * eye)
-    regular = ~(np.diagonal(inverse, axis1=1, axis2=2).max(axis=1) >= REDUNDANT)  # also where nothing is a number
+    regular = ~(
+        np.diagonal(inverse, axis1=1, axis2=2).max(axis=1) >= REDUNDANT
+    )  # also where nothing is a number
     rough = inverse[regular]
     for _ in range(REFINEMENTS):
         inverse[regular] += rough @ (eye - (S * scales)[regular] @ inverse[regular])

@@ -25,12 +25,18 @@ from ocp.problem.scaling import Scales
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices
 
-ROUNDED = 2e-4  # of the structure's size: goals given to four digits are met as nearly as the bars allow, beyond they are refused
-AMPLE = 100.0  # times what nodes move by in a short time, as accelerations at the start tell: beyond is out of reach however they grow
+# of the structure's size: goals given to four digits are met as nearly as the bars allow, beyond
+# they are refused
+ROUNDED = 2e-4
+# times what nodes move by in a short time, as accelerations at the start tell: beyond is out of
+# reach however they grow
+AMPLE = 100.0
 RIGID = ("bar", "joint", "clock")
 
 
-def find_target(problem: Problem, scales: Scales, near: Callable[[float], Array] | None = None) -> Target:
+def find_target(
+    problem: Problem, scales: Scales, near: Callable[[float], Array] | None = None
+) -> Target:
     """Return the target of a problem: the state that meets the goals, nearest to its start or to a motion at the same share of the duration.
 
     Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much.
@@ -44,9 +50,19 @@ def find_target(problem: Problem, scales: Scales, near: Callable[[float], Array]
             raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
         waypoints.append(WaypointTarget(share, met))
     if problem.start_goals:
-        closed = any(goal.shift == (0.0, 0.0, 0.0) for goal in problem.repeating)  # the start is the end
+        closed = any(
+            goal.shift == (0.0, 0.0, 0.0) for goal in problem.repeating
+        )  # the start is the end
         try:
-            _find_end(replace(problem, goals=problem.start_goals + closed * problem.final_goals, bounds=(), costs=()), scales)
+            _find_end(
+                replace(
+                    problem,
+                    goals=problem.start_goals + closed * problem.final_goals,
+                    bounds=(),
+                    costs=(),
+                ),
+                scales,
+            )
         except UnreachableGoal as error:
             raise UnreachableGoal(f"free start: {error}") from None
     end = _find_end(problem, scales, near and near(1.0))
@@ -71,17 +87,29 @@ def _check_time(problem: Problem, target: Target, seconds: float) -> None:
     """Refuse a target farther off, by far, than force densities within their limits move nodes in that time."""
     model, start = problem.model, problem.first_state
     _, most = problem.force_density_limits
-    if target.state is None or problem.free_start or model.scene.has_clock or not np.all(np.isfinite(most)):
+    if (
+        target.state is None
+        or problem.free_start
+        or model.scene.has_clock
+        or not np.all(np.isfinite(most))
+    ):
         return
     nu = model.nu
     pulls = np.column_stack([np.zeros(nu), np.eye(nu)])
-    free, *slopes = model.split(np.asarray(pulled(model).ode.map(nu + 1)(start, pulls).full()).T)[1]  # accelerations are linear in γ
-    fastest = np.max(np.abs(free) + sum(np.abs(slope - free) * limit for slope, limit in zip(slopes, most, strict=True)))
+    free, *slopes = model.split(np.asarray(pulled(model).ode.map(nu + 1)(start, pulls).full()).T)[
+        1
+    ]  # accelerations are linear in γ
+    fastest = np.max(
+        np.abs(free)
+        + sum(np.abs(slope - free) * limit for slope, limit in zip(slopes, most, strict=True))
+    )
     reach = (np.abs(model.split(start)[1]).max() + fastest * seconds) * seconds
     away = np.abs(model.split(target.state - start)[0])
     if away.max() > AMPLE * reach:
         way = f"{model.mechanism.coordinate_names[np.argmax(away)]} has to move by {away.max():.2g} m in {seconds:.2g} s"
-        raise UnreachableGoal(f"{way}, in which force densities within their limits move it by about {reach:.2g} m: give more time")
+        raise UnreachableGoal(
+            f"{way}, in which force densities within their limits move it by about {reach:.2g} m: give more time"
+        )
 
 
 class _Finder:
@@ -95,7 +123,11 @@ class _Finder:
         N, V, structure = model.nodes(self.x), model.velocities(self.x), model.scene.structure
         self.goals = stack(goal.rows(structure, N, V) for goal in problem.final_goals)
         # from a free start all momenta can be had
-        self.invariants = [rows for rows in invariants(model, start, self.x, duration) if rows.kind in RIGID or not problem.free_start]
+        self.invariants = [
+            rows
+            for rows in invariants(model, start, self.x, duration)
+            if rows.kind in RIGID or not problem.free_start
+        ]
         every = [self.goals, *self.invariants]
         sizes = np.concatenate([rows.sizes(scales.units) for rows in every])
         self.rows = RowFunction(self.y, [rows.value for rows in every], sizes, self.scale)
@@ -110,8 +142,14 @@ class _Finder:
         y = np.append(near, self.problem.typical_duration)
         rigid = [k for k, rows in enumerate(self.invariants) if rows.kind in RIGID]
         goals, miss = len(self.goals.names), 0.0
-        for active in [rigid] if len(rigid) == len(self.invariants) else [rigid, list(range(len(self.invariants)))]:
-            count = goals + sum(len(self.invariants[k].units) for k in active)  # rigid ones come first
+        for active in (
+            [rigid]
+            if len(rigid) == len(self.invariants)
+            else [rigid, list(range(len(self.invariants)))]
+        ):
+            count = goals + sum(
+                len(self.invariants[k].units) for k in active
+            )  # rigid ones come first
             y = self.search.find_nearest(self.rows.select(slice(count)), goals, y)
             miss = self._miss(y)
             if miss > ROUNDED:
@@ -141,7 +179,9 @@ class _Finder:
         """Put nodes inside strings, which no goal places, back on the line between the string's ends; None where there are none."""
         model, s = self.problem.model, self.problem.model.structure
         parent = s.string_parent
-        inner = np.flatnonzero(parent[:-1] == parent[1:])  # children follow each other from first to second node
+        inner = np.flatnonzero(
+            parent[:-1] == parent[1:]
+        )  # children follow each other from first to second node
         if not inner.size:
             return None
         nodes = model.nodes(y[:-1]).copy()
@@ -159,18 +199,26 @@ class _Finder:
         worst = int(np.argmax(np.abs(r) > (1 - 1e-6) * np.abs(r).max()))  # the first of equals
         size, unit = abs(r[worst]) * self.goal.row_scale[worst], self.goals.units[worst]
         reason = "the goals contradict each other: leave one out"
-        rows = [(self.invariants[k].kind, name) for k in active for name in self.invariants[k].names]
+        rows = [
+            (self.invariants[k].kind, name) for k in active for name in self.invariants[k].names
+        ]
         if rows:
             A = np.concatenate([self.kept[k](y)[1] for k in active])
             norms = np.linalg.norm(A, axis=1)
-            push = abs(np.linalg.lstsq((A / np.maximum(norms, 1e-9)[:, None]).T, H.T @ r, rcond=RANK)[0])
+            push = abs(
+                np.linalg.lstsq((A / np.maximum(norms, 1e-9)[:, None]).T, H.T @ r, rcond=RANK)[0]
+            )
             later = np.array([kind not in RIGID for kind, _ in rows])
             if later.any():  # bars alone have been tried before, and let the goals be met
-                push = push * later + 1e-9 * later * np.arange(len(rows))  # where nothing pushes, the last stands in the way: it is the plane
+                push = push * later + 1e-9 * later * np.arange(
+                    len(rows)
+                )  # where nothing pushes, the last stands in the way: it is the plane
             kind, name = rows[int(np.argmax(push))]
             if push.max() > 1e-2 * np.abs(r).max() or later.any():
                 reason = f"{name}{_CURES[kind]}"
-        raise UnreachableGoal(f"{self.goals.names[worst]} misses its goal by {size:.3g} {unit} at best, as {reason}")
+        raise UnreachableGoal(
+            f"{self.goals.names[worst]} misses its goal by {size:.3g} {unit} at best, as {reason}"
+        )
 
     # --- the rows ---
 
@@ -181,35 +229,68 @@ class _Finder:
         weights, gradient, near = self._shape_rows(y, directions)
         added = len(weights)
         H = np.concatenate([H, gradient])
-        groups = [(rows.kind, kept(y)[1]) for rows, kept in zip(self.invariants, self.kept, strict=True)]
+        groups = [
+            (rows.kind, kept(y)[1]) for rows, kept in zip(self.invariants, self.kept, strict=True)
+        ]
         if self.problem.shortest == self.problem.longest:
             H, groups = H[:, :-1], [(kind, A[:, :-1]) for kind, A in groups]
         row_names = (*self.goals.names, *(f"shape, combination {k}" for k in range(added)))
-        reduction = reduce_rows(H, groups, row_names, np.append(self.goal.row_scale, np.ones(added)))
+        reduction = reduce_rows(
+            H, groups, row_names, np.append(self.goal.row_scale, np.ones(added))
+        )
         found = self._nodes(y)
-        squared = self._squared(near) - ca.DM(squared_distances(found, near) / self.scales.length**2)
+        squared = self._squared(near) - ca.DM(
+            squared_distances(found, near) / self.scales.length**2
+        )
         rows = ca.vertcat(self.goals.value / ca.DM(self.goal.row_scale) - ca.DM(values), squared)
         single, every = ca.Function("single", [self.x], [rows]), reduction.combinations
-        imposed = np.concatenate([every[:, : len(values)], every[:, len(values) :] @ weights], axis=1)
+        imposed = np.concatenate(
+            [every[:, : len(values)], every[:, len(values) :] @ weights], axis=1
+        )
         pairs = all_pairs(len(found)) if added else near
-        distances = ca.sqrt(self._squared(pairs)) * self.scales.length - ca.DM(np.sqrt(squared_distances(found, pairs)))
+        distances = ca.sqrt(self._squared(pairs)) * self.scales.length - ca.DM(
+            np.sqrt(squared_distances(found, pairs))
+        )
         lengths, speeds = self.goals.select("m"), self.goals.select("m/s")
-        misfit = ca.Function("misfit", [self.x], [ca.vertcat(lengths.value, distances), speeds.value], ["x"], ["metres", "speeds"])
-        names = (*lengths.names, *(f"distance of nodes {a} and {b}" for a, b in pairs), *speeds.names)
-        return Target(self.start, y[:-1], single, imposed, misfit, names, reduction, added, adjusted)
+        misfit = ca.Function(
+            "misfit",
+            [self.x],
+            [ca.vertcat(lengths.value, distances), speeds.value],
+            ["x"],
+            ["metres", "speeds"],
+        )
+        names = (
+            *lengths.names,
+            *(f"distance of nodes {a} and {b}" for a, b in pairs),
+            *speeds.names,
+        )
+        return Target(
+            self.start, y[:-1], single, imposed, misfit, names, reduction, added, adjusted
+        )
 
     def _shape_rows(self, y: Array, directions: Array) -> tuple[Array, Array, Indices]:
         """Find rows that feel `directions` and no rigid motion: combinations (k, m) of m squared distances, their gradients, and the pairs (m, 2)."""
         if not directions.shape[1]:
             return np.zeros((0, 0)), np.zeros((0, len(y))), np.zeros((0, 2), dtype=np.intp)
         structure, nodes = self.problem.model.scene.structure, self._nodes(y)
-        placed = ca.jacobian(ca.vec(self.problem.model.nodes(self.x)[:, : len(nodes)]), self.y)  # constant
-        moves = sp.csr_array(ca.DM(ca.Function("moves", [self.y], [placed])(y)).sparse()) * self.scale
-        return feel(nodes / self.scales.length, sp.csr_array(moves / self.scales.length), directions, neighbours(structure))
+        placed = ca.jacobian(
+            ca.vec(self.problem.model.nodes(self.x)[:, : len(nodes)]), self.y
+        )  # constant
+        moves = (
+            sp.csr_array(ca.DM(ca.Function("moves", [self.y], [placed])(y)).sparse()) * self.scale
+        )
+        return feel(
+            nodes / self.scales.length,
+            sp.csr_array(moves / self.scales.length),
+            directions,
+            neighbours(structure),
+        )
 
     def _nodes(self, y: Array) -> Array:
         """Return the nodes (n, 3), before strings are cut into segments."""
-        return np.asarray(self.problem.model.nodes(y[:-1])[: len(self.problem.model.scene.structure.nodes)])
+        return np.asarray(
+            self.problem.model.nodes(y[:-1])[: len(self.problem.model.scene.structure.nodes)]
+        )
 
     def _squared(self, pairs: Indices) -> Any:
         """Return the squared distances of pairs (m, 2) of nodes, relative to the structure's size, as rows of x."""

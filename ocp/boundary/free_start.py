@@ -1,8 +1,8 @@
 """A start that is found with the plan: rows that keep its bars, and rows of a motion that ends as it began.
 
-Bars are kept by the motion once the start keeps them: their rows are imposed there alone. Where both ends keep them, and what strings
-cannot change is the same at both, the rows of "end = start" repeat each other: with Z a basis of what bars and momenta leave free,
-Zᵀ (x − x₀) is left.
+Bars are kept by the motion once the start keeps them: their rows are imposed there alone. Where
+both ends keep them, and what strings cannot change is the same at both, the rows of "end = start"
+repeat each other: with Z a basis of what bars and momenta leave free, Zᵀ (x − x₀) is left.
 """
 
 from __future__ import annotations
@@ -21,15 +21,17 @@ from ocp.problem.rows import Rows, stack
 from ocp.problem.scaling import Scales
 from tenscasadi.util.validate import Array
 
-FALLS = 1e-6  # of typical momenta (`Scales.units`): a greater change within the shortest duration is no rounding
+# of typical momenta (`Scales.units`): a greater change within the shortest duration is no rounding
+FALLS = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class FreeStartRows:
     """Rows of a free start x₀ and of the end x.
 
-    start: Function x₀ → independent rows: bars, and what the start has to meet. repeats: Function (x₀, x) → independent rows, zero where the end
-    repeats the start. misfit: Function (x₀, x) → (metres, metres per second) of each of the goals' rows. reduction: what `repeats` consists of.
+    start: Function x₀ → independent rows: bars, and what the start has to meet. repeats: Function
+    (x₀, x) → independent rows, zero where the end repeats the start. misfit: Function (x₀, x) →
+    (metres, metres per second) of each of the goals' rows. reduction: what `repeats` consists of.
     """
 
     start: ca.Function
@@ -56,20 +58,28 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
         imposed.append(_combined(reduce_rows(known[0][1], []), kept["bar"], scales))
     met = stack(goal.rows(structure, N0, V0) for goal in problem.start_goals)
     if met.names:
-        imposed.append(_combined(reduce_rows(_gradient(met, first, near, scales), known), met, scales))
+        imposed.append(
+            _combined(reduce_rows(_gradient(met, first, near, scales), known), met, scales)
+        )
     if "momentum" in kept and problem.repeating:
-        momentum = kept["momentum"].select("m/s", "m²/s")  # places of the centre of mass follow from its speed at the start
+        momentum = kept["momentum"].select(
+            "m/s", "m²/s"
+        )  # places of the centre of mass follow from its speed at the start
         _check_momentum(momentum, first, near, scales)
         known.append(("momentum", _gradient(momentum, first, near, scales)))
     before = N0[:, : len(structure.nodes)].T, V0[:, : len(structure.nodes)].T
     N, V = model.nodes(last), model.velocities(last)
     repeats = stack(replace(goal, start=before).rows(structure, N, V) for goal in problem.repeating)
     at_near = replace(repeats, value=ca.substitute(repeats.value, first, ca.DM(near)))
-    reduction = reduce_rows(_gradient(at_near, last, near, scales), known, repeats.names, repeats.sizes(scales.units))
+    reduction = reduce_rows(
+        _gradient(at_near, last, near, scales), known, repeats.names, repeats.sizes(scales.units)
+    )
     return FreeStartRows(
         ca.Function("start", [first], [ca.densify(ca.vertcat(ca.SX(0, 1), *imposed))]),
         ca.Function("repeats", [first, last], [ca.densify(_combined(reduction, repeats, scales))]),
-        ca.Function("misfit", [first, last], [repeats.select("m").value, repeats.select("m/s").value]),
+        ca.Function(
+            "misfit", [first, last], [repeats.select("m").value, repeats.select("m/s").value]
+        ),
         reduction,
     )
 
@@ -88,4 +98,6 @@ def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None
     change = np.abs(np.asarray(ca.Function("change", [x], [scaled])(near).full()).ravel())
     if change.max(initial=0.0) > FALLS:
         name = momentum.names[int(np.argmax(change))]
-        raise UnreachableGoal(f"Periodic cannot be met, as {name} whatever the strings do: give a scene with a ground, or pin a node")
+        raise UnreachableGoal(
+            f"Periodic cannot be met, as {name} whatever the strings do: give a scene with a ground, or pin a node"
+        )

@@ -13,23 +13,37 @@ from tenscasadi.util.validate import Array
 
 STRIDE = 0.1  # of the structure's size: how far a step may move nodes relative to each other
 STEPS = 100
-NEARLY_SINGULAR = 3e-2  # as RANK, where Newton's steps become too long and a quadratic equation takes over
-QUICK = 0.9  # a step that leaves less than this share of the residual is taken without looking at others
+NEARLY_SINGULAR = (
+    3e-2  # as RANK, where Newton's steps become too long and a quadratic equation takes over
+)
+# a step that leaves less than this share of the residual is taken without looking at others
+QUICK = 0.9
 CRAWL, PATIENCE = 0.99, 5  # so many steps that leave more than this share lead nowhere
 DONE = 1e-13
-STARTS = 4  # directions, the most curved ones, along which a quadratic equation is tried from both sides
+STARTS = (
+    4  # directions, the most curved ones, along which a quadratic equation is tried from both sides
+)
 
 
 class GaussNewton:
     """Moves y by the smallest steps in the sense of a metric (ny, ny) on scaled unknowns.
 
-    In that of the mass matrix such steps neither turn nor shift a free structure. `allowed` maps a y to the nearest that is allowed.
-    `deforming` leaves of a scaled step what moves nodes relative to each other: in all else rows are nearly linear, and steps may be long.
+    In that of the mass matrix such steps neither turn nor shift a free structure. `allowed` maps a
+    y to the nearest that is allowed. `deforming` leaves of a scaled step what moves nodes relative
+    to each other: in all else rows are nearly linear, and steps may be long.
     """
 
-    def __init__(self, scale: Array, metric: Array, allowed: Callable[[Array], Array], deforming: Callable[[Array], Array]) -> None:
+    def __init__(
+        self,
+        scale: Array,
+        metric: Array,
+        allowed: Callable[[Array], Array],
+        deforming: Callable[[Array], Array],
+    ) -> None:
         self._scale, self._allowed, self._deforming = scale, allowed, deforming
-        self._basis = np.linalg.inv(np.linalg.cholesky(metric)).T  # columns of length one in the metric
+        self._basis = np.linalg.inv(
+            np.linalg.cholesky(metric)
+        ).T  # columns of length one in the metric
 
     def find_nearest(self, rows: RowFunction, goals: int, y: Array) -> Array:
         """Find y where the first rows, those of `goals`, are as small as the others, which are zero there, let them be."""
@@ -49,7 +63,9 @@ class GaussNewton:
             crawling = crawling + 1 if least > CRAWL * rows.size(y) else 0
             y = best
         kept, before = rows.select(slice(goals, len(rows.row_scale))), np.inf
-        for _ in range(STEPS):  # what cannot give comes last: the goal's residual shows what is missing
+        for _ in range(
+            STEPS
+        ):  # what cannot give comes last: the goal's residual shows what is missing
             size = kept.size(y)
             if size < DONE or size > CRAWL * before:
                 break
@@ -95,7 +111,8 @@ class GaussNewton:
     def _pseudoinverse(self, J: Array) -> Callable[[Array, float], Array]:
         """Return (r, tolerance) → J⁺ r, the shortest in the metric, without singular values below the tolerance times the largest.
 
-        By the eigenvectors of A Aᵀ or Aᵀ A, the smaller: tolerances are far above the root of rounding.
+        By the eigenvectors of A Aᵀ or Aᵀ A, the smaller: tolerances are far above the root of
+        rounding.
         """
         A = np.asarray((J if len(J) < SMALL else sp.csr_array(J)) @ self._basis)
         parts = []
@@ -103,7 +120,14 @@ class GaussNewton:
             own = A[np.ix_(rows, columns)]
             wide = len(rows) <= len(columns)
             values, vectors = np.linalg.eigh(own @ own.T if wide else own.T @ own)
-            parts.append((rows, columns, values, *((vectors, own.T @ vectors) if wide else (own @ vectors, vectors))))
+            parts.append(
+                (
+                    rows,
+                    columns,
+                    values,
+                    *((vectors, own.T @ vectors) if wide else (own @ vectors, vectors)),
+                )
+            )
         largest = max((float(values[-1]) for _, _, values, _, _ in parts), default=0.0)
 
         def solve(r: Array, tolerance: float) -> Array:
@@ -130,9 +154,16 @@ class GaussNewton:
             return np.asarray(b + np.einsum("jkl,l->jk", K, d))
 
         reach = np.sqrt(2 * np.abs(c).max() / max(np.abs(K).max(), 1e-12))
-        starts = [sign * reach * axis for axis in np.eye(directions.shape[1])[-STARTS:] for sign in (1.0, -1.0)]
+        starts = [
+            sign * reach * axis
+            for axis in np.eye(directions.shape[1])[-STARTS:]
+            for sign in (1.0, -1.0)
+        ]
         tried = [scipy.optimize.least_squares(curved, d, slopes) for d in starts]
-        found = min(tried, key=lambda result: (round(float(result.cost), 15), float(np.linalg.norm(result.x))))
+        found = min(
+            tried,
+            key=lambda result: (round(float(result.cost), 15), float(np.linalg.norm(result.x))),
+        )
         return self._strided(directions @ found.x)
 
     def _strided(self, step: Array) -> Array:

@@ -1,7 +1,8 @@
 """Invariants of every motion of a model, whatever its strings do: bar lengths, joints, momenta, the plane it lies in.
 
-Rows of a goal that repeat these have linearly dependent gradients with the dynamics, so that no solver can impose them: they are
-left out (`ocp.boundary.row_reduction`), after a check that they hold by themselves.
+Rows of a goal that repeat these have linearly dependent gradients with the dynamics, so that no
+solver can impose them: they are left out (`ocp.boundary.row_reduction`), after a check that they
+hold by themselves.
 """
 
 from __future__ import annotations
@@ -36,9 +37,17 @@ def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Rows]:
     groups = [*rigid_rows(model, x)]
     if scene.has_clock:
         groups.append(Rows(clock - float(start[-1]) - time, ("the clock runs",), ("s",), "clock"))
-    if scene.ground is None and scene.pressure is None and scene.forces is None and not scene.over_time:
+    if (
+        scene.ground is None
+        and scene.pressure is None
+        and scene.forces is None
+        and not scene.over_time
+    ):
         gravity = np.zeros(3) if scene.gravity is None else np.array(scene.gravity.acceleration)
-        rows = [_momentum_rows(body, model.mechanism, (N, V), x, start, gravity, time) for body in bodies(model.structure, gravity)]
+        rows = [
+            _momentum_rows(body, model.mechanism, (N, V), x, start, gravity, time)
+            for body in bodies(model.structure, gravity)
+        ]
         values, names, units = zip(*rows, strict=True)
         groups.append(Rows(ca.vertcat(*values), sum(names, ()), sum(units, ()), "momentum"))
         groups += _plane(N, V, N0, V0, gravity)
@@ -59,11 +68,28 @@ def rigid_rows(model: Model, x: Any) -> list[Rows]:
     groups = []
     if mech.bars:
         names = tuple(f"bar {k} keeps its length" for k in range(mech.bars))
-        groups.append(Rows(ca.vertcat(rows.bars, rows.bar_rates), 2 * names, ("m",) * mech.bars + ("m/s",) * mech.bars, "bar"))
+        groups.append(
+            Rows(
+                ca.vertcat(rows.bars, rows.bar_rates),
+                2 * names,
+                ("m",) * mech.bars + ("m/s",) * mech.bars,
+                "bar",
+            )
+        )
     if mech.joints:
         held = np.flatnonzero(mech.active.T.ravel()).tolist()
-        names = tuple(f"joint {k // 3} holds along {AXES[k % 3] if mech.frames is None else f'direction {k % 3}'}" for k in held)
-        groups.append(Rows(ca.vertcat(rows.joints, rows.joint_rates), 2 * names, ("m",) * len(held) + ("m/s",) * len(held), "joint"))
+        names = tuple(
+            f"joint {k // 3} holds along {AXES[k % 3] if mech.frames is None else f'direction {k % 3}'}"
+            for k in held
+        )
+        groups.append(
+            Rows(
+                ca.vertcat(rows.joints, rows.joint_rates),
+                2 * names,
+                ("m",) * len(held) + ("m/s",) * len(held),
+                "joint",
+            )
+        )
     return groups
 
 
@@ -78,7 +104,14 @@ def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Rows]:
         return []
     value = ca.vertcat(*(ca.vec(ca.mtimes(ca.DM(normals).T, Z)) for Z in (N - ca.DM(N0), V)))
     count = N.shape[1] * normals.shape[1]
-    return [Rows(value, ("every node stays in the plane of the start",) * 2 * count, ("m",) * count + ("m/s",) * count, "plane")]
+    return [
+        Rows(
+            value,
+            ("every node stays in the plane of the start",) * 2 * count,
+            ("m",) * count + ("m/s",) * count,
+            "plane",
+        )
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +144,14 @@ def bodies(structure: Structure, gravity: Array) -> list[Body]:
     return found
 
 
-def free_motions(nodes: Array, fixed: Flags, gravity: Array) -> tuple[Flags, list[tuple[Array, Array]]]:
+def free_motions(
+    nodes: Array, fixed: Flags, gravity: Array
+) -> tuple[Flags, list[tuple[Array, Array]]]:
     """Return the axes (3,) bool along which nothing holds a body's nodes (n, 3), and the rotations (t, ω) whose momentum is kept.
 
-    A rotation moves node r by t + ω×(r − c), c the centre of mass along the free axes: its momentum is conserved when it moves no
-    `fixed` (n, 3) coordinate, wherever the nodes are, and no weight (Noether's theorem). A single pin leaves three rotations, two pins one.
+    A rotation moves node r by t + ω×(r − c), c the centre of mass along the free axes: its momentum
+    is conserved when it moves no `fixed` (n, 3) coordinate, wherever the nodes are, and no weight
+    (Noether's theorem). A single pin leaves three rotations, two pins one.
     """
     along: Flags = np.logical_not(np.asarray(fixed.any(axis=0)))
     origin = nodes.mean(axis=0)
@@ -133,7 +169,9 @@ def free_motions(nodes: Array, fixed: Flags, gravity: Array) -> tuple[Flags, lis
     if gravity.any():
         g = gravity / np.linalg.norm(gravity)
         cross = np.array([[0.0, -g[2], g[1]], [g[2], 0.0, -g[0]], [-g[1], g[0], 0.0]])  # g×ω
-        conditions += [np.concatenate([np.zeros(3), cross[axis]]) for axis in range(3) if not along[axis]]
+        conditions += [
+            np.concatenate([np.zeros(3), cross[axis]]) for axis in range(3) if not along[axis]
+        ]
         conditions.append(np.concatenate([g, np.zeros(3)]))
     _, values, right = np.linalg.svd(np.array(conditions) if conditions else np.zeros((1, 6)))
     rank = int(np.sum(values > 1e-9))
@@ -146,19 +184,35 @@ def free_motions(nodes: Array, fixed: Flags, gravity: Array) -> tuple[Flags, lis
 
 
 def _momentum_rows(
-    body: Body, mech: Mechanism, now: tuple[Any, Any], x: Any, start: Array, gravity: Array, time: Any
+    body: Body,
+    mech: Mechanism,
+    now: tuple[Any, Any],
+    x: Any,
+    start: Array,
+    gravity: Array,
+    time: Any,
 ) -> tuple[Any, tuple[str, ...], tuple[str, ...]]:
     """Return rows of the path and speed of the centre of mass, and of the angular momentum per mass.
 
-    now: N and V (3×n), expressions of the state x (nx), of the motion `time` seconds after its start (nx,).
+    now: N and V (3×n), expressions of the state x (nx), of the motion `time` seconds after its
+    start (nx,).
     """
     c, v, spin = _momenta(body, mech, *now)
     c0, v0, spin0 = ca.Function("begun", [x], [c, v, spin])(start)
     g = ca.DM(gravity)
     axes = np.flatnonzero(body.along).tolist()
-    value = ca.vertcat((c - c0 - v0 * time - g * time**2 / 2)[axes], (v - v0 - g * time)[axes], spin - spin0)
-    names = [f"the centre of mass{body.name} {what} along {AXES[axis]}" for what in ("follows its path", "keeps its speed") for axis in axes]
-    names += [f"the angular momentum{body.name} about ({', '.join(f'{w:.2g}' for w in omega)}) is kept" for _, omega in body.rotations]
+    value = ca.vertcat(
+        (c - c0 - v0 * time - g * time**2 / 2)[axes], (v - v0 - g * time)[axes], spin - spin0
+    )
+    names = [
+        f"the centre of mass{body.name} {what} along {AXES[axis]}"
+        for what in ("follows its path", "keeps its speed")
+        for axis in axes
+    ]
+    names += [
+        f"the angular momentum{body.name} about ({', '.join(f'{w:.2g}' for w in omega)}) is kept"
+        for _, omega in body.rotations
+    ]
     units = ["m"] * len(axes) + ["m/s"] * len(axes) + ["m²/s"] * len(body.rotations)
     return value, tuple(names), tuple(units)
 
@@ -173,7 +227,14 @@ def _momenta(body: Body, mech: Mechanism, N: Any, V: Any) -> tuple[Any, Any, Any
     mass = float(weight.sum())
     centre, drift = (ca.mtimes(Z, ca.DM(weight)) / mass for Z in (N, V))
     arms = N - ca.repmat(centre * ca.DM(body.along.astype(float)), 1, N.shape[1])
-    P = ca.mtimes(V, sparse(mech.M)) * ca.repmat(ca.DM(own.astype(float)).T, 3, 1)  # 3×n momenta of the columns
-    turning = [arms[b, :] * P[c, :] - arms[c, :] * P[b, :] for b, c in ((1, 2), (2, 0), (0, 1))]  # r×p
-    spin = [ca.dot(ca.DM(t), ca.sum2(P)) + ca.sum2(sum(omega[a] * turning[a] for a in range(3))) for t, omega in body.rotations]
+    P = ca.mtimes(V, sparse(mech.M)) * ca.repmat(
+        ca.DM(own.astype(float)).T, 3, 1
+    )  # 3×n momenta of the columns
+    turning = [
+        arms[b, :] * P[c, :] - arms[c, :] * P[b, :] for b, c in ((1, 2), (2, 0), (0, 1))
+    ]  # r×p
+    spin = [
+        ca.dot(ca.DM(t), ca.sum2(P)) + ca.sum2(sum(omega[a] * turning[a] for a in range(3)))
+        for t, omega in body.rotations
+    ]
     return centre, drift, ca.vertcat(*spin) / mass if spin else ca.DM.zeros(0, 1)

@@ -12,14 +12,20 @@ from ocp.boundary.tangents import Tangents
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
-PLACE, EFFORT = 0.01, 0.1  # of the structure's size, and of the mean force density: departures that count the same
+PLACE, EFFORT = (
+    0.01,
+    0.1,
+)  # of the structure's size, and of the mean force density: departures that count the same
 
 
-def linear_steps(model: Model, states: Array, force_density: Array, lengths: Array) -> Iterator[tuple[Array, Array]]:
+def linear_steps(
+    model: Model, states: Array, force_density: Array, lengths: Array
+) -> Iterator[tuple[Array, Array]]:
     """Yield L (nx, nx) and R (nx, nx + α) with L δx⁺ = R (δx, δγ) of the intervals between states (K + 1, nx) under γ (K, α).
 
-    lengths (K,): of the intervals, s. Each is linearised exactly at its middle, and the step is the (2, 2) Padé approximation of the exponential:
-    of order 4, and stable wherever the linear motion is.
+    lengths (K,): of the intervals, s. Each is linearised exactly at its middle, and the step is the
+    (2, 2) Padé approximation of the exponential: of order 4, and stable wherever the linear motion
+    is.
     """
     dynamics, eye = Dynamics.of(model), np.eye(model.nx)
     at = dynamics.linearise(_middle(model, states, lengths), force_density)
@@ -30,11 +36,14 @@ def linear_steps(model: Model, states: Array, force_density: Array, lengths: Arr
         yield even - odd, np.column_stack([even + odd, by_control])
 
 
-def plan_gains(model: Model, states: Array, force_density: Array, lengths: Array, together: Array) -> Array:
+def plan_gains(
+    model: Model, states: Array, force_density: Array, lengths: Array, together: Array
+) -> Array:
     """Return gains G (K, m, nx) of a feedback that keeps to states (K + 1, nx) by force densities together (α, m) @ (c − G δx).
 
-    A departure of a hundredth of the structure's size counts as much as one of a tenth of the mean force density, and as ten such in the duration.
-    Raises LinAlgError or ValueError where departures grow too fast.
+    A departure of a hundredth of the structure's size counts as much as one of a tenth of the mean
+    force density, and as ten such in the duration. Raises LinAlgError or ValueError where
+    departures grow too fast.
     """
     size = PLACE * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0)))
     place, speed, clock = model.split(np.ones(model.nx))
@@ -49,13 +58,23 @@ def plan_gains(model: Model, states: Array, force_density: Array, lengths: Array
         ]
     )
     effort = EFFORT * float(np.abs(force_density).mean()) or 1.0
-    return riccati_gains(steps[:, :, :nx], steps[:, :, nx:], Z, C, C[-1].T @ C[-1], np.eye(together.shape[1]) / effort**2)
+    return riccati_gains(
+        steps[:, :, :nx],
+        steps[:, :, nx:],
+        Z,
+        C,
+        C[-1].T @ C[-1],
+        np.eye(together.shape[1]) / effort**2,
+    )
 
 
-def riccati_gains(A: Array, B: Array, Z: Sequence[Array], C: Sequence[Array], P: Array, R: Array) -> Array:
+def riccati_gains(
+    A: Array, B: Array, Z: Sequence[Array], C: Sequence[Array], P: Array, R: Array
+) -> Array:
     """Return the feedback (K, α, nx) of the least Σ |C Zᵀδx|² + δγᵀ R δγ by Riccati's recursion, from the cost P of the end.
 
-    A, B (K, ·, ·): steps; Z (K + 1): bases of the changes of a state that are allowed; C (K + 1): what is kept small, in these coordinates.
+    A, B (K, ·, ·): steps; Z (K + 1): bases of the changes of a state that are allowed; C (K + 1):
+    what is kept small, in these coordinates.
     """
     gains = np.zeros((len(A), B.shape[2], A.shape[1]))
     for k in reversed(range(len(A))):

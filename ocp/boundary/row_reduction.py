@@ -1,8 +1,9 @@
 """Rows of a goal that a solver can impose: those that the dynamics do not repeat already, and a shape in place of singular lengths.
 
-With A the gradients of the invariants at the target and Z a basis of null(A), a goal with gradient H can be moved in range(H Z)
-only. The other combinations of its rows hold by themselves at a target that can be reached; imposed as well, they make the
-gradients of the optimal control problem linearly dependent, and solvers fail.
+With A the gradients of the invariants at the target and Z a basis of null(A), a goal with gradient
+H can be moved in range(H Z) only. The other combinations of its rows hold by themselves at a target
+that can be reached; imposed as well, they make the gradients of the optimal control problem
+linearly dependent, and solvers fail.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ import scipy.sparse as sp
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices
 
-RANK = 1e-3  # smallest singular value, relative to rows of norm one, that counts: below it a row has two solutions closer than a plan resolves
+# smallest singular value, relative to rows of norm one, that counts: below it a row has two
+# solutions closer than a plan resolves
+RANK = 1e-3
 
 SMALL = 50  # rows or columns of a matrix that is taken as a whole, and dense
 
@@ -29,14 +32,21 @@ SMALL = 50  # rows or columns of a matrix that is taken as a whole, and dense
 class RowFunction:
     """CasADi rows of y, with numbers for value, gradient and curvature in scaled rows and scaled unknowns.
 
-    Groups of rows are differentiated one by one: a few that depend on everything make derivatives of all others slow.
+    Groups of rows are differentiated one by one: a few that depend on everything make derivatives
+    of all others slow.
     """
 
     def __init__(self, y: Any, groups: Sequence[Any], row_scale: Array, scale: Array) -> None:
         self.row_scale, self.scale = row_scale, scale
         self._rows: slice = slice(None)
         ends = np.cumsum([0, *(group.shape[0] for group in groups)])
-        self._code = _Code(y, [group / ca.DM(row_scale[a:b]) for group, a, b in zip(groups, ends[:-1], ends[1:], strict=True)])
+        self._code = _Code(
+            y,
+            [
+                group / ca.DM(row_scale[a:b])
+                for group, a, b in zip(groups, ends[:-1], ends[1:], strict=True)
+            ],
+        )
 
     def select(self, rows: slice) -> RowFunction:
         """Select some of the rows, from the same code. Only those of all rows."""
@@ -57,7 +67,10 @@ class RowFunction:
         """Return second derivatives (j, k, k) of wᵀ rows along scaled directions (ny, k), for each column w of `weights` (m, j)."""
         code, k = self._code.second, basis.shape[1]
         entries = code.function(y)[0].ravel()[code.order] * self.scale[code.other]
-        slopes = sp.csr_array((entries, code.other, code.pointers), shape=(len(code.one), len(y))) @ basis  # of the gradient's entries
+        slopes = (
+            sp.csr_array((entries, code.other, code.pointers), shape=(len(code.one), len(y)))
+            @ basis
+        )  # of the gradient's entries
         along = basis[code.one] * self.scale[code.one, None]
         used = along.any(axis=1) & slopes.any(axis=1)
         along, slopes, row = along[used], slopes[used], code.row[used]
@@ -73,7 +86,8 @@ class RowFunction:
 class _Curvature(NamedTuple):
     """Second derivatives of rows: y → their entries; those with `order` make a sparse matrix.
 
-    It has a row for each entry of the rows' gradient, that of `row` by the unknown `one`, and a column for each unknown.
+    It has a row for each entry of the rows' gradient, that of `row` by the unknown `one`, and a
+    column for each unknown.
     """
 
     function: ArrayFunction
@@ -92,14 +106,21 @@ class _Code:
         self._slopes = [ca.jacobian(group, y) for group in groups]
         self.count = int(scaled.shape[0])
         self.value = ArrayFunction(ca.Function("rows", [y], [ca.densify(scaled)]))
-        self.first = ArrayFunction(ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.vertcat(*self._slopes))]))
+        self.first = ArrayFunction(
+            ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.vertcat(*self._slopes))])
+        )
 
     @cached_property
     def second(self) -> _Curvature:
         """The second derivatives."""
         jacobian = ca.vertcat(*self._slopes).T  # by rows
-        curvature = ca.vertcat(*(ca.jacobian(ca.densify(slopes.T.nz[:]), self._y) for slopes in self._slopes))
-        (one, row), (entry, other) = (np.array(part.sparsity().get_triplet(), dtype=np.intp).reshape(2, -1) for part in (jacobian, curvature))
+        curvature = ca.vertcat(
+            *(ca.jacobian(ca.densify(slopes.T.nz[:]), self._y) for slopes in self._slopes)
+        )
+        (one, row), (entry, other) = (
+            np.array(part.sparsity().get_triplet(), dtype=np.intp).reshape(2, -1)
+            for part in (jacobian, curvature)
+        )
         order = np.argsort(entry, kind="stable")
         pointers = np.concatenate([[0], np.cumsum(np.bincount(entry, minlength=len(row)))])
         function = ArrayFunction(ca.Function("curvature", [self._y], [ca.densify(curvature.nz[:])]))
@@ -110,7 +131,8 @@ class _Code:
 class Reduction:
     """Independent combinations (rank, m) of m named rows, each divided by its size (m,): m, m/s, or 1 of what was added for the shape.
 
-    repeated: how many combinations of the rows are left out, by what repeats them: a kind of invariant, or "another" row.
+    repeated: how many combinations of the rows are left out, by what repeats them: a kind of
+    invariant, or "another" row.
     """
 
     combinations: Array
@@ -121,7 +143,9 @@ class Reduction:
     def keep(self, kept: Array, reason: str) -> Reduction:
         """Return the combinations `kept` (k, rank) of the combinations; the others are left out for a reason."""
         missing = len(self.combinations) - len(kept)
-        return replace(self, combinations=kept @ self.combinations, repeated={**self.repeated, reason: missing})
+        return replace(
+            self, combinations=kept @ self.combinations, repeated={**self.repeated, reason: missing}
+        )
 
     def join(self, other: Reduction) -> Reduction:
         """Return the combinations of both sets of rows."""
@@ -134,7 +158,12 @@ class Reduction:
         )
 
 
-def reduce_rows(H: Array, groups: Sequence[tuple[str, Array]], names: tuple[str, ...] = (), sizes: Array | None = None) -> Reduction:
+def reduce_rows(
+    H: Array,
+    groups: Sequence[tuple[str, Array]],
+    names: tuple[str, ...] = (),
+    sizes: Array | None = None,
+) -> Reduction:
     """Return independent combinations of rows with gradient H (m, ny), given the invariants' gradients by kind (each (·, ny))."""
     norms = np.linalg.norm(H, axis=1)
     rows = H / np.maximum(norms, 1e-12)[:, None]
@@ -152,11 +181,14 @@ def reduce_rows(H: Array, groups: Sequence[tuple[str, Array]], names: tuple[str,
     return Reduction(combinations, names, np.ones(len(H)) if sizes is None else sizes, found)
 
 
-def soft_directions(rows: RowFunction, y: Array, rank_tolerance: float = RANK) -> tuple[Array, Array, Array]:
+def soft_directions(
+    rows: RowFunction, y: Array, rank_tolerance: float = RANK
+) -> tuple[Array, Array, Array]:
     """Find where first order says nothing but second order does: at a prestressed equilibrium lengths fix the shape, their gradients do not.
 
-    Returns scaled unit directions D (ny, k) that the rows' gradients leave free but whose curvature some combination w of the rows
-    (W (m, j), zero gradient) feels, and the curvatures (j, k, k) of these combinations on D.
+    Returns scaled unit directions D (ny, k) that the rows' gradients leave free but whose curvature
+    some combination w of the rows (W (m, j), zero gradient) feels, and the curvatures (j, k, k) of
+    these combinations on D.
     """
     _, J = rows(y)
     norms = np.linalg.norm(J, axis=1)
@@ -192,7 +224,10 @@ def _svd(A: Array) -> tuple[Array, Array, Array]:
     if not A.size:
         return np.eye(m), np.zeros(0), np.eye(n)
     left, values, right = np.zeros((m, m)), np.zeros(min(m, n)), np.zeros((n, n))
-    parts = [(rows, columns, np.linalg.svd(A[np.ix_(rows, columns)])) for rows, columns in separate_parts(A)]
+    parts = [
+        (rows, columns, np.linalg.svd(A[np.ix_(rows, columns)]))
+        for rows, columns in separate_parts(A)
+    ]
     found = np.concatenate([part[1] for _, _, part in parts]) if parts else np.zeros(0)
     rank = np.argsort(np.argsort(-found, kind="stable"), kind="stable")  # where each value goes
     values[rank] = found

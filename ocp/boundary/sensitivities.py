@@ -15,13 +15,18 @@ from tenscasadi.integrators.tableaux import CLASSICAL
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices
 
-REACHED = 1e-5  # of the strongest direction: below it a row of the goal is not controlled to first order, or by errors of the scheme only
+# of the strongest direction: below it a row of the goal is not controlled to first order, or by
+# errors of the scheme only
+REACHED = 1e-5
 HARDLY_REACHED = 1e-9  # the same, for a second attempt
-SURELY = 3.0  # times the share above: rows that the last intervals move by more need no further look
+SURELY = (
+    3.0  # times the share above: rows that the last intervals move by more need no further look
+)
 LARGEST = 1e20  # state beyond which a motion has diverged
 FEW = 50  # rows that are looked at as a whole
 PROBES = 8  # random combinations of rows from which the size of a gradient is estimated
-FIRST_COMPARED = 4  # intervals from the end after which it is compared for the first time, then after twice as many
+# intervals from the end after which it is compared for the first time, then after twice as many
+FIRST_COMPARED = 4
 
 
 class Motion:
@@ -29,11 +34,15 @@ class Motion:
 
     def __init__(self, model: Model, count: int, substeps: int = 1) -> None:
         self.model, self.count, self._substeps = model, count, substeps
-        x, u, h = (ca.MX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("h", 1)))
+        x, u, h = (
+            ca.MX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("h", 1))
+        )
         stages: list[Any] = []
         points: list[Any] = []
         for row in CLASSICAL.a:
-            points.append(x + sum((h * a * k for a, k in zip(row, stages, strict=True) if a), start=ca.MX(0)))
+            points.append(
+                x + sum((h * a * k for a, k in zip(row, stages, strict=True) if a), start=ca.MX(0))
+            )
             stages.append(model.ode(points[-1], u))
         end = x + h * sum((b * k for b, k in zip(CLASSICAL.b, stages, strict=True)), start=ca.MX(0))
         one = ca.Function("step", [x, u, h], [end, ca.horzcat(*points)])
@@ -43,8 +52,14 @@ class Motion:
         sx, su = kind.sym("x", model.nx), kind.sym("u", model.nu)
         rate = model.ode(sx, su)
         slopes = ca.jacobian(rate, ca.vertcat(sx, su))
-        self._row, self._column = (np.array(entries, dtype=np.intp) for entries in slopes.sparsity().get_triplet())
-        self._slopes = ArrayFunction(ca.Function("slopes", [sx, su], [ca.densify(rate), ca.vec(slopes.nz[:])]).map(count * substeps))
+        self._row, self._column = (
+            np.array(entries, dtype=np.intp) for entries in slopes.sparsity().get_triplet()
+        )
+        self._slopes = ArrayFunction(
+            ca.Function("slopes", [sx, su], [ca.densify(rate), ca.vec(slopes.nz[:])]).map(
+                count * substeps
+            )
+        )
 
     def states(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
         """Return the states (count + 1, nx) under controls (count, nu) in intervals of `length` s.
@@ -52,8 +67,13 @@ class Motion:
         And the points (count · substeps, 4, nx) where the derivative is taken.
         """
         n = self._substeps
-        ends, points = (np.asarray(value.full()) for value in self._run(start, np.repeat(controls, n, axis=0).T, length / n))
-        return np.column_stack([start, ends[:, n - 1 :: n]]).T, points.T.reshape(-1, 4, self.model.nx)
+        ends, points = (
+            np.asarray(value.full())
+            for value in self._run(start, np.repeat(controls, n, axis=0).T, length / n)
+        )
+        return np.column_stack([start, ends[:, n - 1 :: n]]).T, points.T.reshape(
+            -1, 4, self.model.nx
+        )
 
     def points(self, states: Array, controls: Array, length: float) -> Array:
         """Return the points of `states` (count · substeps, 4, nx) for a motion that starts anew at given states (count, nx) in each interval."""
@@ -68,11 +88,15 @@ class Motion:
         eye = np.broadcast_to(np.eye(nx, nx + nu), (len(J), nx, nx + nu))
         stages: list[Array] = []
         for i, row in enumerate(CLASSICAL.a):
-            change = eye + h * sum((a * k for a, k in zip(row, stages, strict=True) if a), start=np.zeros_like(eye))
+            change = eye + h * sum(
+                (a * k for a, k in zip(row, stages, strict=True) if a), start=np.zeros_like(eye)
+            )
             stage = J[:, i, :, :nx] @ change
             stage[:, :, nx:] += J[:, i, :, nx:]
             stages.append(stage)
-        step = eye + h * sum((b * k for b, k in zip(CLASSICAL.b, stages, strict=True)), start=np.zeros_like(eye))
+        step = eye + h * sum(
+            (b * k for b, k in zip(CLASSICAL.b, stages, strict=True)), start=np.zeros_like(eye)
+        )
         A, B = step[0::n, :, :nx], step[0::n, :, nx:]
         for k in range(1, n):
             A, B = step[k::n, :, :nx] @ A, step[k::n, :, :nx] @ B + step[k::n, :, nx:]
@@ -84,7 +108,8 @@ class Motion:
         held = np.repeat(controls, self._substeps, axis=0)
         # stage by stage: to make a map takes as long as its size
         rates, entries = (
-            np.stack(parts, axis=1).reshape(4 * len(held), -1) for parts in zip(*(self._slopes(points[:, i], held) for i in range(4)), strict=True)
+            np.stack(parts, axis=1).reshape(4 * len(held), -1)
+            for parts in zip(*(self._slopes(points[:, i], held) for i in range(4)), strict=True)
         )
         J = np.zeros((len(rates), nx * width))
         J[:, self._row * width + self._column] = entries
@@ -94,12 +119,20 @@ class Motion:
 class Reach:
     """Sensitivities of a motion to its controls over `count` intervals, in steps of Runge and Kutta.
 
-    grouping: E (nu, groups) of ones, γ of all strings from those of groups that pull alike (`ocp.transcription.mesh`); None: each pulls on
-    its own. spans (count,): over which intervals controls are held, numbered from 0; None: each interval has its own. Controls that are given
-    are evened out within groups and spans.
+    grouping: E (nu, groups) of ones, γ of all strings from those of groups that pull alike
+    (`ocp.transcription.mesh`); None: each pulls on its own. spans (count,): over which intervals
+    controls are held, numbered from 0; None: each interval has its own. Controls that are given are
+    evened out within groups and spans.
     """
 
-    def __init__(self, model: Model, free_duration: bool, substeps: int = 1, grouping: Array | None = None, spans: Indices | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        free_duration: bool,
+        substeps: int = 1,
+        grouping: Array | None = None,
+        spans: Indices | None = None,
+    ) -> None:
         self._model, self._substeps, self._free_duration = model, substeps, free_duration
         self._grouping = np.eye(model.nu) if grouping is None else grouping
         self._evened = self._grouping / self._grouping.sum(axis=0) @ self._grouping.T
@@ -125,9 +158,21 @@ class Reach:
 
     def _summed(self, values: Array) -> Array:
         """Sum values (…, count, m) over the intervals of each span."""
-        return values if self._spans is None else np.add.reduceat(values, np.unique(self._spans, return_index=True)[1], axis=-2)
+        return (
+            values
+            if self._spans is None
+            else np.add.reduceat(values, np.unique(self._spans, return_index=True)[1], axis=-2)
+        )
 
-    def of_rows(self, rows: ca.Function, weights: Array, start: Array, controls: Array, duration: float, at: int | None = None) -> Array:
+    def of_rows(
+        self,
+        rows: ca.Function,
+        weights: Array,
+        start: Array,
+        controls: Array,
+        duration: float,
+        at: int | None = None,
+    ) -> Array:
         """Return the gradient (m, spans·groups [+ 1]) of weights (m, ·) @ rows(x) by all controls (and the duration).
 
         rows are taken after `at` intervals from `start`, None: all. NaN where the motion diverges.
@@ -137,32 +182,50 @@ class Reach:
         return self._gradient(last, motion, len(controls), length)
 
     def controlled(
-        self, rows: ca.Function, weights: Array, start: Array, controls: Array, duration: float, at: int | None = None, least: float = REACHED
+        self,
+        rows: ca.Function,
+        weights: Array,
+        start: Array,
+        controls: Array,
+        duration: float,
+        at: int | None = None,
+        least: float = REACHED,
     ) -> Array:
         """Return orthonormal combinations (rank, m) of the rows that the controls can move, as `find_controlled` of `of_rows`."""
         length = duration / len(controls)
         last, motion = self._linearised(rows, weights, start, self._even(controls)[:at], length)
-        if motion is not None and self._spans is None and self._surely_controlled(last, motion, length, least):
+        if (
+            motion is not None
+            and self._spans is None
+            and self._surely_controlled(last, motion, length, least)
+        ):
             return np.eye(len(weights))
         return find_controlled(self._gradient(last, motion, len(controls), length), least)
 
-    def _surely_controlled(self, last: Array, motion: Linearised, length: float, least: float) -> bool:
+    def _surely_controlled(
+        self, last: Array, motion: Linearised, length: float, least: float
+    ) -> bool:
         """Tell whether the controls of the last intervals alone move all rows by more than their share of the size of the whole gradient.
 
-        That size is estimated from a few random combinations of the rows, as E |wᵀ S|² = |S|² for w of independent unit variance: the strongest
-        direction grows with it.
+        That size is estimated from a few random combinations of the rows, as E |wᵀ S|² = |S|² for w
+        of independent unit variance: the strongest direction grows with it.
         """
         if len(last) < FEW:
             return False
         probes = np.random.default_rng(0).normal(size=(PROBES, len(last))) / np.sqrt(PROBES)
-        size = sum(float(np.sum(by_control**2)) for by_control, _ in self._backwards(probes @ last, motion, length))
+        size = sum(
+            float(np.sum(by_control**2))
+            for by_control, _ in self._backwards(probes @ last, motion, length)
+        )
         gathered, compared = np.zeros((len(last), len(last))), FIRST_COMPARED
         for count, (by_control, _) in enumerate(self._backwards(last, motion, length), 1):
             gathered += by_control @ by_control.T
             if count == compared and np.all(np.isfinite(gathered)):
                 compared *= 2
                 squares = np.linalg.eigvalsh(gathered)
-                if squares[0] > (SURELY * least) ** 2 * squares[-1] * max(1.0, size / squares.sum()):
+                if squares[0] > (SURELY * least) ** 2 * squares[-1] * max(
+                    1.0, size / squares.sum()
+                ):
                     return True
         return False
 
@@ -177,14 +240,23 @@ class Reach:
             result[:, (end - back) * groups : (end - back + 1) * groups] = by_control
             result[:, count * groups :] += by_length[:, None] / count
         by_span = self._summed(result[:, : count * groups].reshape(len(last), count, groups))
-        return np.column_stack([by_span.reshape(len(last), np.prod(by_span.shape[1:], dtype=int)), result[:, count * groups :]])
+        return np.column_stack(
+            [
+                by_span.reshape(len(last), np.prod(by_span.shape[1:], dtype=int)),
+                result[:, count * groups :],
+            ]
+        )
 
-    def _linearised(self, rows: ca.Function, weights: Array, start: Array, controls: Array, length: float) -> tuple[Array, Linearised | None]:
+    def _linearised(
+        self, rows: ca.Function, weights: Array, start: Array, controls: Array, length: float
+    ) -> tuple[Array, Linearised | None]:
         """Return the gradient (m, nx) of the rows at the end of the motion under even controls, and the motion; None where it diverges."""
         states, points = self._rolled(start, controls, length)
         if not np.all(np.abs(states) <= LARGEST):
             return np.zeros((len(weights), len(start))), None
-        return weights @ _slope(rows, states[-1]), self._dynamics.linearise(points, np.repeat(controls, 4 * self._substeps, axis=0))
+        return weights @ _slope(rows, states[-1]), self._dynamics.linearise(
+            points, np.repeat(controls, 4 * self._substeps, axis=0)
+        )
 
     def _rolled(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
         """Return the states (count + 1, nx) at the ends of intervals, and the points (4 count substeps, nx) at which the rate is taken."""
@@ -196,17 +268,22 @@ class Reach:
         for k, u in enumerate(np.repeat(controls, n, axis=0)):
             x = states[k]
             for stage in range(4):  # each sees the one before it only
-                points.append(x if stage == 0 else x + h * CLASSICAL.a[stage][stage - 1] * rates[-1])
+                points.append(
+                    x if stage == 0 else x + h * CLASSICAL.a[stage][stage - 1] * rates[-1]
+                )
                 rates.append(self._rate(points[-1], u)[0].ravel())
             states[k + 1] = x + h * (np.array(CLASSICAL.b) @ rates[-4:])
             if not np.all(np.isfinite(states[k + 1])):
                 break
         return states[::n], np.array(points)
 
-    def _backwards(self, last: Array, motion: Linearised, length: float) -> Iterator[tuple[Array, Array]]:
+    def _backwards(
+        self, last: Array, motion: Linearised, length: float
+    ) -> Iterator[tuple[Array, Array]]:
         """Yield the derivatives of rows with the gradient `last` (m, nx), interval by interval from the last to the first.
 
-        By the controls of each group, (m, groups), and by the length of all intervals, (m,): what this interval adds.
+        By the controls of each group, (m, groups), and by the length of all intervals, (m,): what
+        this interval adds.
         """
         h, nx, stages = length / self._substeps, last.shape[1], 4 * self._substeps
         pulled, later = last.T, np.zeros_like(last.T)

@@ -29,10 +29,13 @@ def squared_distances(nodes: Array, pairs: Indices) -> Array:
     return np.asarray((apart * apart).sum(axis=1))
 
 
-def feel(nodes: Array, moves: sp.csr_array, directions: Array, pairs: Indices) -> tuple[Array, Array, Indices]:
+def feel(
+    nodes: Array, moves: sp.csr_array, directions: Array, pairs: Indices
+) -> tuple[Array, Array, Indices]:
     """Find rows that feel directions (ny, k) and no rigid motion, from the distances of pairs (m, 2) or, where these do not tell, of all nodes.
 
-    moves: derivative (3n, ny) of the nodes (n, 3). Returns combinations (j, m) of squared distances, their gradients (j, ny), and the pairs.
+    moves: derivative (3n, ny) of the nodes (n, 3). Returns combinations (j, m) of squared
+    distances, their gradients (j, ny), and the pairs.
     """
     moved = (moves @ directions).reshape(len(nodes), 3, -1)
     every = all_pairs(len(nodes))
@@ -43,7 +46,10 @@ def feel(nodes: Array, moves: sp.csr_array, directions: Array, pairs: Indices) -
             pairs, apart, weights = every, more, others
     norms = np.linalg.norm(weights, axis=1, keepdims=True)
     weights = (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK * norms.max()]
-    ends = sp.csr_array((np.tile([1.0, -1.0], len(pairs)), (np.repeat(np.arange(len(pairs)), 2), pairs.ravel())), shape=(len(pairs), len(nodes)))
+    ends = sp.csr_array(
+        (np.tile([1.0, -1.0], len(pairs)), (np.repeat(np.arange(len(pairs)), 2), pairs.ravel())),
+        shape=(len(pairs), len(nodes)),
+    )
     forces = np.stack([(ends.T @ (weights * along).T).T for along in apart.T], axis=2)
     return weights, (moves.T @ forces.reshape(len(weights), -1).T).T, pairs
 

@@ -19,7 +19,9 @@ class Tangents:
 
     def __init__(self, model: Model) -> None:
         x = ca.SX.sym("x", model.nx)
-        rows = ca.vertcat(ca.SX(0, 1), *(group.value for group in rigid_rows(model, x)), model.unpack(x)[2])
+        rows = ca.vertcat(
+            ca.SX(0, 1), *(group.value for group in rigid_rows(model, x)), model.unpack(x)[2]
+        )
         self._jacobian = ca.Function("jacobian", [x], [ca.densify(ca.jacobian(rows, x))])
         self._size = model.nx
 

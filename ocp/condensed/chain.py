@@ -19,7 +19,8 @@ from tenscasadi.util.validate import Array, Indices
 class Motion(NamedTuple):
     """Iterates of the motion, apart from the force densities.
 
-    places Q (K + 1, n, 3), m; rates Y (X, n, 3): velocities times the duration, at the taps; bars l (K + X, β): −λ̂ σ T², kg.
+    places Q (K + 1, n, 3), m; rates Y (X, n, 3): velocities times the duration, at the taps; bars l
+    (K + X, β): −λ̂ σ T², kg.
     """
 
     places: Array
@@ -41,22 +42,27 @@ class Rows(NamedTuple):
 class Chain:
     """The constant matrices of the discrete equations of motion.
 
-    Stations i: the nodes k = 0 … K − 1 of the mesh, whose rows lead to the places at k + 1, then the taps, whose rows give velocities: the last
-    node, and others where waypoints ask for them. With Y_k = (Q_{k+1} − Q_k)/s_k, s_k the shares of the duration T, rows are
+    Stations i: the nodes k = 0 … K − 1 of the mesh, whose rows lead to the places at k + 1, then
+    the taps, whose rows give velocities: the last node, and others where waypoints ask for them.
+    With Y_k = (Q_{k+1} − Q_k)/s_k, s_k the shares of the duration T, rows are
 
         M (Y_i − Y_{i−1}) + C_sᵀ γ̂ T²σ_i C_s Q_i + C_bᵀ l̂_i C_b Q_i − T²σ_i W_i = 0,   ½ (bᵀb − l²) = 0 at k + 1, or bᵀḃ = 0 at a tap.
 
     They are those of `Variational`, with each multiplier of a bar taken times −σ T².
     """
 
-    def __init__(self, model: Model, fractions: Array, profile: Profile, start: Array, taps: Indices) -> None:
+    def __init__(
+        self, model: Model, fractions: Array, profile: Profile, start: Array, taps: Indices
+    ) -> None:
         mech = model.mechanism
         self.model, self.mech, self.shares, self.taps = model, mech, fractions, taps
         self.count, self.nodes, self.bars = len(fractions), mech.N.shape[1], mech.bars
         self.at = np.concatenate([np.arange(self.count), taps])  # node of the mesh of each station
         self.before = self.at - 1
         self.controls = Controls(model, fractions, profile, taps)
-        self.C_s, self.C_b, self.C_sT, self.C_bT = (compact(matrix) for matrix in (mech.C_s, mech.C_b, mech.C_s.T, mech.C_b.T))
+        self.C_s, self.C_b, self.C_sT, self.C_bT = (
+            compact(matrix) for matrix in (mech.C_s, mech.C_b, mech.C_s.T, mech.C_b.T)
+        )
         self.squared = mech.lengths**2
         self.mass = mech.M.toarray()
         self.alike = len(mech.inverse) == 1  # what moves along one axis moves along all
@@ -73,12 +79,21 @@ class Chain:
         self.first_rate = self.unpack(start[None])[1][0]
         T, part, share = ca.SX.sym("T"), ca.SX.sym("t"), ca.SX.sym("s")
         terms = forces.terms(
-            model.scene, self.mech, ca.DM(self.mech.N), ca.DM.zeros(*self.mech.N.shape), ca.DM.zeros(model.nu), self.clock + T * part
+            model.scene,
+            self.mech,
+            ca.DM(self.mech.N),
+            ca.DM.zeros(*self.mech.N.shape),
+            ca.DM.zeros(model.nu),
+            self.clock + T * part,
         )
         loads = [value for name, value in terms.items() if name != "strings"]
         impulse = ca.densify(T**2 * share * ca.vec(sum(loads, start=ca.SX.zeros(3, self.nodes))))
         slope = ca.jacobian(impulse, T)
-        self._impulse = ca.Function("impulse", [T, part, share], [impulse, slope, ca.jacobian(slope, T)]) if loads else None
+        self._impulse = (
+            ca.Function("impulse", [T, part, share], [impulse, slope, ca.jacobian(slope, T)])
+            if loads
+            else None
+        )
         self.time = np.append(0.0, np.cumsum(self.shares))
         supports, self.moved = model.scene.supports, list[int]()
         if supports is not None:
@@ -88,12 +103,16 @@ class Chain:
             values = [ca.vec(N), ca.vec(V)]
             values += [ca.jacobian(value, T) for value in values]
             values += [ca.jacobian(value, T) for value in values[2:]]
-            self._carried = ca.Function("carried", [T, part], [ca.densify(value) for value in values])
+            self._carried = ca.Function(
+                "carried", [T, part], [ca.densify(value) for value in values]
+            )
 
     def unpack(self, states: Array) -> tuple[Array, Array]:
         """Return places and velocities (P, n, 3) of states (P, nx)."""
         values = self._unpack.map(len(states))(states.T)
-        places, rates = (np.asarray(value.full()).T.reshape(len(states), self.nodes, 3) for value in values)
+        places, rates = (
+            np.asarray(value.full()).T.reshape(len(states), self.nodes, 3) for value in values
+        )
         return places, rates
 
     def impulses(self, duration: float) -> Array:
@@ -119,7 +138,9 @@ class Chain:
         """Return M⁻ times columns of forces (…, 3n, r)."""
         if self.alike:
             shape = pushes.shape
-            return np.asarray(np.matmul(self.inverse, pushes.reshape(*shape[:-2], self.nodes, -1)).reshape(shape))
+            return np.asarray(
+                np.matmul(self.inverse, pushes.reshape(*shape[:-2], self.nodes, -1)).reshape(shape)
+            )
         return np.asarray(np.matmul(self.inverse, pushes))
 
     def stiffness(self, strings: Array, bars: Array) -> Array:
@@ -135,8 +156,14 @@ class Chain:
         first, n = np.split(ends.col.reshape(-1, 2), 2, axis=1), self.nodes
         i, j = (part.ravel() for part in first)
         own = np.arange(len(i))
-        rows, columns = np.concatenate([i * n + i, j * n + j, i * n + j, j * n + i]), np.tile(own, 4)
-        return sp.csr_array((np.repeat([1.0, 1.0, -1.0, -1.0], len(i) * np.array([1, 1, 1, 1])), (rows, columns)), shape=(n * n, len(i)))
+        rows, columns = (
+            np.concatenate([i * n + i, j * n + j, i * n + j, j * n + i]),
+            np.tile(own, 4),
+        )
+        return sp.csr_array(
+            (np.repeat([1.0, 1.0, -1.0, -1.0], len(i) * np.array([1, 1, 1, 1])), (rows, columns)),
+            shape=(n * n, len(i)),
+        )
 
     def free(self, nodes: Array) -> Array:
         """Return the free coordinates (nq,) of a vector (n, 3) or (3n,)."""
@@ -151,14 +178,21 @@ class Chain:
     def zero_step(self, columns: int) -> Motion:
         """Return a step of r columns that moves nothing."""
         n, taps = 3 * self.nodes, len(self.taps)
-        return Motion(np.zeros((self.count + 1, n, columns)), np.zeros((taps, n, columns)), np.zeros((len(self.at), self.bars, columns)))
+        return Motion(
+            np.zeros((self.count + 1, n, columns)),
+            np.zeros((taps, n, columns)),
+            np.zeros((len(self.at), self.bars, columns)),
+        )
 
     # --- residuals ---
 
     def rows(self, strings: Array, duration: float, motion: Motion) -> Rows:
         """Return what the rows leave at a motion under T²σγ at the stations (K + X, α)."""
         push = self.pushes(strings, duration * self.first_rate, motion) - self.impulses(duration)[0]
-        ends, at = (self.across(self.C_b, places) for places in (motion.places[1:], motion.places[self.taps]))
+        ends, at = (
+            self.across(self.C_b, places)
+            for places in (motion.places[1:], motion.places[self.taps])
+        )
         lengths = 0.5 * ((ends * ends).sum(axis=2) - self.squared)
         turning = (at * self.across(self.C_b, motion.rates)).sum(axis=2)
         return Rows(self.by_inverse(push[:, :, None])[:, :, 0], np.concatenate([lengths, turning]))
@@ -183,7 +217,13 @@ class Chain:
         values = self._carried.map(len(shares))(duration, shares[None])
         for k in range(0, 6, 2):
             places, rates = (np.asarray(value.full()).T[:, :, None] for value in values[k : k + 2])
-            found.append(Motion(places[: self.count + 1], rates[self.count + 1 :], np.zeros((len(self.at), self.bars, 1))))
+            found.append(
+                Motion(
+                    places[: self.count + 1],
+                    rates[self.count + 1 :],
+                    np.zeros((len(self.at), self.bars, 1)),
+                )
+            )
         return found[0], found[1], found[2]
 
     def placed(self, motion: Motion, duration: float) -> Motion:

@@ -18,7 +18,8 @@ SMALL = 2000  # entries of a matrix
 class Controls:
     """T²σγ of the modelled strings at the stations, as a function of the groups' force densities c (Kc, m) and the duration T.
 
-    weight σ (K + X,): the share of the duration that acts at each station: half of the intervals around it, of a tap half of that before.
+    weight σ (K + X,): the share of the duration that acts at each station: half of the intervals
+    around it, of a tap half of that before.
     """
 
     def __init__(self, model: Model, fractions: Array, profile: Profile, taps: Indices) -> None:
@@ -31,7 +32,9 @@ class Controls:
         self.weight = np.concatenate([half + np.append(0.0, half[:-1]), half[taps - 1]])
         together = group_matrix(profile, model.nu)
         strings = sp.csr_array(together[s.string_parent] / np.asarray(s.string_fraction)[:, None])
-        self.late, self.mesh, self.mesh_T, self.strings, self.strings_T = (compact(matrix) for matrix in (late, mesh, mesh.T, strings, strings.T))
+        self.late, self.mesh, self.mesh_T, self.strings, self.strings_T = (
+            compact(matrix) for matrix in (late, mesh, mesh.T, strings, strings.T)
+        )
         self.shape = (early.shape[1], together.shape[1])
 
     def at_stations(self, c: Array) -> Array:
@@ -61,4 +64,6 @@ def _halves(fractions: Array, profile: Profile, end: float) -> sp.csr_array:
     half = fractions / 2
     if not profile.linear:
         return sp.csr_array((half, (np.arange(count), spans(profile, fractions))))
-    return sp.csr_array(sp.diags_array([half * (1 - end), half * end], offsets=[0, 1], shape=(count, count + 1)))
+    return sp.csr_array(
+        sp.diags_array([half * (1 - end), half * end], offsets=[0, 1], shape=(count, count + 1))
+    )

@@ -44,7 +44,9 @@ class GoalRows:
 
     def value(self, motion: Motion, duration: float) -> Array:
         """Return the rows (m,)."""
-        return np.concatenate([np.zeros(0), *(part.value(part.inputs(motion, duration)) for part in self.parts)])
+        return np.concatenate(
+            [np.zeros(0), *(part.value(part.inputs(motion, duration)) for part in self.parts)]
+        )
 
     def slopes(self, jacobians: Sequence[Array], weights: Array) -> Slopes:
         """Return the derivatives of combinations (m, r) of the rows, of these `jacobians`."""
@@ -60,7 +62,10 @@ class GoalRows:
 
     def along(self, jacobians: Sequence[Array], step: Motion, duration: float) -> Array:
         """Return the change (m,) of the rows, of these `jacobians`, along a step of one column and of the duration."""
-        changes = [matrix @ part.gathered(step, duration) for part, matrix in zip(self.parts, jacobians, strict=True)]
+        changes = [
+            matrix @ part.gathered(step, duration)
+            for part, matrix in zip(self.parts, jacobians, strict=True)
+        ]
         return np.concatenate([np.zeros(0), *changes])
 
     def jacobians(self, motion: Motion, duration: float) -> list[Array]:
@@ -71,7 +76,9 @@ class GoalRows:
         """Return the second derivatives of weightsᵀ rows by the inputs of each part."""
         start, found = 0, []
         for part in self.parts:
-            found.append(part.hessian(part.inputs(motion, duration), weights[start : start + part.size]))
+            found.append(
+                part.hessian(part.inputs(motion, duration), weights[start : start + part.size])
+            )
             start += part.size
         return found
 
@@ -114,10 +121,16 @@ class _Part:
             states.append(ca.vertcat(q, y / T, *clock))
             first = sum(int(symbol.shape[0]) for symbol in symbols)
             tap = int(np.searchsorted(chain.taps, node))
-            self.taps.append(_Tap(tap, node, slice(first, first + nq), slice(first + nq, first + 2 * nq)))
+            self.taps.append(
+                _Tap(tap, node, slice(first, first + nq), slice(first + nq, first + 2 * nq))
+            )
             symbols += [q, y]
         z = ca.vertcat(*symbols, T)
-        state = states[0] if len(states) == 1 else hermite_state(model, states[0], states[1], T * chain.shares[k], part)
+        state = (
+            states[0]
+            if len(states) == 1
+            else hermite_state(model, states[0], states[1], T * chain.shares[k], part)
+        )
         self.weights, self.size = target.weights, target.count
         rows = target.single(state)
         slopes = ca.jacobian(rows, z)
@@ -131,7 +144,11 @@ class _Part:
     def inputs(self, motion: Motion, duration: float) -> Array:
         """Return z at a motion."""
         chain = self.chain
-        parts = [chain.free(values) for one in self.taps for values in (motion.places[one.node], motion.rates[one.tap])]
+        parts = [
+            chain.free(values)
+            for one in self.taps
+            for values in (motion.places[one.node], motion.rates[one.tap])
+        ]
         return np.concatenate([*parts, [duration]])
 
     def gathered(self, step: Motion, duration: float) -> Array:
@@ -142,12 +159,16 @@ class _Part:
         return np.asarray(self.weights @ self._value(z)[0].ravel())
 
     def jacobian(self, z: Array) -> Array:
-        values = sp.csr_array((self._slopes(z)[0].ravel(), *self._slope_pattern[:1]), shape=self._slope_pattern[1])
+        values = sp.csr_array(
+            (self._slopes(z)[0].ravel(), *self._slope_pattern[:1]), shape=self._slope_pattern[1]
+        )
         return np.asarray((values.T @ self.weights.T).T)
 
     def hessian(self, z: Array, weights: Array) -> sp.csr_array:
         place, shape = self._hessian_pattern
-        return sp.csr_array((self._hessian(z, self.weights.T @ weights)[0].ravel(), place), shape=shape)
+        return sp.csr_array(
+            (self._hessian(z, self.weights.T @ weights)[0].ravel(), place), shape=shape
+        )
 
     def scatter(self, gradient: Array, result: Motion) -> None:
         """Add derivatives by z (nz, r) to those by the motion."""

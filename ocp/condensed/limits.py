@@ -19,7 +19,9 @@ class Limits:
 
     def gaps(self, w: Array) -> tuple[Array, Array]:
         """Return the distances (n,) from the lower and from the upper limits."""
-        return np.where(self.below, w - self.lower, NO_LIMIT), np.where(self.above, self.upper - w, NO_LIMIT)
+        return np.where(self.below, w - self.lower, NO_LIMIT), np.where(
+            self.above, self.upper - w, NO_LIMIT
+        )
 
     def barrier(self, w: Array) -> float:
         """Return −Σ log of the distances."""
@@ -35,17 +37,29 @@ class Limits:
         """Return w at least `room` inside, or a share of what lies between the limits where that is less."""
         width = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, np.inf)
         least = np.minimum(room, share * width)
-        return np.clip(w, self.lower + np.where(self.below, least, 0.0), self.upper - np.where(self.above, np.minimum(least, 0.05 * width), 0.0))
+        return np.clip(
+            w,
+            self.lower + np.where(self.below, least, 0.0),
+            self.upper - np.where(self.above, np.minimum(least, 0.05 * width), 0.0),
+        )
 
     def cut(self, w: Array, step: Array, most: float, room: float) -> Array:
         """Return a step from w whose entries take at most a share of the way to the limits, and half of it within `room` of these."""
-        low, high = (np.where(gap > 2 * room, np.minimum(most * gap, gap - room), 0.5 * gap) for gap in self.gaps(w))
+        low, high = (
+            np.where(gap > 2 * room, np.minimum(most * gap, gap - room), 0.5 * gap)
+            for gap in self.gaps(w)
+        )
         return np.clip(step, -low, high) * self.free
 
     def followed(self, slack: Array, step: Array, true: Array, most: float, room: float) -> Array:
         """Return slacks after a step, cut as above; but `true`, what they stand for, where that keeps as much of the distances from limits."""
-        kept = [new >= (1 - most) * gap for gap, new in zip(self.gaps(slack), self.gaps(true), strict=True)]
-        return np.where(kept[0] & kept[1] & self.free, true, slack + self.cut(slack, step, most, room))
+        kept = [
+            new >= (1 - most) * gap
+            for gap, new in zip(self.gaps(slack), self.gaps(true), strict=True)
+        ]
+        return np.where(
+            kept[0] & kept[1] & self.free, true, slack + self.cut(slack, step, most, room)
+        )
 
 
 class LimitDuals:
@@ -69,13 +83,26 @@ class LimitDuals:
     def error(self, w: Array, mu: float) -> float:
         """Return how far products with the distances are from μ."""
         low, high = self.limits.gaps(w)
-        found = np.abs(np.append((self.lower * low - mu)[self.limits.below], (self.upper * high - mu)[self.limits.above]))
+        found = np.abs(
+            np.append(
+                (self.lower * low - mu)[self.limits.below],
+                (self.upper * high - mu)[self.limits.above],
+            )
+        )
         return float(found.max(initial=0.0))
 
-    def follow(self, before: Array, after: Array, step: Array, mu: float, most: float, spread: float) -> None:
+    def follow(
+        self, before: Array, after: Array, step: Array, mu: float, most: float, spread: float
+    ) -> None:
         """Take the Newton step that belongs to a step of w; stay positive, and within a factor `spread` of μ over the distance."""
         limits = self.limits
-        for dual, gap, new, direction in zip((self.lower, self.upper), limits.gaps(before), limits.gaps(after), (step, -step), strict=True):
+        for dual, gap, new, direction in zip(
+            (self.lower, self.upper),
+            limits.gaps(before),
+            limits.gaps(after),
+            (step, -step),
+            strict=True,
+        ):
             change = mu / gap - dual - dual * direction / gap
             dual[:] = np.maximum(dual + change, (1 - most) * dual)
             dual[:] = np.clip(dual, mu / (spread * new), spread * mu / new)

@@ -20,8 +20,8 @@ class Costate(NamedTuple):
 class LinearChain:
     """The rows of a chain linearised at a motion.
 
-    A block triangular system: one β×β matrix is inverted for each station, b₊ᵀ-weighted G of the bars' next and present directions.
-    Steps are columns: (…, 3n, r).
+    A block triangular system: one β×β matrix is inverted for each station, b₊ᵀ-weighted G of the
+    bars' next and present directions. Steps are columns: (…, 3n, r).
     """
 
     def __init__(self, chain: Chain, strings: Array, motion: Motion) -> None:
@@ -65,8 +65,16 @@ class LinearChain:
             bars[k], rates[k + 1], places[k + 1] = lam, p, d
         taps = chain.taps
         D, A = places[taps], self.pull[count:]
-        t = rates[taps] - np.matmul(A, D.reshape(len(taps), size, -1)).reshape(D.shape) - impulses[count:]
-        lam = np.matmul(self.close[count:], t) + np.matmul(self.inverse[count:], np.matmul(self.turned.transpose(0, 2, 1), D)) + slack[count:]
+        t = (
+            rates[taps]
+            - np.matmul(A, D.reshape(len(taps), size, -1)).reshape(D.shape)
+            - impulses[count:]
+        )
+        lam = (
+            np.matmul(self.close[count:], t)
+            + np.matmul(self.inverse[count:], np.matmul(self.turned.transpose(0, 2, 1), D))
+            + slack[count:]
+        )
         bars[count:] = lam
         return Motion(places, t - np.matmul(self.push[taps], lam), bars)
 
@@ -105,10 +113,16 @@ class LinearChain:
     def along(self, step: Motion) -> Rows:
         """Return how pushes (K + X, 3n) and lengths of bars (K + X, β) change with places and rates of one column."""
         chain, taps = self.chain, self.chain.taps
-        shaped = Motion(step.places.reshape(-1, chain.nodes, 3), step.rates.reshape(-1, chain.nodes, 3), self.motion.bars)
+        shaped = Motion(
+            step.places.reshape(-1, chain.nodes, 3),
+            step.rates.reshape(-1, chain.nodes, 3),
+            self.motion.bars,
+        )
         push = chain.pushes(self.strings, np.zeros((chain.nodes, 3)), shaped)
         own = self.directions.transpose(0, 2, 1)
-        turning = np.matmul(own[taps], step.rates) + np.matmul(self.turned.transpose(0, 2, 1), step.places[taps])
+        turning = np.matmul(own[taps], step.rates) + np.matmul(
+            self.turned.transpose(0, 2, 1), step.places[taps]
+        )
         return Rows(push, np.concatenate([np.matmul(own[1:], step.places[1:]), turning])[:, :, 0])
 
     # --- second derivatives, and those by the force densities ---
@@ -118,8 +132,14 @@ class LinearChain:
         chain = self.chain
         count, columns = len(impulses), impulses.shape[2]
         if columns == 1:
-            return np.asarray((chain.across(chain.C_s, impulses.reshape(count, -1, 3)) * self.S).sum(axis=2)[:, :, None])
-        return np.asarray(np.matmul(member_directions(chain.C_sT, self.S).transpose(0, 2, 1), impulses))
+            return np.asarray(
+                (chain.across(chain.C_s, impulses.reshape(count, -1, 3)) * self.S).sum(axis=2)[
+                    :, :, None
+                ]
+            )
+        return np.asarray(
+            np.matmul(member_directions(chain.C_sT, self.S).transpose(0, 2, 1), impulses)
+        )
 
     def of_strings(self, strings: Array) -> Array:
         """Return what changes (K + X, α) of T²σγ push: M⁻ times impulses (K + X, 3n)."""
@@ -135,14 +155,22 @@ class LinearChain:
         places, rates = step.places.reshape(-1, n, 3), step.rates.reshape(-1, n, 3)
         S_mu, B_mu = chain.across(chain.C_s, mu), chain.across(chain.C_b, mu)
         dS, dB = chain.across(chain.C_s, places[chain.at]), chain.across(chain.C_b, places)
-        own = chain.across(chain.C_sT, strings[:, :, None] * S_mu) + chain.across(chain.C_bT, step.bars * B_mu)
+        own = chain.across(chain.C_sT, strings[:, :, None] * S_mu) + chain.across(
+            chain.C_bT, step.bars * B_mu
+        )
         at_nodes = np.zeros((count + 1, n, 3))
         at_nodes[:count] = own[:count]
         at_nodes[1:] += chain.across(chain.C_bT, nu[:count, :, None] * dB[1:])
         by_rates = chain.across(chain.C_bT, nu[count:, :, None] * dB[chain.taps])
-        at_nodes[chain.taps] += own[count:] + chain.across(chain.C_bT, nu[count:, :, None] * chain.across(chain.C_b, rates))
+        at_nodes[chain.taps] += own[count:] + chain.across(
+            chain.C_bT, nu[count:, :, None] * chain.across(chain.C_b, rates)
+        )
         by_bars = (B_mu * dB[chain.at]).sum(axis=2)
-        slopes = Motion(at_nodes.reshape(count + 1, -1, 1), by_rates.reshape(len(chain.taps), -1, 1), by_bars[:, :, None])
+        slopes = Motion(
+            at_nodes.reshape(count + 1, -1, 1),
+            by_rates.reshape(len(chain.taps), -1, 1),
+            by_bars[:, :, None],
+        )
         return slopes, (S_mu * dS).sum(axis=2)
 
 

@@ -69,7 +69,11 @@ def applies(problem: Problem) -> str:
     if problem.costs and all(isinstance(cost, Smoothness) for cost in problem.costs):
         return "its cost, Smoothness alone, leaves open how large force densities are"
     costs = foreign_costs(problem.costs)
-    return f"it has the cost {' and '.join(costs)}, of more than force densities and the duration" if costs else ""
+    return (
+        f"it has the cost {' and '.join(costs)}, of more than force densities and the duration"
+        if costs
+        else ""
+    )
 
 
 def limited_on_the_way(problem: Problem) -> bool:
@@ -78,47 +82,104 @@ def limited_on_the_way(problem: Problem) -> bool:
 
 
 def solve_condensed(
-    problem: Problem, transcription: Transcription, target: Target, scales: Scales, guess: Guess, solver: CondensedNewton, deadline: float | None
+    problem: Problem,
+    transcription: Transcription,
+    target: Target,
+    scales: Scales,
+    guess: Guess,
+    solver: CondensedNewton,
+    deadline: float | None,
 ) -> Outcome:
     """Solve a problem that the method takes (`applies`). deadline: of `time.perf_counter`, s; None: no limit. Raises ValueError."""
     against = applies(problem)
     if against:
-        raise ValueError(f"solver is CondensedNewton, which does not take this problem: {against}; give ocp.Ipopt()")
+        raise ValueError(
+            f"solver is CondensedNewton, which does not take this problem: {against}; give ocp.Ipopt()"
+        )
     if not isinstance(transcription, Variational):
-        raise ValueError(f"solver is CondensedNewton, and transcription is {type(transcription).__name__}: give ocp.Variational(...)")
+        raise ValueError(
+            f"solver is CondensedNewton, and transcription is {type(transcription).__name__}: give ocp.Variational(...)"
+        )
     with np.errstate(all="ignore"):
         try:
             return _solved(problem, transcription, target, scales, guess, solver, deadline)
         except np.linalg.LinAlgError:  # bars or rows depend on each other where it stands
-            held = node_values(guess.force_density, transcription.fractions) if transcription.control.linear else guess.force_density
-            return Outcome(guess.states, held, guess.duration, np.nan, False, "stuck", 0, why=f"no plan: {WHY['stuck']}")
+            held = (
+                node_values(guess.force_density, transcription.fractions)
+                if transcription.control.linear
+                else guess.force_density
+            )
+            return Outcome(
+                guess.states,
+                held,
+                guess.duration,
+                np.nan,
+                False,
+                "stuck",
+                0,
+                why=f"no plan: {WHY['stuck']}",
+            )
 
 
 def _solved(
-    problem: Problem, transcription: Variational, target: Target, scales: Scales, guess: Guess, solver: CondensedNewton, deadline: float | None
+    problem: Problem,
+    transcription: Variational,
+    target: Target,
+    scales: Scales,
+    guess: Guess,
+    solver: CondensedNewton,
+    deadline: float | None,
 ) -> Outcome:
     reduced, w, imposed = _reduced(problem, transcription, target, scales, guess)
     motion = first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states)
-    ends = None if deadline is None else deadline - SPARED * max(deadline - time.perf_counter(), 0.0)
+    ends = (
+        None if deadline is None else deadline - SPARED * max(deadline - time.perf_counter(), 0.0)
+    )
     found = solve(reduced, w, motion, solver.tolerance, solver.max_iterations, ends, solver.verbose)
     corrected = Corrected(polish(reduced, found.point, POLISHED), None, 0.0)
-    if transcription.accuracy is not None and corrected.point.worst <= MET and found.status != "stuck":
-        corrected = correct(reduced, corrected.point, transcription.control.linear, transcription.accuracy, MET, deadline)
+    if (
+        transcription.accuracy is not None
+        and corrected.point.worst <= MET
+        and found.status != "stuck"
+    ):
+        corrected = correct(
+            reduced,
+            corrected.point,
+            transcription.control.linear,
+            transcription.accuracy,
+            MET,
+            deadline,
+        )
     return _outcome(problem, transcription, (target, imposed), reduced, found, corrected)
 
 
-def _reduced(problem: Problem, transcription: Transcription, target: Target, scales: Scales, guess: Guess) -> tuple[ReducedProblem, Array, Target]:
+def _reduced(
+    problem: Problem, transcription: Transcription, target: Target, scales: Scales, guess: Guess
+) -> tuple[ReducedProblem, Array, Target]:
     """Return the problem in force densities, where these start, and the target without rows that they do not move there."""
-    gamma = node_values(guess.force_density, transcription.fractions) if transcription.control.linear else guess.force_density
+    gamma = (
+        node_values(guess.force_density, transcription.fractions)
+        if transcription.control.linear
+        else guess.force_density
+    )
     strength = max(float(np.sqrt(np.mean(guess.force_density**2))), scales.mass / scales.time**2)
     cost = typical_cost(problem, strength, guess.states, guess.force_density, guess.duration)
-    limited = Limited(problem, transcription, target, scales, guess) if limited_on_the_way(problem) else None
+    limited = (
+        Limited(problem, transcription, target, scales, guess)
+        if limited_on_the_way(problem)
+        else None
+    )
     reduced = ReducedProblem(problem, transcription, target, scales, strength, cost, limited)
     gamma = np.add.reduceat(gamma, reduced.begins) / np.bincount(reduced.span)[:, None]
     w = np.clip(
-        reduced.joined(gamma @ (reduced.together / reduced.together.sum(axis=0)), guess.duration) / reduced.units, reduced.lower, reduced.upper
+        reduced.joined(gamma @ (reduced.together / reduced.together.sum(axis=0)), guess.duration)
+        / reduced.units,
+        reduced.lower,
+        reduced.upper,
     )
-    jacobian = reduced.about(w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states)).jacobian
+    jacobian = reduced.about(
+        w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states)
+    ).jacobian
     imposed = _controlled(target, jacobian)
     if imposed is not target:
         reduced = ReducedProblem(problem, transcription, imposed, scales, strength, cost, limited)
@@ -133,9 +194,19 @@ def _controlled(target: Target, jacobian: Array) -> Target:
         start += part.count
         parts.append(part if len(kept) == part.count else part.keep(kept, "out of control"))
     *waypoints, end = parts
-    if all(part is given for part, given in zip(parts, [*(one.target for one in target.waypoints), target], strict=True)):
+    if all(
+        part is given
+        for part, given in zip(
+            parts, [*(one.target for one in target.waypoints), target], strict=True
+        )
+    ):
         return target
-    return replace(end, waypoints=tuple(one._replace(target=part) for one, part in zip(target.waypoints, waypoints, strict=True)))
+    return replace(
+        end,
+        waypoints=tuple(
+            one._replace(target=part) for one, part in zip(target.waypoints, waypoints, strict=True)
+        ),
+    )
 
 
 def _outcome(
@@ -157,7 +228,14 @@ def _outcome(
     if coarse:
         why = TOO_COARSE.format(gap, accuracy)
     else:
-        why = _why(problem, target, reduced.paths, found, point, state_function(problem.model, states, duration, transcription.fractions))
+        why = _why(
+            problem,
+            target,
+            reduced.paths,
+            found,
+            point,
+            state_function(problem.model, states, duration, transcription.fractions),
+        )
     return Outcome(
         states=states,
         force_density=np.clip(reduced.force_densities(point.w), lower, upper),
@@ -170,20 +248,29 @@ def _outcome(
         gap=gap,
         why=why,
         imposed=imposed.describe() + NOT_QUITE.get(found.status, ""),
-        coarse=coarse or (found.status in SOLVED and MET < point.worst < np.inf and not reduced.paths.count),
+        coarse=coarse
+        or (found.status in SOLVED and MET < point.worst < np.inf and not reduced.paths.count),
     )
 
 
-def _why(problem: Problem, target: Target, paths: PathRows, found: Found, point: Point, state_at: StateAt) -> str:
+def _why(
+    problem: Problem, target: Target, paths: PathRows, found: Found, point: Point, state_at: StateAt
+) -> str:
     """Tell why what was found is no plan; "" where it is one."""
     missed = measure_misses(target, state_at)
     if point.worst <= MET and found.status in SOLVED:
-        return "" if goals_met(target, state_at) else f"no plan: {missed.worst()}, and no string moves it there to first order: {_PASSES}"
+        return (
+            ""
+            if goals_met(target, state_at)
+            else f"no plan: {missed.worst()}, and no string moves it there to first order: {_PASSES}"
+        )
     parts = [f"no plan: {WHY.get(found.status, WHY['stuck'])}"]
     if point.worst <= MET:
         parts.append("all constraints are met, but the cost is not settled")
     elif np.isfinite(point.worst):
-        parts.append(f"largest violation: {_broken(problem, paths, point) or (missed.worst() if missed.places or missed.speeds else 'the motion')}")
+        parts.append(
+            f"largest violation: {_broken(problem, paths, point) or (missed.worst() if missed.places or missed.speeds else 'the motion')}"
+        )
     return "; ".join(parts)
 
 

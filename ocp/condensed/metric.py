@@ -56,8 +56,8 @@ class Metric:
 class Projector:
     """Steps that J does not see, and the shortest that it does, in the sense of a metric to which some rows add what they resist.
 
-    jacobian (m + p, n): of rows that are met, J, then of p that give way, B. give (m + p,): by how much, 0 of those that are met. The metric
-    is D + Bᵀ give⁻¹ B.
+    jacobian (m + p, n): of rows that are met, J, then of p that give way, B. give (m + p,): by how
+    much, 0 of those that are met. The metric is D + Bᵀ give⁻¹ B.
     """
 
     def __init__(self, jacobian: Array, give: Array, diagonal: Metric, damping: float) -> None:
@@ -73,8 +73,12 @@ class Projector:
             matrix = self.spread @ jacobian.T
         count = len(matrix)
         self.sizes = matrix.diagonal().copy()
-        matrix[range(count), range(count)] += damping * max(np.trace(matrix) / max(count, 1), 1e-300) + give
-        self._factor = scipy.linalg.cho_factor(matrix, lower=True, check_finite=False) if count else None
+        matrix[range(count), range(count)] += (
+            damping * max(np.trace(matrix) / max(count, 1), 1e-300) + give
+        )
+        self._factor = (
+            scipy.linalg.cho_factor(matrix, lower=True, check_finite=False) if count else None
+        )
 
     def times(self, x: Array) -> Array:
         """Return the metric times x (n,)."""
@@ -87,7 +91,11 @@ class Projector:
 
     def inner(self, x: Array) -> Array:
         """Return (J D⁻¹ Jᵀ + give)⁻¹ x of all rows."""
-        return x if self._factor is None else np.asarray(scipy.linalg.cho_solve(self._factor, x, check_finite=False))
+        return (
+            x
+            if self._factor is None
+            else np.asarray(scipy.linalg.cho_solve(self._factor, x, check_finite=False))
+        )
 
     def shortest(self, rows: Array) -> Array:
         """Return the least step d, in the metric, with J d = rows; those that give way resist what is left of theirs."""

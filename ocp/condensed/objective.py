@@ -41,7 +41,11 @@ class Objective:
             spread[1:] += shares / 2
         for cost in problem.costs:
             if isinstance(cost, (Effort, Prestress)):
-                level = per_item("Prestress.level", cost.level, problem.model.nu) if isinstance(cost, Prestress) else np.zeros(problem.model.nu)
+                level = (
+                    per_item("Prestress.level", cost.level, problem.model.nu)
+                    if isinstance(cost, Prestress)
+                    else np.zeros(problem.model.nu)
+                )
                 self.slope += 2 * cost.weight * spread * (level @ together)
                 self.constant += cost.weight * float(level @ level)
                 if profile.linear:  # ∫ of a square is h (a² + a b + b²)/3
@@ -69,19 +73,29 @@ class Objective:
         """Return the derivatives of J by c (Kc, m) and by T."""
         by_time, by_rate = self.parts(c)
         H, R = (_times(*matrix, c) for matrix in self._matrices)
-        return duration * (H - self.slope) + R / duration, by_time - by_rate / duration**2 + self.weight
+        return duration * (
+            H - self.slope
+        ) + R / duration, by_time - by_rate / duration**2 + self.weight
 
-    def curvature(self, c: Array, duration: float, step: Array, longer: float) -> tuple[Array, float]:
+    def curvature(
+        self, c: Array, duration: float, step: Array, longer: float
+    ) -> tuple[Array, float]:
         """Return how the gradient changes along a step."""
         H, R = (_times(*matrix, step) for matrix in self._matrices)
         own, varied = (_times(*matrix, c) for matrix in self._matrices)
         by_c = duration * H + R / duration + longer * (own - self.slope - varied / duration**2)
-        by_T = float(((own - self.slope - varied / duration**2) * step).sum()) + 2 * longer * self.parts(c)[1] / duration**3
+        by_T = (
+            float(((own - self.slope - varied / duration**2) * step).sum())
+            + 2 * longer * self.parts(c)[1] / duration**3
+        )
         return by_c, by_T
 
     def metric(self, duration: float) -> tuple[Array, Array]:
         """Return the diagonal (Kc, m) and the coupling (Kc − 1, m) of the second derivatives by c."""
-        return duration * self.held + self.varied / duration, duration * self.held_next + self.varied_next / duration
+        return (
+            duration * self.held + self.varied / duration,
+            duration * self.held_next + self.varied_next / duration,
+        )
 
     @property
     def _matrices(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:

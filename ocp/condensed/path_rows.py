@@ -40,14 +40,25 @@ class Slopes(NamedTuple):
 class Limited:
     """All that is limited, as blocks over the entries of `Variables`: unknowns before constants."""
 
-    def __init__(self, problem: Problem, transcription: Transcription, target: Target, scales: Scales, guess: Guess) -> None:
-        v = self.variables = Variables(problem, target, scales, guess, transcription.fractions, transcription.control)
+    def __init__(
+        self,
+        problem: Problem,
+        transcription: Transcription,
+        target: Target,
+        scales: Scales,
+        guess: Guess,
+    ) -> None:
+        v = self.variables = Variables(
+            problem, target, scales, guess, transcription.fractions, transcription.control
+        )
         given = path_blocks(v)
         unknowns, self.place = v.entries.ordered()
         self.count, self.constants = unknowns.count, unknowns.constants
         self.blocks = _told_once([block.relabelled(self.place) for block in given], self.count)
         used, nq = v.entries.used_by(given), problem.model.nq
-        self.taps = np.flatnonzero(used[v.states[:, nq : 2 * nq]].any(axis=1))  # nodes of the mesh whose velocities are limited
+        self.taps = np.flatnonzero(
+            used[v.states[:, nq : 2 * nq]].any(axis=1)
+        )  # nodes of the mesh whose velocities are limited
         self.taps = self.taps[self.taps > 0]
 
 
@@ -60,11 +71,20 @@ def _told_once(blocks: list[Block], unknowns: int) -> list[Block]:
         names = np.array(block.names, dtype=object).reshape(block.count, -1)
         what = ", ".join(name.partition(",")[0] for name in names[0])
         keys = [(what, index.tobytes()) for index in block.index[:, columns]]
-        kept = [k for k, key in enumerate(keys) if key not in seen and (block.index[k, columns] < unknowns).any()]
+        kept = [
+            k
+            for k, key in enumerate(keys)
+            if key not in seen and (block.index[k, columns] < unknowns).any()
+        ]
         seen.update(keys)
         if kept:
-            limits = {field: _of_instances(getattr(block, field), kept) for field in ("lower", "upper", "scale")}
-            found.append(replace(block, index=block.index[kept], names=tuple(names[kept].ravel()), **limits))
+            limits = {
+                field: _of_instances(getattr(block, field), kept)
+                for field in ("lower", "upper", "scale")
+            }
+            found.append(
+                replace(block, index=block.index[kept], names=tuple(names[kept].ravel()), **limits)
+            )
     return found
 
 
@@ -79,7 +99,9 @@ class PathRows:
         self.chain, self.free_duration = chain, False
         parts = [] if limited is None else [_Part(block, limited.count) for block in limited.blocks]
         ends = np.cumsum([0, *(part.size for part in parts)]).tolist()
-        self.parts = [(part, slice(*span)) for part, span in zip(parts, pairwise(ends), strict=True)]
+        self.parts = [
+            (part, slice(*span)) for part, span in zip(parts, pairwise(ends), strict=True)
+        ]
         self.count = ends[-1]
         self.names = tuple(name for part in parts for name in part.block.names)
         columns = [np.zeros((3, 0)), *(np.array(part.block.limits()) for part in parts)]
@@ -89,9 +111,17 @@ class PathRows:
             return
         v, nq = limited.variables, chain.model.nq
         states = limited.place[v.states[1:]]
-        self.places, self.rates, self.clocks = states[:, :nq], states[chain.taps - 1, nq : 2 * nq], states[:, 2 * nq :]
+        self.places, self.rates, self.clocks = (
+            states[:, :nq],
+            states[chain.taps - 1, nq : 2 * nq],
+            states[:, 2 * nq :],
+        )
         self.held, self.last = limited.place[v.controls[begins]], limited.place[v.duration]
-        self.size, self.constants, self.free_duration = limited.count, limited.constants, v.free_time
+        self.size, self.constants, self.free_duration = (
+            limited.count,
+            limited.constants,
+            v.free_time,
+        )
 
     # --- entries ---
 
@@ -110,7 +140,9 @@ class PathRows:
         """Return the change of e (size,) along a step of a motion (one column), of force densities (Kc, m), and of the duration."""
         chain, e = self.chain, np.zeros(self.size)
         e[self.places] = self._free(moved.places[1:])
-        e[self.rates] = self._free(moved.rates) / duration - longer / duration**2 * self._free(at.rates)
+        e[self.rates] = self._free(moved.rates) / duration - longer / duration**2 * self._free(
+            at.rates
+        )
         e[self.clocks] = longer * chain.time[1:, None]
         e[self.held] = c
         if self.free_duration:
@@ -129,13 +161,18 @@ class PathRows:
             longer += gradient[self.last[0]]
         return Slopes(result, gradient[self.held], longer)
 
-    def bent(self, at: Motion, duration: float, gradient: Array, moved: Motion, longer: float) -> Slopes:
+    def bent(
+        self, at: Motion, duration: float, gradient: Array, moved: Motion, longer: float
+    ) -> Slopes:
         """Return how `slopes` of a gradient (size,) by e change along a step: velocities are rates over the duration."""
         chain = self.chain
         result = chain.zero_step(1)
         own = gradient[self.rates]
         result.rates[:] = -longer / duration**2 * self._at_nodes(own[:, :, None])
-        along = -(own * self._free(moved.rates)).sum() / duration**2 + 2 * longer / duration**3 * (own * self._free(at.rates)).sum()
+        along = (
+            -(own * self._free(moved.rates)).sum() / duration**2
+            + 2 * longer / duration**3 * (own * self._free(at.rates)).sum()
+        )
         return Slopes(result, np.zeros((*self.held.shape, 1)), np.array([along]))
 
     def _free(self, vectors: Array) -> Array:
@@ -165,7 +202,10 @@ class PathRows:
 
     def hessian(self, e: Array, weights: Array) -> sp.csr_array:
         """Return the second derivatives (size, size) of weightsᵀ h by e."""
-        return sum((part.hessian(e, weights[own]) for part, own in self.parts), start=sp.csr_array((self.size, self.size)))
+        return sum(
+            (part.hessian(e, weights[own]) for part, own in self.parts),
+            start=sp.csr_array((self.size, self.size)),
+        )
 
 
 class _Part:
@@ -181,7 +221,10 @@ class _Part:
         self._slopes = ca.Function("slopes", [z], [_entries(slopes)]).map(block.count)
         self._curved = ca.Function("curved", [z, weight], [_entries(curved)]).map(block.count)
         row, column = _pattern(slopes)
-        self._slope_places = block.rows * np.arange(block.count)[:, None] + row, block.index[:, column]
+        self._slope_places = (
+            block.rows * np.arange(block.count)[:, None] + row,
+            block.index[:, column],
+        )
         self._curved_places = tuple(block.index[:, entry] for entry in _pattern(curved))
 
     def value(self, e: Array) -> Array:
@@ -190,12 +233,19 @@ class _Part:
     def jacobian(self, e: Array) -> sp.csr_array:
         row, column = self._slope_places
         values, kept = _called(self._slopes, self._at(e)), column < self.unknowns
-        return sp.csr_array((values[kept], (row[kept], column[kept])), shape=(self.size, self.unknowns))
+        return sp.csr_array(
+            (values[kept], (row[kept], column[kept])), shape=(self.size, self.unknowns)
+        )
 
     def hessian(self, e: Array, weights: Array) -> sp.csr_array:
         row, column = self._curved_places
-        values, kept = _called(self._curved, self._at(e), weights.reshape(self.block.count, -1).T), np.maximum(row, column) < self.unknowns
-        return sp.csr_array((values[kept], (row[kept], column[kept])), shape=(self.unknowns, self.unknowns))
+        values, kept = (
+            _called(self._curved, self._at(e), weights.reshape(self.block.count, -1).T),
+            np.maximum(row, column) < self.unknowns,
+        )
+        return sp.csr_array(
+            (values[kept], (row[kept], column[kept])), shape=(self.unknowns, self.unknowns)
+        )
 
     def _at(self, e: Array) -> Array:
         return np.asarray(e[self.block.index].T)
@@ -233,7 +283,11 @@ class WorkingRows:
 
     def choose(self, stiffness: Array, left: Array) -> Indices:
         """Return rows (p',), those that are met first, given how stiff their barriers are, and what they leave unmet."""
-        felt = stiffness * self.size > FELT if self.size else stiffness >= np.sort(stiffness)[-SAMPLE:].min(initial=np.inf)
+        felt = (
+            stiffness * self.size > FELT
+            if self.size
+            else stiffness >= np.sort(stiffness)[-SAMPLE:].min(initial=np.inf)
+        )
         return np.append(self.met, self.stiffest(stiffness, felt | (np.abs(left) > UNMET)))
 
     def stiffest(self, stiffness: Array, among: NDArray[np.bool_]) -> Indices:

@@ -43,7 +43,13 @@ class ReducedProblem:
         fractions, profile = transcription.fractions, transcription.control
         self.problem, self.length, self.cost_scale = problem, scales.length, cost
         taps = needed_taps(target, fractions)
-        self.chain = Chain(problem.model, fractions, profile, target.start, taps if limited is None else np.union1d(taps, limited.taps))
+        self.chain = Chain(
+            problem.model,
+            fractions,
+            profile,
+            target.start,
+            taps if limited is None else np.union1d(taps, limited.taps),
+        )
         self.goals = GoalRows(self.chain, target)
         self.objective = Objective(problem, fractions, profile)
         self.shape = self.chain.controls.shape
@@ -51,22 +57,38 @@ class ReducedProblem:
         self.duration = problem.longest
         self.together = group_matrix(profile, problem.model.nu)
         self.span = np.arange(len(fractions) + 1) if profile.linear else spans(profile, fractions)
-        self.begins = np.unique(self.span, return_index=True)[1]  # where each of the force densities begins that are unknowns
+        self.begins = np.unique(self.span, return_index=True)[
+            1
+        ]  # where each of the force densities begins that are unknowns
         self.paths = PathRows(self.chain, limited, self.begins)
         members = [np.flatnonzero(column) for column in self.together.T]
         least, most = problem.force_density_limits
-        lower, upper = (np.array([pick(limit[own]) for own in members]) for pick, limit in ((np.max, least), (np.min, most)))
-        ends = [(np.tile(limit, self.shape[0]), bound) for limit, bound in ((lower, problem.shortest), (upper, problem.longest))]
-        self.units = np.append(np.full(self.shape[0] * self.shape[1], strength), [scales.time] * self.free_duration)
-        self.lower, self.upper = (np.append(limit, [bound] * self.free_duration) / self.units for limit, bound in ends)
+        lower, upper = (
+            np.array([pick(limit[own]) for own in members])
+            for pick, limit in ((np.max, least), (np.min, most))
+        )
+        ends = [
+            (np.tile(limit, self.shape[0]), bound)
+            for limit, bound in ((lower, problem.shortest), (upper, problem.longest))
+        ]
+        self.units = np.append(
+            np.full(self.shape[0] * self.shape[1], strength), [scales.time] * self.free_duration
+        )
+        self.lower, self.upper = (
+            np.append(limit, [bound] * self.free_duration) / self.units for limit, bound in ends
+        )
         self.size = len(self.units)
-        self.shift: Rows | None = None  # what rows of the motion are to leave, where they are corrected
+        self.shift: Rows | None = (
+            None  # what rows of the motion are to leave, where they are corrected
+        )
 
     def split(self, w: Array) -> tuple[Array, float]:
         """Return force densities (Kc, m), N/m, and the duration, s."""
         own = w * self.units
         count = self.shape[0] * self.shape[1]
-        return own[:count].reshape(self.shape), float(own[-1]) if self.free_duration else self.duration
+        return own[:count].reshape(self.shape), float(
+            own[-1]
+        ) if self.free_duration else self.duration
 
     def force_densities(self, w: Array) -> Array:
         """Return γ of all strings (K, α), of linear profiles at the nodes of the mesh (K + 1, α), N/m."""
@@ -90,7 +112,9 @@ class ReducedProblem:
 
     def slope(self, w: Array) -> Array:
         """Return the gradient of J."""
-        return np.asarray(self.joined(*self.objective.gradient(*self.split(w))) * self.units / self.cost_scale)
+        return np.asarray(
+            self.joined(*self.objective.gradient(*self.split(w))) * self.units / self.cost_scale
+        )
 
     def curvature_scale(self, w: Array) -> tuple[Array, Array | None]:
         """Return a positive diagonal (n,) about as large as the second derivatives of J, and what couples neighbouring intervals, if anything."""
@@ -105,21 +129,38 @@ class ReducedProblem:
     def leftover(self, w: Array, motion: Motion, slack: Array) -> Leftover:
         """Return what is not met. slack: values (p,) within the limits along the way, which these are to take."""
         c, T = self.split(w)
-        return Leftover(self.goals.value(motion, T), self.rows_of(w, motion), self.paths.value(c, T, motion) - slack)
+        return Leftover(
+            self.goals.value(motion, T),
+            self.rows_of(w, motion),
+            self.paths.value(c, T, motion) - slack,
+        )
 
     def rows_of(self, w: Array, motion: Motion) -> Rows:
         """Return what the rows of the motion leave, less what they are to leave."""
         rows = self.chain.rows(self.strings(w), self.split(w)[1], motion)
-        return rows if self.shift is None else Rows(rows.impulses - self.shift.impulses, rows.lengths - self.shift.lengths)
+        return (
+            rows
+            if self.shift is None
+            else Rows(rows.impulses - self.shift.impulses, rows.lengths - self.shift.lengths)
+        )
 
     def size_of(self, left: Leftover) -> tuple[float, float]:
         """Return the sum and the largest of what is not met, all of order one."""
-        parts = [left.goals, left.paths, self.chain.count / self.length * left.rows.impulses, left.rows.lengths / self._squared]
-        return sum(float(np.abs(part).sum()) for part in parts), max(float(np.abs(part).max(initial=0.0)) for part in parts)
+        parts = [
+            left.goals,
+            left.paths,
+            self.chain.count / self.length * left.rows.impulses,
+            left.rows.lengths / self._squared,
+        ]
+        return sum(float(np.abs(part).sum()) for part in parts), max(
+            float(np.abs(part).max(initial=0.0)) for part in parts
+        )
 
     @property
     def _squared(self) -> Array:
-        return np.broadcast_to(np.maximum(self.chain.squared, 1e-300), (len(self.chain.at), self.chain.bars))
+        return np.broadcast_to(
+            np.maximum(self.chain.squared, 1e-300), (len(self.chain.at), self.chain.bars)
+        )
 
     def about(self, w: Array, motion: Motion) -> Expansion:
         """Return the expansion about a point."""
@@ -147,7 +188,9 @@ class Expansion:
         self.moved_by_duration = chain.by_inverse(self.by_duration[:, :, None])[:, :, 0]
         self.goal_slopes = goals.jacobians(motion, self.T)
         self.jacobian = self._jacobian()
-        self.entries = reduced.paths.entries(self.c, self.T, motion) if reduced.paths.count else np.zeros(0)
+        self.entries = (
+            reduced.paths.entries(self.c, self.T, motion) if reduced.paths.count else np.zeros(0)
+        )
         self.path_slopes = reduced.paths.jacobian(self.entries) if reduced.paths.count else None
 
     def _jacobian(self) -> Array:
@@ -169,15 +212,23 @@ class Expansion:
         """Return the derivatives (r, n) by w of functions of these slopes, whose motion follows w."""
         costate = self.linear.solve_back(motion)
         by_strings = self.linear.by_strings(costate.impulses)
-        return np.ascontiguousarray((self._by_w(by_strings, costate, by_duration, by_c) * self.of.units[:, None]).T)
+        return np.ascontiguousarray(
+            (self._by_w(by_strings, costate, by_duration, by_c) * self.of.units[:, None]).T
+        )
 
-    def _by_w(self, by_strings: Array, costate: Costate, by_duration: Array, by_c: Array | float = 0.0) -> Array:
+    def _by_w(
+        self, by_strings: Array, costate: Costate, by_duration: Array, by_c: Array | float = 0.0
+    ) -> Array:
         """Return derivatives (n, r) by w from those by T²σγ (K + X, α, r), by the duration alone (r,), and by force densities alone (Kc, m, r)."""
         T = self.T
         c = T**2 * self.of.chain.controls.gathered(by_strings) + by_c
         if not self.of.free_duration:
             return self.of.joined(c, 0.0)
-        whole = 2 / T * np.einsum("is,isa->a", self.strings, by_strings) + np.einsum("ij,ija->a", self.by_duration, costate.impulses) + by_duration
+        whole = (
+            2 / T * np.einsum("is,isa->a", self.strings, by_strings)
+            + np.einsum("ij,ija->a", self.by_duration, costate.impulses)
+            + by_duration
+        )
         if self.carried is not None:
             whole = whole + np.einsum("ij,ija->a", self.lengths_by_duration, costate.lengths)
         return self.of.joined(c, whole)
@@ -190,15 +241,25 @@ class Expansion:
     def strings_of(self, step: Array) -> Array:
         """Return the change (K + X, α) of T²σγ."""
         c, longer = self.split(step)
-        return self.T**2 * self.of.chain.controls.at_stations(c) + 2 / self.T * longer * self.strings
+        return (
+            self.T**2 * self.of.chain.controls.at_stations(c) + 2 / self.T * longer * self.strings
+        )
 
     def follow(self, step: Array | None, rows: Rows | None) -> Motion:
         """Return the step of the motion (one column) that follows a step of w and takes away its rows."""
         stations, n = len(self.of.chain.at), 3 * self.of.chain.nodes
-        impulses, lengths = (np.zeros((stations, n)), np.zeros((stations, self.of.chain.bars))) if rows is None else rows
+        impulses, lengths = (
+            (np.zeros((stations, n)), np.zeros((stations, self.of.chain.bars)))
+            if rows is None
+            else rows
+        )
         longer = 0.0 if step is None else self.split(step)[1]
         if step is not None:
-            impulses = impulses + self.linear.of_strings(self.strings_of(step)) + longer * self.moved_by_duration
+            impulses = (
+                impulses
+                + self.linear.of_strings(self.strings_of(step))
+                + longer * self.moved_by_duration
+            )
             lengths = lengths + longer * self.lengths_by_duration
         moved = self.linear.solve(Rows(impulses[:, :, None], lengths[:, :, None]))
         return moved if self.carried is None else moved.moved(self.carried[0], longer)
@@ -209,7 +270,11 @@ class Expansion:
 
     def path_change(self, moved: Motion, step: Array | None) -> Array:
         """Return the change (p,) of what is limited along the way, along a step of the motion and of w."""
-        return np.zeros(0) if self.path_slopes is None else self.path_slopes @ self._entries_along(moved, *self._alone(step))
+        return (
+            np.zeros(0)
+            if self.path_slopes is None
+            else self.path_slopes @ self._entries_along(moved, *self._alone(step))
+        )
 
     def _alone(self, step: Array | None) -> tuple[Array, float]:
         return (np.zeros(self.of.shape), 0.0) if step is None else self.split(step)
@@ -222,7 +287,9 @@ class Expansion:
         slopes = self.of.goals.slopes(self.goal_slopes, multipliers[:, None]).motion
         if self.path_slopes is not None:
             self.pull = self.path_slopes.T @ of_paths
-            slopes = _sum(slopes, self.of.paths.slopes(self.motion, self.T, self.pull[:, None]).motion)
+            slopes = _sum(
+                slopes, self.of.paths.slopes(self.motion, self.T, self.pull[:, None]).motion
+            )
             self.path_curvature = self.of.paths.hessian(self.entries, of_paths)
             self.path_stiffness = stiffness
         self.costate = self.linear.solve_back(slopes)
@@ -235,9 +302,18 @@ class Expansion:
             return None
         paths = self.of.paths
         along = self._entries_along(moved, change, longer)
-        pull = self.path_curvature @ along + self.path_slopes.T @ (self.path_stiffness * (self.path_slopes @ along))
-        more, bent = paths.slopes(self.motion, self.T, pull[:, None]), paths.bent(self.motion, self.T, self.pull, moved, longer)
-        return Slopes(_sum(more.motion, bent.motion), more.controls + bent.controls, more.duration + bent.duration)
+        pull = self.path_curvature @ along + self.path_slopes.T @ (
+            self.path_stiffness * (self.path_slopes @ along)
+        )
+        more, bent = (
+            paths.slopes(self.motion, self.T, pull[:, None]),
+            paths.bent(self.motion, self.T, self.pull, moved, longer),
+        )
+        return Slopes(
+            _sum(more.motion, bent.motion),
+            more.controls + bent.controls,
+            more.duration + bent.duration,
+        )
 
     def curvature(self, step: Array, moved: Motion) -> Array:
         """Return the second derivatives of J + yᵀ goals + barriers along a step of w and the step of the motion with it; `weigh` sets y."""
@@ -250,7 +326,11 @@ class Expansion:
         by_controls: Array | float = 0.0
         paths = self._path_curvature(moved, change, longer)
         if paths is not None:
-            slopes, by_duration, by_controls = _sum(slopes, paths.motion), by_duration + paths.duration, paths.controls
+            slopes, by_duration, by_controls = (
+                _sum(slopes, paths.motion),
+                by_duration + paths.duration,
+                paths.controls,
+            )
         if self.carried is not None:
             by_duration = by_duration + self._carried_curvature(*self.carried, slopes, longer)
         costate = self.linear.solve_back(slopes)
@@ -260,16 +340,26 @@ class Expansion:
             controls = of.chain.controls
             again = 2 * T * longer * controls.gathered(self.own[:, :, None])[:, :, 0]
             unit = controls.at_stations(change)
-            whole = ((2 * T * unit + 2 * longer * self.unit) * self.own).sum() - longer * (self.costate.impulses[:, :, 0] * self.loads[2]).sum()
+            whole = ((2 * T * unit + 2 * longer * self.unit) * self.own).sum() - longer * (
+                self.costate.impulses[:, :, 0] * self.loads[2]
+            ).sum()
             result = result + of.joined(again, whole)
         by_c, by_T = of.objective.curvature(self.c, T, change, longer)
         return np.asarray(of.units * (result + of.joined(by_c, by_T) / of.cost_scale))
 
-    def _carried_curvature(self, first: Motion, second: Motion, slopes: Motion, longer: float) -> float:
+    def _carried_curvature(
+        self, first: Motion, second: Motion, slopes: Motion, longer: float
+    ) -> float:
         """Return how the derivative by the duration changes where it moves supports: with slopes that change there, and as they speed up."""
         pushes, lengths = self.linear.along(second)
-        again = (pushes * self.costate.impulses[:, :, 0]).sum() + (lengths * self.costate.lengths[:, :, 0]).sum()
-        return float((slopes.places * first.places).sum() + (slopes.rates * first.rates).sum() + longer * again)
+        again = (pushes * self.costate.impulses[:, :, 0]).sum() + (
+            lengths * self.costate.lengths[:, :, 0]
+        ).sum()
+        return float(
+            (slopes.places * first.places).sum()
+            + (slopes.rates * first.rates).sum()
+            + longer * again
+        )
 
 
 def _sum(one: Motion, other: Motion) -> Motion:

@@ -19,8 +19,9 @@ FLAT = 1e-8  # of the metric's: less curvature is none
 class Step(NamedTuple):
     """A step d of w: normal, the part that leads to the goals; tangential, the metric's size of the rest.
 
-    slack: the step (p,) of what is limited along the way, that belongs to it; multipliers: those of the goals at its end. hit: whether the trust
-    region ends it; bent: whether curvature is negative along it.
+    slack: the step (p,) of what is limited along the way, that belongs to it; multipliers: those of
+    the goals at its end. hit: whether the trust region ends it; bent: whether curvature is negative
+    along it.
     """
 
     d: Array
@@ -36,11 +37,25 @@ class Step(NamedTuple):
 class Model:
     """The quadratic model of costs and barriers about a point: exact, or, without multipliers, its metric alone.
 
-    stiffness (n,): of the barriers before limits of w; working: the limits along the way that give way in the projector.
+    stiffness (n,): of the barriers before limits of w; working: the limits along the way that give
+    way in the projector.
     """
 
-    def __init__(self, expansion: Expansion, stiffness: Array, projector: Projector, working: Indices, gradient: Array, exact: bool) -> None:
-        self.expansion, self.stiffness, self.projector, self.working = expansion, stiffness, projector, working
+    def __init__(
+        self,
+        expansion: Expansion,
+        stiffness: Array,
+        projector: Projector,
+        working: Indices,
+        gradient: Array,
+        exact: bool,
+    ) -> None:
+        self.expansion, self.stiffness, self.projector, self.working = (
+            expansion,
+            stiffness,
+            projector,
+            working,
+        )
         self.gradient, self.exact = gradient, exact
 
     def step(self, left: Leftover, radius: float) -> Step:
@@ -48,7 +63,9 @@ class Model:
         expansion, projector = self.expansion, self.projector
         drift = expansion.follow(None, left.rows)
         drifted = expansion.path_change(drift, None)[self.working]
-        normal = -projector.shortest(np.append(left.goals + expansion.change(drift), left.paths[self.working] + drifted))
+        normal = -projector.shortest(
+            np.append(left.goals + expansion.change(drift), left.paths[self.working] + drifted)
+        )
         if self.exact:
             curved = self._curved(normal, expansion.follow(normal, left.rows))
         else:
@@ -69,7 +86,11 @@ class Model:
 
     def _times(self, step: Array) -> Array:
         """Return the second derivatives along a step of w that the motion follows."""
-        return self._curved(step, self.expansion.follow(step, None)) if self.exact else self.projector.times(step)
+        return (
+            self._curved(step, self.expansion.follow(step, None))
+            if self.exact
+            else self.projector.times(step)
+        )
 
     def _curved(self, step: Array, moved: Motion) -> Array:
         return self.expansion.curvature(step, moved) + self.stiffness * step

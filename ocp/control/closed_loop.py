@@ -18,7 +18,16 @@ from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.diagnosis import off_constraints
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import LARGEST, Array, call_user_function, finite_array, instance, positive_number, shown, whole_number
+from tenscasadi.util.validate import (
+    LARGEST,
+    Array,
+    call_user_function,
+    finite_array,
+    instance,
+    positive_number,
+    shown,
+    whole_number,
+)
 
 MOST = 1e7  # decisions in a run
 MOST_STEPS = 1000  # in a decision
@@ -70,7 +79,8 @@ class ClosedLoop(ReadOnlyArrays):
     def __repr__(self) -> str:
         slowest = f"{self.seconds.max(initial=0.0):.2g} s"
         return (
-            f"ClosedLoop({len(self.seconds)} decisions of at most {slowest}, t = {self.trajectory.time[-1]:g} s, success={self.trajectory.success})"
+            f"ClosedLoop({len(self.seconds)} decisions of at most {slowest}, "
+            f"t = {self.trajectory.time[-1]:g} s, success={self.trajectory.success})"
         )
 
 
@@ -88,21 +98,25 @@ def run(
     Parameters
     ----------
     controller : Mpc, Tracker or Controller
-        What decides: it has a `model`, a `period`, s, and `control(time, state)`, which returns force densities (α,), N/m.
+        What decides: it has a `model`, a `period`, s, and `control(time, state)`, which returns
+        force densities (α,), N/m.
     t_end : float
         End of the run, s. The last decision holds for what is left of its period.
     model : Model, optional
-        The plant. It may differ from what the controller believes: in masses, gravity, gusts (`tenscasadi.NodalForce` of time); nodes and
-        strings are the same. Default: the controller's own model.
+        The plant. It may differ from what the controller believes: in masses, gravity, gusts
+        (`tenscasadi.NodalForce` of time); nodes and strings are the same. Default: the controller's
+        own model.
     state : array_like, shape (nx,), optional
-        Where the run starts, with bars of their lengths. A clock need not begin at 0: the controller sees it; times count from the beginning.
-        Default: the model's initial state.
+        Where the run starts, with bars of their lengths. A clock need not begin at 0: the
+        controller sees it; times count from the beginning. Default: the model's initial state.
     steps : int
         Steps of `RungeKutta4` for each decision.
     disturbance : callable, optional
-        Function (time, state) → state, called before each decision, such as a push. What bars and joints do not allow of it is taken off.
+        Function (time, state) → state, called before each decision, such as a push. What bars and
+        joints do not allow of it is taken off.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
-        Values of the plant's parameters, see `tenscasadi.ParameterLayout.values`. Default: the nominal ones.
+        Values of the plant's parameters, see `tenscasadi.ParameterLayout.values`. Default: the
+        nominal ones.
 
     Returns
     -------
@@ -127,7 +141,11 @@ def run(
     >>> bool(abs(reached.string_lengths - lengths).max() < 0.01)
     True
     """
-    if isinstance(controller, type) or not isinstance(controller, Controller) or not callable(controller.control):
+    if (
+        isinstance(controller, type)
+        or not isinstance(controller, Controller)
+        or not callable(controller.control)
+    ):
         raise TypeError(
             f"controller is {shown(controller)}: give an ocp.Mpc(...), ocp.track(plan), or what has model, period and control(time, state)"
         )
@@ -135,23 +153,36 @@ def run(
     period = positive_number("controller.period", controller.period)
     plant = controller.model if model is None else model
     if model is None and parameters is not None and not plant.np:
-        raise ValueError("parameters are given, and the controller's model has none: give the plant, a model of Scene(..., parameters=...)")
+        raise ValueError(
+            "parameters are given, and the controller's model has none: give the plant, a model of Scene(..., parameters=...)"
+        )
     _check_plant(plant, controller.model)
     plant = plant.fixed(parameters)
     n = whole_number("steps", steps, 1, MOST_STEPS)
     if disturbance is not None and not callable(disturbance):
-        raise TypeError(f"disturbance is {shown(disturbance)}: give a function (time, x) -> x, or None")
+        raise TypeError(
+            f"disturbance is {shown(disturbance)}: give a function (time, x) -> x, or None"
+        )
     ratio = positive_number("t_end", t_end) / period
     if ratio > MOST:
-        raise ValueError(f"t_end is {t_end:g}: that takes {ratio:.1g} decisions of {period:g} s, give at most {MOST:g}")
-    ends = np.append(period * np.arange(max(1, np.ceil(ratio - 1e-9))), t_end)  # of the decisions' times
+        raise ValueError(
+            f"t_end is {t_end:g}: that takes {ratio:.1g} decisions of {period:g} s, give at most {MOST:g}"
+        )
+    ends = np.append(
+        period * np.arange(max(1, np.ceil(ratio - 1e-9))), t_end
+    )  # of the decisions' times
     chain = RungeKutta4().step(plant.ode).mapaccum(n)
     project = projection(plant, 2)
     x = _start(plant, state)
     states, controls, seconds = [x[None]], [], []
     for now, after in pairwise(ends):
         if disturbance is not None:
-            pushed = call_user_function("disturbance", lambda seen: disturbance(*seen), (now, x.copy()), "give a function (time, x) -> x")
+            pushed = call_user_function(
+                "disturbance",
+                lambda seen: disturbance(*seen),
+                (now, x.copy()),
+                "give a function (time, x) -> x",
+            )
             x = finite_array("disturbance(time, x)", pushed, (plant.nx,))
             x = np.asarray(project(x).full()).ravel()
         seen = _seen(controller.model, plant, x, now)
@@ -170,8 +201,21 @@ def run(
     done = len(controls) == len(ends) - 1
     held = np.concatenate([*controls, controls[-1][-1:]]) if controls else np.zeros((1, plant.nu))
     times = np.interp(np.arange(len(rows)) / n, np.arange(len(ends)), ends)
-    message = f"finished {len(controls)} decisions" if done else f"diverged after t = {times[-1]:g} s: the state is not finite"
-    trajectory = record_trajectory(plant, times, rows, held, step=period / n, message=message, success=done, seconds=sum(seconds))
+    message = (
+        f"finished {len(controls)} decisions"
+        if done
+        else f"diverged after t = {times[-1]:g} s: the state is not finite"
+    )
+    trajectory = record_trajectory(
+        plant,
+        times,
+        rows,
+        held,
+        step=period / n,
+        message=message,
+        success=done,
+        seconds=sum(seconds),
+    )
     return ClosedLoop(trajectory, np.array(seconds))
 
 
@@ -179,11 +223,19 @@ def _check_plant(plant: Any, believed: Model) -> None:
     """Refuse a plant whose state and control do not mean what the controller's do."""
     instance("model", plant, Model, "a tenscasadi.Model or None")
     if not isinstance(plant.scene.control, ForceDensity):
-        raise ValueError(f"model has the control {plant.scene.control}: give a model of Scene(..., control=ForceDensity())")
+        raise ValueError(
+            f"model has the control {plant.scene.control}: give a model of Scene(..., control=ForceDensity())"
+        )
     own, other = plant.structure, believed.structure
-    same = np.array_equal(own.strings, other.strings) and np.array_equal(own.fixed, other.fixed) and own.rollers == other.rollers
+    same = (
+        np.array_equal(own.strings, other.strings)
+        and np.array_equal(own.fixed, other.fixed)
+        and own.rollers == other.rollers
+    )
     if not same or plant.nu != believed.nu or plant.nq != believed.nq:
-        raise ValueError("model has other nodes, pins or strings than the controller's: give one with the same")
+        raise ValueError(
+            "model has other nodes, pins or strings than the controller's: give one with the same"
+        )
 
 
 def _start(plant: Model, state: Any) -> Array:

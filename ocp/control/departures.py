@@ -13,7 +13,8 @@ from tenscasadi.dynamics.model import Model
 def departures(model: Model, place: float, speed: float) -> ca.Function:
     """Return the Function x → what is to be kept, in units of `place`, m, and `speed`, m/s, and its sparse derivative by x.
 
-    Coordinates and velocities; of free structures, which may drift and turn, distances between nodes and their rates.
+    Coordinates and velocities; of free structures, which may drift and turn, distances between
+    nodes and their rates.
     """
     x = ca.SX.sym("x", model.nx)
     if model.scene.structure.held.any() or model.scene.ground is not None:
@@ -21,7 +22,9 @@ def departures(model: Model, place: float, speed: float) -> ca.Function:
     else:
         N = model.nodes(x)
         bars = {frozenset(bar) for bar in model.structure.bars.tolist()}
-        pairs = [(a, b) for a, b in combinations(range(N.shape[1]), 2) if frozenset((a, b)) not in bars]
+        pairs = [
+            (a, b) for a, b in combinations(range(N.shape[1]), 2) if frozenset((a, b)) not in bars
+        ]
         q = norms(N[:, [b for _, b in pairs]] - N[:, [a for a, _ in pairs]])
         v = ca.jtimes(q, x, ca.vertcat(model.split(x)[1], ca.DM.zeros(model.nx - model.nq)))
     value = ca.vertcat(q / place, v / speed)

@@ -11,8 +11,11 @@ import scipy.optimize
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
-BALANCE = 1e6  # what an acceleration weighs against the size of force densities, both in units of order one
-UNBALANCED = 1e-4  # of the accelerations that force densities bring about: what is left below is rounding
+# what an acceleration weighs against the size of force densities, both in units of order one
+BALANCE = 1e6
+UNBALANCED = (
+    1e-4  # of the accelerations that force densities bring about: what is left below is rounding
+)
 RUINOUS = 1e9  # times the cost of one decision: what nothing steadies costs more
 DOUBLINGS = 10  # of the horizon of the stationary regulator: 1024 decisions
 
@@ -34,21 +37,37 @@ def equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equil
     count = model.nu
     still = at_rest(model, state)
     trials = np.column_stack([np.zeros(count), np.eye(count)])
-    free, *pulled = model.split(np.asarray(model.ode.map(count + 1)(still, trials).full()).T)[1]  # accelerations are linear in γ
+    free, *pulled = model.split(np.asarray(model.ode.map(count + 1)(still, trials).full()).T)[
+        1
+    ]  # accelerations are linear in γ
     A = np.array(pulled).T - free[:, None]
     size = float(np.linalg.norm(A, 2)) or 1.0
-    strength = max(float(np.linalg.norm(np.linalg.lstsq(A, free)[0])), float(np.abs(lower).max(initial=0.0))) or 1.0
+    strength = (
+        max(
+            float(np.linalg.norm(np.linalg.lstsq(A, free)[0])),
+            float(np.abs(lower).max(initial=0.0)),
+        )
+        or 1.0
+    )
     rows = np.concatenate([BALANCE * A / size, np.eye(count)])
     wanted = np.concatenate([-BALANCE * free / size, np.zeros(count)]) / strength
     gamma, loose = np.array(lower, dtype=float), lower < upper
     if loose.any():
         room = lower[loose] / strength, upper[loose] / strength
-        gamma[loose] = strength * scipy.optimize.lsq_linear(rows[:, loose], wanted - rows @ np.where(loose, 0.0, lower / strength), room, "bvls").x
+        gamma[loose] = (
+            strength
+            * scipy.optimize.lsq_linear(
+                rows[:, loose], wanted - rows @ np.where(loose, 0.0, lower / strength), room, "bvls"
+            ).x
+        )
     left = np.abs(free + A @ gamma)
     worst = int(np.argmax(left))
     pull = max(float(np.abs(free).max()), float(np.abs(A).max(initial=0.0)) * strength)
     return Equilibrium(
-        np.clip(gamma, lower, upper), float(left[worst]), model.mechanism.coordinate_names[worst], bool(left[worst] <= UNBALANCED * pull)
+        np.clip(gamma, lower, upper),
+        float(left[worst]),
+        model.mechanism.coordinate_names[worst],
+        bool(left[worst] <= UNBALANCED * pull),
     )
 
 
@@ -60,11 +79,14 @@ class Rest(NamedTuple):
     message: str
 
 
-def find_rest(model: Model, end: Array, lower: Array, upper: Array, slow: float, margin: float = 0.0) -> Rest:
+def find_rest(
+    model: Model, end: Array, lower: Array, upper: Array, slow: float, margin: float = 0.0
+) -> Rest:
     """Tell what holds a state (nx,) at which a motion ends. slow: speed of coordinates, m/s, that counts as rest.
 
-    margin: distance from the limits, N/m, that force densities keep where they can. A regulator about strings at their limits could only
-    tighten them: with half of what it counts on it is hardly stable.
+    margin: distance from the limits, N/m, that force densities keep where they can. A regulator
+    about strings at their limits could only tighten them: with half of what it counts on it is
+    hardly stable.
     """
     fastest = float(np.abs(model.split(end)[1]).max(initial=0.0))
     if fastest > slow:
@@ -76,7 +98,11 @@ def find_rest(model: Model, end: Array, lower: Array, upper: Array, slow: float,
     if not found.exact:
         told = f"no force densities within their limits do: {found.coordinate} accelerates by {found.left:.2g} m/s² at best"
         return Rest(None, np.zeros(0), f"the end is not held, as {told}")
-    return Rest(at_rest(model, end), found.force_density, f"the end is held by force densities up to {found.force_density.max(initial=0.0):.3g} N/m")
+    return Rest(
+        at_rest(model, end),
+        found.force_density,
+        f"the end is held by force densities up to {found.force_density.max(initial=0.0):.3g} N/m",
+    )
 
 
 def at_rest(model: Model, state: Array) -> Array:
@@ -89,8 +115,9 @@ def at_rest(model: Model, state: Array) -> Array:
 def stationary_cost(a: Array, b: Array, Q: Array, R: Array) -> Array:
     """Return P (d, d) of the cost δᵀ P δ of holding δ⁺ = a δ + b u for a long time, at Q and R for each decision.
 
-    The horizon doubles each time (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes which nothing sees or moves are no obstacle; it ends
-    where the cost of those that nothing steadies leaves no digits for others.
+    The horizon doubles each time (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes
+    which nothing sees or moves are no obstacle; it ends where the cost of those that nothing
+    steadies leaves no digits for others.
     """
     A, G, H = a, b @ scipy.linalg.solve(R, b.T, assume_a="pos"), Q
     eye = np.eye(len(a))

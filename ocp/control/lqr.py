@@ -26,10 +26,20 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import LARGEST, Array, finite_array, instance, positive_number, whole_number
+from tenscasadi.util.validate import (
+    LARGEST,
+    Array,
+    finite_array,
+    instance,
+    positive_number,
+    whole_number,
+)
 
 MOST = 10_000  # decisions: each has a gain
-LEAST_SUBSTEPS, MOST_SUBSTEPS = 2, 50  # of a decision, for its derivatives: one for each radian of the fastest vibration
+LEAST_SUBSTEPS, MOST_SUBSTEPS = (
+    2,
+    50,
+)  # of a decision, for its derivatives: one for each radian of the fastest vibration
 BETWEEN = 4  # steps from a node of the plan to a decision after it
 STEPS = 10  # of a replay for each decision
 
@@ -46,8 +56,9 @@ class Hold(NamedTuple):
 class Tracker(ReadOnlyArrays):
     """Time-varying LQR about a plan, γ = γ_plan − G (x − x_plan) within limits; a controller for `run`, made by `track`.
 
-    After a plan that ends at rest it holds that state: under the least force densities of equilibrium, with the gains of a stationary regulator
-    about it. `message` says where it cannot; its last gain then goes on to hold the last state.
+    After a plan that ends at rest it holds that state: under the least force densities of
+    equilibrium, with the gains of a stationary regulator about it. `message` says where it cannot;
+    its last gain then goes on to hold the last state.
 
     Attributes
     ----------
@@ -64,7 +75,8 @@ class Tracker(ReadOnlyArrays):
     lower, upper : ndarray, shape (α,)
         Limits of the force densities, N/m.
     hold : Hold or None
-        What holds the end of the plan: `state` (nx,), `force_density` (α,) and `gains` (α, nx); None where nothing does.
+        What holds the end of the plan: `state` (nx,), `force_density` (α,) and `gains` (α, nx);
+        None where nothing does.
     message : str
         Whether the end of the plan is held, and why not.
 
@@ -104,9 +116,14 @@ class Tracker(ReadOnlyArrays):
     def feedback(self) -> Feedback:
         """The same regulator as `tenscasadi.rollouts` takes it: for thousands of motions at once."""
         if self.hold is None:
-            return Feedback(self.time, self.force_density, self.states, self.gains, self.lower, self.upper)
+            return Feedback(
+                self.time, self.force_density, self.states, self.gains, self.lower, self.upper
+            )
         time = np.append(self.time, self.time[-1] + self.period)
-        controls, gains = np.vstack([self.force_density, self.hold.force_density]), np.concatenate([self.gains, self.hold.gains[None]])
+        controls, gains = (
+            np.vstack([self.force_density, self.hold.force_density]),
+            np.concatenate([self.gains, self.hold.gains[None]]),
+        )
         states = np.vstack([self.states[:-1], self.hold.state, self.hold.state])
         return Feedback(time, controls, states, gains, self.lower, self.upper)
 
@@ -125,13 +142,20 @@ class Tracker(ReadOnlyArrays):
         ndarray, shape (α,)
             Force densities, N/m.
         """
-        time, state = positive_number("time", time, zero=True), finite_array("state", state, (self.model.nx,))
+        time, state = (
+            positive_number("time", time, zero=True),
+            finite_array("state", state, (self.model.nx,)),
+        )
         k = min(int(time / self.period + 1e-9), len(self.gains) - 1)
         after = time > self.time[-1] - 1e-9
         if after and self.hold is not None:
             wanted, gamma, gain = self.hold
         else:
-            wanted, gamma, gain = self.states[-1 if after else k], self.force_density[k], self.gains[k]
+            wanted, gamma, gain = (
+                self.states[-1 if after else k],
+                self.force_density[k],
+                self.gains[k],
+            )
         away = state - wanted
         self.model.split(away)[2][:] = 0.0
         return np.asarray(np.clip(gamma - gain @ away, self.lower, self.upper))
@@ -155,14 +179,14 @@ def track(
     decisions : int, optional
         How many, at equal times. Default: one per interval of the plan.
     place : float, optional
-        Departure of a coordinate, m, that counts as much as `effort`; of velocities 10 of it in the duration. Default: 1 % of the
-        structure's size.
+        Departure of a coordinate, m, that counts as much as `effort`; of velocities 10 of it in the
+        duration. Default: 1 % of the structure's size.
     effort : float, optional
-        Departure of a force density, N/m, or of a rest length, m, where these are decided. Default: a tenth of the plan's mean force density, or
-        what changes it so.
+        Departure of a force density, N/m, or of a rest length, m, where these are decided. Default:
+        a tenth of the plan's mean force density, or what changes it so.
     lower, upper : array_like, scalar or shape (α,), optional
-        Limits of the force densities, N/m, as in `ForceDensityLimits`, or of the rest lengths, m. Default: those of the plan's problem; 0 and
-        none where it is not known.
+        Limits of the force densities, N/m, as in `ForceDensityLimits`, or of the rest lengths, m.
+        Default: those of the plan's problem; 0 and none where it is not known.
 
     Returns
     -------
@@ -176,13 +200,15 @@ def track(
 
     Notes
     -----
-    Riccati's recursion minimises Σ (δq/place)² + (δv/speed)² + (δγ/effort)² of small departures from the plan: of coordinates or, of free
-    structures, of distances between nodes. Derivatives are those of the integrated steps, in an orthonormal basis of the changes that bars
-    and joints allow [1]_.
+    Riccati's recursion minimises Σ (δq/place)² + (δv/speed)² + (δγ/effort)² of small departures
+    from the plan: of coordinates or, of free structures, of distances between nodes. Derivatives
+    are those of the integrated steps, in an orthonormal basis of the changes that bars and joints
+    allow [1]_.
 
     References
     ----------
-    .. [1] B. D. O. Anderson, J. B. Moore, "Optimal Control: Linear Quadratic Methods", Prentice Hall, 1990, section 2.4.
+    .. [1] B. D. O. Anderson, J. B. Moore, "Optimal Control: Linear Quadratic Methods", Prentice
+    Hall, 1990, section 2.4.
 
     Examples
     --------
@@ -196,14 +222,24 @@ def track(
     """
     instance("plan", plan, Plan, "an ocp.Plan")
     model, T = plan.known_model("track"), float(plan.time[-1])
-    count = len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, MOST)
-    size = 0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) if place is None else positive_number("place", place)
+    count = (
+        len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, MOST)
+    )
+    size = (
+        0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0)))
+        if place is None
+        else positive_number("place", place)
+    )
     usual = 0.1 * float(plan.force_density.mean()) or 1.0
     if winds(model):  # by as much as changes the force densities so
-        usual *= float(np.mean(model.scene.structure.string_lengths / model.scene.structure.stiffness))
+        usual *= float(
+            np.mean(model.scene.structure.string_lengths / model.scene.structure.stiffness)
+        )
     force = usual if effort is None else positive_number("effort", effort)
     known = (0.0, np.inf) if plan.problem is None else plan.problem.control_limits
-    limits = (RestLengthLimits if winds(model) else ForceDensityLimits)(known[0] if lower is None else lower, known[1] if upper is None else upper)
+    limits = (RestLengthLimits if winds(model) else ForceDensityLimits)(
+        known[0] if lower is None else lower, known[1] if upper is None else upper
+    )
     limits.check(model.scene.structure)
     own = limits.limits(model.scene.structure)
     time = np.linspace(0.0, T, count + 1)
@@ -212,7 +248,15 @@ def track(
     rest = _rest(plan, model, own, size / T, force)
     try:
         with np.errstate(all="ignore"):  # what overflows is told
-            gains = _regulate(model, states, gamma, rest, T / count, departures(model, size, 10 * size / T), force**-2)
+            gains = _regulate(
+                model,
+                states,
+                gamma,
+                rest,
+                T / count,
+                departures(model, size, 10 * size / T),
+                force**-2,
+            )
     except (scipy.linalg.LinAlgError, ValueError):
         told = f"departures along the motion{'' if plan.success else ' of a plan that failed'} grow too fast for gains to be found"
         raise ValueError(f"decisions is {count}: {told}, give more decisions") from None
@@ -220,51 +264,89 @@ def track(
     return Tracker(model, time, states, gamma, gains[:count], *own, hold, rest.message)
 
 
-def _rest(plan: Plan, model: Model, limits: tuple[Array, Array], slow: float, margin: float) -> Rest:
+def _rest(
+    plan: Plan, model: Model, limits: tuple[Array, Array], slow: float, margin: float
+) -> Rest:
     """Tell what holds the end of a plan: force densities, or the rest lengths at which elastic strings pull so."""
     end = plan.trajectory.states[-1]
     if not winds(model):
         return find_rest(model, end, *limits, slow, margin)
     structure = model.scene.structure
-    lower, upper = (np.zeros(model.nu), np.full(model.nu, np.inf)) if plan.problem is None else plan.problem.force_density_limits
+    lower, upper = (
+        (np.zeros(model.nu), np.full(model.nu, np.inf))
+        if plan.problem is None
+        else plan.problem.force_density_limits
+    )
     found = find_rest(pulled(model), end, lower, upper, slow)
     if found.state is None:
         return found
     lengths = plan.lengths()[-1]
-    return found._replace(force_density=np.clip(lengths * (1 - found.force_density / structure.stiffness), *limits))
+    return found._replace(
+        force_density=np.clip(lengths * (1 - found.force_density / structure.stiffness), *limits)
+    )
 
 
 def replay_tracked(plan: Plan) -> Trajectory:
     """Return the motion of a plan's model from its start under `track`. Raises ValueError where no gains are found, or the model is not known."""
-    return run(track(plan), float(plan.time[-1]), steps=STEPS, state=plan.trajectory.states[0]).trajectory
+    return run(
+        track(plan), float(plan.time[-1]), steps=STEPS, state=plan.trajectory.states[0]
+    ).trajectory
 
 
 def _planned(plan: Plan, model: Model, time: Array) -> Array:
     """Return the planned states (count + 1, nx) at times: from the node before each, in steps of RK4, so that errors do not add up."""
     nodes = plan.time
-    k = np.clip(np.searchsorted(nodes, time + 1e-9 * nodes[-1], side="right") - 1, 0, len(nodes) - 2)
-    since = np.where(np.isclose(time, nodes[k], rtol=0, atol=1e-9 * nodes[-1]), 0.0, time - nodes[k])
+    k = np.clip(
+        np.searchsorted(nodes, time + 1e-9 * nodes[-1], side="right") - 1, 0, len(nodes) - 2
+    )
+    since = np.where(
+        np.isclose(time, nodes[k], rtol=0, atol=1e-9 * nodes[-1]), 0.0, time - nodes[k]
+    )
     advance = RungeKutta4().step(model.ode).map(len(time))
     x = ca.DM(plan.trajectory.states[k].T)
     for part in range(BETWEEN):
-        x = advance(x, profile_at(plan.force_density, nodes, nodes[k] + (part + 0.5) / BETWEEN * since).T, since[None] / BETWEEN)
+        x = advance(
+            x,
+            profile_at(plan.force_density, nodes, nodes[k] + (part + 0.5) / BETWEEN * since).T,
+            since[None] / BETWEEN,
+        )
     states = np.asarray(x.full()).T
     states[-1] = plan.trajectory.states[-1]
     if not np.all(np.abs(states) <= LARGEST):
-        raise ValueError("plan has states that are not finite, or lead to such: give a plan that was found, with more intervals")
+        raise ValueError(
+            "plan has states that are not finite, or lead to such: give a plan that was found, with more intervals"
+        )
     return states
 
 
-def _regulate(model: Model, states: Array, gamma: Array, rest: Rest, period: float, kept: ca.Function, effort: float) -> Array:
+def _regulate(
+    model: Model,
+    states: Array,
+    gamma: Array,
+    rest: Rest,
+    period: float,
+    kept: ca.Function,
+    effort: float,
+) -> Array:
     """Gains (K, α, nx) along states (K + 1, nx) under γ (K, α); where the end is held one more (K + 1, α, nx), that of holding it."""
     ends = states
     if rest.state is not None:
-        states, gamma, ends = np.vstack([states[:-1], rest.state]), np.vstack([gamma, rest.force_density]), np.vstack([states, rest.state])
+        states, gamma, ends = (
+            np.vstack([states[:-1], rest.state]),
+            np.vstack([gamma, rest.force_density]),
+            np.vstack([states, rest.state]),
+        )
     else:
         states = states[:-1]
     looked_at = sorted({0, len(gamma) // 2, len(gamma) - 1})
     rate = max(fastest_rate(model, states[k], gamma[k]) for k in looked_at)
-    motion = Motion(model, len(gamma), int(np.clip(np.ceil(rate * period), LEAST_SUBSTEPS, MOST_SUBSTEPS)) if np.isfinite(rate) else MOST_SUBSTEPS)
+    motion = Motion(
+        model,
+        len(gamma),
+        int(np.clip(np.ceil(rate * period), LEAST_SUBSTEPS, MOST_SUBSTEPS))
+        if np.isfinite(rate)
+        else MOST_SUBSTEPS,
+    )
     A, B = motion.derivatives(motion.points(states, gamma, period), gamma, period)
     tangents = Tangents.of(model)
     Z = [tangents(x) for x in ends]

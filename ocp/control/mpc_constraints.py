@@ -18,8 +18,9 @@ NO_LIMIT = 1e6  # scaled: no limit, where it must be finite
 class Horizon(NamedTuple):
     """A motion over K intervals from a measured state, and how changes ΔU (K α) of all its force densities move it.
 
-    States x_k and their derivatives by ΔU: of the last decision, of now, and of the ends of the intervals (K + 2). Force densities and
-    theirs: of the last decision, and of the intervals (K + 1).
+    States x_k and their derivatives by ΔU: of the last decision, of now, and of the ends of the
+    intervals (K + 2). Force densities and theirs: of the last decision, and of the intervals (K +
+    1).
     """
 
     states: list[Any]
@@ -36,14 +37,20 @@ class Horizon(NamedTuple):
 class HorizonLimits:
     """All bounds of a problem but those of γ itself: a ΔU ≤ b, one-sided rows in each interval of `period` s.
 
-    Bounds of instants hold at the end of each interval, those of the end of a plan at that of the horizon; those of rates from the start of
-    each interval's predecessor to its own start, first from the last decision to now. strength: a typical γ, N/m.
+    Bounds of instants hold at the end of each interval, those of the end of a plan at that of the
+    horizon; those of rates from the start of each interval's predecessor to its own start, first
+    from the last decision to now. strength: a typical γ, N/m.
     """
 
     def __init__(self, problem: Problem, scales: Scales, strength: float, period: float) -> None:
         self._period = period
-        self._instants = [(_one_sided(rows), rows.ends == ("last",)) for rows in scaled_rows(problem, PathBound, scales, strength)]
-        self._rates = [_one_sided(rows) for rows in scaled_rows(problem, RateBound, scales, strength)]
+        self._instants = [
+            (_one_sided(rows), rows.ends == ("last",))
+            for rows in scaled_rows(problem, PathBound, scales, strength)
+        ]
+        self._rates = [
+            _one_sided(rows) for rows in scaled_rows(problem, RateBound, scales, strength)
+        ]
 
     @property
     def from_last_decision(self) -> bool:
@@ -56,13 +63,22 @@ class HorizonLimits:
         x, dx, u, du = horizon
         for limit, last in self._instants:
             for k in range(horizon.intervals - 1 if last else 0, horizon.intervals):
-                room, by_state, by_control, _ = limit(x[k + 2], u[k + 1], time + (k + 1) * self._period)
+                room, by_state, by_control, _ = limit(
+                    x[k + 2], u[k + 1], time + (k + 1) * self._period
+                )
                 a.append(by_state @ dx[k + 2] + by_control @ du[k + 1])
                 b.append(room)
         for limit in self._rates:
             for k in range(horizon.intervals):
                 room, *slopes, _ = limit(x[k], u[k], x[k + 1], u[k + 1], self._period)
-                a.append(sum(J @ effect for J, effect in zip(slopes, (dx[k], du[k], dx[k + 1], du[k + 1]), strict=True)))
+                a.append(
+                    sum(
+                        J @ effect
+                        for J, effect in zip(
+                            slopes, (dx[k], du[k], dx[k + 1], du[k + 1]), strict=True
+                        )
+                    )
+                )
                 b.append(room if k else ca.if_else(begun, room, NO_LIMIT))
         return ca.vertcat(*a), ca.vertcat(*b)
 
@@ -71,6 +87,10 @@ def _one_sided(bound: ScaledRows) -> ca.Function:
     """Return the Function of the bound's inputs → how far off each finite limit is, and what moves towards it, by each input."""
     inputs = [ca.MX.sym("z", bound.function.size1_in(k)) for k in range(bound.function.n_in())]
     value = bound.function(*inputs)
-    upper, lower = (np.flatnonzero(np.isfinite(limit)).tolist() for limit in (bound.upper, bound.lower))
-    room = ca.vertcat(ca.DM(bound.upper)[upper] - value[upper], value[lower] - ca.DM(bound.lower)[lower])
+    upper, lower = (
+        np.flatnonzero(np.isfinite(limit)).tolist() for limit in (bound.upper, bound.lower)
+    )
+    room = ca.vertcat(
+        ca.DM(bound.upper)[upper] - value[upper], value[lower] - ca.DM(bound.lower)[lower]
+    )
     return ca.Function("room", inputs, [room, *(-ca.jacobian(room, z) for z in inputs)])

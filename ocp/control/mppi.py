@@ -23,9 +23,21 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.kernel import build_kernel
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.validate import Array, finite_array, instance, nonnegative, per_item, positive_number, shown, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    instance,
+    nonnegative,
+    per_item,
+    positive_number,
+    shown,
+    whole_number,
+)
 
-MOST, MOST_SAMPLES = 1000, 1_000_000  # periods of a horizon, improvements of a decision and steps of a period; motions
+MOST, MOST_SAMPLES = (
+    1000,
+    1_000_000,
+)  # periods of a horizon, improvements of a decision and steps of a period; motions
 Asked: TypeAlias = Cost | ca.Function | Callable[[Instant], Any]
 RANGE = 0.1  # of the limits' range: the deviation of the noise where none is given
 
@@ -33,17 +45,19 @@ RANGE = 0.1  # of the limits' range: the deviation of the noise where none is gi
 class Mppi:
     """Model predictive path integral control: a controller for `run` that samples motions, and needs no derivatives of them.
 
-    At each decision the motion from the measured state is simulated under many force densities over the horizon: the last decision, shifted,
-    with smooth noise. Their mean, weighted by how little each costs, is the new decision; its first period is applied. That works through
-    contact and friction, where gradients mislead.
+    At each decision the motion from the measured state is simulated under many force densities over
+    the horizon: the last decision, shifted, with smooth noise. Their mean, weighted by how little
+    each costs, is the new decision; its first period is applied. That works through contact and
+    friction, where gradients mislead.
 
     Parameters
     ----------
     problem : Problem, Cost, casadi.Function, callable, or a list of the last three
-        What is asked. Costs are integrated over the horizon, at whose end goals are to be met as nearly as they can. Limits of force
-        densities are kept; overstepping other bounds at the decisions' times costs much. The duration of a problem is a scale only. Without
-        a problem force densities are not limited but by 0: a CasADi Function (x, u) or (x, u, t), or a function of an `Instant`, is then a
-        cost per second.
+        What is asked. Costs are integrated over the horizon, at whose end goals are to be met as
+        nearly as they can. Limits of force densities are kept; overstepping other bounds at the
+        decisions' times costs much. The duration of a problem is a scale only. Without a problem
+        force densities are not limited but by 0: a CasADi Function (x, u) or (x, u, t), or a
+        function of an `Instant`, is then a cost per second.
     period : float
         Time from one decision to the next, s.
     horizon : float
@@ -51,19 +65,21 @@ class Mppi:
     samples : int
         Motions for each improvement, of which 8 are simulated at once where the processor can.
     noise : SplineNoise, float or array_like of shape (α,), optional
-        The noise, or its standard deviation, N/m. Default: a tenth of the range of the force densities' limits.
+        The noise, or its standard deviation, N/m. Default: a tenth of the range of the force
+        densities' limits.
     initial : float or array_like of shape (α,), optional
         Force densities to begin with, N/m. Default: those that hold the problem's start best.
     temperature : float
-        How far cost is forgiven: 0.1 lets motions count that cost a little more than the best; towards 0 only the best counts. In units of
-        the difference between the median and the best cost.
+        How far cost is forgiven: 0.1 lets motions count that cost a little more than the best;
+        towards 0 only the best counts. In units of the difference between the median and the best
+        cost.
     iterations : int
         Improvements for each decision.
     steps : int
         Steps of `RungeKutta4` in each period.
     place : float, optional
-        Departure from a goal, m, that costs 1, as does 10 of it in the problem's duration for goals of speed. Default: 1 % of the structure's
-        size.
+        Departure from a goal, m, that costs 1, as does 10 of it in the problem's duration for goals
+        of speed. Default: 1 % of the structure's size.
     seed : int
         Seed of the noise: the same run has the same decisions.
     model : Model, optional
@@ -72,12 +88,14 @@ class Mppi:
     Attributes
     ----------
     effective_samples : float
-        At the last decision, how many motions its mean consisted of in effect, 1/Σw²; 0 where all diverged, and the decision before went on.
+        At the last decision, how many motions its mean consisted of in effect, 1/Σw²; 0 where all
+        diverged, and the decision before went on.
 
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or the problem asks for a motion of a given duration (`Waypoint`, `FreeStart`).
+        An argument is wrong, or the problem asks for a motion of a given duration (`Waypoint`,
+        `FreeStart`).
 
     See Also
     --------
@@ -85,15 +103,17 @@ class Mppi:
 
     Notes
     -----
-    With costs S of samples γ, weights are w ∝ exp(−(S − min S)/λ) [1]_. Noise is about the last decision, for which the term of importance
-    sampling vanishes, and smooth: splines through random knots, of many sizes. λ is `temperature` times the difference of the median and the
-    least cost, so that it does not depend on the costs' units. One of the samples has no noise. Costs are integrated by the rectangle rule,
-    at the ends of the periods. A motion that diverges, or whose bars are off by more than 10 % of their length at the end of a period, does not
-    count.
+    With costs S of samples γ, weights are w ∝ exp(−(S − min S)/λ) [1]_. Noise is about the last
+    decision, for which the term of importance sampling vanishes, and smooth: splines through random
+    knots, of many sizes. λ is `temperature` times the difference of the median and the least cost,
+    so that it does not depend on the costs' units. One of the samples has no noise. Costs are
+    integrated by the rectangle rule, at the ends of the periods. A motion that diverges, or whose
+    bars are off by more than 10 % of their length at the end of a period, does not count.
 
     References
     ----------
-    .. [1] G. Williams, N. Wagener, B. Goldfain, P. Drews, J. M. Rehg, B. Boots, E. A. Theodorou, "Information theoretic MPC for
+    .. [1] G. Williams, N. Wagener, B. Goldfain, P. Drews, J. M. Rehg, B. Boots, E. A. Theodorou,
+    "Information theoretic MPC for
        model-based reinforcement learning", ICRA 2017, 1714-1721, algorithm 2.
 
     Examples
@@ -140,7 +160,9 @@ class Mppi:
         self.period = positive_number("period", period)
         ratio = positive_number("horizon", horizon) / self.period
         if ratio > MOST:
-            raise ValueError(f"horizon is {horizon:g}: that is {ratio:.1g} periods of {self.period:g} s, give at most {MOST}")
+            raise ValueError(
+                f"horizon is {horizon:g}: that is {ratio:.1g} periods of {self.period:g} s, give at most {MOST}"
+            )
         self.intervals = max(1, int(np.ceil(ratio - 1e-9)))
         self.samples = whole_number("samples", samples, 2, MOST_SAMPLES)
         self._temperature = positive_number("temperature", temperature)
@@ -149,20 +171,34 @@ class Mppi:
         self._seed = whole_number("seed", seed, 0)
         self._lower, self._upper = problem.force_density_limits
         smooth = noise if isinstance(noise, SplineNoise) else SplineNoise(self._deviation(noise))
-        self._sizes, self._directions, self._basis = smooth.sizes(self.samples), smooth.directions(self.model.nu), smooth.basis(self.intervals)
+        self._sizes, self._directions, self._basis = (
+            smooth.sizes(self.samples),
+            smooth.directions(self.model.nu),
+            smooth.basis(self.intervals),
+        )
         held = _held(problem) if initial is None else per_item("initial", initial, self.model.nu)
         self._initial = np.tile(np.clip(held, self._lower, self._upper), (self.intervals, 1))
         scales = Scales.of(problem)
         size = 0.01 * scales.length if place is None else positive_number("place", place)
-        costs = horizon_costs(problem, scales, self.period, self.intervals, size, float(held.mean()) or 1.0)
+        costs = horizon_costs(
+            problem, scales, self.period, self.intervals, size, float(held.mean()) or 1.0
+        )
         self._kernel = build_kernel(self.model, RungeKutta4(), stage=costs.stage, final=costs.final)
-        self._control_cost = None if costs.control is None else ArrayFunction(costs.control.map(self.samples))
-        self._rate_cost = None if costs.rates is None else ArrayFunction(costs.rates.map(self.samples * self.intervals))
+        self._control_cost = (
+            None if costs.control is None else ArrayFunction(costs.control.map(self.samples))
+        )
+        self._rate_cost = (
+            None
+            if costs.rates is None
+            else ArrayFunction(costs.rates.map(self.samples * self.intervals))
+        )
         self.effective_samples: float
         self._plan: Array  # γ (K, α) of the last decision
         self._last: _Decision | None
         self.reset()
-        self._costs(0.0, problem.first_state, self._perturbed())  # the first decision is then no slower than the others
+        self._costs(
+            0.0, problem.first_state, self._perturbed()
+        )  # the first decision is then no slower than the others
         self.reset()
 
     def __repr__(self) -> str:
@@ -183,7 +219,10 @@ class Mppi:
         ndarray, shape (α,)
             Force densities, N/m.
         """
-        time, state = positive_number("time", time, zero=True), finite_array("state", state, (self.model.nx,))
+        time, state = (
+            positive_number("time", time, zero=True),
+            finite_array("state", state, (self.model.nx,)),
+        )
         if self._last is not None and time < self._last.time:
             self.reset()
         if self._last is not None:
@@ -193,7 +232,9 @@ class Mppi:
             weights = softmin(self._costs(time, state, tried), self._temperature)
             self.effective_samples = 1 / float(weights @ weights) if weights.any() else 0.0
             if weights.any():
-                self._plan = np.clip(np.tensordot(weights, tried, 1), self._lower, self._upper)  # sums are rounded
+                self._plan = np.clip(
+                    np.tensordot(weights, tried, 1), self._lower, self._upper
+                )  # sums are rounded
         self._last = _Decision(time, state, self._plan[0])
         return np.array(self._plan[0])
 
@@ -216,8 +257,14 @@ class Mppi:
 
     def _perturbed(self) -> Array:
         """Return the force densities (samples, K, α) that are tried: those of the last decision, and changes of all sizes."""
-        knots = self._random.standard_normal((self.samples, self._basis.shape[1], len(self._directions)))
-        return np.clip(self._plan + self._basis @ (knots * self._sizes[:, None, None] @ self._directions), self._lower, self._upper)
+        knots = self._random.standard_normal(
+            (self.samples, self._basis.shape[1], len(self._directions))
+        )
+        return np.clip(
+            self._plan + self._basis @ (knots * self._sizes[:, None, None] @ self._directions),
+            self._lower,
+            self._upper,
+        )
 
     def _costs(self, time: float, state: Array, tried: Array) -> Array:
         """Return the cost (samples,) of the motion from a state under each of the force densities; inf or NaN where it diverges."""
@@ -231,16 +278,27 @@ class Mppi:
         if self._control_cost is not None:
             cost = cost + self._control_cost(tried)[0].ravel()
         if self._rate_cost is not None and rolled.saved is not None:
-            cost = cost + self._rate_cost(*self._changes(rolled.saved, tried))[0].reshape(count, K).sum(axis=1)
+            cost = cost + self._rate_cost(*self._changes(rolled.saved, tried))[0].reshape(
+                count, K
+            ).sum(axis=1)
         return np.asarray(cost)
 
     def _changes(self, states: Array, tried: Array) -> list[Array]:
         """Return x, γ, x⁺, γ⁺ (samples · K, ·) of all changes of γ: first that from the last decision; without one, from itself."""
         now = _Decision(0.0, states[0, 0], tried[0, 0]) if self._last is None else self._last
-        free = tried[:, :1] if self._last is None else np.broadcast_to(now.force_density, tried[:, :1].shape)
-        x = np.concatenate([np.broadcast_to(now.state, states[:, :1].shape), states[:, :-1]], axis=1)
+        free = (
+            tried[:, :1]
+            if self._last is None
+            else np.broadcast_to(now.force_density, tried[:, :1].shape)
+        )
+        x = np.concatenate(
+            [np.broadcast_to(now.state, states[:, :1].shape), states[:, :-1]], axis=1
+        )
         u = np.concatenate([free, tried], axis=1)
-        return [values.reshape(-1, values.shape[2]) for values in (x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:])]
+        return [
+            values.reshape(-1, values.shape[2])
+            for values in (x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:])
+        ]
 
 
 class _Decision(NamedTuple):
@@ -275,11 +333,18 @@ def _problem(asked: Any, model: Any) -> Problem:
     example = "an ocp.Problem, or with model= a cost: of ocp, a casadi.Function (x, u), or a function of an ocp.Instant"
     for k, one in enumerate(several):
         if isinstance(one, type) or not (isinstance(one, Cost) or callable(one)):
-            raise TypeError(f"problem{f'[{k}]' * (one is not asked)} is {shown(one)}: give {example}")
+            raise TypeError(
+                f"problem{f'[{k}]' * (one is not asked)} is {shown(one)}: give {example}"
+            )
     if model is None or not several:
         raise TypeError(f"problem is {shown(asked)}, model is {shown(model)}: give {example}")
     instance("model", model, Model, "a tenscasadi.Model")
-    return Problem(model, costs=[one if isinstance(one, Cost) else _own(k, one, model) for k, one in enumerate(several)])
+    return Problem(
+        model,
+        costs=[
+            one if isinstance(one, Cost) else _own(k, one, model) for k, one in enumerate(several)
+        ],
+    )
 
 
 def _own(k: int, cost: Any, model: Model) -> Cost:
@@ -288,8 +353,13 @@ def _own(k: int, cost: Any, model: Model) -> Cost:
     if not isinstance(cost, ca.Function):
         return Integral(name, cost)
     sizes = [cost.size_in(i) for i in range(cost.n_in())]
-    if sizes not in (wanted := [(model.nx, 1), (model.nu, 1)], [*wanted, (1, 1)]) or cost.n_out() != 1:
-        raise ValueError(f"{name} is {cost}: give a casadi.Function (x[{model.nx}], u[{model.nu}]) or (x, u, t) that returns a scalar")
+    if (
+        sizes not in (wanted := [(model.nx, 1), (model.nu, 1)], [*wanted, (1, 1)])
+        or cost.n_out() != 1
+    ):
+        raise ValueError(
+            f"{name} is {cost}: give a casadi.Function (x[{model.nx}], u[{model.nu}]) or (x, u, t) that returns a scalar"
+        )
     return Integral(name, lambda now: cost(*now.symbols[: cost.n_in()]))
 
 

@@ -9,12 +9,30 @@ from typing import Any, Literal
 import numpy as np
 
 from tenscasadi.files.document import Item
-from tenscasadi.files.forms import FREE, PER_ITEM, Coordinates, Form, Names, NotWritten, Schema, Schemas
+from tenscasadi.files.forms import (
+    FREE,
+    PER_ITEM,
+    Coordinates,
+    Form,
+    Names,
+    NotWritten,
+    Schema,
+    Schemas,
+)
 from tenscasadi.files.structure_table import SHAPES, StructureForm
 from tenscasadi.files.time_formula import OverTime, TimeFormula
 from tenscasadi.util.validate import shown
 
-_NAMES_A_FILE = ("file", "lib", "path", "plugin", "dir", "load", "dump", "write")  # parts of the names of options
+_NAMES_A_FILE = (
+    "file",
+    "lib",
+    "path",
+    "plugin",
+    "dir",
+    "load",
+    "dump",
+    "write",
+)  # parts of the names of options
 
 
 @dataclass(frozen=True)
@@ -47,7 +65,9 @@ class Plain(Form):
         """Return the value."""
         word = str(item.key[-1])
         if any(part in word for part in _NAMES_A_FILE):
-            raise item.error("may name a file, and nothing is loaded or written because a scene file says so: leave it out")
+            raise item.error(
+                "may name a file, and nothing is loaded or written because a scene file says so: leave it out"
+            )
         if not isinstance(item.value, (bool, int, float, str)) or item.value != item.value:
             raise item.error(f"is {shown(item.value)}: give a number, true, false or a word")
         return item.value
@@ -96,22 +116,34 @@ class MovingPlace(Form):
 
     def read(self, item: Item, names: Names) -> Any:
         """Return three numbers or None, or a function of time."""
-        wanted = f'three coordinates, "{FREE}" where one is free; formulas of the time t where it moves'
+        wanted = (
+            f'three coordinates, "{FREE}" where one is free; formulas of the time t where it moves'
+        )
         entries = item.entries(wanted)
         if len(entries) != 3:
             raise item.error(f"is {shown(item.value)}: give {wanted}")
-        found = [None if entry.value == FREE else OverTime(()).read(entry, names) for entry in entries]
+        found = [
+            None if entry.value == FREE else OverTime(()).read(entry, names) for entry in entries
+        ]
         moving = [entry for entry in found if isinstance(entry, TimeFormula)]
         if not moving:
             return tuple(found)
         numbers = {name: value for entry in moving for name, value in entry.numbers}
-        return TimeFormula(tuple(entry.entries if isinstance(entry, TimeFormula) else entry for entry in found), tuple(numbers.items()))
+        return TimeFormula(
+            tuple(entry.entries if isinstance(entry, TimeFormula) else entry for entry in found),
+            tuple(numbers.items()),
+        )
 
     def write(self, value: Any) -> list[Any]:
         """Return three numbers, formulas or "free"."""
         if callable(value) and not isinstance(value, TimeFormula):
-            raise NotWritten("a function of time in Python: give a place, or keep the problem in Python")
-        return [FREE if entry is None else entry for entry in (value.plain() if isinstance(value, TimeFormula) else value)]
+            raise NotWritten(
+                "a function of time in Python: give a place, or keep the problem in Python"
+            )
+        return [
+            FREE if entry is None else entry
+            for entry in (value.plain() if isinstance(value, TimeFormula) else value)
+        ]
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return three entries."""
@@ -138,4 +170,9 @@ class OfStructure(Form):
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return both."""
-        return {"anyOf": [self.other.schema(kinds), *(shape.schema(kinds, "shape", tagged=True) for shape in SHAPES)]}
+        return {
+            "anyOf": [
+                self.other.schema(kinds),
+                *(shape.schema(kinds, "shape", tagged=True) for shape in SHAPES),
+            ]
+        }

@@ -37,7 +37,8 @@ class PlanPart:
     duration : float or (float, float)
         Seconds, or [shortest, longest] to let the solver choose.
     start : array_like, shape (n, 3) or (nx,), or FreeStart
-        Nodes at rest, m, or a state; "structure" for those of [structure]; FreeStart: found with the plan. Default: that of [start].
+        Nodes at rest, m, or a state; "structure" for those of [structure]; FreeStart: found with
+        the plan. Default: that of [start].
     goals : list
         What the motion meets, at its end unless a goal says when.
     bounds : list
@@ -93,9 +94,29 @@ class PlanPart:
         whole_number("starts", self.starts, 1, MOST_STARTS)
 
 
-ASKED = {"duration": SPAN, "start": START, "goals": GOALS, "bounds": BOUNDS, "costs": COSTS, "phases": PHASES, "parameters": TableOf(PER_ITEM)}
-WAY = {"transcription": TRANSCRIPTION, "solver": SOLVER, "guess": GUESS, "tolerance": NUMBER, "seconds": NUMBER, "starts": WHOLE, "tracked": Flag()}
-_MODEL = {"control": CONTROL, "coordinates": Word(("reduced", "full")), "bar_length": Word(("current", "constant"))}
+ASKED = {
+    "duration": SPAN,
+    "start": START,
+    "goals": GOALS,
+    "bounds": BOUNDS,
+    "costs": COSTS,
+    "phases": PHASES,
+    "parameters": TableOf(PER_ITEM),
+}
+WAY = {
+    "transcription": TRANSCRIPTION,
+    "solver": SOLVER,
+    "guess": GUESS,
+    "tolerance": NUMBER,
+    "seconds": NUMBER,
+    "starts": WHOLE,
+    "tracked": Flag(),
+}
+_MODEL = {
+    "control": CONTROL,
+    "coordinates": Word(("reduced", "full")),
+    "bar_length": Word(("current", "constant")),
+}
 PLAN = define(PlanPart, {**ASKED, **_MODEL, **WAY}, kind="plan")
 
 
@@ -108,8 +129,13 @@ def read_plan(item: Item, names: Names, simulation: Simulation) -> dict[str, Any
     """Return the arguments of `ocp.solve` that [plan] tells, beside a scene and its start. Raises SceneFileError."""
     part, table = PLAN.read(item, names), item.table()
     _check_each(table, part, simulation.scene.structure)
-    scene = replace(simulation.scene, control=part.control or simulation.scene.control or ForceDensity())
-    own: dict[str, Any] = {"coordinates": part.coordinates or simulation.coordinates, "bar_length": part.bar_length or simulation.bar_length}
+    scene = replace(
+        simulation.scene, control=part.control or simulation.scene.control or ForceDensity()
+    )
+    own: dict[str, Any] = {
+        "coordinates": part.coordinates or simulation.coordinates,
+        "bar_length": part.bar_length or simulation.bar_length,
+    }
     modelled = replace(simulation, scene=scene, control=None, **own)
     asked = {name: getattr(part, name) for name in ASKED}
     asked["parameters"] = simulation.parameters if part.parameters is None else part.parameters
@@ -121,14 +147,18 @@ def read_plan(item: Item, names: Names, simulation: Simulation) -> dict[str, Any
 def _start(start: Any, simulation: Simulation) -> Any:
     if isinstance(start, str):
         return FreeStart() if start == "FreeStart" else None
-    as_built = simulation.nodes is None and simulation.velocities is None and simulation.state is None
+    as_built = (
+        simulation.nodes is None and simulation.velocities is None and simulation.state is None
+    )
     return start if start is not None or as_built else simulation.start
 
 
 def _check_each(table: Mapping[str, Item], part: PlanPart, structure: Structure) -> None:
     """Raise SceneFileError at the first goal or bound that does not fit the structure: the problem's own message names no line."""
     for name in ("goals", "bounds", "costs"):
-        for entry, value in zip(table[name].entries() if name in table else (), getattr(part, name), strict=True):
+        for entry, value in zip(
+            table[name].entries() if name in table else (), getattr(part, name), strict=True
+        ):
             call(value.check, entry, {}, {"structure": structure})
 
 
@@ -136,10 +166,17 @@ def write_plan(problem: Problem, way: Mapping[str, Any]) -> dict[str, Any]:
     """Return [plan] of a problem, and of the arguments of `ocp.solve` beside it. Raises NotWritten for what no file holds."""
     _refuse_functions(problem)
     if getattr(way.get("solver"), "watch", None) is not None:
-        raise NotWritten(f"{type(way['solver']).__name__}.watch is a function in Python: leave it out")
+        raise NotWritten(
+            f"{type(way['solver']).__name__}.watch is a function in Python: leave it out"
+        )
     goals, costs = _with_wishes(problem)
     model = problem.model
-    asked: dict[str, Any] = {"bounds": problem.bounds, "phases": problem.phases, "goals": goals, "costs": costs}
+    asked: dict[str, Any] = {
+        "bounds": problem.bounds,
+        "phases": problem.phases,
+        "goals": goals,
+        "costs": costs,
+    }
     if model.coordinates != "reduced":
         asked["coordinates"] = model.coordinates
     if model.mechanism.constant_length:
@@ -156,7 +193,9 @@ def _refuse_functions(problem: Problem) -> None:
         for k, value in enumerate(getattr(problem, name)):
             if isinstance(value, (Constraint, Integral, AtEnd)):
                 kind = type(value).__name__
-                raise NotWritten(f"Problem.{name}[{k}] is {kind} {value.name!r}, a function in Python: leave it out, or keep the problem in Python")
+                raise NotWritten(
+                    f"Problem.{name}[{k}] is {kind} {value.name!r}, a function in Python: leave it out, or keep the problem in Python"
+                )
 
 
 def _with_wishes(problem: Problem) -> tuple[list[Any], list[Any]]:

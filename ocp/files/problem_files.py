@@ -20,7 +20,8 @@ from tenscasadi.util.validate import file_path, instance
 def load_problem(path: str | os.PathLike[str]) -> Problem:
     """Read a problem from a scene file with a table [plan].
 
-    Nothing in the file is run, and no file is opened but those that it includes from its own folder.
+    Nothing in the file is run, and no file is opened but those that it includes from its own
+    folder.
 
     Parameters
     ----------
@@ -30,7 +31,8 @@ def load_problem(path: str | os.PathLike[str]) -> Problem:
     Returns
     -------
     Problem
-        The problem of [plan] for the model of [structure] and [scene], from the start of [start] unless [plan] has its own.
+        The problem of [plan] for the model of [structure] and [scene], from the start of [start]
+        unless [plan] has its own.
 
     Raises
     ------
@@ -69,8 +71,8 @@ def load_arguments(path: str | os.PathLike[str]) -> dict[str, Any]:
     Returns
     -------
     dict
-        The arguments of `solve` that the file gives, by name: "problem", and where they are there "transcription", "solver", "guess",
-        "tolerance", "seconds", "starts" and "tracked".
+        The arguments of `solve` that the file gives, by name: "problem", and where they are there
+        "transcription", "solver", "guess", "tolerance", "seconds", "starts" and "tracked".
 
     Raises
     ------
@@ -100,7 +102,9 @@ def load_arguments(path: str | os.PathLike[str]) -> dict[str, Any]:
     scene, names = read_scene(document)
     item = document.section("plan")
     if item is None:
-        raise document.root.error("it has no [plan]: give one with duration, goals, bounds and costs")
+        raise document.root.error(
+            "it has no [plan]: give one with duration, goals, bounds and costs"
+        )
     return read_plan(item, names, _simulation(document, scene, names))
 
 
@@ -114,7 +118,8 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **way: Any) -> 
     path : str or os.PathLike
         The file in TOML; one that is there is replaced.
     **way
-        How it is solved, as `solve` takes it: ``transcription``, ``solver``, ``guess``, ``tolerance``, ``seconds``, ``starts``, ``tracked``.
+        How it is solved, as `solve` takes it: ``transcription``, ``solver``, ``guess``,
+        ``tolerance``, ``seconds``, ``starts``, ``tracked``.
 
     Returns
     -------
@@ -126,8 +131,9 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **way: Any) -> 
     TypeError
         If `problem` is none, or an argument is none of `solve`.
     ValueError
-        If a part of it cannot be written, by its name: `Constraint`, `Integral` and `AtEnd`, whose expressions are functions in Python, other
-        functions, such as who watches a solver, goals and schemes of your own.
+        If a part of it cannot be written, by its name: `Constraint`, `Integral` and `AtEnd`, whose
+        expressions are functions in Python, other functions, such as who watches a solver, goals
+        and schemes of your own.
     OSError
         If the file cannot be written.
 
@@ -164,4 +170,6 @@ def _simulation(document: Document, scene: Scene, names: Names) -> Simulation:
     if document.section("simulation") is not None:
         return read_simulation(document, scene, names)
     first = document.section("start")
-    return Simulation(scene, 1.0, **(START.read(first, names).options(scene) if first is not None else {}))
+    return Simulation(
+        scene, 1.0, **(START.read(first, names).options(scene) if first is not None else {})
+    )

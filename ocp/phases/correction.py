@@ -22,7 +22,9 @@ MOST_ROUNDS = 8
 MOST_LEFT = 0.7  # a round that leaves more than this share of the miss leads nowhere
 ENOUGH = 0.5  # of the tolerance
 
-Read = Callable[[Array], tuple[Array, Array, Array]]  # of w: time (K + 1,), states (K + 1, nx), force densities (K, α)
+Read = Callable[
+    [Array], tuple[Array, Array, Array]
+]  # of w: time (K + 1,), states (K + 1, nx), force densities (K, α)
 
 
 def correct(
@@ -37,9 +39,11 @@ def correct(
 ) -> Solution:
     """Return the solution whose replay misses its goals least: of the program, and of it with goals moved against what the replay misses.
 
-    Where that does not help, nodes slip that ought to stand: they are made to press harder, round by round.
+    Where that does not help, nodes slip that ought to stand: they are made to press harder, round
+    by round.
 
-    tolerance: m, and m per duration, of which half is enough. Only limits of rows change, so nothing is built again.
+    tolerance: m, and m per duration, of which half is enough. Only limits of rows change, so
+    nothing is built again.
     """
     program, again, best = linked.program, None, solution
     least, residuals = _replayed(model, *read(solution.w), targets)
@@ -51,11 +55,17 @@ def correct(
             break
         shift = shift + residuals
         lower, upper = program.lower.copy(), program.upper.copy()
-        for rows, own in zip(program.rows("end"), np.split(shift, np.cumsum([part.count for part in targets if part.count])[:-1]), strict=True):
+        for rows, own in zip(
+            program.rows("end"),
+            np.split(shift, np.cumsum([part.count for part in targets if part.count])[:-1]),
+            strict=True,
+        ):
             lower[rows] -= own
             upper[rows] -= own
         lower[pressing] += pressed
-        moved = replace(program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers)
+        moved = replace(
+            program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers
+        )
         again = again or replace(solver, warm=True).prepared(moved)
         solution = again(moved, deadline)
         iterations += solution.iterations
@@ -70,14 +80,33 @@ def correct(
     return best._replace(iterations=iterations)
 
 
-def _replayed(model: Model, time: Array, states: Array, gamma: Array, targets: Sequence[Target]) -> tuple[float, Array]:
+def _replayed(
+    model: Model, time: Array, states: Array, gamma: Array, targets: Sequence[Target]
+) -> tuple[float, Array]:
     """Return how far the replay misses all goals, m, and the rows of the goals at the ends of the phases."""
     count = len(gamma) // len(targets)
     step = min(np.diff(time).max() / 10, contact_step(model))
-    motion = simulate(model, float(time[-1]), step, RungeKutta4(), states[0], ControlProfile(time, gamma, 1), compiled=False)
+    motion = simulate(
+        model,
+        float(time[-1]),
+        step,
+        RungeKutta4(),
+        states[0],
+        ControlProfile(time, gamma, 1),
+        compiled=False,
+    )
     if not motion.success:
         return np.inf, np.zeros(0)
-    ends = [np.array([np.interp(time[k * count], motion.time, column) for column in motion.states.T]) for k in range(1, len(targets) + 1)]
+    ends = [
+        np.array([np.interp(time[k * count], motion.time, column) for column in motion.states.T])
+        for k in range(1, len(targets) + 1)
+    ]
     misses = [part.misfit(end) for part, end in zip(targets, ends, strict=True)]
-    worst = max(float(np.abs(size * value.full()).max(initial=0.0)) for both in misses for value, size in zip(both, (1.0, time[-1]), strict=True))
-    return worst, np.concatenate([np.asarray(part.rows(end).full()).ravel() for part, end in zip(targets, ends, strict=True)])
+    worst = max(
+        float(np.abs(size * value.full()).max(initial=0.0))
+        for both in misses
+        for value, size in zip(both, (1.0, time[-1]), strict=True)
+    )
+    return worst, np.concatenate(
+        [np.asarray(part.rows(end).full()).ravel() for part, end in zip(targets, ends, strict=True)]
+    )

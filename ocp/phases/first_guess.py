@@ -14,11 +14,15 @@ from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import held_values
 from tenscasadi.util.validate import Array, shown
 
-DISTURBED = 0.3  # of the guess's force density: a guess that keeps the structure's symmetry leaves the solver at a saddle
+# of the guess's force density: a guess that keeps the structure's symmetry leaves the solver at a
+# saddle
+DISTURBED = 0.3
 PULLS = 3.0  # times the weight, over the structure's size: force densities of the guess, N/m
 
 
-def guess_phases(parts: Sequence[Problem], targets: Sequence[Target], count: int, scales: Scales, weight: float) -> list[Guess]:
+def guess_phases(
+    parts: Sequence[Problem], targets: Sequence[Target], count: int, scales: Scales, weight: float
+) -> list[Guess]:
     """Return for each phase a motion from target to target; phases without goals stay where they begin."""
     typical = PULLS * weight / scales.length or scales.mass / scales.time**2
     drawn, nq, at = np.random.default_rng(0), parts[0].model.nq, targets[0].start
@@ -30,7 +34,9 @@ def guess_phases(parts: Sequence[Problem], targets: Sequence[Target], count: int
         states[:, nq : 2 * nq] = 0.0
         lower, upper = part.force_density_limits
         pull = np.clip(typical, 1.5 * lower, np.maximum(0.5 * upper, lower))
-        gamma = np.clip(pull * (1 + DISTURBED * drawn.uniform(-1.0, 1.0, (count, len(pull)))), lower, upper)
+        gamma = np.clip(
+            pull * (1 + DISTURBED * drawn.uniform(-1.0, 1.0, (count, len(pull)))), lower, upper
+        )
         found.append(Guess(states, gamma, (part.shortest + part.longest) / 2))
         at = states[-1]
     return found
@@ -42,15 +48,29 @@ def split_plan(plan: Plan, parts: Sequence[Problem], count: int) -> list[Guess]:
     nx, nu = parts[0].model.nx, parts[0].model.nu
     before, remainder = divmod(len(plan.time) - 1, phases)
     asked = 0 if plan.problem is None else len(plan.problem.phases)
-    if asked != phases or remainder or (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (nx, nu):
-        raise ValueError(f"guess is {shown(plan)}: give a plan of the same structure with {phases} phases, or None")
+    if (
+        asked != phases
+        or remainder
+        or (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (nx, nu)
+    ):
+        raise ValueError(
+            f"guess is {shown(plan)}: give a plan of the same structure with {phases} phases, or None"
+        )
     gamma = held_values(plan.force_density, len(plan.time) - 1)
     own, wanted = np.linspace(0.0, 1.0, before + 1), np.linspace(0.0, 1.0, count + 1)
     middle = np.minimum(((wanted[1:] + wanted[:-1]) / 2 * before).astype(int), before - 1)
     found = []
     for k, part in enumerate(parts):
         instants = slice(k * before, (k + 1) * before + 1)
-        states: Array = np.column_stack([np.interp(wanted, own, column) for column in plan.trajectory.states[instants].T])
+        states: Array = np.column_stack(
+            [np.interp(wanted, own, column) for column in plan.trajectory.states[instants].T]
+        )
         duration = float(plan.time[instants][-1] - plan.time[instants][0])
-        found.append(Guess(states, gamma[k * before + middle], float(np.clip(duration, part.shortest, part.longest))))
+        found.append(
+            Guess(
+                states,
+                gamma[k * before + middle],
+                float(np.clip(duration, part.shortest, part.longest)),
+            )
+        )
     return found

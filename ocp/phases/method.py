@@ -46,10 +46,22 @@ class PhasedTask(NamedTuple):
     def joined(self, w: Array) -> tuple[Array, Array, Array]:
         """Return time (K + 1,), states (K + 1, nx) and force densities of all phases, where nodes land those after the impact."""
         values, shares = self.linked.values(w), self.transcription.fractions
-        durations = [float(np.clip(one.duration, part.shortest, part.longest)) for one, part in zip(values, self.parts, strict=True)]
+        durations = [
+            float(np.clip(one.duration, part.shortest, part.longest))
+            for one, part in zip(values, self.parts, strict=True)
+        ]
         states = np.concatenate([*(one.states[:-1] for one in values), values[-1].states[-1:]])
-        gamma = [np.clip(one.force_density, *part.force_density_limits) for one, part in zip(values, self.parts, strict=True)]
-        return np.append(0.0, np.cumsum(np.concatenate([duration * shares for duration in durations]))), states, np.concatenate(gamma)
+        gamma = [
+            np.clip(one.force_density, *part.force_density_limits)
+            for one, part in zip(values, self.parts, strict=True)
+        ]
+        return (
+            np.append(
+                0.0, np.cumsum(np.concatenate([duration * shares for duration in durations]))
+            ),
+            states,
+            np.concatenate(gamma),
+        )
 
 
 def solve_phased(
@@ -62,8 +74,9 @@ def solve_phased(
 ) -> tuple[Outcome, Target]:
     """Return what was found for a problem with phases, and the target that its replay is measured by.
 
-    transcription: a `Variational`, whose intervals are those of each phase. deadline: of `time.perf_counter`, s; None: no limit. tolerance: how far
-    the replay may end from the goals, m. Raises TypeError, ValueError, UnreachableGoal.
+    transcription: a `Variational`, whose intervals are those of each phase. deadline: of
+    `time.perf_counter`, s; None: no limit. tolerance: how far the replay may end from the goals, m.
+    Raises TypeError, ValueError, UnreachableGoal.
     """
     if not isinstance(solver, Ipopt):
         raise ValueError(f"solver is {type(solver).__name__}: phases take ocp.Ipopt()")
@@ -72,41 +85,90 @@ def solve_phased(
     planned, target = _outcome(task, solution)
     if not planned.success:
         return planned, target
-    corrected = correct(task.linked, problem.model, solver, solution, task.joined, task.targets, tolerance, deadline)
+    corrected = correct(
+        task.linked, problem.model, solver, solution, task.joined, task.targets, tolerance, deadline
+    )
     outcome, target = _outcome(task, corrected)
-    return outcome._replace(success=True, why=""), target  # goals were moved: the replay is what counts
+    return outcome._replace(
+        success=True, why=""
+    ), target  # goals were moved: the replay is what counts
 
 
-def link_problem(problem: Problem, transcription: Transcription, guess: InitialGuess | None = None) -> PhasedTask:
+def link_problem(
+    problem: Problem, transcription: Transcription, guess: InitialGuess | None = None
+) -> PhasedTask:
     """Return a problem with phases as a program. Raises TypeError, ValueError, UnreachableGoal."""
-    if not isinstance(transcription, Variational) or transcription.accuracy is not None or transcription.control.linear:
-        raise ValueError(f"transcription is {transcription}: phases take ocp.Variational(intervals), with PiecewiseConstant() and without accuracy")
+    if (
+        not isinstance(transcription, Variational)
+        or transcription.accuracy is not None
+        or transcription.control.linear
+    ):
+        raise ValueError(
+            f"transcription is {transcription}: phases take ocp.Variational(intervals), with PiecewiseConstant() and without accuracy"
+        )
     if guess is not None and not isinstance(guess, Plan):
-        raise TypeError(f"guess is {shown(guess)}: phases start from a plan of the same phases, or None")
+        raise TypeError(
+            f"guess is {shown(guess)}: phases start from a plan of the same phases, or None"
+        )
     check_groups(problem, transcription.control)
     scene, count = problem.model.scene, transcription.count
-    air = replace(problem, model=Model(replace(scene, ground=None)), duration=problem.duration, goals=(), phases=())
+    air = replace(
+        problem,
+        model=Model(replace(scene, ground=None)),
+        duration=problem.duration,
+        goals=(),
+        phases=(),
+    )
     scales = Scales.of(replace(air, duration=max(phase.longest for phase in problem.phases)))
     parts = phase_problems(problem, air)
     targets = find_targets(problem, parts, scales)
-    weight = np.zeros(3) if scene.gravity is None else scales.mass * np.asarray(scene.gravity.acceleration, dtype=float)
-    first = guess_phases(parts, targets, count, scales, float(np.linalg.norm(weight))) if guess is None else split_plan(guess, parts, count)
+    weight = (
+        np.zeros(3)
+        if scene.gravity is None
+        else scales.mass * np.asarray(scene.gravity.acceleration, dtype=float)
+    )
+    first = (
+        guess_phases(parts, targets, count, scales, float(np.linalg.norm(weight)))
+        if guess is None
+        else split_plan(guess, parts, count)
+    )
     motions = []
     for k, (part, target, own) in enumerate(zip(parts, targets, first, strict=True)):
         stands = tuple(problem.phases[k].stands)
         lands = k > 0 and bool(set(stands) - set(problem.phases[k - 1].stands))
         v = Variables(
-            _without_end(part, problem) if k + 1 < len(parts) else part, target, scales, own, transcription.fractions, transcription.control
+            _without_end(part, problem) if k + 1 < len(parts) else part,
+            target,
+            scales,
+            own,
+            transcription.fractions,
+            transcription.control,
         )
         reactions = np.tile(-weight / max(len(stands), 1), len(stands))
         motions.append(PhaseMotion(v, stands, lands, -float(np.mean(own.force_density)), reactions))
-    return PhasedTask(parts, targets, scales, transcription, link_phases(motions, scene.grounds, [phase.until for phase in problem.phases]))
+    return PhasedTask(
+        parts,
+        targets,
+        scales,
+        transcription,
+        link_phases(motions, scene.grounds, [phase.until for phase in problem.phases]),
+    )
 
 
 def _without_end(part: Problem, problem: Problem) -> Problem:
     """Return a phase before the last without the problem's own costs and limits of the end; but its duration is a part of the whole."""
-    costs = [cost for cost in part.costs if isinstance(cost, Duration) or not isinstance(cost, FinalCost)]
-    return replace(part, costs=costs, bounds=[bound for bound in part.bounds if bound not in problem.bounds or not getattr(bound, "at_end", False)])
+    costs = [
+        cost for cost in part.costs if isinstance(cost, Duration) or not isinstance(cost, FinalCost)
+    ]
+    return replace(
+        part,
+        costs=costs,
+        bounds=[
+            bound
+            for bound in part.bounds
+            if bound not in problem.bounds or not getattr(bound, "at_end", False)
+        ],
+    )
 
 
 def _outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
@@ -115,10 +177,14 @@ def _outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
     count = task.transcription.count
     ends = time[count::count] / time[-1]
     target = whole_target(task.targets, ends)
-    missed = measure_misses(target, lambda share: values[int(np.argmin(np.abs(ends - share)))].states[-1])
+    missed = measure_misses(
+        target, lambda share: values[int(np.argmin(np.abs(ends - share)))].states[-1]
+    )
     why = ""
     if not solution.success:
-        why = explain_failure(missed, target, None, program, solution, Guess(states, gamma, float(time[-1])), "", {})
+        why = explain_failure(
+            missed, target, None, program, solution, Guess(states, gamma, float(time[-1])), "", {}
+        )
     elif max((amount for amount, _ in missed.places), default=0.0) > MET * task.scales.length:
         why = f"no plan: {missed.worst()}: nodes that stand keep it from there, leave it out or let them step"
     cost = ca.Function("cost", [program.problem["x"]], [program.problem["f"]])(solution.w)
@@ -130,7 +196,9 @@ def _outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
         success=not why,
         status=solution.status,
         iterations=solution.iterations,
-        duals=named_duals(program, target, solution.w, *solution.multipliers) if solution.success and solution.multipliers else None,
+        duals=named_duals(program, target, solution.w, *solution.multipliers)
+        if solution.success and solution.multipliers
+        else None,
         why=why,
         imposed=f"{len(values)} phases; {target.describe()}",
         time=time,

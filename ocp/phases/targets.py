@@ -48,23 +48,43 @@ def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> 
 def whole_target(targets: Sequence[Target], ends: Array) -> Target:
     """Return the target of the plan, in which phases end at shares of its duration."""
     start = targets[0].start
-    on_the_way = [WaypointTarget(float(end), replace(part, free_start=None)) for end, part in zip(ends[:-1], targets[:-1], strict=True)]
-    return replace(targets[-1], start=start, free_start=None, waypoints=tuple(one for one in on_the_way if one.target.names))
+    on_the_way = [
+        WaypointTarget(float(end), replace(part, free_start=None))
+        for end, part in zip(ends[:-1], targets[:-1], strict=True)
+    ]
+    return replace(
+        targets[-1],
+        start=start,
+        free_start=None,
+        waypoints=tuple(one for one in on_the_way if one.target.names),
+    )
 
 
-def _without_standing(target: Target, part: Problem, stands: Sequence[int], since_start: Sequence[int], scales: Scales) -> Target:
+def _without_standing(
+    target: Target, part: Problem, stands: Sequence[int], since_start: Sequence[int], scales: Scales
+) -> Target:
     """Return the target without the combinations of its rows that nodes which stand keep, together with the bars.
 
-    These are velocities of all nodes that stand, and places of those that have stood since the start: where others land, their goals decide.
+    These are velocities of all nodes that stand, and places of those that have stood since the
+    start: where others land, their goals decide.
     """
     if not target.count or not stands or target.state is None:
         return target
     model, places = part.model, node_coordinates(part.model)
     x = ca.SX.sym("x", model.nx)
     kept = model.constraints(x)
-    gradients = ca.Function("gradients", [x], [ca.jacobian(value, x) for value in (target.single(x), ca.vertcat(kept.bars, kept.bar_rates))])
+    gradients = ca.Function(
+        "gradients",
+        [x],
+        [
+            ca.jacobian(value, x)
+            for value in (target.single(x), ca.vertcat(kept.bars, kept.bar_rates))
+        ],
+    )
     goal, bars = (np.asarray(J.full()) * scales.state for J in gradients(target.state))
-    held = np.concatenate([places[list(since_start)].ravel(), model.nq + places[list(stands)].ravel()]).astype(np.intp)
+    held = np.concatenate(
+        [places[list(since_start)].ravel(), model.nq + places[list(stands)].ravel()]
+    ).astype(np.intp)
     standing = np.eye(model.nx)[held]
     reduction = reduce_rows(target.weights @ goal, [("bar", bars), ("standing", standing)])
     return target.keep(reduction.combinations, "standing")

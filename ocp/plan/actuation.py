@@ -63,11 +63,13 @@ def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLik
     return np.asarray(((gamma < k) | (gamma == 0)) & (rest > 0) & (rest >= least))
 
 
-def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayLike = 0.0, updates: int = 10) -> Trajectory:
+def replay_wound(
+    plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayLike = 0.0, updates: int = 10
+) -> Trajectory:
     """Simulate a plan carried out by motors that wind elastic strings to the rest lengths that it asks for.
 
-    Force densities pull the same wherever the nodes are; elastic strings push the motion back to the plan or away from it. That is a second
-    answer to how far a plan can be trusted.
+    Force densities pull the same wherever the nodes are; elastic strings push the motion back to
+    the plan or away from it. That is a second answer to how far a plan can be trusted.
 
     Parameters
     ----------
@@ -88,7 +90,8 @@ def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayL
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, the force density of a string reaches its stiffness, or the plan does not know its model.
+        An argument is wrong, the force density of a string reaches its stiffness, or the plan does
+        not know its model.
 
     Examples
     --------
@@ -106,10 +109,20 @@ def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayL
     whole_number("updates", updates, 1, MOST_UPDATES)
     plan.rest_lengths(stiffness)  # names the string that is too soft
     planned = plan.known_model("replay_wound")
-    k = per_item("stiffness", plan.structure.stiffness if stiffness is None else stiffness, len(plan.structure.strings))
+    k = per_item(
+        "stiffness",
+        plan.structure.stiffness if stiffness is None else stiffness,
+        len(plan.structure.strings),
+    )
     time, rest = wind(plan, k, updates)
-    elastic = replace(planned.scene, structure=plan.structure.replace(stiffness=k, damping=damping), control=RestLength())
-    model = Model(elastic, planned.coordinates, "constant" if planned.mechanism.constant_length else "current")
+    elastic = replace(
+        planned.scene,
+        structure=plan.structure.replace(stiffness=k, damping=damping),
+        control=RestLength(),
+    )
+    model = Model(
+        elastic, planned.coordinates, "constant" if planned.mechanism.constant_length else "current"
+    )
     wound = ControlProfile(time, rest, WOUND_STEPS)
     end = float(plan.time[-1])
     return simulate(model, end, end, state=plan.trajectory.states[0], control=wound, compiled=False)
@@ -117,4 +130,6 @@ def replay_wound(plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayL
 
 def _check_pulled(plan: Plan) -> None:
     if plan.rest_length is not None:
-        raise ValueError("plan has decided rest lengths: Plan.rest_lengths tells them, and Plan.replay winds to them")
+        raise ValueError(
+            "plan has decided rest lengths: Plan.rest_lengths tells them, and Plan.replay winds to them"
+        )

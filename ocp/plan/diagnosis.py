@@ -67,7 +67,9 @@ class Misses(NamedTuple):
     def worst(self) -> str:
         """Return the row that is missed most, and by how much; places come first. There has to be one."""
         place, speed = (max(rows, default=(0.0, "")) for rows in (self.places, self.speeds))
-        (amount, name), unit = (place, "m") if place[0] > NOTHING or not self.speeds else (speed, "m/s")
+        (amount, name), unit = (
+            (place, "m") if place[0] > NOTHING or not self.speeds else (speed, "m/s")
+        )
         return f"{name} misses its goal by {amount:.2g} {unit}"
 
 
@@ -75,7 +77,10 @@ def measure_misses(target: Target, state_at: StateAt) -> Misses:
     """Return what the motion misses whose state (nx,) at a share of the duration is state_at(share)."""
     found = Misses([], [])
     for share, part, label in target.instants:
-        metres, speeds = (np.abs(np.asarray(value.full()).ravel()).tolist() for value in part.misfit(state_at(share)))
+        metres, speeds = (
+            np.abs(np.asarray(value.full()).ravel()).tolist()
+            for value in part.misfit(state_at(share))
+        )
         names = [label + name for name in part.names]
         found.places.extend(zip(metres, names, strict=False))
         found.speeds.extend(zip(speeds, names[len(metres) :], strict=True))
@@ -88,7 +93,15 @@ def state_function(model: Model, states: Array, duration: float, fractions: Arra
     def state_at(share: float) -> Array:
         k, part = locate_share(fractions, share)
         before, after = states[k : k + 2]
-        return after if part == 1.0 else np.asarray(hermite_state(model, ca.DM(before), ca.DM(after), duration * fractions[k], part).full()).ravel()
+        return (
+            after
+            if part == 1.0
+            else np.asarray(
+                hermite_state(
+                    model, ca.DM(before), ca.DM(after), duration * fractions[k], part
+                ).full()
+            ).ravel()
+        )
 
     return state_at
 
@@ -97,7 +110,10 @@ def goals_met(target: Target, state_at: StateAt) -> bool:
     """Tell whether the rows of all goals vanish, also those that were not imposed; how well bars and momenta are kept is not asked."""
     for share, part, _ in target.instants:
         residual = np.asarray(part.rows(state_at(share)).full()).ravel()
-        if len(residual) and np.abs(np.linalg.lstsq(part.reduction.combinations, residual)[0]).max() > MET:
+        if (
+            len(residual)
+            and np.abs(np.linalg.lstsq(part.reduction.combinations, residual)[0]).max() > MET
+        ):
             return False
     return True
 
@@ -114,17 +130,25 @@ def explain_failure(
 ) -> str:
     """Tell the cause and its cure, the largest violation by name, the limits that hold, and how many rows of the goals the strings move.
 
-    too_long: what `long_steps` says. reach: None where it is not known. units: of what is limited, by its name.
+    too_long: what `long_steps` says. reach: None where it is not known. units: of what is limited,
+    by its name.
     """
-    values = ca.Function("values", [program.problem["x"]], [program.problem["f"], program.problem["g"]])(solution.w)
+    values = ca.Function(
+        "values", [program.problem["x"]], [program.problem["f"], program.problem["g"]]
+    )(solution.w)
     f, g = (np.asarray(value.full()).ravel() for value in values)
     violation = np.maximum(np.maximum(program.lower - g, g - program.upper), 0.0)
-    held = _held(program.w_names, solution.w, program.w_lower, program.w_upper) + _held(program.names, g, program.lower, program.upper)
+    held = _held(program.w_names, solution.w, program.w_lower, program.w_upper) + _held(
+        program.names, g, program.lower, program.upper
+    )
     slow = [name for name in held if " rate " in name]
     cause = _STOPS.get(solution.status) or _not_finite(program, solution, f, g)
     if solution.status == TOO_SLOW:
         rates = rate_rows(program)
-        beyond, times = program.names[rates[np.argmax(violation[rates])]], 1 + widening(program, solution.w)
+        beyond, times = (
+            program.names[rates[np.argmax(violation[rates])]],
+            1 + widening(program, solution.w),
+        )
         cause = f"{_slow(beyond)}; with limits of rates {times:.3g} times as wide this mesh has a way, which is this plan"
         cause += f", but {too_long}" if too_long else ""
     cause = cause or too_long or _runaway(program, solution)
@@ -132,7 +156,12 @@ def explain_failure(
         cause = _CAUSES.get(solution.status, _STEPS)
         if held and solution.status == "Maximum_Iterations_Exceeded":
             cause += f", or {_ROOM}"
-        if slow and violation.max(initial=0.0) > VIOLATED and solution.status in _CAUSES and solution.iterations >= PATIENT:
+        if (
+            slow
+            and violation.max(initial=0.0) > VIOLATED
+            and solution.status in _CAUSES
+            and solution.iterations >= PATIENT
+        ):
             cause = _slow(slow[0])
     parts = [f"no plan: {cause}"]
     if not np.all(np.isfinite(g)):
@@ -141,10 +170,19 @@ def explain_failure(
     if violation[worst] > VIOLATED:
         name, scale = program.names[worst], program.scale[worst]
         unit = units.get(name.split(",")[0])
-        amount = f"{violation[worst]:.2g} of its scale" if unit is None else f"{violation[worst] * scale:.2g} {unit}".rstrip()
-        parts.append("largest violation: " + (missed.worst() if name.startswith("goal") else f"{name}, by {amount}"))
+        amount = (
+            f"{violation[worst]:.2g} of its scale"
+            if unit is None
+            else f"{violation[worst] * scale:.2g} {unit}".rstrip()
+        )
+        parts.append(
+            "largest violation: "
+            + (missed.worst() if name.startswith("goal") else f"{name}, by {amount}")
+        )
     else:
-        parts.append("all constraints are met, but the cost is not settled: a plan of another transcription may be a better guess")
+        parts.append(
+            "all constraints are met, but the cost is not settled: a plan of another transcription may be a better guess"
+        )
     if program.contact:
         parts.append(_CONTACT)
     if held:
@@ -153,7 +191,15 @@ def explain_failure(
     if reach is not None and imposed.count:
         states = reach.rollout(imposed.start, found.force_density, found.duration)
         if np.all(np.isfinite(states)):
-            rank = len(reach.controlled(imposed.single, imposed.weights, imposed.start, found.force_density, found.duration))
+            rank = len(
+                reach.controlled(
+                    imposed.single,
+                    imposed.weights,
+                    imposed.start,
+                    found.force_density,
+                    found.duration,
+                )
+            )
             parts.append(f"the strings move {rank} of {imposed.count} rows of the goals")
     return "; ".join(parts)
 
@@ -165,7 +211,12 @@ def _slow(rate: str) -> str:
 def units_of(problem: Problem) -> dict[str, str]:
     """Return the units of all that bounds limit, by name; "" of own constraints."""
     kinds = (PathBound, RateBound)
-    return {name: one.unit for kind in kinds for one in path_constraints(problem, kind) for name in one.names}
+    return {
+        name: one.unit
+        for kind in kinds
+        for one in path_constraints(problem, kind)
+        for name in one.names
+    }
 
 
 def long_steps(model: Model, states: Array, gamma: Array, step: float, duration: float) -> str:
@@ -173,7 +224,11 @@ def long_steps(model: Model, states: Array, gamma: Array, step: float, duration:
 
     The text is empty where they are not.
     """
-    chosen = [k for k in sorted({0, len(gamma) // 2, len(gamma) - 1}) if np.all(np.isfinite(states[k])) and np.all(np.isfinite(gamma[k]))]
+    chosen = [
+        k
+        for k in sorted({0, len(gamma) // 2, len(gamma) - 1})
+        if np.all(np.isfinite(states[k])) and np.all(np.isfinite(gamma[k]))
+    ]
     rate = max((fastest_rate(model, states[k], gamma[k]) for k in chosen), default=0.0)
     if not rate * step > LONG:
         return ""
@@ -194,14 +249,24 @@ def _not_finite(program: Program, solution: Solution, f: Array, g: Array) -> str
     derivatives = program.derivatives()
     slope = np.asarray(derivatives["nlp_grad_f"](solution.w, [])[1].full()).ravel()
     if not np.all(np.isfinite(slope)):
-        return _cure(f"the derivative of Problem.costs by {program.w_names[int(np.argmax(~np.isfinite(slope)))]}")
+        return _cure(
+            f"the derivative of Problem.costs by {program.w_names[int(np.argmax(~np.isfinite(slope)))]}"
+        )
     J = derivatives["nlp_jac_g"](solution.w, [])[1]
     bad = np.flatnonzero(~np.isfinite(np.asarray(J.nonzeros())))
-    return _cure(f"the derivative of {program.names[J.sparsity().get_triplet()[0][int(bad[0])]]}") if bad.size else ""
+    return (
+        _cure(f"the derivative of {program.names[J.sparsity().get_triplet()[0][int(bad[0])]]}")
+        if bad.size
+        else ""
+    )
 
 
 def _cure(name: str) -> str:
-    cure = "give more intervals or substeps" if "dynamics" in name else "keep roots, logarithms and quotients away from their limits"
+    cure = (
+        "give more intervals or substeps"
+        if "dynamics" in name
+        else "keep roots, logarithms and quotients away from their limits"
+    )
     return f"{name} is not a number: {cure}"
 
 
@@ -211,8 +276,18 @@ def _runaway(program: Program, solution: Solution) -> str:
         return ""
     limits = np.where(solution.last > 0, program.w_upper, program.w_lower)
     size = np.where(np.isfinite(limits), 0.0, np.abs(solution.last))
-    pulls = np.array([name.startswith(("force density of string", "rest length of string")) for name in program.w_names]) * size
-    worst = int(np.argmax(pulls if pulls.max(initial=0.0) >= RUNAWAY else size))  # what pulls makes the rest grow
+    pulls = (
+        np.array(
+            [
+                name.startswith(("force density of string", "rest length of string"))
+                for name in program.w_names
+            ]
+        )
+        * size
+    )
+    worst = int(
+        np.argmax(pulls if pulls.max(initial=0.0) >= RUNAWAY else size)
+    )  # what pulls makes the rest grow
     if size[worst] < RUNAWAY:
         return ""
     grown = solution.last[worst] * program.w_scale[worst]
@@ -222,4 +297,6 @@ def _runaway(program: Program, solution: Solution) -> str:
 def _held(names: tuple[str, ...], value: Array, lower: Array, upper: Array) -> list[str]:
     """Return the entries at (or beyond) their upper limit."""
     limited = np.isfinite(upper) & (lower < upper)
-    return [names[k] for k in np.flatnonzero(limited) if value[k] > upper[k] - AT_LIMIT * abs(upper[k])]
+    return [
+        names[k] for k in np.flatnonzero(limited) if value[k] > upper[k] - AT_LIMIT * abs(upper[k])
+    ]

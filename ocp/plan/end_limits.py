@@ -23,8 +23,9 @@ class Broken(NamedTuple):
 def broken_at_end(problem: Problem, ends: Array, controls: Array, duration: float) -> Broken:
     """Return the limit of the plan's end that the last of some ends, states (n, nx) under controls (n, α), misses most.
 
-    What is missed counts by the change of the state that makes up for it to first order: the least of those at all ends, as squares have no
-    slope where they are least. Speeds count with what they add up to over the plan.
+    What is missed counts by the change of the state that makes up for it to first order: the least
+    of those at all ends, as squares have no slope where they are least. Speeds count with what they
+    add up to over the plan.
     """
     model = problem.model
     speeds = np.ones(model.nx)
@@ -37,18 +38,28 @@ def broken_at_end(problem: Problem, ends: Array, controls: Array, duration: floa
         found = excess > 0
         away = np.where(found, np.inf, 0.0)
         np.divide(excess, slope, out=away, where=found & (slope > 0))
-        away[found & (slope == 0) & np.isfinite(excess)] = 0.0  # of what is decided alone: as planned
+        away[found & (slope == 0) & np.isfinite(excess)] = (
+            0.0  # of what is decided alone: as planned
+        )
         k = int(np.argmax(away))
         if away[k] > worst.distance:
-            by = f"breaks its limits by {excess[k]:.2g}, as much as {away[k]:.2g} m of motion make" if np.isfinite(excess[k]) else "is not a number"
+            by = (
+                f"breaks its limits by {excess[k]:.2g}, as much as {away[k]:.2g} m of motion make"
+                if np.isfinite(excess[k])
+                else "is not a number"
+            )
             worst = Broken(float(away[k]), f"{limited.names[k]} {by}")
     return worst
 
 
-def _excess(limited: PathConstraint, ends: Array, controls: Array, duration: float, speeds: Array) -> tuple[Array, Array]:
+def _excess(
+    limited: PathConstraint, ends: Array, controls: Array, duration: float, speeds: Array
+) -> tuple[Array, Array]:
     """Return by how much entries (m,) break their limits at the last end, inf where they are no number; and their largest slopes of all ends."""
     value = ca.densify(limited.value)
-    function = ca.Function("end", limited.symbols, [value, ca.densify(ca.jacobian(value, limited.symbols[0]))])
+    function = ca.Function(
+        "end", limited.symbols, [value, ca.densify(ca.jacobian(value, limited.symbols[0]))]
+    )
     slopes = np.zeros(len(limited.names))
     entries = slopes
     for state, control in zip(ends, controls, strict=True):

@@ -10,7 +10,15 @@ import numpy as np
 
 from ocp.boundary.find_target import find_target
 from ocp.plan.open_loop import STEPS
-from ocp.plan.robustness import STRINGS, Robustness, check_spreads, check_start, draw_starts, share_variance, vary_model
+from ocp.plan.robustness import (
+    STRINGS,
+    Robustness,
+    check_spreads,
+    check_start,
+    draw_starts,
+    share_variance,
+    vary_model,
+)
 from ocp.plan.winding import wind
 from ocp.problem.control import refuse_wound
 from ocp.problem.phase import refuse_phases
@@ -28,7 +36,13 @@ RELIABLE = 1e-2  # of the structure's size: the tolerance where none is given
 
 
 def measure_robustness(
-    plan: Any, parameters: Any, start: Any, samples: int, seed: int, tolerance: float | None, track: Callable[..., Any] | None
+    plan: Any,
+    parameters: Any,
+    start: Any,
+    samples: int,
+    seed: int,
+    tolerance: float | None,
+    track: Callable[..., Any] | None,
 ) -> Robustness:
     """Replay a `Plan` many times; arguments and errors as of `Plan.robustness`. track: what makes a `Tracker` of it; None: open loop."""
     spreads, place = check_spreads(parameters), check_start(start)
@@ -36,24 +50,40 @@ def measure_robustness(
     rng = np.random.default_rng(whole_number("seed", seed, 0))
     limit = None if tolerance is None else positive_number("tolerance", tolerance)
     if not spreads and not any(place):
-        raise ValueError("parameters is empty and start is 0: give something that varies, such as {'bar_mass': 0.05}")
+        raise ValueError(
+            "parameters is empty and start is 0: give something that varies, such as {'bar_mass': 0.05}"
+        )
     names = tuple(spreads)
     planned = plan.known_model("robustness")
     refuse_wound(planned, "robustness")
     wound = any(name in STRINGS for name in names)
     model = vary_model(planned, names, RestLength() if wound else planned.scene.control)
-    tracker = None if track is None else track(plan, decisions=(UPDATES if wound else 1) * (len(plan.time) - 1))
+    tracker = (
+        None
+        if track is None
+        else track(plan, decisions=(UPDATES if wound else 1) * (len(plan.time) - 1))
+    )
     feedback, step = _wound(plan, tracker) if wound else _driven(plan, tracker)
     draws = rng.uniform(-1, 1, (samples, len(names)))
     factors = 1 + draws * np.array(list(spreads.values()))
     starts, changes = draw_starts(model, plan.trajectory.states[0], place, factors, rng)
     began = clock.perf_counter()
     ways = [] if plan.problem is None else plan.problem.waypoints
-    rolled = rollouts(model, float(plan.time[-1]), step, starts, feedback, factors if names else None, save_every=1 if ways else None)
+    rolled = rollouts(
+        model,
+        float(plan.time[-1]),
+        step,
+        starts,
+        feedback,
+        factors if names else None,
+        save_every=1 if ways else None,
+    )
     seconds = clock.perf_counter() - began
     misses = _measure(plan, rolled.time / rolled.time[-1], rolled.states)
     size = float(np.linalg.norm(np.ptp(planned.structure.nodes, axis=0))) or 1.0
-    varied = {name: draws[:, [k]] for k, name in enumerate(names)} | ({"start": changes} if any(place) else {})
+    varied = {name: draws[:, [k]] for k, name in enumerate(names)} | (
+        {"start": changes} if any(place) else {}
+    )
     return Robustness(
         names=tuple(varied),
         factors=factors,
@@ -72,19 +102,31 @@ def _driven(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     """Return the force densities of the plan, or of its tracker, and the longest step of a replay, s."""
     longest = float(np.diff(plan.time).min()) / STEPS
     if tracker is not None:
-        return Feedback(tracker.time, tracker.force_density, tracker.states, tracker.gains, tracker.lower, tracker.upper), longest
+        return Feedback(
+            tracker.time,
+            tracker.force_density,
+            tracker.states,
+            tracker.gains,
+            tracker.lower,
+            tracker.upper,
+        ), longest
     profile = ControlProfile(plan.time, plan.force_density, STEPS)
     end = float(plan.time[-1])
     held = sample_control(profile, np.zeros(plan.force_density.shape[1]), end, 1)
     if len(plan.force_density) < len(plan.time):
         return _open_loop(plan.time, plan.force_density, plan.trajectory.states.shape[1]), longest
-    return _open_loop(held.times(np.arange(held.steps + 1)), held.window(0, held.steps), plan.trajectory.states.shape[1]), end
+    return _open_loop(
+        held.times(np.arange(held.steps + 1)),
+        held.window(0, held.steps),
+        plan.trajectory.states.shape[1],
+    ), end
 
 
 def _wound(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     """Return the rest lengths that bring the plan about, or the tracker's force densities at the planned lengths, and the longest step, s.
 
-    ρ = s (1 − γ/k) (Eq. 99) with the planned lengths s: of γ_k − G (x − x_k) that is ρ_k + (s/k) G (x − x_k).
+    ρ = s (1 − γ/k) (Eq. 99) with the planned lengths s: of γ_k − G (x − x_k) that is ρ_k + (s/k) G
+    (x − x_k).
     """
     plan.rest_lengths()  # names the string that is too soft
     k, size = plan.structure.stiffness, plan.trajectory.states.shape[1]
@@ -94,9 +136,14 @@ def _wound(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     model = plan.known_model("robustness")
     ends = model.nodes(tracker.states)[:, plan.structure.strings]
     s = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)[:-1]
-    lower, upper = rest_length(np.minimum(tracker.upper, k), s, k).min(axis=0), rest_length(tracker.lower, s, k).max(axis=0)
+    lower, upper = (
+        rest_length(np.minimum(tracker.upper, k), s, k).min(axis=0),
+        rest_length(tracker.lower, s, k).max(axis=0),
+    )
     control, gains = rest_length(tracker.force_density, s, k), -(s / k)[:, :, None] * tracker.gains
-    return Feedback(tracker.time, control, tracker.states, gains, np.maximum(lower, 1e-6 * s.min()), upper), float(np.diff(time).min()) / WOUND_STEPS
+    return Feedback(
+        tracker.time, control, tracker.states, gains, np.maximum(lower, 1e-6 * s.min()), upper
+    ), float(np.diff(time).min()) / WOUND_STEPS
 
 
 def _open_loop(time: Array, controls: Array, size: int) -> Feedback:
@@ -120,16 +167,25 @@ def _measure(plan: Any, shares: Array, states: Array) -> _Misses:
     metres, speeds = [np.zeros((count, 0))], [np.zeros((count, 0))]
     if plan.problem is not None:
         refuse_phases(plan.problem.phases, "robustness")
-        target = find_target(plan.problem, Scales.of(plan.problem)).begin_at(plan.trajectory.states[0])
+        target = find_target(plan.problem, Scales.of(plan.problem)).begin_at(
+            plan.trajectory.states[0]
+        )
         for share, part, _ in target.instants:
-            place, speed = (np.asarray(value.full()).T for value in part.misfit.map(count)(_at(share, shares, states).T))
+            place, speed = (
+                np.asarray(value.full()).T
+                for value in part.misfit.map(count)(_at(share, shares, states).T)
+            )
             metres.append(place)
             speeds.append(speed)
     found = []
     for rows, values in ((metres, model.nodes), (speeds, model.velocities)):
         joined = np.hstack(rows)
         away = values(states[:, -1]) - values(final)
-        size = np.abs(joined).max(axis=1) if joined.shape[1] else np.linalg.norm(away, axis=2).max(axis=1)
+        size = (
+            np.abs(joined).max(axis=1)
+            if joined.shape[1]
+            else np.linalg.norm(away, axis=2).max(axis=1)
+        )
         found.append((size, joined if joined.shape[1] else away.reshape(count, -1)))
     (error, place), (speed_error, speed) = found
     return _Misses(error, speed_error, np.hstack([place, speed * duration]))

@@ -23,7 +23,9 @@ from tenscasadi.util.validate import Array
 DEFECT_STEPS = 10  # steps for one interval of the plan, to tell its defect
 LOST = 1e6  # tolerances that a replay which diverges counts as its error
 MOST_PARTS = 4  # that an interval is cut into at once
-FAR = float(MOST_PARTS**4)  # times the tolerance: a mesh that is cut once, with a method of order 4, does not gain more
+FAR = float(
+    MOST_PARTS**4
+)  # times the tolerance: a mesh that is cut once, with a method of order 4, does not gain more
 CAUTION = 0.3  # of the tolerance is aimed at
 
 
@@ -63,13 +65,19 @@ P = TypeVar("P", bound=Refinable)
 
 
 def refine_mesh(
-    plan: P, model: Model, again: Callable[[Array, P], P], tolerance: float, attempts: int, corrected: Callable[[P], P] | None = None
+    plan: P,
+    model: Model,
+    again: Callable[[Array, P], P],
+    tolerance: float,
+    attempts: int,
+    corrected: Callable[[P], P] | None = None,
 ) -> tuple[P, str]:
     """Return a plan whose replay ends within `tolerance`, m, of the goals, and ""; or the best that was found, and why it does not.
 
-    again: (relative lengths of intervals, plan) → the plan on these intervals, solved from that plan. corrected: plan → the plan on the same
-    intervals, solved again until its motion is that of fine steps; None: there is no such thing. It is tried once, where one finer mesh cannot
-    do, or has not. A plan without optimum is returned as it is.
+    again: (relative lengths of intervals, plan) → the plan on these intervals, solved from that
+    plan. corrected: plan → the plan on the same intervals, solved again until its motion is that of
+    fine steps; None: there is no such thing. It is tried once, where one finer mesh cannot do, or
+    has not. A plan without optimum is returned as it is.
     """
 
     def cut(coarse: P, too_large: float) -> Array:
@@ -78,9 +86,17 @@ def refine_mesh(
     return _refine(plan, cut, again, tolerance, attempts, corrected)
 
 
-def refine_phases(plan: P, again: Callable[[Array, P], P], tolerance: float, attempts: int) -> tuple[P, str]:
+def refine_phases(
+    plan: P, again: Callable[[Array, P], P], tolerance: float, attempts: int
+) -> tuple[P, str]:
     """As `refine_mesh`, of a plan whose phases have the same relative lengths of intervals: each is cut in two."""
-    return _refine(plan, lambda coarse, _: np.repeat(coarse.transcription.fractions, 2), again, tolerance, attempts)
+    return _refine(
+        plan,
+        lambda coarse, _: np.repeat(coarse.transcription.fractions, 2),
+        again,
+        tolerance,
+        attempts,
+    )
 
 
 def _refine(
@@ -108,7 +124,9 @@ def _refine(
                 plan = _better(plan, corrected(plan))
             break
         plan = finest
-    return plan, "" if plan.worst_error <= tolerance or (plan.duals is None and not plan.success) else why
+    return plan, "" if plan.worst_error <= tolerance or (
+        plan.duals is None and not plan.success
+    ) else why
 
 
 def refined(plan: Any, tolerance: float, attempts: int, solve: Callable[..., Any]) -> Any:
@@ -123,15 +141,30 @@ def refined(plan: Any, tolerance: float, attempts: int, solve: Callable[..., Any
         return solve(plan.problem, finer_mesh, solver, known, tolerance, **options)
 
     def corrected(known: Any) -> Any:
-        return solve(plan.problem, replace(known.transcription, accuracy=CAUTION * tolerance), solver, known, tolerance, **options)
+        return solve(
+            plan.problem,
+            replace(known.transcription, accuracy=CAUTION * tolerance),
+            solver,
+            known,
+            tolerance,
+            **options,
+        )
 
     if isinstance(solver, Sampling):
-        found, missed = _sampled_again(plan, tolerance, lambda known: solve(plan.problem, known.transcription, solver, known, tolerance, **options))
+        found, missed = _sampled_again(
+            plan,
+            tolerance,
+            lambda known: solve(
+                plan.problem, known.transcription, solver, known, tolerance, **options
+            ),
+        )
     elif plan.problem.phases:
         found, missed = refine_phases(plan, again, tolerance, attempts)
     else:
         correctable = isinstance(solver, (Ipopt, CondensedNewton)) and not plan.tracked
-        found, missed = refine_mesh(plan, plan.model, again, tolerance, attempts, corrected if correctable else None)
+        found, missed = refine_mesh(
+            plan, plan.model, again, tolerance, attempts, corrected if correctable else None
+        )
     if not missed:
         return found
     ends = f"its replay ends {found.replay_error:.2g} m and {found.replay_speed_error:.2g} m/s from the goal"
@@ -153,7 +186,9 @@ def _better(plan: P, other: P) -> P:
     return other if other.duals is not None and other.worst_error < plan.worst_error else plan
 
 
-def finer(model: Model, time: Array, states: Array, force_density: Array, too_large: float) -> Array:
+def finer(
+    model: Model, time: Array, states: Array, force_density: Array, too_large: float
+) -> Array:
     """Return relative lengths of intervals: those of a plan, each cut into as many parts as its share of an error asks for.
 
     too_large: how many times the error exceeds what is allowed.
@@ -161,7 +196,9 @@ def finer(model: Model, time: Array, states: Array, force_density: Array, too_la
     gap = defects(model, time, states, force_density)
     gap = np.where(np.isfinite(gap), gap, np.nanmax(gap, initial=1.0))
     allowed = CAUTION / max(too_large, 1e-300) * max(float(gap.sum()), 1e-300) / len(gap)
-    parts = np.clip(np.ceil((gap / allowed) ** 0.25), 1, MOST_PARTS).astype(int)  # halving the steps of a method of order 4
+    parts = np.clip(np.ceil((gap / allowed) ** 0.25), 1, MOST_PARTS).astype(
+        int
+    )  # halving the steps of a method of order 4
     if parts.max() == 1:
         parts[:] = 2
     return np.repeat(np.diff(time) / parts, parts)
@@ -170,7 +207,8 @@ def finer(model: Model, time: Array, states: Array, force_density: Array, too_la
 def defects(model: Model, time: Array, states: Array, force_density: Array) -> Array:
     """Return how far, m, the planned state at the end of each interval (K,) is from the one that fine steps from its start lead to.
 
-    time (K + 1,), states (K + 1, nx), force_density (K, α) or (K + 1, α). Speeds count with what they add up to over the plan.
+    time (K + 1,), states (K + 1, nx), force_density (K, α) or (K + 1, α). Speeds count with what
+    they add up to over the plan.
     """
     count, lengths = len(time) - 1, np.diff(time)
     advance = RungeKutta4().step(model.ode).map(count)

@@ -26,5 +26,15 @@ def replay_open(plan: Any, model: Model, scheme: Scheme, step: float | None) -> 
         size = min(intervals.max() / STEPS, contact_step(model))
     if plan.linear or np.ptp(intervals) > 1e-9 * end:
         profile = ControlProfile(plan.time, plan.control, STEPS if size is None else 1)
-        return simulate(model, end, end if size is None else size, scheme, start, profile, compiled=False)
-    return simulate(model, end, intervals[0] / STEPS if size is None else size, scheme, start, plan.control, compiled=False)
+        return simulate(
+            model, end, end if size is None else size, scheme, start, profile, compiled=False
+        )
+    return simulate(
+        model,
+        end,
+        intervals[0] / STEPS if size is None else size,
+        scheme,
+        start,
+        plan.control,
+        compiled=False,
+    )

@@ -44,14 +44,16 @@ from tenscasadi.util.viewable import Viewable
 class Plan(PlannedForces, Viewable, ReadOnlyArrays):
     """Force densities over time, the motion that they cause, and how far its replay ends from the goals.
 
-    `solve` returns one; also where no plan was found: it then holds the best that there is, and says why.
+    `solve` returns one; also where no plan was found: it then holds the best that there is, and
+    says why.
 
     Attributes
     ----------
     success : bool
         Whether an optimum was found whose replay meets the tolerance.
     status, message : str
-        The solver's own word; what was imposed and what came of it, after a failure why, and what to try.
+        The solver's own word; what was imposed and what came of it, after a failure why, and what
+        to try.
     objective : float
         Sum of the costs.
     iterations, seconds : int, float
@@ -59,24 +61,29 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
     time : ndarray, shape (K + 1,)
         Nodes of the mesh, s.
     force_density : ndarray, shape (K, α) or (K + 1, α)
-        Force densities, N/m: held from each node of the mesh to the next, or given at the nodes and linear between them.
+        Force densities, N/m: held from each node of the mesh to the next, or given at the nodes and
+        linear between them.
     trajectory : Trajectory
         The planned motion at the nodes of the mesh.
     replay_error, replay_speed_error : float
-        How far the motion that `replay` computes ends from the goals, and from states that keep the limits of the end, m, and in velocities,
-        m/s; NaN where it diverges.
+        How far the motion that `replay` computes ends from the goals, and from states that keep the
+        limits of the end, m, and in velocities, m/s; NaN where it diverges.
     structure, model : Structure, and Model or None
-        What was planned for, and its model; None for a loaded plan whose scene has functions of time (moved supports, nodal forces).
+        What was planned for, and its model; None for a loaded plan whose scene has functions of
+        time (moved supports, nodal forces).
     duals : Duals or None
         Multipliers of the constraints; None where no optimum was found.
     problem, transcription, solver : Problem, transcription and solver, or None
-        What was asked, how it was made a program, and what solved it; None where a file does not hold it, and `unknown` says why.
+        What was asked, how it was made a program, and what solved it; None where a file does not
+        hold it, and `unknown` says why.
     starts : ndarray, shape (n,), or None
-        Objectives of the plans from several starts, of which this is the best; NaN where none was found. None: there was one start.
+        Objectives of the plans from several starts, of which this is the best; NaN where none was
+        found. None: there was one start.
     unknown, tracked : str, bool
         See above; whether the replay of these errors is under `track`.
     rest_length : ndarray, shape (K, α) or (K + 1, α), or None
-        Rest lengths, m, where these were decided (``control=RestLength()``), and not force densities: those are then what follows at the same times.
+        Rest lengths, m, where these were decided (``control=RestLength()``), and not force
+        densities: those are then what follows at the same times.
 
     Examples
     --------
@@ -138,14 +145,24 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
     def error_growth(self) -> float:
         """How many times larger small errors of the start can be at the end of the open-loop motion, in m, and m per duration of speed.
 
-        The largest singular value of the motion's state transition: a few for calm motions, thousands where it is unstable. inf where it
-        overflows; NaN where it is not known, as of plans with phases, whose impacts have no derivative.
+        The largest singular value of the motion's state transition: a few for calm motions,
+        thousands where it is unstable. inf where it overflows; NaN where it is not known, as of
+        plans with phases, whose impacts have no derivative.
         """
         if self.problem is not None and self.problem.phases:
             return np.nan
-        return grown_errors(self.known_model("error_growth"), self.time, self.trajectory.states, self.control)
+        return grown_errors(
+            self.known_model("error_growth"), self.time, self.trajectory.states, self.control
+        )
 
-    def replay(self, scheme: Scheme | None = None, step: float | None = None, *, tracked: bool = False, parameters: Any = None) -> Trajectory:
+    def replay(
+        self,
+        scheme: Scheme | None = None,
+        step: float | None = None,
+        *,
+        tracked: bool = False,
+        parameters: Any = None,
+    ) -> Trajectory:
         """Simulate the motion under the planned force densities, or rest lengths, from the plan's start, without corrections or under `track`.
 
         Parameters
@@ -153,12 +170,15 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         scheme : Scheme, optional
             Integration scheme. Default: `RungeKutta4()`.
         step : float, optional
-            Longest step, s. Default: a tenth of an interval, less where nodes on a ground ask for it.
+            Longest step, s. Default: a tenth of an interval, less where nodes on a ground ask for
+            it.
         tracked : bool
-            Whether `track` keeps to the plan, in steps of its own: of `RungeKutta4`, a tenth of an interval long.
+            Whether `track` keeps to the plan, in steps of its own: of `RungeKutta4`, a tenth of an
+            interval long.
         parameters : array_like, shape (np,), or mapping of str to array_like, optional
-            Values of the parameters of the model that the problem was made of, see `Problem.fixed`: what becomes of the plan where they are
-            other than planned for. Default: those that it was planned for.
+            Values of the parameters of the model that the problem was made of, see `Problem.fixed`:
+            what becomes of the plan where they are other than planned for. Default: those that it
+            was planned for.
 
         Returns
         -------
@@ -168,23 +188,32 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         Raises
         ------
         TypeError, ValueError
-            An argument is wrong, or the model is not known: a loaded plan whose scene has functions of time.
+            An argument is wrong, or the model is not known: a loaded plan whose scene has functions
+            of time.
         """
-        from ocp.control.lqr import replay_tracked  # what is made of plans is loaded when it is asked for
+        from ocp.control.lqr import (
+            replay_tracked,
+        )  # what is made of plans is loaded when it is asked for
 
         flag("tracked", tracked)
         if tracked:
             if parameters is not None:
-                raise ValueError("parameters are given, and tracked is True: give ocp.run(ocp.track(plan), t_end, model=..., parameters=...)")
+                raise ValueError(
+                    "parameters are given, and tracked is True: give ocp.run(ocp.track(plan), t_end, model=..., parameters=...)"
+                )
             if scheme is not None or step is not None:
-                raise ValueError("scheme and step are given, and tracked is True, which has steps of its own: leave them out")
+                raise ValueError(
+                    "scheme and step are given, and tracked is True, which has steps of its own: leave them out"
+                )
             return replay_tracked(self)
         if parameters is None:
             model = self.known_model("replay")
         elif self.problem is not None:
             model = self.problem.fixed(parameters).model
         else:
-            raise ValueError(f"parameters need the problem, which the plan does not hold ({self.unknown}): give Plan.load(path, problem=...)")
+            raise ValueError(
+                f"parameters need the problem, which the plan does not hold ({self.unknown}): give Plan.load(path, problem=...)"
+            )
         return replay_open(self, model, RungeKutta4() if scheme is None else scheme, step)
 
     def known_model(self, user: str) -> Model:
@@ -207,7 +236,9 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         """
         if self.model is None:
             missing = "which its file does not hold: it is of an older version, or the scene has functions of time"
-            raise ValueError(f"{user} needs the model, {missing}; give Plan.load(path, problem=...)")
+            raise ValueError(
+                f"{user} needs the model, {missing}; give Plan.load(path, problem=...)"
+            )
         return self.model
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
@@ -232,10 +263,24 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         ValueError
             The plan is of another structure.
         """
-        if self.trajectory.states.shape[1] != problem.model.nx or self.force_density.shape[1] != problem.model.nu:
-            raise ValueError("guess is a plan for another structure: give one whose model has the same nodes and strings")
+        if (
+            self.trajectory.states.shape[1] != problem.model.nx
+            or self.force_density.shape[1] != problem.model.nu
+        ):
+            raise ValueError(
+                "guess is a plan for another structure: give one whose model has the same nodes and strings"
+            )
         shares = self.time / self.time[-1]
-        return resampled(problem, target, self.trajectory.states, shares, self.control, shares, intervals, float(self.time[-1]))
+        return resampled(
+            problem,
+            target,
+            self.trajectory.states,
+            shares,
+            self.control,
+            shares,
+            intervals,
+            float(self.time[-1]),
+        )
 
     def report(self) -> Report:
         """Report the limits that hold the plan back, with what they cost, and those that it or its replay breaks.
@@ -251,13 +296,18 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
             The problem is not known.
         """
         if self.problem is None:
-            raise ValueError(f"report needs the problem, which the plan does not hold ({self.unknown}): give Plan.load(path, problem=...)")
-        return report_of(self.problem, self.time, self.trajectory.states, self.control, self.replay(), self.duals)
+            raise ValueError(
+                f"report needs the problem, which the plan does not hold ({self.unknown}): give Plan.load(path, problem=...)"
+            )
+        return report_of(
+            self.problem, self.time, self.trajectory.states, self.control, self.replay(), self.duals
+        )
 
     def refine(self, tolerance: float, attempts: int = 5) -> Plan:
         """Solve again, from what was found, until the replay ends near enough to the goals or that no longer halves its error.
 
-        On a finer mesh, or where that does not get there with corrections, as by `accuracy` of a transcription.
+        On a finer mesh, or where that does not get there with corrections, as by `accuracy` of a
+        transcription.
 
         Parameters
         ----------
@@ -269,12 +319,14 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         Returns
         -------
         Plan
-            One that meets the tolerance, or the best, whose message says that it does not. A plan that was not found is returned as it is.
+            One that meets the tolerance, or the best, whose message says that it does not. A plan
+            that was not found is returned as it is.
 
         Raises
         ------
         TypeError, ValueError
-            An argument is wrong, or it is not known how the plan was solved: a file holds no own functions, costs or schemes.
+            An argument is wrong, or it is not known how the plan was solved: a file holds no own
+            functions, costs or schemes.
         """
         from ocp.solve import solve
 
@@ -282,7 +334,9 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         whole_number("attempts", attempts, 1)
         self.known_model("refine")
         if self.problem is None or self.transcription is None or self.solver is None:
-            raise ValueError(f"refine needs to know how the plan was solved ({self.unknown}): refine solve(problem, ..., guess=plan)")
+            raise ValueError(
+                f"refine needs to know how the plan was solved ({self.unknown}): refine solve(problem, ..., guess=plan)"
+            )
         fine: Plan = refined(self, limit, attempts, solve)
         return fine
 
@@ -297,14 +351,17 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
     ) -> Robustness:
         """Replay the plan many times, where the structure or the start is not quite as planned.
 
-        Each parameter of a replay is the planned one times a factor of its own, and each coordinate of its start the planned one plus a
-        change, which bars and joints then put right; both are drawn uniformly and independently within ± their spread.
+        Each parameter of a replay is the planned one times a factor of its own, and each coordinate
+        of its start the planned one plus a change, which bars and joints then put right; both are
+        drawn uniformly and independently within ± their spread.
 
         Parameters
         ----------
         parameters : mapping of str to float, optional
-            Relative spreads by name, at least 0 and less than 1, of quantities of `tenscasadi.Parameters`. With ``"stiffness"`` or ``"damping"``
-            motors wind elastic strings to the rest lengths of the plan, as `replay_wound` does: force densities do not depend on these.
+            Relative spreads by name, at least 0 and less than 1, of quantities of
+            `tenscasadi.Parameters`. With ``"stiffness"`` or ``"damping"`` motors wind elastic
+            strings to the rest lengths of the plan, as `replay_wound` does: force densities do not
+            depend on these.
         start : float or (float, float)
             Spread of the nodes' coordinates, m, and of their velocities, m/s.
         samples : int
@@ -312,10 +369,11 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         seed : int
             Seed of the draws.
         tracked : bool
-            Whether `track` keeps to the plan, by the state of each replay. Wound strings then get the rest lengths that pull as it decides at
-            the planned lengths.
+            Whether `track` keeps to the plan, by the state of each replay. Wound strings then get
+            the rest lengths that pull as it decides at the planned lengths.
         tolerance : float, optional
-            How far a replay may end from the goals, m, and as many m per duration in speed. Default: 1 % of the structure's size.
+            How far a replay may end from the goals, m, and as many m per duration in speed.
+            Default: 1 % of the structure's size.
 
         Returns
         -------
@@ -325,22 +383,30 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         Raises
         ------
         TypeError, ValueError
-            An argument is wrong, nothing varies, the scene does not have what a parameter names, or the model is not known.
+            An argument is wrong, nothing varies, the scene does not have what a parameter names, or
+            the model is not known.
         """
         from ocp.control.lqr import track
 
         flag("tracked", tracked)
-        return measure_robustness(self, parameters, start, samples, seed, tolerance, track if tracked else None)
+        return measure_robustness(
+            self, parameters, start, samples, seed, tolerance, track if tracked else None
+        )
 
     @property
     def worst_error(self) -> float:
         """The larger of the replay's errors in place, and in speed times the duration, m; infinite where it diverges."""
-        return float(np.nan_to_num(max(self.replay_error, self.replay_speed_error * float(self.time[-1])), nan=np.inf))
+        return float(
+            np.nan_to_num(
+                max(self.replay_error, self.replay_speed_error * float(self.time[-1])), nan=np.inf
+            )
+        )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the plan to a compressed .npz file, with its model, and with how it was asked for and solved.
 
-        Own functions, such as forces over time, expressions of costs, or who watches the solver, are left out.
+        Own functions, such as forces over time, expressions of costs, or who watches the solver,
+        are left out.
 
         Parameters
         ----------
@@ -368,7 +434,8 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         path : str or PathLike
             Name of the file.
         problem : Problem, optional
-            What was asked. Needed where that holds own functions, which no file does. Default: that of the file, with its model.
+            What was asked. Needed where that holds own functions, which no file does. Default: that
+            of the file, with its model.
 
         Returns
         -------
@@ -380,15 +447,22 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
         FileNotFoundError
             There is no such file.
         ValueError
-            The file cannot be read, is no plan or one that cannot be, or the model of `problem` is another; the message says what differs.
+            The file cannot be read, is no plan or one that cannot be, or the model of `problem` is
+            another; the message says what differs.
         """
         if problem is not None:
             instance("problem", problem, Problem, "an ocp.Problem or None")
-        given, content = archive.load(path, FORMAT, "plan", lambda content: (plan_fields(content), content))
+        given, content = archive.load(
+            path, FORMAT, "plan", lambda content: (plan_fields(content), content)
+        )
         if problem is not None:
             others = given["trajectory"].states.shape[1] != problem.model.nx
-            wrong = find_differences(content, problem.model) or ["Model.nx"] * others  # older files hold less
+            wrong = (
+                find_differences(content, problem.model) or ["Model.nx"] * others
+            )  # older files hold less
             if wrong:
-                raise ValueError(f"problem.model is not the plan's, other in {', '.join(wrong[:4])}: give the problem that the plan was made for")
+                raise ValueError(
+                    f"problem.model is not the plan's, other in {', '.join(wrong[:4])}: give the problem that the plan was made for"
+                )
             given["model"] = problem.model
         return Plan(**given, **rebuilt(content, given["model"], problem))

@@ -16,8 +16,9 @@ from tenscasadi.util.validate import Array, flag, nonnegative, per_item
 class PlannedForces(Tabular):
     """The part of a `Plan` that tells its forces; a plan has these attributes as fields.
 
-    Its table has a row for each node of the mesh. What is held from a node to the next stands in the row of the first, and once more in
-    the last row. Rest lengths are those of `rest_lengths`, and left out where none of the structure's stiffness pulls as planned.
+    Its table has a row for each node of the mesh. What is held from a node to the next stands in
+    the row of the first, and once more in the last row. Rest lengths are those of `rest_lengths`,
+    and left out where none of the structure's stiffness pulls as planned.
     """
 
     time: Array
@@ -43,7 +44,9 @@ class PlannedForces(Tabular):
     def _columns(self) -> Columns:
         rows = np.minimum(np.arange(len(self.time)), len(self.force_density) - 1)
         gamma = self.force_density[rows]
-        soft = self.rest_length is None and np.any((gamma > 0) & (gamma >= self.structure.stiffness))
+        soft = self.rest_length is None and np.any(
+            (gamma > 0) & (gamma >= self.structure.stiffness)
+        )
         return {
             "time (s)": self.time,
             **numbered("string {} force density (N/m)", gamma),
@@ -95,9 +98,13 @@ class PlannedForces(Tabular):
             The model is not known.
         """
         model, count = self.known_model("bar_forces"), len(self.time) - 1
-        lam = model.multiplier_function.map(count)(self.trajectory.states[:-1].T, self.force_density[:count].T)[0]
+        lam = model.multiplier_function.map(count)(
+            self.trajectory.states[:-1].T, self.force_density[:count].T
+        )[0]
         ends = self.trajectory.nodes[:-1, self.structure.bars]
-        return np.asarray(np.asarray(lam.full()).T * np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2))
+        return np.asarray(
+            np.asarray(lam.full()).T * np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
+        )
 
     def rest_lengths(self, stiffness: ArrayLike | None = None) -> Array:
         """Return the rest lengths that were decided, or those of elastic strings that pull as planned, s (1 − γ/k) (Eq. 99, without damping).
@@ -110,7 +117,8 @@ class PlannedForces(Tabular):
         Returns
         -------
         ndarray, shape (K, α) or (K + 1, α)
-            Rest lengths, m, at the start of each interval; at all nodes of the mesh where force densities are linear.
+            Rest lengths, m, at the start of each interval; at all nodes of the mesh where force
+            densities are linear.
 
         Raises
         ------
@@ -119,10 +127,16 @@ class PlannedForces(Tabular):
         """
         if self.rest_length is not None and stiffness is None:
             return np.asarray(self.rest_length)
-        k = per_item("stiffness", self.structure.stiffness if stiffness is None else stiffness, self.force_density.shape[1])
+        k = per_item(
+            "stiffness",
+            self.structure.stiffness if stiffness is None else stiffness,
+            self.force_density.shape[1],
+        )
         nonnegative("stiffness", k, "string")
         largest = self.force_density.max(axis=0)
         if np.any(soft := (largest > 0) & (largest >= k)):
             i = int(np.argmax(soft))
-            raise ValueError(f"stiffness of string {i} is {k[i]:g} N/m: it must exceed its force density, up to {largest[i]:g} N/m in this plan")
+            raise ValueError(
+                f"stiffness of string {i} is {k[i]:g} N/m: it must exceed its force density, up to {largest[i]:g} N/m in this plan"
+            )
         return rest_length(self.force_density, self.lengths()[: len(self.force_density)], k)

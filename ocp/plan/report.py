@@ -41,8 +41,9 @@ class Finding(NamedTuple):
     unit : str
         Unit of limit and value.
     price : float
-        By how much the objective would fall for each unit by which the limit gave way, over the whole plan and to first order. NaN where it
-        is not known: of what the replay breaks, and of the single strings of a group.
+        By how much the objective would fall for each unit by which the limit gave way, over the
+        whole plan and to first order. NaN where it is not known: of what the replay breaks, and of
+        the single strings of a group.
     """
 
     name: str
@@ -56,7 +57,9 @@ class Finding(NamedTuple):
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
-        cost = f", costs {self.price:.3g} per {self.unit or 'unit'}" if np.isfinite(self.price) else ""
+        cost = (
+            f", costs {self.price:.3g} per {self.unit or 'unit'}" if np.isfinite(self.price) else ""
+        )
         worst = f"{self.worst:.6g}{unit} at t = {self.time:.4g} s, {self.share:.0%} of the time"
         return f"{self.name}: {self.side} limit {self.limit:g}{unit}, {worst}{cost}"
 
@@ -94,8 +97,9 @@ class Report:
     active : tuple of Finding
         The limits that hold the plan back, the most costly first.
     violated : tuple of Finding
-        Those that the plan oversteps, or its replay between the nodes of the mesh. What several bounds limit is told apart by the place of the
-        bound, such as "obstacle clear of bar 0 (bounds[2])".
+        Those that the plan oversteps, or its replay between the nodes of the mesh. What several
+        bounds limit is told apart by the place of the bound, such as "obstacle clear of bar 0
+        (bounds[2])".
     missed : tuple of Missed
         The rows of soft goals, the most costly first.
 
@@ -127,16 +131,33 @@ class Report:
         return "\n".join(lines)
 
 
-def report_of(problem: Problem, time: Array, states: Array, force_density: Array, replay: Trajectory, duals: Duals | None) -> Report:
+def report_of(
+    problem: Problem,
+    time: Array,
+    states: Array,
+    force_density: Array,
+    replay: Trajectory,
+    duals: Duals | None,
+) -> Report:
     """Report the limits of `problem` that hold at the nodes of a plan's mesh, and those that it breaks there, or its replay between them."""
     # both ends of every interval, under the force densities in it
     ends, before = np.append(time[:-1], time[1:]), np.append(time[:-1], time[1:] - 1e-9 * time[-1])
-    planned = _at_instants(problem, ends, np.concatenate([states[:-1], states[1:]]), profile_at(force_density, time, before))
+    planned = _at_instants(
+        problem,
+        ends,
+        np.concatenate([states[:-1], states[1:]]),
+        profile_at(force_density, time, before),
+    )
     planned += _between_instants(problem, time, states, force_density)
     replayed = _at_instants(problem, replay.time, replay.states, replay.control)
-    broken = [finding for course in (*planned, *replayed) for finding in course.findings(broken=True)]
+    broken = [
+        finding for course in (*planned, *replayed) for finding in course.findings(broken=True)
+    ]
     held = [finding for course in planned for finding in course.findings(broken=False)]
-    active = [finding._replace(price=_price(finding, duals)) for finding in _merged(held, lambda one: one.share)]
+    active = [
+        finding._replace(price=_price(finding, duals))
+        for finding in _merged(held, lambda one: one.share)
+    ]
     return Report(
         tuple(sorted(active, key=lambda one: (-np.nan_to_num(one.price), -one.share))),
         _merged(broken, lambda one: abs(one.worst - one.limit)),
@@ -151,13 +172,19 @@ def _missed(problem: Problem, replay: Trajectory) -> tuple[Missed, ...]:
         share, goal = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
         if not isinstance(goal, SoftGoal):
             continue
-        state = [np.interp(share * replay.time[-1], replay.time, column) for column in replay.states.T]
+        state = [
+            np.interp(share * replay.time[-1], replay.time, column) for column in replay.states.T
+        ]
         x = ca.SX.sym("x", model.nx)
         rows = goal.rows(model.scene.structure, model.nodes(x), model.velocities(x))
-        misses = np.abs(np.asarray(ca.Function("rows", [x], [ca.densify(rows.value)])(state).full()).ravel())
+        misses = np.abs(
+            np.asarray(ca.Function("rows", [x], [ca.densify(rows.value)])(state).full()).ravel()
+        )
         label = "" if share == 1.0 else f"waypoint at {share:.3g} of the duration, "
         named = zip(rows.names, misses.tolist(), rows.units, strict=True)
-        found += [Missed(label + name, miss, unit, goal.weight * miss**2) for name, miss, unit in named]
+        found += [
+            Missed(label + name, miss, unit, goal.weight * miss**2) for name, miss, unit in named
+        ]
     return tuple(sorted(found, key=lambda one: -np.nan_to_num(one.cost, nan=np.inf)))
 
 
@@ -193,8 +220,14 @@ class _Course(NamedTuple):
                 hit = excess > (size if broken else -size)
                 worst = int(np.argmax(excess))
                 if hit.any() and (broken or excess[worst] <= size):
-                    value, when, share = float(self.values[worst, k]), float(self.time[worst]), float(hit.mean())
-                    found.append(Finding(name, side, float(limit), value, when, share, self.limited.unit))
+                    value, when, share = (
+                        float(self.values[worst, k]),
+                        float(self.time[worst]),
+                        float(hit.mean()),
+                    )
+                    found.append(
+                        Finding(name, side, float(limit), value, when, share, self.limited.unit)
+                    )
         return found
 
 
@@ -202,7 +235,11 @@ def _at_instants(problem: Problem, time: Array, states: Array, controls: Array) 
     """Return what is decided, and what bounds limit of instants."""
     lower, upper = problem.control_limits
     names = tuple(f"{control_name(problem.model)} of string {k}" for k in range(len(lower)))
-    own = _Course(PathConstraint(None, lower, upper, names, "m" if winds(problem.model) else "N/m", (), ()), time, controls)
+    own = _Course(
+        PathConstraint(None, lower, upper, names, "m" if winds(problem.model) else "N/m", (), ()),
+        time,
+        controls,
+    )
     courses = [own]
     for one in path_constraints(problem, PathBound):
         when = slice(-1, None) if one.ends == ("last",) else slice(None)
@@ -210,12 +247,17 @@ def _at_instants(problem: Problem, time: Array, states: Array, controls: Array) 
     return courses
 
 
-def _between_instants(problem: Problem, time: Array, states: Array, force_density: Array) -> list[_Course]:
+def _between_instants(
+    problem: Problem, time: Array, states: Array, force_density: Array
+) -> list[_Course]:
     """Return what bounds limit from each time for which a profile has force densities to the next."""
     x, u, t = states[: len(force_density)].T, force_density.T, time[: len(force_density)]
     if len(t) < 2:
         return []
-    return [_course(one, t[1:], x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], np.diff(t)[None]) for one in path_constraints(problem, RateBound)]
+    return [
+        _course(one, t[1:], x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], np.diff(t)[None])
+        for one in path_constraints(problem, RateBound)
+    ]
 
 
 def _course(limited: PathConstraint, time: Array, *arguments: Array) -> _Course:

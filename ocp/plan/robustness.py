@@ -40,8 +40,8 @@ class Robustness(ReadOnlyArrays):
     tolerance : float
         How far a replay may end from the goals, m, and as many m per duration in speed.
     importance : dict of str to float
-        The share of the variance of the misses that each of `names` brings about, that of "start" is what the parameters leave; NaN where
-        replays are too few to tell.
+        The share of the variance of the misses that each of `names` brings about, that of "start"
+        is what the parameters leave; NaN where replays are too few to tell.
     tracked : bool
         Whether the plan was kept to by `track`.
     seconds : float
@@ -91,7 +91,11 @@ class Robustness(ReadOnlyArrays):
     @property
     def matters_most(self) -> str:
         """The parameter, or "start", that brings about most of the misses; "" where replays are too few to tell."""
-        return max(self.importance, key=self.importance.__getitem__) if np.all(np.isfinite(list(self.importance.values()))) else ""
+        return (
+            max(self.importance, key=self.importance.__getitem__)
+            if np.all(np.isfinite(list(self.importance.values())))
+            else ""
+        )
 
     def quantiles(self, shares: Sequence[float] = SHARES) -> Array:
         """Return errors that shares of the replays stay below.
@@ -127,13 +131,22 @@ class Robustness(ReadOnlyArrays):
         """
         how = "kept to by track" if self.tracked else "open loop"
         lost = np.count_nonzero(np.isinf(self.error))
-        told = [f"{value:.3g} m ({share:.0%})" for share, value in zip(SHARES, self.quantiles(), strict=True)]
-        parts = [f"{name} {value:.0%}" for name, value in sorted(self.importance.items(), key=lambda item: -item[1])]
+        told = [
+            f"{value:.3g} m ({share:.0%})"
+            for share, value in zip(SHARES, self.quantiles(), strict=True)
+        ]
+        parts = [
+            f"{name} {value:.0%}"
+            for name, value in sorted(self.importance.items(), key=lambda item: -item[1])
+        ]
         lines = [
-            f"replays       {len(self.error)}, {how}, {self.seconds:.3g} s" + (f"; {lost} diverge" if lost else ""),
+            f"replays       {len(self.error)}, {how}, {self.seconds:.3g} s"
+            + (f"; {lost} diverge" if lost else ""),
             f"tolerance     {self.share:.1%} end within {self.tolerance:.3g} m",
             f"error         below {', '.join(told)}",
-            f"what matters  {', '.join(parts)}" if self.matters_most else "what matters  too few replays to tell: give more samples",
+            f"what matters  {', '.join(parts)}"
+            if self.matters_most
+            else "what matters  too few replays to tell: give more samples",
         ]
         return "\n".join(lines)
 
@@ -143,15 +156,24 @@ def check_spreads(parameters: Any) -> dict[str, float]:
     if parameters is None:
         return {}
     if not isinstance(parameters, Mapping):
-        raise TypeError(f"parameters is {shown(parameters)}: give spreads by name, such as {{'bar_mass': 0.05}}")
+        raise TypeError(
+            f"parameters is {shown(parameters)}: give spreads by name, such as {{'bar_mass': 0.05}}"
+        )
     for name in parameters:
         text("parameters: a name", name)
-    spreads = {name: positive_number(f"parameters[{shown(name)}]", value, zero=True) for name, value in parameters.items()}
+    spreads = {
+        name: positive_number(f"parameters[{shown(name)}]", value, zero=True)
+        for name, value in parameters.items()
+    }
     for name, value in spreads.items():
         if name == "rest_length":
-            raise ValueError("parameters has 'rest_length', which a plan commands, as force densities or by winding: vary 'stiffness' instead")
+            raise ValueError(
+                "parameters has 'rest_length', which a plan commands, as force densities or by winding: vary 'stiffness' instead"
+            )
         if value >= 1:
-            raise ValueError(f"parameters[{name!r}] is {value:g}: give a spread relative to its value, less than 1")
+            raise ValueError(
+                f"parameters[{name!r}] is {value:g}: give a spread relative to its value, less than 1"
+            )
     return spreads
 
 
@@ -160,7 +182,9 @@ def check_start(start: Any) -> tuple[float, float]:
     if nesting(start) == 0:
         return positive_number("start", start, zero=True), 0.0
     pair = finite_array("start", start, (2,))
-    return positive_number("start[0]", pair[0], zero=True), positive_number("start[1]", pair[1], zero=True)
+    return positive_number("start[0]", pair[0], zero=True), positive_number(
+        "start[1]", pair[1], zero=True
+    )
 
 
 _VARIED: WeakKeyDictionary[Model, dict[Any, Model]] = WeakKeyDictionary()
@@ -169,16 +193,28 @@ _VARIED: WeakKeyDictionary[Model, dict[Any, Model]] = WeakKeyDictionary()
 def vary_model(model: Model, names: tuple[str, ...], control: Any) -> Model:
     """Return the model with factors of some quantities as its parameters, under another control; the same one each time."""
     if model.np:
-        raise ValueError("robustness varies the values of the scene: plan with a model whose scene has no parameters=")
+        raise ValueError(
+            "robustness varies the values of the scene: plan with a model whose scene has no parameters="
+        )
     known = _VARIED.setdefault(model, {})
     key = names, type(control)
     if key not in known:
-        scene = replace(model.scene, control=control, parameters=Parameters(scale=names) if names else None)
-        known[key] = Model(scene, model.coordinates, "constant" if model.mechanism.constant_length else "current")
+        scene = replace(
+            model.scene, control=control, parameters=Parameters(scale=names) if names else None
+        )
+        known[key] = Model(
+            scene, model.coordinates, "constant" if model.mechanism.constant_length else "current"
+        )
     return known[key]
 
 
-def draw_starts(model: Model, state: Array, spread: tuple[float, float], parameters: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def draw_starts(
+    model: Model,
+    state: Array,
+    spread: tuple[float, float],
+    parameters: Array,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
     """Return starts (n, nx) about a state, on bars and joints, and the changes (n, 2nq) of its coordinates and velocities before that."""
     count = len(parameters)
     changes = rng.uniform(-1, 1, (count, 2 * model.nq))
@@ -193,12 +229,15 @@ def draw_starts(model: Model, state: Array, spread: tuple[float, float], paramet
 def share_variance(draws: Mapping[str, Array], misses: Array) -> dict[str, float]:
     """Return the share of the variance of misses (n, m) that each of the independent draws (n, c), of mean zero, brings about.
 
-    Of single columns by least squares on them and their squares, which are not correlated, beside the products of any two. What all of these
-    leave is that of draws of several columns, whose effects need not be polynomials.
+    Of single columns by least squares on them and their squares, which are not correlated, beside
+    the products of any two. What all of these leave is that of draws of several columns, whose
+    effects need not be polynomials.
     """
     single = {name: x for name, x in draws.items() if x.shape[1] == 1}
     products = [single[one] * single[other] for one, other in combinations(single, 2)]
-    columns = [_centred(part) for x in single.values() for part in (x, x**2)] + [_centred(part) for part in products]
+    columns = [_centred(part) for x in single.values() for part in (x, x**2)] + [
+        _centred(part) for part in products
+    ]
     seen = np.all(np.isfinite(misses), axis=1)
     total = float(np.var(misses[seen], axis=0).sum()) if seen.any() else 0.0
     if seen.sum() < ROOM * (len(columns) + 1) or total == 0:
@@ -206,8 +245,14 @@ def share_variance(draws: Mapping[str, Array], misses: Array) -> dict[str, float
     known = np.hstack([*columns, np.ones((len(misses), 1))])[seen]
     slopes = np.linalg.lstsq(known, misses[seen])[0]
     left = float(np.var(misses[seen] - known @ slopes, axis=0).sum()) / total
-    parts = {name: known[:, 2 * k : 2 * k + 2] @ slopes[2 * k : 2 * k + 2] for k, name in enumerate(single)}
-    return {name: float(np.var(parts[name], axis=0).sum()) / total if name in parts else left for name in draws}
+    parts = {
+        name: known[:, 2 * k : 2 * k + 2] @ slopes[2 * k : 2 * k + 2]
+        for k, name in enumerate(single)
+    }
+    return {
+        name: float(np.var(parts[name], axis=0).sum()) / total if name in parts else left
+        for name in draws
+    }
 
 
 def _centred(values: Array) -> Array:

@@ -29,7 +29,12 @@ from ocp.transcription.mesh import PiecewiseConstant, PiecewiseLinear
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
 from tenscasadi.dynamics.model import Model
-from tenscasadi.dynamics.serialize import model_from_arrays, model_to_arrays, structure_from_arrays, structure_to_arrays
+from tenscasadi.dynamics.serialize import (
+    model_from_arrays,
+    model_to_arrays,
+    structure_from_arrays,
+    structure_to_arrays,
+)
 from tenscasadi.integrators import collocation
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.scene.ground import Ground, Terrain
@@ -38,20 +43,71 @@ from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import LARGEST, Array, instance
 
 _TABLE = (
-    *(goal.StringLengths, goal.Shape, goal.SoftGoal, costs.CostAt, Periodic, waypoints.Waypoint, FreeStart, Phase),
-    *(node_goals.NodePositions, node_goals.NodeVelocities, node_goals.CentreOfMass, node_goals.AtRest),
-    *(string_bounds.ForceDensityLimits, string_bounds.TensionLimits, string_bounds.RestLengthLimits, string_bounds.RestLengthRateLimits),
+    *(
+        goal.StringLengths,
+        goal.Shape,
+        goal.SoftGoal,
+        costs.CostAt,
+        Periodic,
+        waypoints.Waypoint,
+        FreeStart,
+        Phase,
+    ),
+    *(
+        node_goals.NodePositions,
+        node_goals.NodeVelocities,
+        node_goals.CentreOfMass,
+        node_goals.AtRest,
+    ),
+    *(
+        string_bounds.ForceDensityLimits,
+        string_bounds.TensionLimits,
+        string_bounds.RestLengthLimits,
+        string_bounds.RestLengthRateLimits,
+    ),
     *(string_bounds.ForceDensityRateLimits, bar_bounds.BarForceLimits, bar_bounds.Buckling),
-    *(geometric_bounds.InsideBox, geometric_bounds.BarClearance, geometric_bounds.Obstacle, AboveSurface, Ground, Terrain),
+    *(
+        geometric_bounds.InsideBox,
+        geometric_bounds.BarClearance,
+        geometric_bounds.Obstacle,
+        AboveSurface,
+        Ground,
+        Terrain,
+    ),
     *(costs.Effort, costs.Smoothness, costs.Prestress, Tracking, costs.Duration, costs.Work),
-    *(expressions.Constraint, expressions.Integral, expressions.AtEnd),  # for the name of what no file holds: their functions
-    *(MultipleShooting, ImplicitMidpoint, Variational, Collocation, PiecewiseConstant, PiecewiseLinear),
+    *(
+        expressions.Constraint,
+        expressions.Integral,
+        expressions.AtEnd,
+    ),  # for the name of what no file holds: their functions
+    *(
+        MultipleShooting,
+        ImplicitMidpoint,
+        Variational,
+        Collocation,
+        PiecewiseConstant,
+        PiecewiseLinear,
+    ),
     *(RungeKutta4, DormandPrince54, DormandPrince853, Ipopt, Fatrop, CondensedNewton, Sampling),
 )
-_CLASSES: dict[str, type] = {**{cls.__name__: cls for cls in _TABLE}, "Collocation (scheme)": collocation.Collocation}
+_CLASSES: dict[str, type] = {
+    **{cls.__name__: cls for cls in _TABLE},
+    "Collocation (scheme)": collocation.Collocation,
+}
 _NAMES = {cls: name for name, cls in _CLASSES.items()}
-_PARTS: dict[str, tuple[type, ...]] = {"problem": (Problem,), "transcription": (Transcription,), "solver": (Ipopt, Fatrop, CondensedNewton, Sampling)}
-_ASKED = ("duration", "start", "goals", "bounds", "costs", "phases")  # the fields of a problem but for its model
+_PARTS: dict[str, tuple[type, ...]] = {
+    "problem": (Problem,),
+    "transcription": (Transcription,),
+    "solver": (Ipopt, Fatrop, CondensedNewton, Sampling),
+}
+_ASKED = (
+    "duration",
+    "start",
+    "goals",
+    "bounds",
+    "costs",
+    "phases",
+)  # the fields of a problem but for its model
 
 
 FORMAT = "tenscasadi plan 1"
@@ -74,26 +130,42 @@ def plan_arrays(plan: Mapping[str, Any]) -> dict[str, Array]:
     model, duals, motion = plan["model"], plan["duals"], plan["trajectory"]
     plan = {**_ADDED, **plan}
     content = {name: np.asarray(plan[name]) for name in (*_VALUES, "time", "force_density")}
-    content |= {f"trajectory.{field.name}": np.asarray(getattr(motion, field.name)) for field in fields(Trajectory)}
-    content |= structure_to_arrays(plan["structure"]) if model is None else model_to_arrays(model, motion.states[:, -1])
+    content |= {
+        f"trajectory.{field.name}": np.asarray(getattr(motion, field.name))
+        for field in fields(Trajectory)
+    }
+    content |= (
+        structure_to_arrays(plan["structure"])
+        if model is None
+        else model_to_arrays(model, motion.states[:, -1])
+    )
     if plan.get("rest_length") is not None:
         content["rest_length"] = np.asarray(plan["rest_length"])
     if plan.get("starts") is not None:
         content["starts"] = np.asarray(plan["starts"])
     if duals is not None:
-        content |= {f"duals.{field.name}": np.asarray(getattr(duals, field.name)) for field in fields(Duals)}
+        content |= {
+            f"duals.{field.name}": np.asarray(getattr(duals, field.name)) for field in fields(Duals)
+        }
     return content | _told(plan)
 
 
 def plan_fields(content: Fields) -> dict[str, Any]:
     """Return the fields of a plan that `plan_arrays` told, but for how it was solved. Raises ValueError."""
-    values = {name: content.array(name, kind, 0).item() if name in content or name not in _ADDED else _ADDED[name] for name, kind in _VALUES.items()}
+    values = {
+        name: content.array(name, kind, 0).item()
+        if name in content or name not in _ADDED
+        else _ADDED[name]
+        for name, kind in _VALUES.items()
+    }
     trajectory = Trajectory.from_arrays(content.within("trajectory."))
     _check_segments(content, trajectory.nodes.shape[1])
     model = model_from_arrays(content)
     structure = structure_from_arrays(content) if model is None else model.scene.structure
     if model is not None and trajectory.states.shape[1] != model.nx:
-        raise ValueError(f"field 'trajectory.states' has {trajectory.states.shape[1]} columns, not {model.nx}")
+        raise ValueError(
+            f"field 'trajectory.states' has {trajectory.states.shape[1]} columns, not {model.nx}"
+        )
     intervals, strings = len(trajectory.time) - 1, len(structure.strings)
     time, gamma = content.array("time", "f", 1), content.array("force_density", "f", 2)
     rows = intervals + (len(gamma) == intervals + 1)
@@ -104,32 +176,57 @@ def plan_fields(content: Fields) -> dict[str, Any]:
         if value.shape != shape:
             raise ValueError(f"field {name!r} has shape {value.shape}, not {shape}")
         if values["success"] and not np.all(np.abs(value) <= LARGEST):
-            raise ValueError(f"field {name!r} is not finite or above {LARGEST:g}, although the plan succeeded")
+            raise ValueError(
+                f"field {name!r} is not finite or above {LARGEST:g}, although the plan succeeded"
+            )
     _check_values(values, time, trajectory, model)
     duals = None
     if "duals.names" in content:
-        duals = Duals(tuple(content.array("duals.names", "U", 1).tolist()), *(content.array(f"duals.{name}", "f", 1) for name in ("values", "point")))
+        duals = Duals(
+            tuple(content.array("duals.names", "U", 1).tolist()),
+            *(content.array(f"duals.{name}", "f", 1) for name in ("values", "point")),
+        )
         if len(duals.values) != len(duals.names):
-            raise ValueError(f"field 'duals.values' has {len(duals.values)} entries, not {len(duals.names)} as 'duals.names'")
+            raise ValueError(
+                f"field 'duals.values' has {len(duals.values)} entries, not {len(duals.names)} as 'duals.names'"
+            )
     if model is not None and winds(model) is (wound is None):
         raise ValueError("field 'rest_length' does not fit the model's control")
-    values |= {"rest_length": wound, "starts": content.array("starts", "f", 1) if "starts" in content else None}
-    return {**values, "time": time, "force_density": gamma, "trajectory": trajectory, "structure": structure, "model": model, "duals": duals}
+    values |= {
+        "rest_length": wound,
+        "starts": content.array("starts", "f", 1) if "starts" in content else None,
+    }
+    return {
+        **values,
+        "time": time,
+        "force_density": gamma,
+        "trajectory": trajectory,
+        "structure": structure,
+        "model": model,
+        "duals": duals,
+    }
 
 
 def _check_segments(content: Fields, nodes: int) -> None:
     """ValueError unless a scene's segments make as many nodes as moved: a damaged number of them would make more than memory holds."""
     if "scene.segments" not in content or content["structure.nodes"].ndim == 0:
         return
-    strings, segments = len(content.array("structure.strings", "i", 2)), content.array("scene.segments", "i")
+    strings, segments = (
+        len(content.array("structure.strings", "i", 2)),
+        content.array("scene.segments", "i"),
+    )
     if segments.shape not in ((), (strings,)):  # the scene refuses them by name
         return
     count = len(content["structure.nodes"]) + np.broadcast_to(segments - 1.0, strings).sum()
     if count != nodes:
-        raise ValueError(f"field 'scene.segments' makes {count:g} nodes of the structure's, and 'trajectory.nodes' has {nodes}")
+        raise ValueError(
+            f"field 'scene.segments' makes {count:g} nodes of the structure's, and 'trajectory.nodes' has {nodes}"
+        )
 
 
-def _check_values(values: Mapping[str, Any], time: Array, trajectory: Trajectory, model: Model | None) -> None:
+def _check_values(
+    values: Mapping[str, Any], time: Array, trajectory: Trajectory, model: Model | None
+) -> None:
     """ValueError naming the first field whose numbers no plan can have, or that does not fit the others; what is not finite is not known."""
     if np.any(np.diff(time) <= 0):
         raise ValueError("field 'time' must increase")
@@ -140,20 +237,25 @@ def _check_values(values: Mapping[str, Any], time: Array, trajectory: Trajectory
             raise ValueError(f"field {name!r} is {values[name]:g}: it must be at least 0")
     if values["success"] and not (trajectory.success and np.isfinite(values["objective"])):
         name = "objective" if trajectory.success else "trajectory.success"
-        raise ValueError(f"field {name!r} is {values.get(name, False)}, although the plan succeeded")
+        raise ValueError(
+            f"field {name!r} is {values.get(name, False)}, although the plan succeeded"
+        )
     if model is None:  # its scene may be subdivided
         return
     for name in ("bars", "strings"):
         if not np.array_equal(getattr(trajectory, name), getattr(model.structure, name)):
             raise ValueError(f"field 'trajectory.{name}' does not hold those of the model")
     if trajectory.nodes.shape[1] != len(model.structure.nodes):
-        raise ValueError(f"field 'trajectory.nodes' is of {trajectory.nodes.shape[1]} nodes, not of the model's {len(model.structure.nodes)}")
+        raise ValueError(
+            f"field 'trajectory.nodes' is of {trajectory.nodes.shape[1]} nodes, not of the model's {len(model.structure.nodes)}"
+        )
 
 
 def _told(parts: Mapping[str, Any]) -> dict[str, Array]:
     """Return text fields from which `rebuilt` makes the problem, but for its model, the transcription and the solver, but for who watches it.
 
-    Where something is no option of this package, such as an own function or scheme, or was not known, the text says so instead.
+    Where something is no option of this package, such as an own function or scheme, or was not
+    known, the text says so instead.
     """
     texts = {}
     for name in _PARTS:
@@ -163,13 +265,18 @@ def _told(parts: Mapping[str, Any]) -> dict[str, Array]:
                 raise _NotStored(parts["unknown"])
             if isinstance(part, Problem):
                 part = {field: getattr(part, field) for field in _ASKED}
-            texts[name] = _tell(replace(part, watch=None) if isinstance(part, (Ipopt, Sampling)) else part, name.capitalize())
+            texts[name] = _tell(
+                replace(part, watch=None) if isinstance(part, (Ipopt, Sampling)) else part,
+                name.capitalize(),
+            )
         except _NotStored as error:
             texts[name] = {"unknown": str(error)}
     return {"solved": np.asarray(json.dumps(texts))}
 
 
-def rebuilt(content: Mapping[str, Any], model: Model | None, problem: Problem | None) -> dict[str, Any]:
+def rebuilt(
+    content: Mapping[str, Any], model: Model | None, problem: Problem | None
+) -> dict[str, Any]:
     """Return how a plan was asked for and solved, as fields of it; of what cannot be rebuilt, `unknown` says why.
 
     problem: the one that is given; None: that of the file, for `model`.
@@ -184,9 +291,18 @@ def rebuilt(content: Mapping[str, Any], model: Model | None, problem: Problem | 
             continue
         try:
             part = _read(texts[name])
-            found[name] = part if name != "problem" else None if model is None else Problem(model, **part)
+            found[name] = (
+                part if name != "problem" else None if model is None else Problem(model, **part)
+            )
             instance(name, found[name], _PARTS[name], f"a {name}")
-        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
+        except (
+            ValueError,
+            TypeError,
+            KeyError,
+            AttributeError,
+            OverflowError,
+            RecursionError,
+        ) as error:
             found |= {name: None, "unknown": str(error)}
     return found
 
@@ -202,17 +318,41 @@ def _tell(value: Any, name: str) -> Any:
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, np.ndarray) and value.dtype.kind in "bif":
-        return {"array": value.ravel().tolist(), "shape": list(value.shape), "kind": value.dtype.kind}
+        return {
+            "array": value.ravel().tolist(),
+            "shape": list(value.shape),
+            "kind": value.dtype.kind,
+        }
     if isinstance(value, (list, tuple)):
-        return {"tuple" if isinstance(value, tuple) else "list": [_tell(item, f"{name}[{k}]") for k, item in enumerate(value)]}
+        return {
+            "tuple" if isinstance(value, tuple) else "list": [
+                _tell(item, f"{name}[{k}]") for k, item in enumerate(value)
+            ]
+        }
     if isinstance(value, Mapping):
         return {
-            "mapping": [[_tell(key, name), _tell(item, f"{name}.{key}" if isinstance(key, str) else f"{name}[{key}]")] for key, item in value.items()]
+            "mapping": [
+                [
+                    _tell(key, name),
+                    _tell(item, f"{name}.{key}" if isinstance(key, str) else f"{name}[{key}]"),
+                ]
+                for key, item in value.items()
+            ]
         }
     if type(value) in _NAMES:
         kind = _NAMES[type(value)]
-        return {"class": kind, "fields": {field.name: _tell(getattr(value, field.name), f"{name}.{field.name}") for field in fields(value)}}
-    own = "a function" if callable(value) and not isinstance(value, type) else f"of an own class, {type(value).__name__}"
+        return {
+            "class": kind,
+            "fields": {
+                field.name: _tell(getattr(value, field.name), f"{name}.{field.name}")
+                for field in fields(value)
+            },
+        }
+    own = (
+        "a function"
+        if callable(value) and not isinstance(value, type)
+        else f"of an own class, {type(value).__name__}"
+    )
     raise _NotStored(f"{name} is {own}, which no file holds")
 
 
@@ -223,13 +363,17 @@ def _read(told: Any) -> Any:
     if "unknown" in told:
         raise ValueError(told["unknown"])
     if "array" in told:
-        return np.array(told["array"], dtype={"b": bool, "i": np.intp, "f": float}[told["kind"]]).reshape(told["shape"])
+        return np.array(
+            told["array"], dtype={"b": bool, "i": np.intp, "f": float}[told["kind"]]
+        ).reshape(told["shape"])
     if "mapping" in told:
         return {_read(key): _read(value) for key, value in told["mapping"]}
     if "class" in told:
         given = {name: _read(value) for name, value in told["fields"].items()}
         files = [name for name in given.get("options", ()) if "lib" in name or "file" in name]
         if files:
-            raise ValueError(f"{told['class']}.options has {files[0]!r}, which names a file: nothing is loaded or written because a file says so")
+            raise ValueError(
+                f"{told['class']}.options has {files[0]!r}, which names a file: nothing is loaded or written because a file says so"
+            )
         return _CLASSES[told["class"]](**given)
     return tuple(map(_read, told["tuple"])) if "tuple" in told else list(map(_read, told["list"]))

@@ -31,7 +31,9 @@ def stretched(model: Model) -> Model:
 
     A string that is slack in a plan is wound so that it just does not pull.
     """
-    return _changed(model, slack=Linear()) if winds(model) and model.scene.slack != Linear() else model
+    return (
+        _changed(model, slack=Linear()) if winds(model) and model.scene.slack != Linear() else model
+    )
 
 
 def _changed(model: Model, **changes: Any) -> Model:
@@ -39,7 +41,11 @@ def _changed(model: Model, **changes: Any) -> Model:
     kept: dict[Any, Any] = model.functions
     key = "changed", tuple(changes)
     if key not in kept:
-        kept[key] = Model(replace(model.scene, **changes), model.coordinates, "constant" if model.mechanism.constant_length else "current")
+        kept[key] = Model(
+            replace(model.scene, **changes),
+            model.coordinates,
+            "constant" if model.mechanism.constant_length else "current",
+        )
     changed: Model = kept[key]
     return changed
 
@@ -48,10 +54,14 @@ def check_control(model: Model) -> None:
     """Refuse a model whose strings cannot be driven. Raises ValueError."""
     control = model.scene.control
     if not isinstance(control, (ForceDensity, RestLength)):
-        raise ValueError(f"Problem.model has the control {control}: give a model of Scene(..., control=ForceDensity()) or RestLength()")
+        raise ValueError(
+            f"Problem.model has the control {control}: give a model of Scene(..., control=ForceDensity()) or RestLength()"
+        )
     limp = np.flatnonzero(model.scene.structure.stiffness == 0)
     if winds(model) and limp.size:
-        raise ValueError(f"Problem.model has string {limp[0]} without stiffness, which no rest length pulls: give Structure(stiffness=...)")
+        raise ValueError(
+            f"Problem.model has string {limp[0]} without stiffness, which no rest length pulls: give Structure(stiffness=...)"
+        )
     if model.nu == 0:
         raise ValueError("Problem.model has no strings: there is nothing to plan")
 
@@ -59,4 +69,6 @@ def check_control(model: Model) -> None:
 def refuse_wound(model: Model, user: str) -> None:
     """Refuse a model whose control is rest lengths, which `user` does not know. Raises ValueError."""
     if winds(model):
-        raise ValueError(f"{user} is for force densities, and the model has control=RestLength(): give a model of Scene(..., control=ForceDensity())")
+        raise ValueError(
+            f"{user} is for force densities, and the model has control=RestLength(): give a model of Scene(..., control=ForceDensity())"
+        )

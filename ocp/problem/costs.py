@@ -10,7 +10,13 @@ from numpy.typing import ArrayLike
 
 from ocp.problem.instant import Instant
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import instance, nonnegative, number_or_vector, per_item, positive_number
+from tenscasadi.util.validate import (
+    instance,
+    nonnegative,
+    number_or_vector,
+    per_item,
+    positive_number,
+)
 
 
 class Cost:
@@ -54,7 +60,9 @@ class CostAt(Cost):
     def __post_init__(self) -> None:
         instance("CostAt.cost", self.cost, FinalCost, "a cost of the end")
         if not positive_number("CostAt.share", self.share) < 1:
-            raise ValueError(f"CostAt.share is {self.share:g}: give a share of the duration between 0 and 1")
+            raise ValueError(
+                f"CostAt.share is {self.share:g}: give a share of the duration between 0 and 1"
+            )
 
     def check(self, structure: Structure) -> None:
         """Raise TypeError or ValueError, naming the field, where the cost does not fit the structure."""
@@ -113,7 +121,8 @@ class Effort(ControlCost):
 class Smoothness(ControlCost):
     """The cost weight · Σ (γ⁺ − γ)²/h over neighbouring intervals, which stands for ∫ Σ γ̇² dt; of rest lengths where these are decided.
 
-    h is the time from the middle of one interval to that of the next; where force densities are linear in each interval, its length.
+    h is the time from the middle of one interval to that of the next; where force densities are
+    linear in each interval, its length.
 
     Parameters
     ----------
@@ -173,7 +182,8 @@ class Prestress(ControlCost):
     Raises
     ------
     TypeError, ValueError
-        If weight or level is no number, or negative; with a problem, if there is not one level for each string.
+        If weight or level is no number, or negative; with a problem, if there is not one level for
+        each string.
 
     Examples
     --------
@@ -221,14 +231,19 @@ class Prestress(ControlCost):
             weight · h Σ (γ − level)², a scalar, N²·s/m² for weight 1.
         """
         level = ca.DM(per_item("Prestress.level", self.level, force_density.shape[0]))
-        return self.weight * interval * ca.sumsqr(force_density - ca.repmat(level, 1, force_density.shape[1]))
+        return (
+            self.weight
+            * interval
+            * ca.sumsqr(force_density - ca.repmat(level, 1, force_density.shape[1]))
+        )
 
 
 @dataclass(frozen=True)
 class Duration(FinalCost):
     """The cost weight · T of the duration T, s.
 
-    It asks for ``Problem(duration=(shortest, longest))``, and for other costs or limits of force to weigh against.
+    It asks for ``Problem(duration=(shortest, longest))``, and for other costs or limits of force to
+    weigh against.
 
     Parameters
     ----------
@@ -288,8 +303,8 @@ class Work(RunningCost):
 
     Notes
     -----
-    With P = −γ s ṡ and w the smoothing, max(0, P) is taken as (P + √(P² + w²) − w)/2. Integrated by Simpson's rule on each interval, its middle
-    on the cubic between its ends.
+    With P = −γ s ṡ and w the smoothing, max(0, P) is taken as (P + √(P² + w²) − w)/2. Integrated by
+    Simpson's rule on each interval, its middle on the cubic between its ends.
 
     Examples
     --------
@@ -319,9 +334,15 @@ class Work(RunningCost):
             weight · Σ max(0, −γ s ṡ), rounded off, a scalar.
         """
         power = -now.force_density * now.lengths * now.rates
-        return self.weight * ca.sum1(power + ca.sqrt(power**2 + self.smoothing**2) - self.smoothing) / 2
+        return (
+            self.weight
+            * ca.sum1(power + ca.sqrt(power**2 + self.smoothing**2) - self.smoothing)
+            / 2
+        )
 
 
 def check_weight(cost: Any) -> None:
     """Refuse a weight that is no positive number."""
-    object.__setattr__(cost, "weight", positive_number(f"{type(cost).__name__}.weight", cost.weight))
+    object.__setattr__(
+        cost, "weight", positive_number(f"{type(cost).__name__}.weight", cost.weight)
+    )

@@ -15,7 +15,14 @@ from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint
 from ocp.problem.costs import Cost, CostAt, FinalCost, RunningCost
 from ocp.problem.instant import Instant, symbolic
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array, call_user_function, flag, number_or_vector, positive_number, shown
+from tenscasadi.util.validate import (
+    Array,
+    call_user_function,
+    flag,
+    number_or_vector,
+    positive_number,
+    shown,
+)
 
 Expression = Callable[[Instant], Any]
 
@@ -39,7 +46,8 @@ class AtEnd(FinalCost):
     Raises
     ------
     TypeError, ValueError
-        If there is no name, no function or no weight; with a problem, if the expression fails or is no scalar of the instant alone.
+        If there is no name, no function or no weight; with a problem, if the expression fails or is
+        no scalar of the instant alone.
 
     Examples
     --------
@@ -55,7 +63,9 @@ class AtEnd(FinalCost):
 
     def __post_init__(self) -> None:
         _named(self)
-        object.__setattr__(self, "weight", positive_number(f"AtEnd {self.name!r}: weight", self.weight))
+        object.__setattr__(
+            self, "weight", positive_number(f"AtEnd {self.name!r}: weight", self.weight)
+        )
 
     @property
     def weighted(self) -> Expression:
@@ -89,8 +99,9 @@ class Constraint(PathBound):
     Parameters
     ----------
     name : str or AtEnd
-        What reports and multipliers call it; each constraint of a problem has its own. ``Constraint(AtEnd(name, expression), lower=...)`` limits
-        weight · expression at the end of the plan, and is the same as to give name, expression and ``at_end``.
+        What reports and multipliers call it; each constraint of a problem has its own.
+        ``Constraint(AtEnd(name, expression), lower=...)`` limits weight · expression at the end of
+        the plan, and is the same as to give name, expression and ``at_end``.
     expression : callable
         Takes an `Instant` and gives a CasADi scalar or column of it.
     lower : float or array_like, optional
@@ -103,8 +114,9 @@ class Constraint(PathBound):
     Raises
     ------
     TypeError, ValueError
-        If there is no name or no function, or both limits are None; with a problem, if the expression fails, is no expression of the instant
-        alone, is not a number at the start, or has not as many entries as the limits.
+        If there is no name or no function, or both limits are None; with a problem, if the
+        expression fails, is no expression of the instant alone, is not a number at the start, or
+        has not as many entries as the limits.
 
     Examples
     --------
@@ -127,12 +139,16 @@ class Constraint(PathBound):
     def __post_init__(self) -> None:
         if isinstance(self.name, AtEnd):
             if self.expression is not None:
-                raise TypeError(f"Constraint {self.name.name!r}: expression is given beside that of AtEnd: give lower=... and upper=... by name")
+                raise TypeError(
+                    f"Constraint {self.name.name!r}: expression is given beside that of AtEnd: give lower=... and upper=... by name"
+                )
             self.__dict__.update(name=self.name.name, expression=self.name.weighted, at_end=True)
         _named(self)
         flag(f"Constraint {self.name!r}: at_end", self.at_end)
         if self.lower is None and self.upper is None:
-            raise ValueError(f"Constraint {self.name!r}: lower and upper are both None: give at least one")
+            raise ValueError(
+                f"Constraint {self.name!r}: lower and upper are both None: give at least one"
+            )
         for field in ("lower", "upper"):
             value = getattr(self, field)
             if value is not None:
@@ -154,7 +170,8 @@ class Constraint(PathBound):
         Raises
         ------
         TypeError, ValueError
-            If the expression fails or is none, entries and limits differ in number, or limits cross.
+            If the expression fails or is none, entries and limits differ in number, or limits
+            cross.
         """
         now = symbolic(model)
         value = _column(self, now)
@@ -162,8 +179,12 @@ class Constraint(PathBound):
         lower, upper = self._limit("lower", count, -np.inf), self._limit("upper", count, np.inf)
         if np.any(lower > upper):
             raise ValueError(f"Constraint {self.name!r}: lower is above upper: give lower ≤ upper")
-        names = (str(self.name),) if count == 1 else tuple(f"{self.name} [{k}]" for k in range(count))
-        return PathConstraint(value, lower, upper, names, "", now.symbols, ("last",) if self.at_end else self.ends)
+        names = (
+            (str(self.name),) if count == 1 else tuple(f"{self.name} [{k}]" for k in range(count))
+        )
+        return PathConstraint(
+            value, lower, upper, names, "", now.symbols, ("last",) if self.at_end else self.ends
+        )
 
     def _limit(self, field: str, count: int, missing: float) -> Array:
         value = getattr(self, field)
@@ -171,7 +192,9 @@ class Constraint(PathBound):
             return np.full(count, missing)
         array = number_or_vector(f"Constraint {self.name!r}: {field}", value)
         if array.ndim and len(array) != count:
-            raise ValueError(f"Constraint {self.name!r}: {field} has {len(array)} entries and the expression {count}: give one number or {count}")
+            raise ValueError(
+                f"Constraint {self.name!r}: {field} has {len(array)} entries and the expression {count}: give one number or {count}"
+            )
         return np.broadcast_to(array, (count,)).copy()
 
 
@@ -191,7 +214,8 @@ class Integral(RunningCost):
     Raises
     ------
     TypeError, ValueError
-        If there is no name, no function or no weight; with a problem, if the expression fails, is no scalar of the instant alone, or is not a
+        If there is no name, no function or no weight; with a problem, if the expression fails, is
+        no scalar of the instant alone, or is not a
     number at the start.
 
     Notes
@@ -213,7 +237,9 @@ class Integral(RunningCost):
 
     def __post_init__(self) -> None:
         _named(self)
-        object.__setattr__(self, "weight", positive_number(f"Integral {self.name!r}: weight", self.weight))
+        object.__setattr__(
+            self, "weight", positive_number(f"Integral {self.name!r}: weight", self.weight)
+        )
 
     def rate(self, now: Instant) -> Any:
         """Return the cost per second.
@@ -231,7 +257,9 @@ class Integral(RunningCost):
         return self.weight * _scalar(self, now)
 
 
-def check_expressions(model: Model, bounds: Sequence[Bound], costs: Sequence[Cost], start: Array | None) -> None:
+def check_expressions(
+    model: Model, bounds: Sequence[Bound], costs: Sequence[Cost], start: Array | None
+) -> None:
     """Build each bound and cost once, so that a fault shows here.
 
     Refuses a start (nx,), None where it is free, that is out of bounds.
@@ -239,16 +267,22 @@ def check_expressions(model: Model, bounds: Sequence[Bound], costs: Sequence[Cos
     names = [bound.name for bound in bounds if isinstance(bound, Constraint)]
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"Problem.bounds has two constraints named {name!r}: give each its own name, reports tell them by it")
+            raise ValueError(
+                f"Problem.bounds has two constraints named {name!r}: give each its own name, reports tell them by it"
+            )
     for bound in bounds:
         if isinstance(bound, PathBound):
             limited = bound.constraint(model)
             value, steered = _first(bound, limited.symbols, limited.value, start)
             undefined = np.isnan(value) & ~steered
             if undefined.any():
-                raise ValueError(f"Problem.bounds: {limited.names[int(np.argmax(undefined))]} {_NO_NUMBER}")
+                raise ValueError(
+                    f"Problem.bounds: {limited.names[int(np.argmax(undefined))]} {_NO_NUMBER}"
+                )
             if limited.ends == ("end",) and len(value):
-                _check_within(limited, value, START_TOLERANCE * float(np.ptp(model.structure.nodes)))
+                _check_within(
+                    limited, value, START_TOLERANCE * float(np.ptp(model.structure.nodes))
+                )
     for cost in costs:
         now = symbolic(model)
         if isinstance(cost, RunningCost):
@@ -261,16 +295,22 @@ def check_expressions(model: Model, bounds: Sequence[Bound], costs: Sequence[Cos
             _first(cost, now.symbols, cost.final(now), None)
 
 
-def _first(item: Any, symbols: tuple[Any, ...], value: Any, start: Array | None) -> tuple[Array, NDArray[np.bool_]]:
+def _first(
+    item: Any, symbols: tuple[Any, ...], value: Any, start: Array | None
+) -> tuple[Array, NDArray[np.bool_]]:
     """Return the entries of an expression at the start under no forces, none without a start; and which of them force densities change."""
     column = ca.densify(ca.vec(value))
     function = ca.Function("first", symbols, [column], {"allow_free": True})
     if function.get_free():
-        raise ValueError(f"{_label(item)} has the symbol {function.get_free()[0]!r}, which nothing gives a value: use those of the instant alone")
+        raise ValueError(
+            f"{_label(item)} has the symbol {function.get_free()[0]!r}, which nothing gives a value: use those of the instant alone"
+        )
     if start is None or column.is_empty():
         return np.zeros(0), np.zeros(0, dtype=bool)
     steered = np.array(function.jac_sparsity(0, 1).get_triplet()[0], dtype=np.intp)
-    return np.asarray(function(start, 0, 0).full()).ravel(), np.isin(np.arange(column.shape[0]), steered)
+    return np.asarray(function(start, 0, 0).full()).ravel(), np.isin(
+        np.arange(column.shape[0]), steered
+    )
 
 
 def _check_within(limited: PathConstraint, value: Array, tolerance: float) -> None:
@@ -289,7 +329,9 @@ def _named(item: Any) -> None:
     if not isinstance(item.name, str) or not item.name:
         raise TypeError(f"{kind}.name is {shown(item.name)}: give a name, it stands in reports")
     if not callable(item.expression):
-        raise TypeError(f"{kind} {shown(item.name)}: expression is {shown(item.expression)}: give a function of an instant")
+        raise TypeError(
+            f"{kind} {shown(item.name)}: expression is {shown(item.expression)}: give a function of an instant"
+        )
 
 
 def _label(item: Any) -> str:
@@ -309,12 +351,16 @@ def _column(item: Any, now: Instant) -> Any:
         )
     if not isinstance(value, type(now.state)):
         kinds = f"{type(value).__name__}, and the instant is {type(now.state).__name__}"
-        raise TypeError(f"{_label(item)} gives {kinds}: give an expression of the instant alone, without symbols of your own")
+        raise TypeError(
+            f"{_label(item)} gives {kinds}: give an expression of the instant alone, without symbols of your own"
+        )
     return ca.vec(value)
 
 
 def _scalar(item: Any, now: Instant) -> Any:
     column = _column(item, now)
     if column.shape[0] != 1:
-        raise ValueError(f"{_label(item)} gives {column.shape[0]} entries: give a scalar, such as ca.sumsqr(...)")
+        raise ValueError(
+            f"{_label(item)} gives {column.shape[0]} entries: give a scalar, such as ca.sumsqr(...)"
+        )
     return column

@@ -16,7 +16,8 @@ from tenscasadi.util.validate import Array, nonnegative, per_item
 class Instant:
     """The structure at one instant of a plan: nodes, lengths and forces, as CasADi expressions.
 
-    `Constraint`, `Integral` and `AtEnd` are functions of it. Expressions are built where they are asked for.
+    `Constraint`, `Integral` and `AtEnd` are functions of it. Expressions are built where they are
+    asked for.
 
     Parameters
     ----------
@@ -25,7 +26,8 @@ class Instant:
     state : casadi.SX or casadi.MX, shape (nx,)
         State of the model.
     control : casadi.SX or casadi.MX, shape (α,)
-        What is decided: force densities γ, N/m, or rest lengths, m, of a model with ``control=RestLength()``.
+        What is decided: force densities γ, N/m, or rest lengths, m, of a model with
+        ``control=RestLength()``.
     time : casadi.SX or casadi.MX
         Time since the start, s.
 
@@ -68,14 +70,19 @@ class Instant:
     def rates(self) -> Any:
         """How fast these distances grow (α,), m/s."""
         strings = self.model.scene.structure.strings
-        return ca.sum1(self._across(self.nodes, strings) * self._across(self.velocities, strings)).T / self.lengths
+        return (
+            ca.sum1(self._across(self.nodes, strings) * self._across(self.velocities, strings)).T
+            / self.lengths
+        )
 
     @cached_property
     def force_density(self) -> Any:
         """Force densities γ (α,), N/m: the control, or what the law of the strings makes of rest lengths."""
         if not winds(self.model):
             return self.control
-        mean = self._gather(self.model.structure.string_fraction)  # of the tensions of segments, which are alike but for their masses
+        mean = self._gather(
+            self.model.structure.string_fraction
+        )  # of the tensions of segments, which are alike but for their masses
         return ca.mtimes(mean, self.tension) / self.lengths
 
     @cached_property
@@ -112,7 +119,10 @@ class Instant:
         s = self.model.structure
         along = norms(self._across(self.model.nodes(self.state), s.strings))
         given = per_item("stiffness", stiffness, len(self.model.scene.structure.strings))
-        whole = ca.DM(nonnegative("stiffness", given, "string", strict=True)[s.string_parent] / s.string_fraction)
+        whole = ca.DM(
+            nonnegative("stiffness", given, "string", strict=True)[s.string_parent]
+            / s.string_fraction
+        )
         parts = along - self.tension / whole  # s (1 − γ/k)
         return ca.mtimes(self._gather(np.ones(len(s.strings))), parts)
 
@@ -135,11 +145,15 @@ def forces_of(model: Model, states: Array, controls: Array) -> Array:
     if not winds(model):
         return controls
     now = symbolic(model)
-    follow = ca.Function("follow", [now.state, now.control], [ca.densify(now.force_density)]).map(len(states))
+    follow = ca.Function("follow", [now.state, now.control], [ca.densify(now.force_density)]).map(
+        len(states)
+    )
     return np.asarray(follow(states.T, controls.T).full()).T
 
 
 def symbolic(model: Model) -> Instant:
     """Return an instant of symbols: SX where the model's equations are, MX for large ones."""
-    kind: Any = ca.SX if model.ode.is_a("SXFunction") and model.observe.is_a("SXFunction") else ca.MX
+    kind: Any = (
+        ca.SX if model.ode.is_a("SXFunction") and model.observe.is_a("SXFunction") else ca.MX
+    )
     return Instant(model, kind.sym("x", model.nx), kind.sym("u", model.nu), kind.sym("t"))

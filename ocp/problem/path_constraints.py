@@ -17,20 +17,29 @@ from ocp.problem.scaling import Scales
 from tenscasadi.util.validate import Array
 
 
-def path_constraints(problem: Problem, kind: type[PathBound] | type[RateBound]) -> list[PathConstraint]:
+def path_constraints(
+    problem: Problem, kind: type[PathBound] | type[RateBound]
+) -> list[PathConstraint]:
     """Return what the bounds of one kind limit, each under a name of its own.
 
-    What several of them limit, such as the way of a bar round two obstacles, is called "obstacle clear of bar 0 (bounds[2])", after the
-    bound's place in Problem.bounds.
+    What several of them limit, such as the way of a bar round two obstacles, is called "obstacle
+    clear of bar 0 (bounds[2])", after the bound's place in Problem.bounds.
     """
-    decided = RestLengthLimits if winds(problem.model) else ForceDensityLimits  # which limit the unknowns themselves
+    decided = (
+        RestLengthLimits if winds(problem.model) else ForceDensityLimits
+    )  # which limit the unknowns themselves
     found = {
-        k: bound.constraint(problem.model) for k, bound in enumerate(problem.bounds) if isinstance(bound, kind) and not isinstance(bound, decided)
+        k: bound.constraint(problem.model)
+        for k, bound in enumerate(problem.bounds)
+        if isinstance(bound, kind) and not isinstance(bound, decided)
     }
     times = Counter(name for one in found.values() for name in set(one.names))
 
     def told_apart(k: int, one: PathConstraint) -> PathConstraint:
-        return replace(one, names=tuple(f"{name} (bounds[{k}])" if times[name] > 1 else name for name in one.names))
+        return replace(
+            one,
+            names=tuple(f"{name} (bounds[{k}])" if times[name] > 1 else name for name in one.names),
+        )
 
     own = [_pulling(problem)] if kind is PathBound and winds(problem.model) else []
     return [*own, *(told_apart(k, one) for k, one in found.items() if one.names)]
@@ -40,7 +49,9 @@ def _pulling(problem: Problem) -> PathConstraint:
     """Return the limits of the force densities that follow from rest lengths: at least 0, as strings do not push."""
     now, (lower, upper) = symbolic(problem.model), problem.force_density_limits
     names = tuple(f"force density of string {k}" for k in range(len(lower)))
-    return PathConstraint(now.force_density, lower, upper, names, "N/m", now.symbols, PathBound.ends)
+    return PathConstraint(
+        now.force_density, lower, upper, names, "N/m", now.symbols, PathBound.ends
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +66,9 @@ class ScaledRows:
     scale: Array
 
 
-def scaled_rows(problem: Problem, kind: type[PathBound] | type[RateBound], scales: Scales, strength: float) -> list[ScaledRows]:
+def scaled_rows(
+    problem: Problem, kind: type[PathBound] | type[RateBound], scales: Scales, strength: float
+) -> list[ScaledRows]:
     """Return the path constraints of one kind as rows of order one. strength: a typical γ, N/m."""
     return [_scaled(one, scales, strength) for one in path_constraints(problem, kind)]
 
@@ -63,12 +76,19 @@ def scaled_rows(problem: Problem, kind: type[PathBound] | type[RateBound], scale
 def _scaled(limited: PathConstraint, scales: Scales, strength: float) -> ScaledRows:
     scale = _row_scale(limited, scales, strength)
     function = ca.Function("bound", limited.symbols, [ca.densify(limited.value / ca.DM(scale))])
-    return ScaledRows(function, limited.lower / scale, limited.upper / scale, limited.names, limited.ends, scale)
+    return ScaledRows(
+        function, limited.lower / scale, limited.upper / scale, limited.names, limited.ends, scale
+    )
 
 
 def _row_scale(limited: PathConstraint, scales: Scales, strength: float) -> Array:
     """Return the size that one row of each entry stands for: by its unit; of own constraints, which have none, by its limits."""
-    sizes = {"N": strength * scales.length, "N/m": strength, "N/(m s)": strength / scales.time, **scales.units}
+    sizes = {
+        "N": strength * scales.length,
+        "N/m": strength,
+        "N/(m s)": strength / scales.time,
+        **scales.units,
+    }
     if limited.unit:
         return np.full(len(limited.names), sizes[limited.unit])
     ends = np.array([limited.lower, limited.upper])

@@ -18,7 +18,16 @@ from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import symbolic
 from ocp.problem.tracking import Tracking
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array, finite_array, instance, listed, nesting, node_index, positive_number, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    instance,
+    listed,
+    nesting,
+    node_index,
+    positive_number,
+    whole_number,
+)
 
 SHORTEST = 1e-2  # of a plan's longest duration: what lies between waypoints of free times at least
 TOUCHES = 1e-2  # of the structure's size: a node that is nearer to the ground touches it
@@ -28,9 +37,9 @@ TOUCHES = 1e-2  # of the structure's size: a node that is nearer to the ground t
 class Phase:
     """A part of a plan in which the same nodes stand on the ground; all others are in the air.
 
-    A plan of several phases is a jump, a landing, steps. Nodes that stand keep their places, as the ground pushes on them: never pulls, and
-    never more along itself than its friction holds. Where a phase begins with nodes that did not stand before, they land in an impact without
-    rebound.
+    A plan of several phases is a jump, a landing, steps. Nodes that stand keep their places, as the
+    ground pushes on them: never pulls, and never more along itself than its friction holds. Where a
+    phase begins with nodes that did not stand before, they land in an impact without rebound.
 
     Parameters
     ----------
@@ -43,7 +52,8 @@ class Phase:
     bounds : iterable of bounds, optional
         What holds in this phase, beside the bounds of the problem.
     until : (float, float), optional
-        (earliest, latest) time at which the phase ends, s from the start of the plan; None for what the durations allow.
+        (earliest, latest) time at which the phase ends, s from the start of the plan; None for what
+        the durations allow.
 
     Raises
     ------
@@ -72,11 +82,16 @@ class Phase:
     def __post_init__(self) -> None:
         own = self.__dict__
         own["duration"] = read_duration("Phase.duration", self.duration)
-        own["stands"] = tuple(whole_number("Phase.stands", node, 0) for node in listed("Phase.stands", self.stands, "[0, 1, 2]"))
+        own["stands"] = tuple(
+            whole_number("Phase.stands", node, 0)
+            for node in listed("Phase.stands", self.stands, "[0, 1, 2]")
+        )
         if len(set(own["stands"])) < len(own["stands"]):
             raise ValueError(f"Phase.stands is {own['stands']}: give each node once")
         own["goals"] = read_items("Phase.goals", self.goals, Goal, "[AtRest()]")
-        own["bounds"] = read_items("Phase.bounds", self.bounds, Bound, "[ForceDensityLimits(0, 200)]")
+        own["bounds"] = read_items(
+            "Phase.bounds", self.bounds, Bound, "[ForceDensityLimits(0, 200)]"
+        )
         if self.until is not None:
             until = read_duration("Phase.until", self.until)
             own["until"] = until if isinstance(until, tuple) else (until, until)
@@ -96,7 +111,9 @@ def read_items(field: str, values: Any, kinds: type, example: str) -> tuple[Any,
     """Return the values as a tuple. Raises TypeError unless all are of a kind."""
     found = listed(field, values, example)
     for k, value in enumerate(found):
-        instance(f"{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}")
+        instance(
+            f"{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}"
+        )
     return found
 
 
@@ -111,55 +128,107 @@ def read_duration(field: str, value: Any) -> float | tuple[float, float]:
     return shortest if pair[1] == shortest else (shortest, float(pair[1]))
 
 
-def phases_between(waypoints: Sequence[Waypoint], shortest: float, longest: float) -> tuple[Phase, ...]:
+def phases_between(
+    waypoints: Sequence[Waypoint], shortest: float, longest: float
+) -> tuple[Phase, ...]:
     """Return phases that end at waypoints of free times, in their order, and at the end. Raises ValueError where times contradict each other."""
     least = SHORTEST * longest
-    ends = [(0.0, 0.0), *(waypoint.time for waypoint in waypoints if isinstance(waypoint.time, tuple)), (shortest, longest)]
+    ends = [
+        (0.0, 0.0),
+        *(waypoint.time for waypoint in waypoints if isinstance(waypoint.time, tuple)),
+        (shortest, longest),
+    ]
     if len(ends) < len(waypoints) + 2:
-        raise ValueError("Problem.goals has waypoints of free and of given times: give each Waypoint(time=(earliest, latest))")
+        raise ValueError(
+            "Problem.goals has waypoints of free and of given times: give each Waypoint(time=(earliest, latest))"
+        )
     for earliest, latest in ends[1:-1]:
         if earliest > longest:
-            raise ValueError(f"Waypoint.time is ({earliest:g}, {latest:g}), and the plan takes {longest:g} s at most: give earlier times")
+            raise ValueError(
+                f"Waypoint.time is ({earliest:g}, {latest:g}), and the plan takes {longest:g} s at most: give earlier times"
+            )
     phases = []
     for k, ((begun, last_begun), (earliest, latest)) in enumerate(pairwise(ends)):
         if latest - begun < least:
-            name = f"Waypoint.time is ({earliest:g}, {latest:g})" if k < len(waypoints) else f"Problem.duration is up to {latest:g}"
-            raise ValueError(f"{name}, and the waypoint before is met at {begun:g} s or later: give waypoints in the order of their times")
+            name = (
+                f"Waypoint.time is ({earliest:g}, {latest:g})"
+                if k < len(waypoints)
+                else f"Problem.duration is up to {latest:g}"
+            )
+            raise ValueError(
+                f"{name}, and the waypoint before is met at {begun:g} s or later: give waypoints in the order of their times"
+            )
         goals = waypoints[k].goals if k < len(waypoints) else ()
-        phases.append(Phase((max(least, earliest - last_begun), latest - begun), goals=goals, until=(earliest, latest)))
+        phases.append(
+            Phase(
+                (max(least, earliest - last_begun), latest - begun),
+                goals=goals,
+                until=(earliest, latest),
+            )
+        )
     return tuple(phases)
 
 
 def refuse_phases(phases: Sequence[Phase], user: str) -> None:
     """Raise ValueError, saying who cannot, where there are phases."""
     if phases:
-        raise ValueError(f"{user} takes no problem with phases: give one without, or plan it by ocp.solve")
+        raise ValueError(
+            f"{user} takes no problem with phases: give one without, or plan it by ocp.solve"
+        )
 
 
-def check_phases(model: Model, start: Array, phases: Sequence[Phase], goals: Sequence[Goal], bounds: Sequence[Bound], costs: Sequence[Cost]) -> None:
+def check_phases(
+    model: Model,
+    start: Array,
+    phases: Sequence[Phase],
+    goals: Sequence[Goal],
+    bounds: Sequence[Bound],
+    costs: Sequence[Cost],
+) -> None:
     """Raise TypeError or ValueError, naming the phase, where phases do not fit the model, its ground, or what else is asked."""
     structure = model.scene.structure
-    if model.coordinates != "reduced" or model.mechanism.joints or model.scene.supports is not None or model.scene.has_clock:
-        raise ValueError('Problem.phases needs Model(scene, coordinates="reduced") of a scene in which nothing depends on time')
+    if (
+        model.coordinates != "reduced"
+        or model.mechanism.joints
+        or model.scene.supports is not None
+        or model.scene.has_clock
+    ):
+        raise ValueError(
+            'Problem.phases needs Model(scene, coordinates="reduced") of a scene in which nothing depends on time'
+        )
     numbered = [(f"Problem.phases[{k}]", phase) for k, phase in enumerate(phases)]
-    for name, goal in [("Problem", goal) for goal in goals] + [(name, goal) for name, phase in numbered for goal in phase.goals]:
+    for name, goal in [("Problem", goal) for goal in goals] + [
+        (name, goal) for name, phase in numbered for goal in phase.goals
+    ]:
         if isinstance(goal, (Waypoint, Periodic)):
             kind = type(goal).__name__
-            raise ValueError(f"{name}.goals has a {kind}, and phases have goals at their ends alone: end a phase where it is to be met")
+            raise ValueError(
+                f"{name}.goals has a {kind}, and phases have goals at their ends alone: end a phase where it is to be met"
+            )
         if isinstance(goal, SoftGoal):
-            raise ValueError(f"{name}.goals has a SoftGoal, and goals of phases are met: give it to the problem, for the end of the last")
-    for name, bound in [("Problem", bound) for bound in bounds] + [(name, bound) for name, phase in numbered for bound in phase.bounds]:
+            raise ValueError(
+                f"{name}.goals has a SoftGoal, and goals of phases are met: give it to the problem, for the end of the last"
+            )
+    for name, bound in [("Problem", bound) for bound in bounds] + [
+        (name, bound) for name, phase in numbered for bound in phase.bounds
+    ]:
         if isinstance(bound, RateBound):
-            raise ValueError(f"{name}.bounds has {type(bound).__name__}, which would not hold from phase to phase: leave it out")
+            raise ValueError(
+                f"{name}.bounds has {type(bound).__name__}, which would not hold from phase to phase: leave it out"
+            )
     for cost in costs:
         if isinstance(cost, (Tracking, CostAt)):
             kind = "a soft Waypoint" if isinstance(cost, CostAt) else "Tracking"
-            raise ValueError(f"Problem has {kind}, whose time is that of the whole plan: with phases give goals of phases")
+            raise ValueError(
+                f"Problem has {kind}, whose time is that of the whole plan: with phases give goals of phases"
+            )
         if isinstance(cost, (RunningCost, FinalCost)) and not isinstance(cost, Duration):
             now = symbolic(model)
             value = cost.rate(now) if isinstance(cost, RunningCost) else cost.final(now)
             if ca.depends_on(value, now.time):
-                raise ValueError(f"Problem.costs has {type(cost).__name__}, which depends on the time: with phases give goals of phases")
+                raise ValueError(
+                    f"Problem.costs has {type(cost).__name__}, which depends on the time: with phases give goals of phases"
+                )
     for phase in phases:
         for goal in phase.goals:
             goal.check(structure)
@@ -175,15 +244,21 @@ def _check_standing(model: Model, start: Array, phases: Sequence[Phase]) -> None
             name = f"Problem.phases[{k}].stands"
             node_index(name, node, len(structure.nodes))
             if structure.held[node].any():
-                raise ValueError(f"{name} has node {node}, which is pinned: leave it out, it does not move anyway")
+                raise ValueError(
+                    f"{name} has node {node}, which is pinned: leave it out, it does not move anyway"
+                )
             if len(grounds) != 1:
                 raise ValueError(
                     f"{name} has nodes, and the scene has {len(grounds) or 'no'} grounds: give Scene(..., ground=tc.Ground(friction=...))"
                 )
             if grounds[0].friction is None:
-                raise ValueError(f"{name} has nodes, and the ground has no friction to hold them: give Ground(..., friction=0.6)")
+                raise ValueError(
+                    f"{name} has nodes, and the ground has no friction to hold them: give Ground(..., friction=0.6)"
+                )
             if grounds[0].nodes is not None and node not in grounds[0].nodes:
-                raise ValueError(f"{name} has node {node}, on which the ground does not act: name it in {type(grounds[0]).__name__}.nodes")
+                raise ValueError(
+                    f"{name} has node {node}, on which the ground does not act: name it in {type(grounds[0]).__name__}.nodes"
+                )
     if phases and phases[0].stands:
         size = float(np.linalg.norm(np.ptp(structure.nodes, axis=0)))
         depths = np.asarray(grounds[0].depth(model.nodes(start).T).full()).ravel()

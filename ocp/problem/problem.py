@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.bounds.bound import Bound
-from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits, StringLimits, TensionLimits
+from ocp.problem.bounds.string_bounds import (
+    ForceDensityLimits,
+    RestLengthLimits,
+    StringLimits,
+    TensionLimits,
+)
 from ocp.problem.control import check_control, refuse_wound, winds
 from ocp.problem.costs import Cost, CostAt, Effort
 from ocp.problem.expressions import check_expressions
@@ -23,7 +28,9 @@ from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import Array, finite_array, instance, nesting, shown
 
-WIDE = 10.0  # times the shortest duration: beyond, the mean of the limits tells nothing about motions
+WIDE = (
+    10.0  # times the shortest duration: beyond, the mean of the limits tells nothing about motions
+)
 SHORTEST = 1e-3  # of a string's length: the least rest length
 
 
@@ -31,19 +38,23 @@ SHORTEST = 1e-3  # of a string's length: the least rest length
 class FreeStart:
     """A start that the solver chooses, as for a gait, which repeats a motion that is not known before.
 
-    Bars have their lengths at the start by constraints of their own; a clock starts as it does near ``near``.
+    Bars have their lengths at the start by constraints of their own; a clock starts as it does near
+    ``near``.
 
     Parameters
     ----------
     near : array_like of shape (n, 3) or (nx,), optional
-        Nodes at rest, m, or a state, where the start is looked for; None for the model's initial state.
+        Nodes at rest, m, or a state, where the start is looked for; None for the model's initial
+        state.
     goals : iterable of goals, optional
-        What the start has to meet, such as `NodePositions` of a node where nothing else says where on the ground a motion begins.
+        What the start has to meet, such as `NodePositions` of a node where nothing else says where
+        on the ground a motion begins.
 
     Raises
     ------
     TypeError
-        If goals are no goals, or `Waypoint`, `Periodic` or soft ones, which are goals of the problem.
+        If goals are no goals, or `Waypoint`, `Periodic` or soft ones, which are goals of the
+        problem.
 
     Examples
     --------
@@ -56,7 +67,9 @@ class FreeStart:
     goals: Iterable[Goal] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "goals", read_items("FreeStart.goals", self.goals, Goal, "[AtRest()]"))
+        object.__setattr__(
+            self, "goals", read_items("FreeStart.goals", self.goals, Goal, "[AtRest()]")
+        )
         for k, goal in enumerate(self.goals):
             if isinstance(goal, (Waypoint, Periodic, SoftGoal)):
                 raise TypeError(
@@ -71,33 +84,38 @@ class Problem:
     Parameters
     ----------
     model : Model
-        The model, of a scene with ``control=ForceDensity()``; or with ``control=RestLength()``: then the plan decides the rest lengths of
-        elastic strings, which may go slack, and their force densities follow.
+        The model, of a scene with ``control=ForceDensity()``; or with ``control=RestLength()``:
+        then the plan decides the rest lengths of elastic strings, which may go slack, and their
+        force densities follow.
     duration : float or (float, float), optional
         Seconds, or (shortest, longest) to let the solver choose.
     start : array_like of shape (n, 3) or (nx,), or FreeStart, optional
-        Nodes at rest, m, or a state; None for the model's initial state; ``FreeStart(...)`` for a start that is found with the plan. Rounded
-        numbers are put right.
+        Nodes at rest, m, or a state; None for the model's initial state; ``FreeStart(...)`` for a
+        start that is found with the plan. Rounded numbers are put right.
     goals : iterable of goals, optional
-        `StringLengths`, `NodePositions`, `NodeVelocities`, `CentreOfMass`, `Shape`, `AtRest`, `Periodic`, `Waypoint`: all met, at the end unless
-        they say when; those that are `Goal.soft` join the costs.
+        `StringLengths`, `NodePositions`, `NodeVelocities`, `CentreOfMass`, `Shape`, `AtRest`,
+        `Periodic`, `Waypoint`: all met, at the end unless they say when; those that are `Goal.soft`
+        join the costs.
     bounds : iterable of bounds, optional
-        `ForceDensityLimits`, `TensionLimits`, `BarClearance`, `Constraint`, ...: all hold along the way.
+        `ForceDensityLimits`, `TensionLimits`, `BarClearance`, `Constraint`, ...: all hold along the
+        way.
     costs : iterable of costs, optional
-        `Effort`, `Tracking`, `Integral`, ...: their sum is least. Without any, every motion will do; where force densities have no upper
-        limits, `Effort` takes their place.
+        `Effort`, `Tracking`, `Integral`, ...: their sum is least. Without any, every motion will
+        do; where force densities have no upper limits, `Effort` takes their place.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
-        Values of the model's parameters, see `tenscasadi.ParameterLayout.values`; nominal if None. `Problem.model` is then the model with
-        these as constants (`Model.fixed`), and `Problem.parameters` is None. `fixed` asks the same with other values.
+        Values of the model's parameters, see `tenscasadi.ParameterLayout.values`; nominal if None.
+        `Problem.model` is then the model with these as constants (`Model.fixed`), and
+        `Problem.parameters` is None. `fixed` asks the same with other values.
     phases : sequence of Phase, optional
-        Parts of the plan in which nodes stand on the scene's ground, one after another: jumps, landings, steps. They have the durations; the
-        problem's goals are met at the end of the last.
+        Parts of the plan in which nodes stand on the scene's ground, one after another: jumps,
+        landings, steps. They have the durations; the problem's goals are met at the end of the
+        last.
 
     Raises
     ------
     TypeError, ValueError
-        If something is no number, value or model as described, does not fit the structure, or contradicts another; the message names the
-        field and the cure.
+        If something is no number, value or model as described, does not fit the structure, or
+        contradicts another; the message names the field and the cure.
 
     See Also
     --------
@@ -137,10 +155,14 @@ class Problem:
         own["goals"] = read_items("Problem.goals", self.goals, Goal, "[AtRest()]")
         divided = not own["phases"] and self._divide()
         if isinstance(self.start, type):
-            raise TypeError(f"Problem.start is the class {self.start.__name__}: give {self.start.__name__}()")
+            raise TypeError(
+                f"Problem.start is the class {self.start.__name__}: give {self.start.__name__}()"
+            )
         if isinstance(self.start, FreeStart):
             if self.model.mechanism.joints or self.model.scene.supports is not None:
-                raise ValueError('Problem.start is free, where bars alone are kept: give Model(scene, coordinates="reduced") without moved supports')
+                raise ValueError(
+                    'Problem.start is free, where bars alone are kept: give Model(scene, coordinates="reduced") without moved supports'
+                )
             own["start"] = replace(self.start, near=self._state("FreeStart.near", self.start.near))
         else:
             own["start"] = self._state("Problem.start", self.start)
@@ -151,13 +173,21 @@ class Problem:
             item.check(structure)
         begin = None if self.free_start else self.first_state
         own["goals"] = tuple(goal.complete(self.model, begin) for goal in own["goals"])
-        own["costs"] = tuple(cost.complete(self.model, begin) if isinstance(cost, SoftGoal) else cost for cost in own["costs"])
+        own["costs"] = tuple(
+            cost.complete(self.model, begin) if isinstance(cost, SoftGoal) else cost
+            for cost in own["costs"]
+        )
         if isinstance(self.start, FreeStart):
-            own["start"] = replace(self.start, goals=tuple(goal.complete(self.model, None) for goal in self.start.goals))
+            own["start"] = replace(
+                self.start,
+                goals=tuple(goal.complete(self.model, None) for goal in self.start.goals),
+            )
         _ = self._timed  # refuses times that are none of the plan's
         self._check_limits()
         if not own["costs"] and np.isposinf(self.force_density_limits[1]).any():
-            own["costs"] = (Effort(),)  # with nothing to keep them small, barriers of the solver let force densities grow without bound
+            own["costs"] = (
+                Effort(),
+            )  # with nothing to keep them small, barriers of the solver let force densities grow without bound
         own["goals"], wishes = self._without_wishes()
         own["costs"] += wishes
         check_expressions(self.model, own["bounds"], own["costs"], begin)
@@ -167,7 +197,9 @@ class Problem:
             except (TypeError, ValueError) as error:
                 if not divided:
                     raise
-                raise ValueError(f"{error}; a range as Waypoint.time makes phases: or give one time, or a share") from None
+                raise ValueError(
+                    f"{error}; a range as Waypoint.time makes phases: or give one time, or a share"
+                ) from None
 
     def fixed(self, parameters: Any) -> Problem:
         """Return the problem with other values of its model's parameters.
@@ -175,8 +207,8 @@ class Problem:
         Parameters
         ----------
         parameters : array_like, shape (np,), or mapping of str to array_like
-            Values, see `tenscasadi.ParameterLayout.values`, in place of all that the problem was made with; those that are not named are
-            nominal.
+            Values, see `tenscasadi.ParameterLayout.values`, in place of all that the problem was
+            made with; those that are not named are nominal.
 
         Returns
         -------
@@ -219,8 +251,17 @@ class Problem:
     def _check_phases(self) -> None:
         refuse_wound(self.model, "Problem.phases")
         if self.free_start:
-            raise ValueError("Problem.start is free, and phases begin where nodes stand: give the start")
-        check_phases(self.model, self.first_state, self.phases, self.__dict__["goals"], self.__dict__["bounds"], self.__dict__["costs"])
+            raise ValueError(
+                "Problem.start is free, and phases begin where nodes stand: give the start"
+            )
+        check_phases(
+            self.model,
+            self.first_state,
+            self.phases,
+            self.__dict__["goals"],
+            self.__dict__["bounds"],
+            self.__dict__["costs"],
+        )
 
     def _whole_duration(self) -> Any:
         """Return the duration that is given, or that of all phases."""
@@ -229,10 +270,15 @@ class Problem:
             return self.duration
         last = phases[-1].until
         whole = read_duration(
-            "Problem.duration", last if last is not None else (sum(phase.shortest for phase in phases), sum(phase.longest for phase in phases))
+            "Problem.duration",
+            last
+            if last is not None
+            else (sum(phase.shortest for phase in phases), sum(phase.longest for phase in phases)),
         )
         if read_duration("Problem.duration", self.duration) not in (1.0, whole):
-            raise ValueError(f"Problem.duration is {shown(self.duration)}, and phases have durations of their own: leave it out")
+            raise ValueError(
+                f"Problem.duration is {shown(self.duration)}, and phases have durations of their own: leave it out"
+            )
         return whole
 
     @property
@@ -249,7 +295,11 @@ class Problem:
     def typical_duration(self) -> float:
         """A duration to begin with, s: the mean of the limits; the geometric one where they are more than a factor of ten apart."""
         shortest, longest = self.shortest, self.longest
-        return (shortest + longest) / 2 if longest <= WIDE * shortest else float(np.sqrt(shortest * longest))
+        return (
+            (shortest + longest) / 2
+            if longest <= WIDE * shortest
+            else float(np.sqrt(shortest * longest))
+        )
 
     @property
     def free_start(self) -> bool:
@@ -269,17 +319,29 @@ class Problem:
     @property
     def final_goals(self) -> tuple[Goal, ...]:
         """The goals that are met at the end, wherever the motion starts; also those of waypoints there."""
-        last = [inner for share, waypoint in self._timed if share == 1.0 for inner in waypoint.goals]
-        return tuple(goal for goal in (*self.goals, *last) if not isinstance(goal, Waypoint) and goal not in self.repeating)
+        last = [
+            inner for share, waypoint in self._timed if share == 1.0 for inner in waypoint.goals
+        ]
+        return tuple(
+            goal
+            for goal in (*self.goals, *last)
+            if not isinstance(goal, Waypoint) and goal not in self.repeating
+        )
 
     @property
     def repeating(self) -> tuple[Periodic, ...]:
         """The goals that ask the end to repeat a start that is not known."""
-        return tuple(goal for goal in self.goals if isinstance(goal, Periodic) and goal.start is None)
+        return tuple(
+            goal for goal in self.goals if isinstance(goal, Periodic) and goal.start is None
+        )
 
     @property
     def _timed(self) -> list[tuple[float, Waypoint]]:
-        return [(goal.at(self.shortest, self.longest), goal) for goal in self.goals if isinstance(goal, Waypoint)]
+        return [
+            (goal.at(self.shortest, self.longest), goal)
+            for goal in self.goals
+            if isinstance(goal, Waypoint)
+        ]
 
     @property
     def waypoints(self) -> list[tuple[float, Problem]]:
@@ -292,7 +354,17 @@ class Problem:
                 found.append((share, []))
             found[-1][1].extend(goal.goals)
         return [
-            (share, replace(self, goals=goals, bounds=(), costs=(), duration=(share * self.shortest, share * self.longest))) for share, goals in found
+            (
+                share,
+                replace(
+                    self,
+                    goals=goals,
+                    bounds=(),
+                    costs=(),
+                    duration=(share * self.shortest, share * self.longest),
+                ),
+            )
+            for share, goals in found
         ]
 
     def limits(self, kind: type) -> tuple[Array, Array]:
@@ -311,7 +383,11 @@ class Problem:
             Upper limits; inf where there is none.
         """
         structure = self.model.scene.structure
-        given = [bound.limits(structure) for bound in self.bounds if isinstance(bound, kind) and isinstance(bound, StringLimits)]
+        given = [
+            bound.limits(structure)
+            for bound in self.bounds
+            if isinstance(bound, kind) and isinstance(bound, StringLimits)
+        ]
         count = len(structure.strings)
         lower = np.max([np.full(count, -np.inf), *(low for low, _ in given)], axis=0)
         upper = np.min([np.full(count, np.inf), *(up for _, up in given)], axis=0)
@@ -343,14 +419,20 @@ class Problem:
                 state = self.model.state(nodes)
             except ValueError as error:
                 raise ValueError(f"{field}: {error}") from None
-        s, nodes, velocities = self.model.structure, self.model.nodes(state), self.model.velocities(state)
+        s, nodes, velocities = (
+            self.model.structure,
+            self.model.nodes(state),
+            self.model.velocities(state),
+        )
         check_bar_lengths(f"{field} makes", nodes, s)
         bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (nodes, velocities))
         stretch = abs(np.sum(bars * rates, axis=1)) / s.bar_lengths
         bad = np.flatnonzero(stretch > BAR_TOLERANCE * np.linalg.norm(velocities, axis=1).max())
         if bad.size:
             i = int(bad[0])
-            raise ValueError(f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths")
+            raise ValueError(
+                f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths"
+            )
         return read_only(np.asarray(projection(self.model, 10)(state).full()).ravel())  # type: ignore[no-any-return]
 
     def _without_wishes(self) -> tuple[tuple[Goal, ...], tuple[Cost, ...]]:
@@ -367,8 +449,14 @@ class Problem:
             elif not soft:
                 met.append(goal)
         goals = [wish.cost if isinstance(wish, CostAt) else wish for wish in (*self.costs, *wished)]
-        if any(isinstance(wish.goal, Periodic) and wish.goal.start is None for wish in goals if isinstance(wish, SoftGoal)):
-            raise ValueError("Problem.goals has Periodic().soft(), and the start is free: give Periodic(start=...), or Periodic()")
+        if any(
+            isinstance(wish.goal, Periodic) and wish.goal.start is None
+            for wish in goals
+            if isinstance(wish, SoftGoal)
+        ):
+            raise ValueError(
+                "Problem.goals has Periodic().soft(), and the start is free: give Periodic(start=...), or Periodic()"
+            )
         return tuple(met), tuple(wished)
 
     def _check_limits(self) -> None:
@@ -377,7 +465,9 @@ class Problem:
             crossed = np.flatnonzero(lower > upper)
             if crossed.size:
                 i = int(crossed[0])
-                raise ValueError(f"Problem.bounds: {kind.__name__} leave string {i} nothing, lower {lower[i]:g} and upper {upper[i]:g}: widen one")
+                raise ValueError(
+                    f"Problem.bounds: {kind.__name__} leave string {i} nothing, lower {lower[i]:g} and upper {upper[i]:g}: widen one"
+                )
 
 
 _KINDS: tuple[tuple[str, type, str], ...] = (

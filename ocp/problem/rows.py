@@ -27,7 +27,12 @@ class Rows:
     def select(self, *units: str) -> Rows:
         """Return the rows in these units."""
         kept = [k for k, unit in enumerate(self.units) if unit in units]
-        return Rows(self.value[kept, :], tuple(self.names[k] for k in kept), tuple(self.units[k] for k in kept), self.kind)
+        return Rows(
+            self.value[kept, :],
+            tuple(self.names[k] for k in kept),
+            tuple(self.units[k] for k in kept),
+            self.kind,
+        )
 
     def sizes(self, units: Mapping[str, float]) -> Array:
         """Return what one stands for in each row (m,), from the sizes of the units."""
@@ -39,4 +44,6 @@ def stack(rows: Iterable[Rows]) -> Rows:
     given = list(rows)
     ordered = [part.select(unit) for unit in ("m", "m/s") for part in given]
     value = ca.vertcat(ca.SX(0, 1), *(part.value for part in ordered))
-    return Rows(value, sum((part.names for part in ordered), ()), sum((part.units for part in ordered), ()))
+    return Rows(
+        value, sum((part.names for part in ordered), ()), sum((part.units for part in ordered), ())
+    )

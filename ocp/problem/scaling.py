@@ -29,7 +29,11 @@ class Scales:
         model = problem.model
         length = float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) or 1.0
         time = min(problem.longest, 2 * problem.typical_duration)
-        parts = [np.full(model.nq, length), np.full(model.nq, length / time), np.full(model.nx - 2 * model.nq, time)]
+        parts = [
+            np.full(model.nq, length),
+            np.full(model.nq, length / time),
+            np.full(model.nx - 2 * model.nq, time),
+        ]
         return Scales(length, time, float(model.mechanism.M.sum()), np.concatenate(parts))
 
     @property
@@ -47,26 +51,45 @@ def control_scale(problem: Problem, strength: float) -> Array:
     return np.asarray(structure.string_lengths * np.minimum(strength / structure.stiffness, 1.0))
 
 
-def typical_cost(problem: Problem, strength: float, states: Array, force_density: Array, duration: float) -> float:
+def typical_cost(
+    problem: Problem, strength: float, states: Array, force_density: Array, duration: float
+) -> float:
     """Return the costs of states (K + 1, nx) and controls (K, α) that swing once about `strength`, N/m: what makes the objective of order one.
 
-    Were they to alternate from interval to interval, costs of their rates would grow with the square of the intervals, and the objective
-    become small beside the solver's tolerance.
+    Were they to alternate from interval to interval, costs of their rates would grow with the
+    square of the intervals, and the objective become small beside the solver's tolerance.
     """
     count = len(force_density)
     string, interval = np.indices(force_density.T.shape)
-    pattern = strength * (1 + np.sqrt(0.5) * (-1.0) ** string * np.sin(2 * np.pi * (interval + 0.5) / count))
+    pattern = strength * (
+        1 + np.sqrt(0.5) * (-1.0) ** string * np.sin(2 * np.pi * (interval + 0.5) / count)
+    )
     decided = force_density.T if winds(problem.model) else pattern
     total, x = 0.0, states.T
     for cost in problem.costs:
         now = symbolic(problem.model)
         if isinstance(cost, Smoothness):
-            total += float(ca.DM(cost.expression(ca.DM(np.diag(control_scale(problem, strength) / strength) @ pattern), duration / count)))
+            total += float(
+                ca.DM(
+                    cost.expression(
+                        ca.DM(np.diag(control_scale(problem, strength) / strength) @ pattern),
+                        duration / count,
+                    )
+                )
+            )
         elif isinstance(cost, ControlCost):
             total += float(ca.DM(cost.expression(ca.DM(pattern), duration / count)))
         elif isinstance(cost, RunningCost):
             rate = ca.Function("rate", now.symbols, [cost.rate(now)]).map(count)
-            total += duration / count * float(ca.sum2(rate(x[:, 1:], decided, np.linspace(0.0, duration, count + 1)[None, 1:])))
+            total += (
+                duration
+                / count
+                * float(
+                    ca.sum2(
+                        rate(x[:, 1:], decided, np.linspace(0.0, duration, count + 1)[None, 1:])
+                    )
+                )
+            )
         elif isinstance(cost, (FinalCost, CostAt)):
             share, of_end = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
             k = round(share * count)

@@ -24,19 +24,21 @@ class Tracking(RunningCost):
     Parameters
     ----------
     positions : mapping of int to place
-        ``{node: (x, y, z)}``, m, None for an axis that does not matter; or ``{node: function}``, where the function takes the time, s, as a
-        CasADi symbol, and gives three such entries.
+        ``{node: (x, y, z)}``, m, None for an axis that does not matter; or ``{node: function}``,
+        where the function takes the time, s, as a CasADi symbol, and gives three such entries.
     weight : float, optional
         Factor of the cost, > 0.
 
     Raises
     ------
     TypeError, ValueError
-        If weight or places are none; with a problem, if a node does not exist, or a function does not give a place.
+        If weight or places are none; with a problem, if a node does not exist, or a function does
+        not give a place.
 
     Notes
     -----
-    Integrated by Simpson's rule on each interval, its middle on the cubic between its ends; its unit is m²·s.
+    Integrated by Simpson's rule on each interval, its middle on the cubic between its ends; its
+    unit is m²·s.
 
     Examples
     --------
@@ -53,9 +55,13 @@ class Tracking(RunningCost):
     def __post_init__(self) -> None:
         check_weight(self)
         if not isinstance(self.positions, Mapping) or not self.positions:
-            raise ValueError(f"Tracking.positions is {shown(self.positions)}: give {{node: (x, y, z)}}")
+            raise ValueError(
+                f"Tracking.positions is {shown(self.positions)}: give {{node: (x, y, z)}}"
+            )
         places = {
-            node: place if callable(place) else coordinates(f"Tracking.positions[{shown(node)}]", place, UNTRACKED, some=True)
+            node: place
+            if callable(place)
+            else coordinates(f"Tracking.positions[{shown(node)}]", place, UNTRACKED, some=True)
             for node, place in self.positions.items()
         }
         object.__setattr__(self, "positions", places)
@@ -91,8 +97,16 @@ class Tracking(RunningCost):
         """
         total: Any = 0
         for node, place in self.positions.items():
-            entries = _moving(f"Tracking.positions[{node}](time)", place, now.time) if callable(place) else place
-            total = total + sum((now.nodes[axis, node] - entry) ** 2 for axis, entry in enumerate(entries) if entry is not None)
+            entries = (
+                _moving(f"Tracking.positions[{node}](time)", place, now.time)
+                if callable(place)
+                else place
+            )
+            total = total + sum(
+                (now.nodes[axis, node] - entry) ** 2
+                for axis, entry in enumerate(entries)
+                if entry is not None
+            )
         return self.weight * total
 
 
@@ -103,8 +117,16 @@ def _moving(field: str, place: Callable[[Any], Any], time: Any) -> tuple[Any, ..
         if not isinstance(entry, (ca.SX, ca.MX)):
             return number(field, entry)
         if not isinstance(entry, type(time)) or not entry.is_scalar():
-            raise TypeError(f"{field} has the entry {entry}: give a scalar expression of the time alone")
+            raise TypeError(
+                f"{field} has the entry {entry}: give a scalar expression of the time alone"
+            )
         return entry
 
     found = call_user_function(field, place, time, "give (x, y, z) of the time, s, a CasADi symbol")
-    return coordinates(field, ca.vertsplit(ca.vec(found)) if isinstance(found, (ca.SX, ca.MX)) else found, UNTRACKED, some=True, read=read)
+    return coordinates(
+        field,
+        ca.vertsplit(ca.vec(found)) if isinstance(found, (ca.SX, ca.MX)) else found,
+        UNTRACKED,
+        some=True,
+        read=read,
+    )

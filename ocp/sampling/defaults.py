@@ -14,8 +14,13 @@ from tenscasadi.integrators.stability import lightest_mass
 from tenscasadi.util.validate import Array, per_item
 
 ALIKE = 1e-3  # of the structure's size: lengths and heights that differ by less are the same
-HOLDING = 2.0  # times the weight per length of a bar: the mean of force densities that hold a structure
-RANGE, TIMES = 0.2, 5.0  # of the limits' range, and of the mean to begin with: the spread is the smaller
+HOLDING = (
+    2.0  # times the weight per length of a bar: the mean of force densities that hold a structure
+)
+RANGE, TIMES = (
+    0.2,
+    5.0,
+)  # of the limits' range, and of the mean to begin with: the spread is the smaller
 SWING = 0.6  # radians in an interval of what force densities to begin with let a node swing by
 KNOTS = 3.0  # of splines in the time √(size/g) of a fall
 LEAST_INTERVALS, MOST_INTERVALS, LEAST_KNOTS, MOST_KNOTS = 20, 400, 6, 24
@@ -39,7 +44,9 @@ class Usual(NamedTuple):
         structure = problem.model.scene.structure
         ends = max(1.0, 2 * len(structure.strings) / len(structure.nodes))
         rate = np.sqrt(ends * self.strength / self.mass)
-        return int(np.clip(np.ceil(problem.longest * rate / SWING), LEAST_INTERVALS, MOST_INTERVALS))
+        return int(
+            np.clip(np.ceil(problem.longest * rate / SWING), LEAST_INTERVALS, MOST_INTERVALS)
+        )
 
     def knots(self, seconds: float) -> int:
         """Return how many knots a spline of this duration gets."""
@@ -50,7 +57,11 @@ def usual(problem: Problem) -> Usual:
     """Return the beginnings of the motions of a problem."""
     model, (lower, upper) = problem.model, problem.force_density_limits
     structure = model.scene.structure
-    size = float(structure.bar_lengths.mean()) if len(structure.bars) else float(np.linalg.norm(np.ptp(structure.nodes, axis=0)))
+    size = (
+        float(structure.bar_lengths.mean())
+        if len(structure.bars)
+        else float(np.linalg.norm(np.ptp(structure.nodes, axis=0)))
+    )
     weight = 0.0 if model.scene.gravity is None else float(ca.norm_2(model.scene.gravity.at(0.0)))
     pull = weight or size / problem.longest**2
     level = [cost.level for cost in problem.costs if isinstance(cost, Prestress)]
@@ -61,7 +72,9 @@ def usual(problem: Problem) -> Usual:
     gamma = np.clip(gamma, lower, upper)
     mean = float(gamma.mean()) or 1.0
     room = np.where(np.isfinite(upper), RANGE * (upper - lower), np.inf)
-    return Usual(gamma, np.minimum(room, TIMES * mean), lightest_mass(model), float(np.sqrt(size / pull)))
+    return Usual(
+        gamma, np.minimum(room, TIMES * mean), lightest_mass(model), float(np.sqrt(size / pull))
+    )
 
 
 def _self_stress(problem: Problem) -> Array:
@@ -79,7 +92,11 @@ def alike(problem: Problem) -> tuple[tuple[int, ...], ...]:
     """Return the strings in groups: those of one length whose ends are equally high at the start, as symmetry about the vertical has it."""
     model, structure = problem.model, problem.model.scene.structure
     nodes = model.nodes(problem.first_state)[: len(structure.nodes)]
-    down = np.array([0.0, 0.0, -1.0]) if model.scene.gravity is None else np.asarray(ca.DM(model.scene.gravity.at(0.0)).full()).ravel()
+    down = (
+        np.array([0.0, 0.0, -1.0])
+        if model.scene.gravity is None
+        else np.asarray(ca.DM(model.scene.gravity.at(0.0)).full()).ravel()
+    )
     height = -nodes @ down / (np.linalg.norm(down) or 1.0)
     ends = np.sort(height[structure.strings], axis=1)
     length = np.linalg.norm(nodes[structure.strings[:, 1]] - nodes[structure.strings[:, 0]], axis=1)

@@ -8,8 +8,14 @@ import numpy as np
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
 
-STIFFNESS = 1.5  # of a typical γ; that keeps shapes which constant force densities would let collapse
-MOST_STIFFNESS, MOST_DAMPING, CRITICAL = 0.7, 1.0, 1.6  # of m/(n h²), of m/(n h), of √(k m/n): for n strings on a node of mass m, each h seconds
+STIFFNESS = (
+    1.5  # of a typical γ; that keeps shapes which constant force densities would let collapse
+)
+MOST_STIFFNESS, MOST_DAMPING, CRITICAL = (
+    0.7,
+    1.0,
+    1.6,
+)  # of m/(n h²), of m/(n h), of √(k m/n): for n strings on a node of mass m, each h seconds
 
 
 def elastic_law(problem: Problem, strength: float, mass: float, interval: float) -> ca.Function:
@@ -23,4 +29,8 @@ def elastic_law(problem: Problem, strength: float, mass: float, interval: float)
     c = min(MOST_DAMPING * mass / (ends * interval), CRITICAL * float(np.sqrt(k * mass / ends)))
     now = symbolic(problem.model)
     first = ca.Function("lengths", list(now.symbols), [now.lengths])(problem.first_state, 0, 0)
-    return ca.Function("law", [now.state], [ca.densify(k * (1 - first / now.lengths) + c * now.rates / now.lengths)])
+    return ca.Function(
+        "law",
+        [now.state],
+        [ca.densify(k * (1 - first / now.lengths) + c * now.rates / now.lengths)],
+    )

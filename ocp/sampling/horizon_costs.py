@@ -17,15 +17,18 @@ from ocp.problem.rows import stack
 from ocp.problem.scaling import Scales
 from tenscasadi.simulation.diagnosis import BROKEN_BARS
 
-OVERSTEP = 1e5  # what overstepping a limit costs along a whole horizon, in scaled units, against 1 for a departure of a `place`
+# what overstepping a limit costs along a whole horizon, in scaled units, against 1 for a departure
+# of a `place`
+OVERSTEP = 1e5
 
 
 class HorizonCosts(NamedTuple):
     """The costs of a motion over a horizon, in parts that are summed.
 
-    stage: Function (x, w) → cost per second, w = [γ; time], infinite where bars are broken; final: Function (x, w) → cost of the end.
-    control: Function γ (α, K) → cost of the force densities alone. rates: Function (x, γ, x⁺, γ⁺) → cost of what changes from one period to
-    the next; None where nothing is limited.
+    stage: Function (x, w) → cost per second, w = [γ; time], infinite where bars are broken; final:
+    Function (x, w) → cost of the end. control: Function γ (α, K) → cost of the force densities
+    alone. rates: Function (x, γ, x⁺, γ⁺) → cost of what changes from one period to the next; None
+    where nothing is limited.
     """
 
     stage: ca.Function
@@ -34,29 +37,49 @@ class HorizonCosts(NamedTuple):
     rates: ca.Function | None
 
 
-def horizon_costs(problem: Problem, scales: Scales, period: float, intervals: int, place: float, strength: float) -> HorizonCosts:
+def horizon_costs(
+    problem: Problem, scales: Scales, period: float, intervals: int, place: float, strength: float
+) -> HorizonCosts:
     """Return the costs of a problem over a horizon of `intervals` periods, s, at whose end its goals are to be met.
 
-    place: m, a departure from a goal that costs 1, as do 10 of it in the problem's duration of speed. strength: a typical γ, N/m.
-    Raises ValueError for goals that no end of a horizon can meet.
+    place: m, a departure from a goal that costs 1, as do 10 of it in the problem's duration of
+    speed. strength: a typical γ, N/m. Raises ValueError for goals that no end of a horizon can
+    meet.
     """
     now, given = _instant(problem)
     length = period * intervals
-    final = sum((cost.final(now) for cost in problem.costs if isinstance(cost, FinalCost)), ca.DM(0))
-    last = [rows for rows in scaled_rows(problem, PathBound, scales, strength) if rows.ends == ("last",)]
+    final = sum(
+        (cost.final(now) for cost in problem.costs if isinstance(cost, FinalCost)), ca.DM(0)
+    )
+    last = [
+        rows for rows in scaled_rows(problem, PathBound, scales, strength) if rows.ends == ("last",)
+    ]
     final += OVERSTEP * sum((_excess(rows, *now.symbols) for rows in last), ca.DM(0))
     misses = _misses(problem, now, {"m": place, "m/s": 10 * place / scales.time})
     rate = running_cost(problem, scales, length, strength)(now.state, given) + misses / length
     stage = ca.Function("stage", [now.state, given], [rate + ca.if_else(_broken(now), ca.inf, 0.0)])
-    ending = ca.Function("final", [now.state, given], [ca.densify(final + misses)], ["x", "w"], ["cost"])
-    return HorizonCosts(stage, ending, control_cost(problem, period, intervals), rate_cost(problem, scales, period, intervals, strength))
+    ending = ca.Function(
+        "final", [now.state, given], [ca.densify(final + misses)], ["x", "w"], ["cost"]
+    )
+    return HorizonCosts(
+        stage,
+        ending,
+        control_cost(problem, period, intervals),
+        rate_cost(problem, scales, period, intervals, strength),
+    )
 
 
-def running_cost(problem: Problem, scales: Scales, length: float, strength: float, weight: float = 1.0) -> ca.Function:
+def running_cost(
+    problem: Problem, scales: Scales, length: float, strength: float, weight: float = 1.0
+) -> ca.Function:
     """Return the Function (x, w) → cost per second of running costs times `weight`, and of limits overstepped within `length`, s."""
     now, given = _instant(problem)
-    stage = weight * sum((cost.rate(now) for cost in problem.costs if isinstance(cost, RunningCost)), ca.DM(0))
-    along = [rows for rows in scaled_rows(problem, PathBound, scales, strength) if rows.ends != ("last",)]
+    stage = weight * sum(
+        (cost.rate(now) for cost in problem.costs if isinstance(cost, RunningCost)), ca.DM(0)
+    )
+    along = [
+        rows for rows in scaled_rows(problem, PathBound, scales, strength) if rows.ends != ("last",)
+    ]
     stage += OVERSTEP / length * sum((_excess(rows, *now.symbols) for rows in along), ca.DM(0))
     return ca.Function("stage", [now.state, given], [ca.densify(stage)], ["x", "w"], ["cost"])
 
@@ -69,14 +92,26 @@ def _instant(problem: Problem) -> tuple[Instant, Any]:
 
 def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
     """Return Σ (row/size)² over the rows of all goals."""
-    asked = [type(part).__name__ for part in (problem.start, *problem.goals) if isinstance(part, (FreeStart, Waypoint))]
+    asked = [
+        type(part).__name__
+        for part in (problem.start, *problem.goals)
+        if isinstance(part, (FreeStart, Waypoint))
+    ]
     asked += ["Waypoint"] * any(isinstance(cost, CostAt) for cost in problem.costs)
     if asked:
-        raise ValueError(f"problem has {asked[0]}, which asks for a motion of a given duration: solve it, and keep to the plan by ocp.Tracking")
+        raise ValueError(
+            f"problem has {asked[0]}, which asks for a motion of a given duration: solve it, and keep to the plan by ocp.Tracking"
+        )
     model, structure = problem.model, problem.model.scene.structure
     x = ca.SX.sym("x", model.nx)
-    rows = stack(goal.rows(structure, model.nodes(x), model.velocities(x)) for goal in problem.final_goals)
-    misses = ca.Function("misses", [x], [ca.sumsqr(rows.value / ca.DM(rows.sizes(sizes)))]) if rows.names else None
+    rows = stack(
+        goal.rows(structure, model.nodes(x), model.velocities(x)) for goal in problem.final_goals
+    )
+    misses = (
+        ca.Function("misses", [x], [ca.sumsqr(rows.value / ca.DM(rows.sizes(sizes)))])
+        if rows.names
+        else None
+    )
     return misses(now.state) if misses is not None else ca.DM(0)
 
 
@@ -106,9 +141,18 @@ def control_cost(problem: Problem, period: float, intervals: int) -> ca.Function
     return ca.Function("control", [gamma], [ca.densify(total)]) if costs else None
 
 
-def rate_cost(problem: Problem, scales: Scales, period: float, intervals: int, strength: float) -> ca.Function | None:
+def rate_cost(
+    problem: Problem, scales: Scales, period: float, intervals: int, strength: float
+) -> ca.Function | None:
     """Return the Function (x, γ, x⁺, γ⁺) → cost of rates overstepped from one period to the next; None where nothing is limited."""
     limits = scaled_rows(problem, RateBound, scales, strength)
-    symbols = [ca.MX.sym(name, size) for name, size in (("x", problem.model.nx), ("u", problem.model.nu)) * 2]
+    symbols = [
+        ca.MX.sym(name, size)
+        for name, size in (("x", problem.model.nx), ("u", problem.model.nu)) * 2
+    ]
     total = sum((_excess(rows, *symbols, period) for rows in limits), ca.DM(0))
-    return ca.Function("rates", symbols, [ca.densify(OVERSTEP / intervals * total)]) if limits else None
+    return (
+        ca.Function("rates", symbols, [ca.densify(OVERSTEP / intervals * total)])
+        if limits
+        else None
+    )

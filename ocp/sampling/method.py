@@ -29,7 +29,10 @@ MOST_STEPS = 2000  # of an interval
 FAST = 10.0  # times their tolerance that speeds may be off by at first in Gauss-Newton
 FINER = 2  # times the steps that contact needs: whether the motion is theirs
 FAR = 10.0  # tolerances, beyond which a search has not found the way
-HOPELESS, NEARLY = 30.0, 2.0  # tolerances, beyond which the steps that contact needs, and finer ones, are not tried
+HOPELESS, NEARLY = (
+    30.0,
+    2.0,
+)  # tolerances, beyond which the steps that contact needs, and finer ones, are not tried
 CERTAIN = 0.5  # of the tolerance: plans that miss by more are tried again
 POLISHED = 2  # lineages of a search that are
 
@@ -43,22 +46,34 @@ def check_sampling(problem: Problem, transcription: Transcription, solver: Sampl
     """Raise ValueError, saying the cure, for what no sampled motion does."""
     refuse_wound(problem.model, "Sampling")
     if problem.free_start:
-        raise ValueError("Problem.start is free, and sampled motions begin somewhere: give Problem(start=...), or another solver than Sampling")
+        raise ValueError(
+            "Problem.start is free, and sampled motions begin somewhere: give Problem(start=...), or another solver than Sampling"
+        )
     if transcription.control.linear:
         name = type(transcription).__name__
-        raise ValueError(f"{name}.control is PiecewiseLinear, and Sampling holds force densities in intervals: give PiecewiseConstant()")
+        raise ValueError(
+            f"{name}.control is PiecewiseLinear, and Sampling holds force densities in intervals: give PiecewiseConstant()"
+        )
     for string in (string for group in solver.groups or () for string in group):
         if string >= problem.model.nu:
-            raise ValueError(f"Sampling.groups names string {string}: strings run from 0 to {problem.model.nu - 1}")
+            raise ValueError(
+                f"Sampling.groups names string {string}: strings run from 0 to {problem.model.nu - 1}"
+            )
 
 
 def solve_sampled(
-    problem: Problem, transcription: Transcription, guess: Guess | None, solver: Sampling, deadline: float | None, tolerance: float
+    problem: Problem,
+    transcription: Transcription,
+    guess: Guess | None,
+    solver: Sampling,
+    deadline: float | None,
+    tolerance: float,
 ) -> Outcome:
     """Return what sampling finds; by the deadline (of `time.perf_counter`, s), or after Ctrl-C, the best so far.
 
-    transcription: its intervals, and which strings share a force density. guess: where Gauss-Newton begins; a search follows where that fails.
-    tolerance: m, what goals may be missed by, and in m per duration speeds.
+    transcription: its intervals, and which strings share a force density. guess: where Gauss-Newton
+    begins; a search follows where that fails. tolerance: m, what goals may be missed by, and in m
+    per duration speeds.
     """
     check_sampling(problem, transcription, solver)
     return _Method(problem, transcription, solver, deadline, tolerance).run(guess)
@@ -67,16 +82,32 @@ def solve_sampled(
 class _Method:
     """One run."""
 
-    def __init__(self, problem: Problem, transcription: Transcription, solver: Sampling, deadline: float | None, tolerance: float) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        transcription: Transcription,
+        solver: Sampling,
+        deadline: float | None,
+        tolerance: float,
+    ) -> None:
         self._problem, self._solver, self._deadline = problem, solver, deadline
         self._usual, scales = usual(problem), Scales.of(problem)
         self._shared = transcription.control.groups
         interval = problem.longest * float(transcription.fractions.max())
         rate = max(contact_rate(problem.model), _swing(self._usual, problem))
         steps = int(np.clip(np.ceil(interval * rate / COARSE), 1, MOST_STEPS))
-        self._finer = max(1, int(np.ceil(min(interval / steps / contact_step(problem.model), 20.0))))
+        self._finer = max(
+            1, int(np.ceil(min(interval / steps / contact_step(problem.model), 20.0)))
+        )
         self._motions = Motions(
-            problem, scales, transcription.fractions, transcription.control, steps, self._usual.strength, tolerance, solver.threads
+            problem,
+            scales,
+            transcription.fractions,
+            transcription.control,
+            steps,
+            self._usual.strength,
+            tolerance,
+            solver.threads,
         )
         self._law = elastic_law(problem, self._usual.strength, self._usual.mass, interval)
         self._best: Point | None = None
@@ -88,7 +119,11 @@ class _Method:
         """Search, and go on from the best, until the goals are met."""
         try:
             if guess is not None:
-                self._polish(held_values(guess.force_density, len(self._motions.fractions)), guess.duration, self._levels()[-1])
+                self._polish(
+                    held_values(guess.force_density, len(self._motions.fractions)),
+                    guess.duration,
+                    self._levels()[-1],
+                )
             if not self._stopped and self._miss > 1.0:
                 self._motions.law = self._law
                 self._try_all()
@@ -99,11 +134,23 @@ class _Method:
     def _try_all(self) -> None:
         """Search for groups of strings, then for each string, with other samples each time."""
         motions, solver, levels = self._motions, self._solver, self._levels()
-        knots = self._usual.knots(self._problem.longest / len(motions.legs)) if solver.knots is None else solver.knots
+        knots = (
+            self._usual.knots(self._problem.longest / len(motions.legs))
+            if solver.knots is None
+            else solver.knots
+        )
         for attempt in range(solver.attempts):
             random = np.random.default_rng([solver.seed, attempt])
             for directions in list(levels):
-                search = Search(motions, self._usual.force_density, directions, knots, solver.samples, solver.rounds, random)
+                search = Search(
+                    motions,
+                    self._usual.force_density,
+                    directions,
+                    knots,
+                    solver.samples,
+                    solver.rounds,
+                    random,
+                )
                 found = search.run(self._over)
                 if found[0].miss > FAR and len(levels) > 1 and not self._stopped:
                     levels.pop(0)  # these groups do not lead there
@@ -118,7 +165,9 @@ class _Method:
         misses = []
         for finer, speed in ((1, FAST), (self._finer, 1.0), (FINER * self._finer, 1.0)):
             descent = Descent(self._motions, directions, finer)
-            point, iterations = descent.run(wanted, duration, speed, self._solver.iterations, self._over)
+            point, iterations = descent.run(
+                wanted, duration, speed, self._solver.iterations, self._over
+            )
             self._iterations += iterations
             wanted, duration = point.wanted, point.duration
             misses.append(point.worst)
@@ -132,9 +181,22 @@ class _Method:
     def _levels(self) -> list[Array]:
         """Return the directions (g, α) in which γ is changed: those of groups, and those of each string."""
         count, spread = self._problem.model.nu, self._usual.spread
-        alone = tuple((string,) for string in range(count) if not any(string in group for group in self._shared)) + self._shared
+        alone = (
+            tuple(
+                (string,)
+                for string in range(count)
+                if not any(string in group for group in self._shared)
+            )
+            + self._shared
+        )
         given = self._solver.groups
-        levels = [given] if given is not None else [alike(self._problem), alone] if not self._shared else [alone]
+        levels = (
+            [given]
+            if given is not None
+            else [alike(self._problem), alone]
+            if not self._shared
+            else [alone]
+        )
         return [SplineNoise(spread, groups=groups).directions(count) for groups in levels]
 
     def _over(self, line: str) -> bool:
@@ -152,11 +214,20 @@ class _Method:
         if best is None or not np.isfinite(best.merit):
             best = motions_at_rest(motions, self._usual)
         success = self._miss <= 1.0
-        lanes = f"{motions.kernel.lanes} at once" if motions.kernel.lanes else f"one by one, {motions.kernel.note}"
+        lanes = (
+            f"{motions.kernel.lanes} at once"
+            if motions.kernel.lanes
+            else f"one by one, {motions.kernel.note}"
+        )
         why = ""
         if not success:
-            cure = "give a longer duration, wider limits, more samples, other groups or another seed"
-            unsteady = best.worst <= 1.0 and "the motion is so unstable that steps of another length end elsewhere"
+            cure = (
+                "give a longer duration, wider limits, more samples, other groups or another seed"
+            )
+            unsteady = (
+                best.worst <= 1.0
+                and "the motion is so unstable that steps of another length end elsewhere"
+            )
             why = f"no plan: {self._stopped or cure}; {unsteady or motions.worst(best.states, best.force_density, best.duration)}"
         return Outcome(
             states=best.states,

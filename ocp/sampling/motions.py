@@ -40,25 +40,51 @@ class Asked(NamedTuple):
 class Motions:
     """Motions of a problem on a mesh of intervals.
 
-    profile: which strings share a force density, and how often it changes. steps: those of `RungeKutta4` in each interval.
-    strength: a typical γ, N/m. place: m, what a goal may be missed by.
+    profile: which strings share a force density, and how often it changes. steps: those of
+    `RungeKutta4` in each interval. strength: a typical γ, N/m. place: m, what a goal may be missed
+    by.
     """
 
     def __init__(
-        self, problem: Problem, scales: Scales, fractions: Array, profile: Profile, steps: int, strength: float, place: float, threads: int | None
+        self,
+        problem: Problem,
+        scales: Scales,
+        fractions: Array,
+        profile: Profile,
+        steps: int,
+        strength: float,
+        place: float,
+        threads: int | None,
     ) -> None:
         self.problem, self.fractions, self.steps, self.place = problem, fractions, steps, place
-        self._scales, self._strength, self._cached = scales, strength, dict[tuple[str, int], ArrayFunction]()
+        self._scales, self._strength, self._cached = (
+            scales,
+            strength,
+            dict[tuple[str, int], ArrayFunction](),
+        )
         self._threads = len(os.sched_getaffinity(0)) if threads is None else threads
         count, longest = len(fractions), problem.longest
-        held = np.tile(problem.first_state, (count + 1, 1)), np.full((count, problem.model.nu), strength)
-        self._weight = COST_SHARE / typical_cost(problem, strength, *held, longest) if problem.costs else 0.0
-        self.kernel = build_kernel(problem.model, RungeKutta4(), stage=running_cost(problem, scales, longest, strength, self._weight))
+        held = (
+            np.tile(problem.first_state, (count + 1, 1)),
+            np.full((count, problem.model.nu), strength),
+        )
+        self._weight = (
+            COST_SHARE / typical_cost(problem, strength, *held, longest) if problem.costs else 0.0
+        )
+        self.kernel = build_kernel(
+            problem.model,
+            RungeKutta4(),
+            stage=running_cost(problem, scales, longest, strength, self._weight),
+        )
         self._lower, self._upper = problem.force_density_limits
         together = group_matrix(profile, problem.model.nu)
-        self._shared = together @ (together / together.sum(axis=0)).T  # the mean of strings that share a force density
+        self._shared = (
+            together @ (together / together.sum(axis=0)).T
+        )  # the mean of strings that share a force density
         self._spans = spans(profile, fractions)
-        self.law: ca.Function | None = None  # what is added to γ that is wanted, by the state at the start of each interval
+        self.law: ca.Function | None = (
+            None  # what is added to γ that is wanted, by the state at the start of each interval
+        )
         self.count = 0  # motions that were rolled
         self._control_cost = control_cost(problem, longest / count, count)
         self._rate_cost = rate_cost(problem, scales, longest / count, count, strength)
@@ -75,23 +101,40 @@ class Motions:
         problem, model = self.problem, self.problem.model
         structure = model.scene.structure
         found = []
-        for share, goals in [*((share, part.goals) for share, part in problem.waypoints), (1.0, problem.final_goals)]:
-            x, before, after, h = (ca.SX.sym(name, size) for name, size in (("x", model.nx), ("before", model.nx), ("after", model.nx), ("h", 1)))
-            rows = stack(goal.rows(structure, model.nodes(x), model.velocities(x)) for goal in goals)
+        for share, goals in [
+            *((share, part.goals) for share, part in problem.waypoints),
+            (1.0, problem.final_goals),
+        ]:
+            x, before, after, h = (
+                ca.SX.sym(name, size)
+                for name, size in (
+                    ("x", model.nx),
+                    ("before", model.nx),
+                    ("after", model.nx),
+                    ("h", 1),
+                )
+            )
+            rows = stack(
+                goal.rows(structure, model.nodes(x), model.velocities(x)) for goal in goals
+            )
             if not rows.names:
                 continue
             k, part = locate_share(self.fractions, share)
             state = after if part == 1.0 else hermite_state(model, before, after, h, part)
             value = ca.Function("rows", [x], [ca.densify(rows.value)])
             between = ca.Function("rows", [before, after, h], [value(state)])
-            found.append(Asked(k, between, np.array([unit == "m/s" for unit in rows.units]), rows.names))
+            found.append(
+                Asked(k, between, np.array([unit == "m/s" for unit in rows.units]), rows.names)
+            )
         return found
 
-    def roll(self, starts: Array, wanted: Array, duration: float, first: int = 0, finer: int = 1) -> tuple[Array, Array, Array]:
+    def roll(
+        self, starts: Array, wanted: Array, duration: float, first: int = 0, finer: int = 1
+    ) -> tuple[Array, Array, Array]:
         """Return γ (n, k, α), the states (n, k + 1, nx) at the ends of intervals from `first` on, and what they cost along the way (n,).
 
-        wanted (n, k, α): γ but for what the law adds. finer: times as many steps as usual. Costs are inf and states NaN where a motion diverges.
-        Ctrl-C raises KeyboardInterrupt.
+        wanted (n, k, α): γ but for what the law adds. finer: times as many steps as usual. Costs
+        are inf and states NaN where a motion diverges. Ctrl-C raises KeyboardInterrupt.
         """
         n, count, nu = wanted.shape
         ends = duration * np.cumsum(self.fractions)[first : first + count]
@@ -106,16 +149,22 @@ class Motions:
                 controls[:, k] = controls[:, k - 1]
             else:
                 answer = 0.0 if self.law is None else self._evaluate("law", self.law, states[:, k])
-                controls[:, k] = np.clip(np.nan_to_num(wanted[:, k] + answer) @ self._shared, self._lower, self._upper)
+                controls[:, k] = np.clip(
+                    np.nan_to_num(wanted[:, k] + answer) @ self._shared, self._lower, self._upper
+                )
             inputs[:, 0, :nu], inputs[:, 0, nu] = controls[:, k], ends[k]
-            intervals = Intervals(np.zeros(1, int), np.full(1, steps), np.full(1, lengths[k] / steps))
+            intervals = Intervals(
+                np.zeros(1, int), np.full(1, steps), np.full(1, lengths[k] / steps)
+            )
             rolled = self.kernel.run(states[:, k], inputs, intervals, threads=threads)
             if np.any(rolled.status == STOPPED):
                 raise KeyboardInterrupt
             states[:, k + 1] = rolled.states
             cost += rolled.cost
         self.count += n
-        cost = np.where(np.isfinite(states[:, -1]).all(axis=1), np.nan_to_num(cost, nan=np.inf), np.inf)
+        cost = np.where(
+            np.isfinite(states[:, -1]).all(axis=1), np.nan_to_num(cost, nan=np.inf), np.inf
+        )
         return controls, states, cost + self._other_costs(states, controls, first)
 
     def misses(self, states: Array, duration: float, first: int = 0, speed: float = 1.0) -> Array:
@@ -130,22 +179,45 @@ class Motions:
                 k = one.interval - first
                 h = np.full(n, duration * self.fractions[one.interval])
                 sizes = np.where(one.speeds, speed * self.place / self.problem.longest, self.place)
-                rows.append(self._evaluate(f"asked {number}", one.rows, states[:, k], states[:, k + 1], h) / sizes)
+                rows.append(
+                    self._evaluate(f"asked {number}", one.rows, states[:, k], states[:, k + 1], h)
+                    / sizes
+                )
         return np.concatenate(rows, axis=1)
 
-    def excess(self, states: Array, controls: Array, duration: float, last_only: bool = False) -> Array:
+    def excess(
+        self, states: Array, controls: Array, duration: float, last_only: bool = False
+    ) -> Array:
         """Return by how much each limit is overstepped wherever it holds (n, m), in scaled units. last_only: those of the plan's end alone."""
         n, count, nu = controls.shape
         ends, found = duration * np.append(0.0, np.cumsum(self.fractions)), [np.zeros((n, 0))]
-        places = {"start": slice(0, count), "end": slice(1, count + 1), "last": slice(count, count + 1)}
+        places = {
+            "start": slice(0, count),
+            "end": slice(1, count + 1),
+            "last": slice(count, count + 1),
+        }
         for number, rows in enumerate(self._limits):
             for end in rows.ends if not last_only or rows.ends == ("last",) else ():
                 x, u = states[:, places[end]], controls[:, -1:] if end == "last" else controls
-                t = np.broadcast_to(ends[-x.shape[1] :] if end != "start" else ends[:-1], x.shape[:2])
-                found.append(self._beyond(f"limit {number}", rows, n, x.reshape(-1, x.shape[2]), u.reshape(-1, nu), t.ravel()))
+                t = np.broadcast_to(
+                    ends[-x.shape[1] :] if end != "start" else ends[:-1], x.shape[:2]
+                )
+                found.append(
+                    self._beyond(
+                        f"limit {number}",
+                        rows,
+                        n,
+                        x.reshape(-1, x.shape[2]),
+                        u.reshape(-1, nu),
+                        t.ravel(),
+                    )
+                )
         for number, rows in enumerate(self._rate_limits if count > 1 and not last_only else ()):
             h = np.broadcast_to(np.diff(ends)[:-1], (n, count - 1))
-            given = (part.reshape(n * (count - 1), -1) for part in (states[:, :-2], controls[:, :-1], states[:, 1:-1], controls[:, 1:]))
+            given = (
+                part.reshape(n * (count - 1), -1)
+                for part in (states[:, :-2], controls[:, :-1], states[:, 1:-1], controls[:, 1:])
+            )
             found.append(self._beyond(f"rate {number}", rows, n, *given, h.ravel()))
         return np.concatenate(found, axis=1)
 
@@ -163,26 +235,50 @@ class Motions:
         speeds = np.concatenate([one.speeds for one in self.asked] or [np.zeros(0, bool)])
         if len(missed) and missed.max() > 1:
             k = int(np.argmax(missed))
-            size, unit = (self.place / self.problem.longest, "m/s") if speeds[k] else (self.place, "m")
+            size, unit = (
+                (self.place / self.problem.longest, "m/s") if speeds[k] else (self.place, "m")
+            )
             return f"{names[k]} misses its goal by {missed[k] * size:.2g} {unit}"
         return f"a limit along the way is overstepped by {over.max(initial=0.0):.2g} of its scale"
 
     def objective(self, states: Array, controls: Array, duration: float) -> float:
         """Return the sum of the costs of one motion (K + 1, nx) under γ (K, α); running ones by the trapezoid rule."""
         problem, h = self.problem, duration * self.fractions
-        ends, now, total = duration * np.append(0.0, np.cumsum(self.fractions)), symbolic(self.problem.model), 0.0
+        ends, now, total = (
+            duration * np.append(0.0, np.cumsum(self.fractions)),
+            symbolic(self.problem.model),
+            0.0,
+        )
         for cost in problem.costs:
             if isinstance(cost, ControlCost):
-                total += sum(float(ca.DM(cost.expression(gamma, step))) for gamma, step in zip(map(ca.DM, controls), h.tolist(), strict=True))
-                for k, step in enumerate(((h[1:] + h[:-1]) / 2).tolist()):  # what neighbours cost beside each for itself
-                    pair = [ca.DM(controls[k : k + 2].T), ca.DM(controls[k]), ca.DM(controls[k + 1])]
-                    both, first, second = (float(ca.DM(cost.expression(gamma, step))) for gamma in pair)
+                total += sum(
+                    float(ca.DM(cost.expression(gamma, step)))
+                    for gamma, step in zip(map(ca.DM, controls), h.tolist(), strict=True)
+                )
+                for k, step in enumerate(
+                    ((h[1:] + h[:-1]) / 2).tolist()
+                ):  # what neighbours cost beside each for itself
+                    pair = [
+                        ca.DM(controls[k : k + 2].T),
+                        ca.DM(controls[k]),
+                        ca.DM(controls[k + 1]),
+                    ]
+                    both, first, second = (
+                        float(ca.DM(cost.expression(gamma, step))) for gamma in pair
+                    )
                     total += both - first - second
             elif isinstance(cost, RunningCost):
                 rate = ca.Function("rate", list(now.symbols), [cost.rate(now)]).map(len(h))
-                sides = [rate(states[k : k + len(h)].T, controls.T, ends[None, k : k + len(h)]).full().ravel() for k in (0, 1)]
+                sides = [
+                    rate(states[k : k + len(h)].T, controls.T, ends[None, k : k + len(h)])
+                    .full()
+                    .ravel()
+                    for k in (0, 1)
+                ]
                 total += float(h @ (sides[0] + sides[1])) / 2
-        return total + sum(float(cost(states[k + 1], controls[k])) for k, cost in self._instant_costs)
+        return total + sum(
+            float(cost(states[k + 1], controls[k])) for k, cost in self._instant_costs
+        )
 
     @cached_property
     def _limits(self) -> list[Any]:
@@ -197,10 +293,25 @@ class Motions:
         n, count, _ = controls.shape
         whole, total = count == len(self.fractions), np.zeros(n)
         if self._control_cost is not None:
-            padded = controls if whole else np.concatenate([controls, np.repeat(controls[:, -1:], len(self.fractions) - count, axis=1)], axis=1)
-            total += self._weight * count / len(self.fractions) * self._evaluate("control", self._control_cost, padded).ravel()
+            padded = (
+                controls
+                if whole
+                else np.concatenate(
+                    [controls, np.repeat(controls[:, -1:], len(self.fractions) - count, axis=1)],
+                    axis=1,
+                )
+            )
+            total += (
+                self._weight
+                * count
+                / len(self.fractions)
+                * self._evaluate("control", self._control_cost, padded).ravel()
+            )
         if self._rate_cost is not None and count > 1:
-            given = (part.reshape(n * (count - 1), -1) for part in (states[:, :-2], controls[:, :-1], states[:, 1:-1], controls[:, 1:]))
+            given = (
+                part.reshape(n * (count - 1), -1)
+                for part in (states[:, :-2], controls[:, :-1], states[:, 1:-1], controls[:, 1:])
+            )
             total += self._evaluate("rates", self._rate_cost, *given).reshape(n, -1).sum(axis=1)
         for number, (k, cost) in enumerate(self._instant_costs):
             if first <= k < first + count:
@@ -212,12 +323,18 @@ class Motions:
     def _instant_costs(self) -> list[tuple[int, ca.Function]]:
         """Costs of an instant, as Functions (x, u), each with the interval at whose end it is taken."""
         given = [(1.0, cost) for cost in self.problem.costs if isinstance(cost, FinalCost)]
-        given += [(cost.share, cost.cost) for cost in self.problem.costs if isinstance(cost, CostAt)]
+        given += [
+            (cost.share, cost.cost) for cost in self.problem.costs if isinstance(cost, CostAt)
+        ]
         now, found = symbolic(self.problem.model), []
         x, u, _ = now.symbols
         for share, cost in given:
-            value = ca.Function("cost", list(now.symbols), [ca.densify(cost.final(now))])(x, u, share * self.problem.longest)
-            found.append((locate_share(self.fractions, share)[0], ca.Function("cost", [x, u], [value])))
+            value = ca.Function("cost", list(now.symbols), [ca.densify(cost.final(now))])(
+                x, u, share * self.problem.longest
+            )
+            found.append(
+                (locate_share(self.fractions, share)[0], ca.Function("cost", [x, u], [value]))
+            )
         return found
 
     def _evaluate(self, name: str, function: ca.Function, *inputs: Array) -> Array:

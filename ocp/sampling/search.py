@@ -14,7 +14,9 @@ from tenscasadi.util.validate import Array
 Watcher = Callable[[str], bool]  # told how it goes, says whether to stop
 
 SPEED = 50.0  # times their tolerance by which speeds may be off while places are looked for
-CALM = 3.0  # tolerances squared that changes as large as the spread cost: of motions that meet the goals the calmer are better
+# tolerances squared that changes as large as the spread cost: of motions that meet the goals the
+# calmer are better
+CALM = 3.0
 LIMITS = 3.0  # tolerances of a goal that a limit of the end overstepped by its scale counts
 LINEAGES = 4  # searches side by side, of which the worse half ends half-way
 DECAY = 0.05  # of the spread, in the last round
@@ -45,14 +47,29 @@ class Lineage:
 class Search:
     """Random search on motions.
 
-    nominal (α,): the force densities about which is searched. directions (g, α): the largest changes. knots: of splines, in each leg.
+    nominal (α,): the force densities about which is searched. directions (g, α): the largest
+    changes. knots: of splines, in each leg.
     """
 
     def __init__(
-        self, motions: Motions, nominal: Array, directions: Array, knots: int, samples: int, rounds: int, random: np.random.Generator
+        self,
+        motions: Motions,
+        nominal: Array,
+        directions: Array,
+        knots: int,
+        samples: int,
+        rounds: int,
+        random: np.random.Generator,
     ) -> None:
-        self._motions, self._nominal, self._directions, self._random = motions, nominal, directions, random
-        self._room = float((directions**2).sum() / directions.shape[1]) or 1.0  # no room: limits leave one force density
+        self._motions, self._nominal, self._directions, self._random = (
+            motions,
+            nominal,
+            directions,
+            random,
+        )
+        self._room = (
+            float((directions**2).sum() / directions.shape[1]) or 1.0
+        )  # no room: limits leave one force density
         self._knots, self._samples, self._rounds = knots, max(4, samples // LINEAGES), rounds
 
     def run(self, over: Watcher) -> list[Lineage]:
@@ -60,7 +77,10 @@ class Search:
         problem, none = self._motions.problem, np.zeros((0, len(self._nominal)))
         span = problem.shortest, problem.longest
         start = problem.first_state
-        found = [Lineage(start, none, none, none, start, 0.0, np.inf, duration) for duration in np.linspace(*span, 2 * LINEAGES + 1)[1::2].tolist()]
+        found = [
+            Lineage(start, none, none, none, start, 0.0, np.inf, duration)
+            for duration in np.linspace(*span, 2 * LINEAGES + 1)[1::2].tolist()
+        ]
         for first, last in self._motions.legs:
             found = self._leg(found, first, last, over)
         return found
@@ -68,14 +88,33 @@ class Search:
     def _leg(self, lineages: list[Lineage], first: int, last: int, over: Watcher) -> list[Lineage]:
         """Return the lineages at the end of a leg that begins where these end."""
         basis = SplineNoise(1.0, self._knots).basis(last - first)
-        knots, wanted = np.zeros((basis.shape[1], len(self._nominal))), np.tile(self._nominal, (last - first, 1))
-        found = [replace(one, start=one.end, past=one.whole, knots=knots, wanted=wanted, cost=np.inf, miss=np.inf) for one in lineages]
+        knots, wanted = (
+            np.zeros((basis.shape[1], len(self._nominal))),
+            np.tile(self._nominal, (last - first, 1)),
+        )
+        found = [
+            replace(
+                one,
+                start=one.end,
+                past=one.whole,
+                knots=knots,
+                wanted=wanted,
+                cost=np.inf,
+                miss=np.inf,
+            )
+            for one in lineages
+        ]
         costs: list[float] = []
         for k in range(self._rounds):
             scale = DECAY ** (k / self._rounds)
-            found = sorted((self._improved(one, first, basis, scale) for one in found), key=lambda one: one.cost)
+            found = sorted(
+                (self._improved(one, first, basis, scale) for one in found),
+                key=lambda one: one.cost,
+            )
             costs.append(found[0].cost)
-            if over(f"sampling, round {k + 1}: misses its goals by {found[0].miss * self._motions.place:.2g} m"):
+            if over(
+                f"sampling, round {k + 1}: misses its goals by {found[0].miss * self._motions.place:.2g} m"
+            ):
                 break
             if k >= ROUNDS_STILL and costs[-1] > STILL * costs[-1 - ROUNDS_STILL]:
                 break
@@ -89,14 +128,29 @@ class Search:
         noise = self._random.standard_normal((self._samples, basis.shape[1], len(self._directions)))
         tried = one.knots + sizes[:, None, None] * (noise @ self._directions)
         wanted = np.clip(self._nominal + basis @ tried, *self._motions.problem.force_density_limits)
-        gamma, states, costs = self._motions.roll(np.tile(one.start, (len(tried), 1)), wanted, one.duration, first)
+        gamma, states, costs = self._motions.roll(
+            np.tile(one.start, (len(tried), 1)), wanted, one.duration, first
+        )
         missed = self._motions.misses(states, one.duration, first, SPEED)
         if first + wanted.shape[1] == len(self._motions.fractions):
-            missed = np.concatenate([missed, LIMITS * self._motions.excess(states, gamma, one.duration, last_only=True)], axis=1)
+            missed = np.concatenate(
+                [
+                    missed,
+                    LIMITS * self._motions.excess(states, gamma, one.duration, last_only=True),
+                ],
+                axis=1,
+            )
         change = ((wanted - self._nominal) ** 2).mean(axis=(1, 2)) / self._room
         costs = np.nan_to_num(costs + (missed**2).sum(axis=1) + CALM * change, nan=np.inf)
         k = int(np.argmin(costs))
         if not costs[k] < one.cost:
             return one
         worst = float(np.abs(missed[k]).max(initial=0.0))
-        return replace(one, knots=tried[k], wanted=wanted[k], end=states[k, -1], cost=float(costs[k]), miss=worst)
+        return replace(
+            one,
+            knots=tried[k],
+            wanted=wanted[k],
+            end=states[k, -1],
+            cost=float(costs[k]),
+            miss=worst,
+        )

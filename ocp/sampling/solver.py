@@ -16,16 +16,19 @@ MOST = 1_000_000
 class Sampling:
     """Random search on simulated motions, then Gauss-Newton on the best: for motions through contact, where derivatives mislead.
 
-    Splines through random knots change the force densities of few groups of strings; the best sample is kept, and the next ones are drawn
-    about it, with less and less spread. Strings answer as elastic, damped ones would, which keeps shapes that constant force densities let
-    collapse; the force densities that come of it are the plan. Gauss-Newton then removes the last misses: derivatives are finite differences
-    of motions that are simulated side by side. Goals and waypoints are met, bounds kept; costs are low, but not least.
+    Splines through random knots change the force densities of few groups of strings; the best
+    sample is kept, and the next ones are drawn about it, with less and less spread. Strings answer
+    as elastic, damped ones would, which keeps shapes that constant force densities let collapse;
+    the force densities that come of it are the plan. Gauss-Newton then removes the last misses:
+    derivatives are finite differences of motions that are simulated side by side. Goals and
+    waypoints are met, bounds kept; costs are low, but not least.
 
     Parameters
     ----------
     groups : sequence of sequences of int, optional
-        Strings that change together; those in no group change with none. Default: strings of one length whose ends are equally high at the
-        start; where these do not lead to the goals, each string for itself.
+        Strings that change together; those in no group change with none. Default: strings of one
+        length whose ends are equally high at the start; where these do not lead to the goals, each
+        string for itself.
     knots : int, optional
         Knots of the splines between two waypoints. Default: as the duration asks for.
     samples : int
@@ -43,7 +46,8 @@ class Sampling:
     verbose : bool
         Whether to print a line for each round and iteration.
     watch : callable, optional
-        Function of such a line. When it returns False the search stops; as after Ctrl-C, the plan is the best so far.
+        Function of such a line. When it returns False the search stops; as after Ctrl-C, the plan
+        is the best so far.
 
     Raises
     ------
@@ -52,7 +56,8 @@ class Sampling:
 
     Notes
     -----
-    Without a compiler of C++ the motions are simulated one by one, more slowly; `Plan.status` then says so.
+    Without a compiler of C++ the motions are simulated one by one, more slowly; `Plan.status` then
+    says so.
 
     Examples
     --------
@@ -83,14 +88,26 @@ class Sampling:
     def __post_init__(self) -> None:
         if self.groups is not None:
             object.__setattr__(self, "groups", read_groups("Sampling.groups", self.groups))
-        for name, least in {"samples": 8, "seed": 0, "rounds": 1, "iterations": 0, "attempts": 1}.items():
-            object.__setattr__(self, name, whole_number(f"Sampling.{name}", getattr(self, name), least, MOST))
+        for name, least in {
+            "samples": 8,
+            "seed": 0,
+            "rounds": 1,
+            "iterations": 0,
+            "attempts": 1,
+        }.items():
+            object.__setattr__(
+                self, name, whole_number(f"Sampling.{name}", getattr(self, name), least, MOST)
+            )
         for name, most in {"knots": 1000, "threads": 1024}.items():
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, whole_number(f"Sampling.{name}", getattr(self, name), 1, most))
+                object.__setattr__(
+                    self, name, whole_number(f"Sampling.{name}", getattr(self, name), 1, most)
+                )
         flag("Sampling.verbose", self.verbose)
         if self.watch is not None and not callable(self.watch):
-            raise TypeError(f"Sampling.watch is {shown(self.watch)}: give a function of a line of text, or None")
+            raise TypeError(
+                f"Sampling.watch is {shown(self.watch)}: give a function of a line of text, or None"
+            )
 
 
 def read_groups(field: str, groups: Any) -> tuple[tuple[int, ...], ...]:

@@ -9,7 +9,15 @@ import numpy as np
 import scipy.interpolate
 from numpy.typing import ArrayLike
 
-from tenscasadi.util.validate import Array, listed, nonnegative, number_or_vector, per_item, positive_number, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    listed,
+    nonnegative,
+    number_or_vector,
+    per_item,
+    positive_number,
+    whole_number,
+)
 
 DEGREE = 3
 
@@ -21,21 +29,25 @@ class SplineNoise:
     Parameters
     ----------
     deviation : float or array_like, shape (α,)
-        Standard deviation of the largest changes, N/m, ≥ 0, the same at all times; one number, or one for each string.
+        Standard deviation of the largest changes, N/m, ≥ 0, the same at all times; one number, or
+        one for each string.
     knots : int
         Knots over the horizon, at equal times; fewer make smoother changes.
     groups : sequence of sequence of int, optional
-        Strings that change together, such as those that a symmetry maps onto each other: fewer directions need fewer samples. Strings in no
-        group keep their force densities. Default: each string for itself.
+        Strings that change together, such as those that a symmetry maps onto each other: fewer
+        directions need fewer samples. Strings in no group keep their force densities. Default: each
+        string for itself.
     finest : float
-        Deviation of the smallest changes as a share of that of the largest; those of the samples lie between them in equal ratios, so that
-        some explore while others refine. 1: all are the same.
+        Deviation of the smallest changes as a share of that of the largest; those of the samples
+        lie between them in equal ratios, so that some explore while others refine. 1: all are the
+        same.
 
     Raises
     ------
     TypeError, ValueError
-        If a deviation is no number or negative, there are no knots, `finest` is not above 0 and at most 1, or groups are no lists of different
-        strings; with a problem, if there is not one deviation for each string, or a string does not exist.
+        If a deviation is no number or negative, there are no knots, `finest` is not above 0 and at
+        most 1, or groups are no lists of different strings; with a problem, if there is not one
+        deviation for each string, or a string does not exist.
 
     Examples
     --------
@@ -50,21 +62,34 @@ class SplineNoise:
     finest: float = 0.03
 
     def __post_init__(self) -> None:
-        nonnegative("SplineNoise.deviation", number_or_vector("SplineNoise.deviation", self.deviation).reshape(-1), "string")
+        nonnegative(
+            "SplineNoise.deviation",
+            number_or_vector("SplineNoise.deviation", self.deviation).reshape(-1),
+            "string",
+        )
         object.__setattr__(self, "knots", whole_number("SplineNoise.knots", self.knots, 1))
         if positive_number("SplineNoise.finest", self.finest) > 1:
-            raise ValueError(f"SplineNoise.finest is {self.finest:g}: give a share of the deviation, at most 1")
+            raise ValueError(
+                f"SplineNoise.finest is {self.finest:g}: give a share of the deviation, at most 1"
+            )
         if self.groups is not None:
             example = "[[0, 1, 2], [3, 4, 5]]"
             groups = tuple(
-                tuple(whole_number(f"SplineNoise.groups[{k}]", string, 0) for string in listed(f"SplineNoise.groups[{k}]", group, "[0, 1, 2]"))
+                tuple(
+                    whole_number(f"SplineNoise.groups[{k}]", string, 0)
+                    for string in listed(f"SplineNoise.groups[{k}]", group, "[0, 1, 2]")
+                )
                 for k, group in enumerate(listed("SplineNoise.groups", self.groups, example))
             )
             members = [string for group in groups for string in group]
             if not members or not all(groups):
-                raise ValueError(f"SplineNoise.groups is {groups}: give strings to each group, such as {example}, or None")
+                raise ValueError(
+                    f"SplineNoise.groups is {groups}: give strings to each group, such as {example}, or None"
+                )
             if len(set(members)) < len(members):
-                raise ValueError(f"SplineNoise.groups has string {max(members, key=members.count)} twice: give each string one place")
+                raise ValueError(
+                    f"SplineNoise.groups has string {max(members, key=members.count)} twice: give each string one place"
+                )
             object.__setattr__(self, "groups", groups)
 
     def sizes(self, samples: int) -> Array:
@@ -106,7 +131,9 @@ class SplineNoise:
         matrix = np.zeros((len(tuple(self.groups)), count))
         for row, group in zip(matrix, self.groups, strict=True):
             if max(group) >= count:
-                raise ValueError(f"SplineNoise.groups names string {max(group)}: strings run from 0 to {count - 1}")
+                raise ValueError(
+                    f"SplineNoise.groups names string {max(group)}: strings run from 0 to {count - 1}"
+                )
             row[list(group)] = spread[list(group)]
         return matrix
 
@@ -127,6 +154,8 @@ class SplineNoise:
         times = np.linspace(0.0, max(intervals - 1, 1), knots)
         if knots == 1:
             return np.ones((intervals, 1))
-        spline = scipy.interpolate.make_interp_spline(times, np.eye(knots), k=min(DEGREE, knots - 1))
+        spline = scipy.interpolate.make_interp_spline(
+            times, np.eye(knots), k=min(DEGREE, knots - 1)
+        )
         rows = np.asarray(spline(np.arange(intervals)))
         return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))

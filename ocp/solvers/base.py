@@ -13,8 +13,9 @@ from tenscasadi.util.validate import Array, positive_number, shown, whole_number
 class Solution(NamedTuple):
     """Result of a solver.
 
-    w, and whether it is optimal; status: the solver's own word; iterations; multipliers: those of rows and of w's limits; last: where the
-    solver stood when it gave up, which is not always its best.
+    w, and whether it is optimal; status: the solver's own word; iterations; multipliers: those of
+    rows and of w's limits; last: where the solver stood when it gave up, which is not always its
+    best.
     """
 
     w: Array
@@ -28,10 +29,12 @@ class Solution(NamedTuple):
 class Outcome(NamedTuple):
     """The result of a method for a problem, before it is replayed; where there is no plan, its best.
 
-    states (K + 1, nx), force_density (K or K + 1, α) and duration, s; objective: sum of the costs; success, status, iterations: the method's own
-    word; duals: multipliers, None where no optimum was found; gap: m, how far states are from those of fine steps where an accuracy was asked
-    for; why: what is to be said of a failure, "" after success; imposed: the rows that were, in words; time (K + 1,): the nodes of the mesh, s,
-    None where they are those of the transcription; coarse: whether it is a failure only as its motion is less exact than was asked.
+    states (K + 1, nx), force_density (K or K + 1, α) and duration, s; objective: sum of the costs;
+    success, status, iterations: the method's own word; duals: multipliers, None where no optimum
+    was found; gap: m, how far states are from those of fine steps where an accuracy was asked for;
+    why: what is to be said of a failure, "" after success; imposed: the rows that were, in words;
+    time (K + 1,): the nodes of the mesh, s, None where they are those of the transcription; coarse:
+    whether it is a failure only as its motion is less exact than was asked.
     """
 
     states: Array
@@ -60,11 +63,15 @@ class Solver(Protocol):
         """Return the solution; where there is none by the deadline (of `time.perf_counter`, s), the best iterate with success False."""
 
 
-def check_options(name: str, max_iterations: Any, tolerance: Any, verbose: Any, options: Any, example: str) -> None:
+def check_options(
+    name: str, max_iterations: Any, tolerance: Any, verbose: Any, options: Any, example: str
+) -> None:
     """Raise TypeError or ValueError, naming the field, for what every solver takes."""
     whole_number(f"{name}.max_iterations", max_iterations, 1)
     positive_number(f"{name}.tolerance", tolerance)
     if not isinstance(verbose, bool):
         raise TypeError(f"{name}.verbose is {shown(verbose)}: give True or False")
     if not isinstance(options, Mapping) or not all(isinstance(option, str) for option in options):
-        raise TypeError(f"{name}.options is {shown(options)}: give a mapping of {name}'s option names, such as {example}")
+        raise TypeError(
+            f"{name}.options is {shown(options)}: give a mapping of {name}'s option names, such as {example}"
+        )

@@ -11,9 +11,10 @@ from ocp.solvers.base import check_options
 class CondensedNewton:
     """A Newton method in the force densities alone: the motion that belongs to them is condensed out, by sweeps over the intervals.
 
-    It solves what `Variational` asks, without its program: for problems with limits of any kind, costs of force densities and of the duration,
-    goals and waypoints, on structures of any size. Its work grows linearly with the intervals, and far slower with the bars than the
-    factorisations of `Ipopt`.
+    It solves what `Variational` asks, without its program: for problems with limits of any kind,
+    costs of force densities and of the duration, goals and waypoints, on structures of any size.
+    Its work grows linearly with the intervals, and far slower with the bars than the factorisations
+    of `Ipopt`.
 
     Parameters
     ----------
@@ -27,15 +28,18 @@ class CondensedNewton:
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind; from `solve`, if the method does not take the problem, or the transcription is not `Variational`.
+        If a value is not of its kind; from `solve`, if the method does not take the problem, or the
+        transcription is not `Variational`.
 
     Notes
     -----
-    Places of nodes and multipliers of bars are iterates of their own, which need not fit the force densities before the end: a smooth path is a
-    good start. Each iteration linearises the motion about them, an interior-point method with exact second derivatives takes a step of
-    the force densities, by projected conjugate gradients in a trust region, and the motion follows to first order. The largest matrix
-    that is factored has as many rows as the goals, and as the limits along the way that are near: these have slacks with barriers of their
-    own, so that a guess may break them.
+    Places of nodes and multipliers of bars are iterates of their own, which need not fit the force
+    densities before the end: a smooth path is a good start. Each iteration linearises the motion
+    about them, an interior-point method with exact second derivatives takes a step of the force
+    densities, by projected conjugate gradients in a trust region, and the motion follows to first
+    order. The largest matrix that is factored has as many rows as the goals, and as the limits
+    along the way that are near: these have slacks with barriers of their own, so that a guess may
+    break them.
 
     References
     ----------

@@ -19,19 +19,23 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.util.validate import Array
 
-FINE_STEPS = 1  # steps of DormandPrince853 in an interval: more exact than ten of RungeKutta4, at a third of the cost
+# steps of DormandPrince853 in an interval: more exact than ten of RungeKutta4, at a third of the
+# cost
+FINE_STEPS = 1
 MOST_ROUNDS = 6  # of corrections
 ROUGH_TOLERANCE = 1e-5  # tolerance of the first solution, which the next one moves by more
 FAR = 0.03  # of the structure's size: fine steps that leave a plan by more have left it
-TOO_COARSE = "too coarse: corrections end {:.2g} m from fine steps, not {:.2g} m: give more intervals"
+TOO_COARSE = (
+    "too coarse: corrections end {:.2g} m from fine steps, not {:.2g} m: give more intervals"
+)
 MOST_LEFT = 0.5  # a round that leaves more than this share of the gap leads nowhere
 
 
 class Corrected(NamedTuple):
     """A corrected solution.
 
-    states (intervals + 1, nx): where fine steps lead, None where they diverge; gap: how far its own states are from them, m (speeds: m per
-    duration).
+    states (intervals + 1, nx): where fine steps lead, None where they diverge; gap: how far its own
+    states are from them, m (speeds: m per duration).
     """
 
     solution: Solution
@@ -47,23 +51,39 @@ def check_correctable(transcription: Transcription, solver: Solver) -> None:
         raise ValueError(f"{text}: give ocp.Ipopt(), or accuracy=None and more intervals")
 
 
-def solve_corrected(program: Program, solver: Ipopt, model: Model, fractions: Array, accuracy: float, deadline: float | None = None) -> Corrected:
+def solve_corrected(
+    program: Program,
+    solver: Ipopt,
+    model: Model,
+    fractions: Array,
+    accuracy: float,
+    deadline: float | None = None,
+) -> Corrected:
     """Solve, and again with rows g(w) = τ of the motion in place of g(w) = 0, until states are as near to fine ones as `accuracy`.
 
-    τ is what the rows leave at the states of fine steps under the planned force densities (Stetter, Numer. Math. 1978, 29, 425): where that is
-    settled, the coarse rows hold exactly at the fine motion. Each round gains what the coarse scheme is worth: a factor of about its relative error.
-    Only limits change, so nothing is built again. Optimal is the plan for the costs of the coarse rows, which are wrong by its order.
+    τ is what the rows leave at the states of fine steps under the planned force densities (Stetter,
+    Numer. Math. 1978, 29, 425): where that is settled, the coarse rows hold exactly at the fine
+    motion. Each round gains what the coarse scheme is worth: a factor of about its relative error.
+    Only limits change, so nothing is built again. Optimal is the plan for the costs of the coarse
+    rows, which are wrong by its order.
 
-    Where errors grow, fine steps leave the plan and tell nothing about it: then τ is taken along a fine motion that feedback keeps to the plan,
-    under the force densities of that, until those of the plan alone lead there.
+    Where errors grow, fine steps leave the plan and tell nothing about it: then τ is taken along a
+    fine motion that feedback keeps to the plan, under the force densities of that, until those of
+    the plan alone lead there.
     """
-    solution = replace(solver, tolerance=max(solver.tolerance, ROUGH_TOLERANCE)).solve(program, deadline)
+    solution = replace(solver, tolerance=max(solver.tolerance, ROUGH_TOLERANCE)).solve(
+        program, deadline
+    )
     best, before, iterations = Corrected(solution, None, np.inf), np.inf, solution.iterations
     if not solution.success:
         return best
     rows = ca.Function("rows", [program.problem["x"]], [program.problem["g"]])
     again: Callable[..., Solution] | None = None
-    moving, motion, kept = program.rows("start", "defect")[-1].stop, _Motion(program, model, fractions), False
+    moving, motion, kept = (
+        program.rows("start", "defect")[-1].stop,
+        _Motion(program, model, fractions),
+        False,
+    )
     for done in range(MOST_ROUNDS + 1):
         states, gamma, T = _planned(program, solution.w)
         fine = motion.free(states, gamma, T)
@@ -80,8 +100,12 @@ def solve_corrected(program: Program, solver: Ipopt, model: Model, fractions: Ar
             break
         before = size if done or not kept else np.inf
         shift = np.asarray(rows(true).full()).ravel()[:moving]
-        lower, upper = (np.concatenate([shift, limit[moving:]]) for limit in (program.lower, program.upper))
-        moved = replace(program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers)
+        lower, upper = (
+            np.concatenate([shift, limit[moving:]]) for limit in (program.lower, program.upper)
+        )
+        moved = replace(
+            program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers
+        )
         again = again or replace(solver, warm=True).prepared(moved)
         solution = again(moved, deadline)
         iterations += solution.iterations
@@ -96,15 +120,21 @@ class _Motion:
     def __init__(self, program: Program, model: Model, fractions: Array) -> None:
         self._program, self._model, self._fractions = program, model, fractions
         self._linear = program.unpack.size2_out(1) > len(fractions)
-        self._step = (ramped_step if self._linear else shooting_step)(model, DormandPrince853(), FINE_STEPS)
+        self._step = (ramped_step if self._linear else shooting_step)(
+            model, DormandPrince853(), FINE_STEPS
+        )
         self._chain = self._step.mapaccum(len(fractions))
-        self._offset = np.zeros(program.states.shape)  # of fine states from those that follow from the unknowns
+        self._offset = np.zeros(
+            program.states.shape
+        )  # of fine states from those that follow from the unknowns
         self.far = FAR * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0)))
 
     def free(self, states: Array, gamma: Array, T: float) -> Array:
         """Return the states of fine steps."""
         held = (gamma[:-1].T, gamma[1:].T) if self._linear else (gamma.T,)
-        return np.column_stack([states[0], np.asarray(self._chain(states[0], *held, T * self._fractions[None]).full())]).T
+        return np.column_stack(
+            [states[0], np.asarray(self._chain(states[0], *held, T * self._fractions[None]).full())]
+        ).T
 
     def gap(self, fine: Array, states: Array, T: float) -> float:
         """Return how far states are from fine ones, m (speeds: m per duration), where they are unknowns."""
@@ -126,7 +156,9 @@ class _Motion:
         fine, change = wanted.copy(), np.zeros(gains.shape[:2])
         for k, h in enumerate(lengths):
             change[k] = gains[k] @ (wanted[k] - fine[k])
-            fine[k + 1] = np.asarray(self._step(fine[k], gamma[k] + program.together @ change[k], h).full()).ravel()
+            fine[k + 1] = np.asarray(
+                self._step(fine[k], gamma[k] + program.together @ change[k], h).full()
+            ).ravel()
         if not np.all(np.isfinite(fine)):
             return None
         true = program.with_controls(program.with_states(w, fine), change)

@@ -13,7 +13,10 @@ from ocp.solvers.base import Solution, check_options
 from ocp.transcription.sparse_nlp import Block, Program, Separable
 from tenscasadi.util.validate import Array, Indices
 
-REFUSED = "option not supported", "generic_type.cpp"  # what CasADi says of options that Fatrop does not have, or of another type
+REFUSED = (
+    "option not supported",
+    "generic_type.cpp",
+)  # what CasADi says of options that Fatrop does not have, or of another type
 FIRST_BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more problems
 
 
@@ -21,8 +24,9 @@ FIRST_BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more probl
 class Fatrop:
     """The interior-point solver Fatrop, which factors interval by interval, with exact derivatives.
 
-    CasADi's Fatrop does not report its iterations: it can be neither watched nor stopped in time. Fatrop 1.1 fails, or does not
-    return at all, on some problems that IPOPT solves: try it where speed counts.
+    CasADi's Fatrop does not report its iterations: it can be neither watched nor stopped in time.
+    Fatrop 1.1 fails, or does not return at all, on some problems that IPOPT solves: try it where
+    speed counts.
 
     Parameters
     ----------
@@ -42,12 +46,13 @@ class Fatrop:
 
     Notes
     -----
-    Every unknown belongs to one interval. What later intervals need of it is handed on from one to the next as a further state.
+    Every unknown belongs to one interval. What later intervals need of it is handed on from one to
+    the next as a further state.
 
     References
     ----------
-    L. Vanroye, A. Sathya, J. De Schutter, W. Decré, FATROP: A Fast Constrained Optimal Control Problem Solver for Robot Trajectory
-    Optimization and Control, IROS 2023.
+    L. Vanroye, A. Sathya, J. De Schutter, W. Decré, FATROP: A Fast Constrained Optimal Control
+    Problem Solver for Robot Trajectory Optimization and Control, IROS 2023.
 
     Examples
     --------
@@ -65,9 +70,18 @@ class Fatrop:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_options("Fatrop", self.max_iterations, self.tolerance, self.verbose, self.options, "{'mu_init': 0.1}")
+        check_options(
+            "Fatrop",
+            self.max_iterations,
+            self.tolerance,
+            self.verbose,
+            self.options,
+            "{'mu_init': 0.1}",
+        )
 
-    def solve(self, program: Program, deadline: float | None = None) -> Solution:  # it cannot be stopped
+    def solve(
+        self, program: Program, deadline: float | None = None
+    ) -> Solution:  # it cannot be stopped
         """Solve a program.
 
         Parameters
@@ -108,17 +122,32 @@ class Fatrop:
         }
         try:
             solver = ca.nlpsol("solver", "fatrop", parts.nlp, options)
-            result = solver(x0=parts.first, lbx=parts.w_lower, ubx=parts.w_upper, lbg=parts.lower, ubg=parts.upper)
+            result = solver(
+                x0=parts.first,
+                lbx=parts.w_lower,
+                ubx=parts.w_upper,
+                lbg=parts.lower,
+                ubg=parts.upper,
+            )
         except RuntimeError as error:  # Fatrop gives up by raising what CasADi does not pass on
             if any(sign in str(error) for sign in REFUSED):
-                raise ValueError(f"Fatrop.options is {dict(self.options)}: give options that Fatrop has, and values of their kind") from None
+                raise ValueError(
+                    f"Fatrop.options is {dict(self.options)}: give options that Fatrop has, and values of their kind"
+                ) from None
             return Solution(program.first, False, "Fatrop_Error", 0)
         stats = solver.stats()
         w = np.asarray(result["x"].full()).ravel()
         success = bool(stats["success"]) and bool(np.all(np.isfinite(w)))
-        failure = "Maximum_Iterations_Exceeded" if stats["iter_count"] >= self.max_iterations else "Fatrop_Failed"
+        failure = (
+            "Maximum_Iterations_Exceeded"
+            if stats["iter_count"] >= self.max_iterations
+            else "Fatrop_Failed"
+        )
         status = "Solve_Succeeded" if success else failure
-        multipliers = result["lam_g"].full().ravel()[parts.rows], result["lam_x"].full().ravel()[parts.original]
+        multipliers = (
+            result["lam_g"].full().ravel()[parts.rows],
+            result["lam_x"].full().ravel()[parts.original],
+        )
         return Solution(w[parts.original], success, status, int(stats["iter_count"]), multipliers)
 
 
@@ -126,9 +155,10 @@ class Fatrop:
 class Staged:
     """A program cut into stages, each of which hands a state to the next and sees nothing else.
 
-    nlp: f and g with their derivatives in the stages' order. Every unknown belongs to the stage in which it appears first; where a later
-    stage needs it too, it is handed on from stage to stage as a further state. states, controls, paths: how many each stage has; equality:
-    which rows are equations. original, rows: where w and g of the program stand.
+    nlp: f and g with their derivatives in the stages' order. Every unknown belongs to the stage in
+    which it appears first; where a later stage needs it too, it is handed on from stage to stage as
+    a further state. states, controls, paths: how many each stage has; equality: which rows are
+    equations. original, rows: where w and g of the program stand.
     """
 
     nlp: ca.Function
@@ -150,7 +180,10 @@ def cut_into_stages(program: Program) -> Staged:
     unknowns = program.parts.unknowns
     home = np.where(np.isfinite(unknowns.interval), unknowns.interval, 0).astype(int)
     last = int(home.max(initial=0))
-    rows, costs = ([_Placed(block, home) for block in blocks] for blocks in (program.parts.rows, program.parts.costs))
+    rows, costs = (
+        [_Placed(block, home) for block in blocks]
+        for blocks in (program.parts.rows, program.parts.costs)
+    )
     closed = {int(v) for placed in rows if placed.closing for v in placed.block.closes.ravel()}  # type: ignore[union-attr]
 
     until = home.copy()  # the last stage that sees an unknown
@@ -158,7 +191,8 @@ def cut_into_stages(program: Program) -> Staged:
         for index, stage in zip(placed.block.index, placed.stage, strict=True):
             seen = index[index < len(home)]
             until[seen] = np.maximum(until[seen], stage)
-    # unknowns as (original, stage); states of a stage first: those that the motion leads to, then those handed on
+    # unknowns as (original, stage); states of a stage first: those that the motion leads to, then
+    # those handed on
     order: list[list[tuple[int, int]]] = [[] for _ in range(last + 1)]
     states = [0] * (last + 1)
     for stage in range(last + 1):
@@ -172,20 +206,39 @@ def cut_into_stages(program: Program) -> Staged:
     handed_on = stage_of > home[source]
 
     moved = unknowns.selected(source)  # what is handed on has no limits of its own
-    moved = replace(moved, lower=np.where(handed_on, -np.inf, moved.lower), upper=np.where(handed_on, np.inf, moved.upper))
-    moved_rows, moved_costs = ([placed.moved(place, home) for placed in blocks] for blocks in (rows, costs))
+    moved = replace(
+        moved,
+        lower=np.where(handed_on, -np.inf, moved.lower),
+        upper=np.where(handed_on, np.inf, moved.upper),
+    )
+    moved_rows, moved_costs = (
+        [placed.moved(place, home) for placed in blocks] for blocks in (rows, costs)
+    )
     if handed_on.any():
-        copies = np.array([(place[v, s], place[v, s - 1]) for v, s in place if s > home[v]], dtype=np.intp)
+        copies = np.array(
+            [(place[v, s], place[v, s - 1]) for v, s in place if s > home[v]], dtype=np.intp
+        )
         constant = moved.count + len(moved.constants) + np.arange(len(copies))
         moved = replace(moved, constants=np.append(moved.constants, 1 / moved.scale[copies[:, 0]]))
         z = ca.SX.sym("z", 3)
         handing = ca.Function("hand", [z], [(z[0] - z[1]) * z[2]])
-        moved_rows.append(Block(handing, np.column_stack([copies, constant]), ("handed on",) * len(copies), closes=copies[:, :1]))
+        moved_rows.append(
+            Block(
+                handing,
+                np.column_stack([copies, constant]),
+                ("handed on",) * len(copies),
+                closes=copies[:, :1],
+            )
+        )
 
     separable = Separable(moved, moved_rows, moved_costs, 1 / program.objective)
     limits = [block.limits() for block in moved_rows]
-    lower, upper = (np.concatenate([np.zeros(0), *(pair[side] for pair in limits)]) for side in (0, 1))
-    permutation, gaps, paths = _row_order(moved_rows, [*(placed.stage for placed in rows), np.array([])], order, states, place)
+    lower, upper = (
+        np.concatenate([np.zeros(0), *(pair[side] for pair in limits)]) for side in (0, 1)
+    )
+    permutation, gaps, paths = _row_order(
+        moved_rows, [*(placed.stage for placed in rows), np.array([])], order, states, place
+    )
     lower, upper = lower[permutation], upper[permutation]
     return Staged(
         _in_row_order(separable, permutation),
@@ -208,11 +261,16 @@ class _Placed:
 
     def __init__(self, block: Block, home: Indices) -> None:
         self.block = block
-        known = np.append(home, 0)[np.minimum(block.index, len(home))]  # constants are known from the beginning
+        known = np.append(home, 0)[
+            np.minimum(block.index, len(home))
+        ]  # constants are known from the beginning
         self.stage = known.max(axis=1)
         self.closing = False
         if block.closes is not None:
-            ends = [np.isin(index, closes) for index, closes in zip(block.index, block.closes, strict=True)]
+            ends = [
+                np.isin(index, closes)
+                for index, closes in zip(block.index, block.closes, strict=True)
+            ]
             before = np.where(np.array(ends), 0, known).max(axis=1)
             self.closing = bool(np.all(before + 1 == home[block.closes[:, 0]]))
             if self.closing:
@@ -227,7 +285,10 @@ class _Placed:
                 row[k] = place[v, max(int(stage), int(home[v]))]
         closes = None
         if self.closing and self.block.closes is not None:
-            closes = np.array([[place[int(v), int(home[v])] for v in row] for row in self.block.closes], dtype=np.intp)
+            closes = np.array(
+                [[place[int(v), int(home[v])] for v in row] for row in self.block.closes],
+                dtype=np.intp,
+            )
         return replace(self.block, index=index, closes=closes)
 
 
@@ -257,7 +318,11 @@ def _row_order(
             gaps += range(len(result), len(result) + states[k + 1])
             result += [gap_of[place[entry]] for entry in order[k + 1][: states[k + 1]]]
         result += others[k]
-    return np.array(result, dtype=np.intp), np.array(gaps, dtype=np.intp), [len(rows) for rows in others]
+    return (
+        np.array(result, dtype=np.intp),
+        np.array(gaps, dtype=np.intp),
+        [len(rows) for rows in others],
+    )
 
 
 def _in_row_order(separable: Separable, permutation: Indices) -> ca.Function:
@@ -274,7 +339,11 @@ def _in_row_order(separable: Separable, permutation: Indices) -> ca.Function:
         "nlp_grad_f": ca.Function("nlp_grad_f", [w, p], [slope], ["x", "p"], ["grad_f_x"]),
         "nlp_jac_g": ca.Function("nlp_jac_g", [w, p], [g, J], ["x", "p"], ["g", "jac_g_x"]),
         "nlp_hess_l": ca.Function(
-            "nlp_hess_l", [w, p, lam_f, lam_g], [gradient, H], ["x", "p", "lam_f", "lam_g"], ["grad_gamma_x", "hess_gamma_x_x"]
+            "nlp_hess_l",
+            [w, p, lam_f, lam_g],
+            [gradient, H],
+            ["x", "p", "lam_f", "lam_g"],
+            ["grad_gamma_x", "hess_gamma_x_x"],
         ),
     }
     return ca.Function("nlp", [w, p], [separable.f, g], ["x", "p"], ["f", "g"], {"cache": known})

@@ -14,7 +14,8 @@ STEP_SHARE = 0.99  # share of the way to the nearest limit
 def solve_qp(H: Any, g: Any, G: Any, b: Any, start: Any) -> Any:
     """Return x (n,) with the least ½ xᵀH x + gᵀx among those with G x ≤ b (m,): Mehrotra's predictor and corrector, SIAM J. Optim. 1992, 2, 575.
 
-    H is positive definite; entries of b are finite. start: x to begin with, which need not keep the limits.
+    H is positive definite; entries of b are finite. start: x to begin with, which need not keep the
+    limits.
     """
     step = _step(H.shape[0], G.sparsity())
     x = start
@@ -27,9 +28,23 @@ def solve_qp(H: Any, g: Any, G: Any, b: Any, start: Any) -> Any:
 
 def _step(n: int, limits: ca.Sparsity) -> ca.Function:
     m = limits.size1()
-    x, s, z, H, g, b = (ca.MX.sym(name, *size) for name, size in (("x", (n,)), ("s", (m,)), ("z", (m,)), ("H", (n, n)), ("g", (n,)), ("b", (m,))))
+    x, s, z, H, g, b = (
+        ca.MX.sym(name, *size)
+        for name, size in (
+            ("x", (n,)),
+            ("s", (m,)),
+            ("z", (m,)),
+            ("H", (n, n)),
+            ("g", (n,)),
+            ("b", (m,)),
+        )
+    )
     G = ca.MX.sym("G", limits)
-    dual, primal, mean = ca.mtimes(H, x) + g + ca.mtimes(G.T, z), ca.mtimes(G, x) + s - b, ca.dot(s, z) / m
+    dual, primal, mean = (
+        ca.mtimes(H, x) + g + ca.mtimes(G.T, z),
+        ca.mtimes(G, x) + s - b,
+        ca.dot(s, z) / m,
+    )
     weights = z / s
     M = ca.densify(H + ca.mtimes(G.T, G * ca.repmat(weights, 1, n)))
 
@@ -49,5 +64,11 @@ def _step(n: int, limits: ca.Sparsity) -> ca.Function:
     dx, ds, dz = direction(s * z + ds * dz - centre * mean)
     part = STEP_SHARE * length(ds, dz)
     new = [old + part * change for old, change in ((x, dx), (s, ds), (z, dz))]
-    better = ca.logic_and(mean > LEAST_COMPLEMENTARITY, ca.mmax(ca.fabs(ca.vertcat(*new))) < 1e30)  # false also of what is not a number
-    return ca.Function("step", [x, s, z, H, g, G, b], [ca.if_else(better, after, old) for after, old in zip(new, (x, s, z), strict=True)])
+    better = ca.logic_and(
+        mean > LEAST_COMPLEMENTARITY, ca.mmax(ca.fabs(ca.vertcat(*new))) < 1e30
+    )  # false also of what is not a number
+    return ca.Function(
+        "step",
+        [x, s, z, H, g, G, b],
+        [ca.if_else(better, after, old) for after, old in zip(new, (x, s, z), strict=True)],
+    )

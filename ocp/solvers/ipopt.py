@@ -22,18 +22,28 @@ HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi doe
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-8 for push in PUSHES}}
 FIRST_BARRIER = 1e-4  # to start with: with IPOPT's own, 0.1, iterates leave the guess
-FIRST_BARRIER_IN_CONTACT = 1e-3  # the same, for motions with contact, which take several times as many iterations with less
-FIRST_BARRIER_KNOWN = 1e-9  # the same where multipliers are known; where they are not, a small one keeps iterates at limits that they should leave
+# the same, for motions with contact, which take several times as many iterations with less
+FIRST_BARRIER_IN_CONTACT = 1e-3
+# the same where multipliers are known; where they are not, a small one keeps iterates at limits
+# that they should leave
+FIRST_BARRIER_KNOWN = 1e-9
 
 
-AMD, METIS = 0, 5  # of MUMPS; what it chooses fills factors where collocation or a free duration couples much: 10 to 80 times slower
-MANY_INTERVALS = 800  # from which AMD may take a hundred times as long as METIS, which on others takes up to twice as long
+AMD, METIS = (
+    0,
+    5,
+)  # of MUMPS; what it chooses fills factors where collocation or a free duration couples much: 10 to 80 times slower
+# from which AMD may take a hundred times as long as METIS, which on others takes up to twice as
+# long
+MANY_INTERVALS = 800
 
 BENT = 3  # iterations in a row without positive curvature: a saddle
 SADDLE = "Saddle"
 STOPPED = "User_Requested_Stop"
 NOWHERE = "Infeasible_Problem_Detected", "Restoration_Failed"  # it got no nearer to the constraints
-TIME_UP = "Time_Limit_Reached"  # that of the whole search, which includes what comes before the solver
+TIME_UP = (
+    "Time_Limit_Reached"  # that of the whole search, which includes what comes before the solver
+)
 SMALL_VIOLATION = 1e-6  # violation, scaled, below which iterates are judged by their objective
 
 
@@ -70,10 +80,12 @@ Watcher = Callable[[Progress], Any]
 class Ipopt:
     """The interior-point solver IPOPT, with exact derivatives.
 
-    However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch a ground its derivatives mislead, and it
-    hardly finds a motion, whatever the guess: see `Sampling` and `Phase`. MUMPS runs without its own scaling, which triples its
-    speed on these problems, and orders pivots by AMD, or from 800 intervals on by METIS. Where curvature is
-    negative several times in a row, at a saddle, the solver begins once more, from the guess with its noise; the iterations of both count.
+    However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch
+    a ground its derivatives mislead, and it hardly finds a motion, whatever the guess: see
+    `Sampling` and `Phase`. MUMPS runs without its own scaling, which triples its speed on these
+    problems, and orders pivots by AMD, or from 800 intervals on by METIS. Where curvature is
+    negative several times in a row, at a saddle, the solver begins once more, from the guess with
+    its noise; the iterations of both count.
 
     Parameters
     ----------
@@ -84,15 +96,16 @@ class Ipopt:
     verbose : bool
         Whether IPOPT prints a line for each iteration.
     options : mapping
-        Further IPOPT options, such as ``{"linear_solver": "spral"}``; they override those chosen here.
+        Further IPOPT options, such as ``{"linear_solver": "spral"}``; they override those chosen
+        here.
     seconds : float, optional
         Wall time of one run, s, after which it stops. By default there is no limit.
     watch : callable, optional
-        Function of a `Progress`, called after each iteration, such as a `tenscasadi.plots.Convergence`, which draws them. When it
-        returns False the solver stops.
+        Function of a `Progress`, called after each iteration, such as a
+        `tenscasadi.plots.Convergence`, which draws them. When it returns False the solver stops.
     warm : bool
-        Whether the guess is nearly a solution, such as another plan. The solver keeps to it, and to its multipliers where mesh and
-        constraints are the same.
+        Whether the guess is nearly a solution, such as another plan. The solver keeps to it, and to
+        its multipliers where mesh and constraints are the same.
     restart : bool
         Whether the solver begins once more where it meets a saddle, or stops there.
 
@@ -128,11 +141,20 @@ class Ipopt:
     restart: bool = True
 
     def __post_init__(self) -> None:
-        check_options("Ipopt", self.max_iterations, self.tolerance, self.verbose, self.options, "{'mu_strategy': 'adaptive'}")
+        check_options(
+            "Ipopt",
+            self.max_iterations,
+            self.tolerance,
+            self.verbose,
+            self.options,
+            "{'mu_strategy': 'adaptive'}",
+        )
         if self.seconds is not None:
             positive_number("Ipopt.seconds", self.seconds)
         if self.watch is not None and not callable(self.watch):
-            raise TypeError(f"Ipopt.watch is {shown(self.watch)}: give a function of an ocp.Progress, or None")
+            raise TypeError(
+                f"Ipopt.watch is {shown(self.watch)}: give a function of an ocp.Progress, or None"
+            )
         for name in ("warm", "restart"):
             if not isinstance(getattr(self, name), bool):
                 raise TypeError(f"Ipopt.{name} is {shown(getattr(self, name))}: give True or False")
@@ -178,15 +200,17 @@ class Ipopt:
         Returns
         -------
         callable
-            Function of a program that differs from this one in limits, start and multipliers alone, and of a deadline (see `solve`) or None; it
-            returns a `Solution`.
+            Function of a program that differs from this one in limits, start and multipliers alone,
+            and of a deadline (see `solve`) or None; it returns a `Solution`.
 
         Raises
         ------
         ValueError
             If IPOPT refuses an option.
         """
-        best = BestIterate(program.problem["x"].shape[0], len(program.lower), program.objective, self.watch)
+        best = BestIterate(
+            program.problem["x"].shape[0], len(program.lower), program.objective, self.watch
+        )
         return partial(_run, self._built(program, best), best)
 
     def _built(self, program: Program, best: BestIterate) -> ca.Function:
@@ -200,11 +224,17 @@ class Ipopt:
             "mumps_pivot_order": METIS if len(program.states) > MANY_INTERVALS else AMD,
             "nlp_scaling_method": "none",  # programs are scaled
             "mu_init": FIRST_BARRIER_IN_CONTACT if program.contact else FIRST_BARRIER,
-            "min_refinement_steps": 0,  # solutions of linear systems are refined where their residuals ask for it
-            "constr_mult_init_max": 0,  # multipliers of a guess by least squares cost a factorisation, and save no iteration
+            # solutions of linear systems are refined where their residuals ask for it
+            "min_refinement_steps": 0,
+            # multipliers of a guess by least squares cost a factorisation, and save no iteration
+            "constr_mult_init_max": 0,
             **({} if self.seconds is None else {"max_wall_time": self.seconds}),
             **(WARM if self.warm else {}),
-            **({"mu_init": FIRST_BARRIER_KNOWN} if self.warm and program.multipliers is not None else {}),
+            **(
+                {"mu_init": FIRST_BARRIER_KNOWN}
+                if self.warm and program.multipliers is not None
+                else {}
+            ),
             **self.options,
         }
         exact = program.derivatives()
@@ -226,7 +256,9 @@ class Ipopt:
             if "IpoptInterface::finalize" not in str(error):
                 raise
             reason = str(error).strip().splitlines()[-1].split(": ", 1)[-1].rstrip(".")
-            raise ValueError(f"Ipopt.options is {dict(self.options)}, and IPOPT says: {reason}. Give options that IPOPT has") from None
+            raise ValueError(
+                f"Ipopt.options is {dict(self.options)}, and IPOPT says: {reason}. Give options that IPOPT has"
+            ) from None
 
 
 class BestIterate(ca.Callback):
@@ -239,8 +271,14 @@ class BestIterate(ca.Callback):
         self._begin(np.zeros(rows), np.zeros(rows), None, None)
         self.construct("best", {})
 
-    def _begin(self, lower: Array, upper: Array, deadline: float | None, leaving: ca.Function | None) -> None:
-        self._lower, self._upper, self._deadline = lower, upper, np.inf if deadline is None else deadline
+    def _begin(
+        self, lower: Array, upper: Array, deadline: float | None, leaving: ca.Function | None
+    ) -> None:
+        self._lower, self._upper, self._deadline = (
+            lower,
+            upper,
+            np.inf if deadline is None else deadline,
+        )
         self._leaving = leaving
         self._merit = np.inf
         self._count = 0
@@ -249,7 +287,9 @@ class BestIterate(ca.Callback):
         self.error: Exception | None = None
 
     @contextmanager
-    def following(self, lower: Array, upper: Array, deadline: float | None, leaving: ca.Function | None) -> Iterator[None]:
+    def following(
+        self, lower: Array, upper: Array, deadline: float | None, leaving: ca.Function | None
+    ) -> Iterator[None]:
         """Follow a run with these limits of rows until a deadline; Ctrl-C stops the solver after its iteration; a second time it raises, as usual.
 
         leaving: None, or the solver, which stops where it meets a saddle.
@@ -286,14 +326,26 @@ class BestIterate(ca.Callback):
 
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
         """0 into `res` to go on, 1 to stop."""
-        w, f, g = (np.frombuffer(arg[ca.nlpsol_out().index(name)] or b"") for name in ("x", "f", "g"))
-        violation = float(np.maximum(np.maximum(self._lower - g, g - self._upper), 0.0).max(initial=0.0))
+        w, f, g = (
+            np.frombuffer(arg[ca.nlpsol_out().index(name)] or b"") for name in ("x", "f", "g")
+        )
+        violation = float(
+            np.maximum(np.maximum(self._lower - g, g - self._upper), 0.0).max(initial=0.0)
+        )
         # the least violation counts, until it is small; then the objective
-        merit = violation if violation > SMALL_VIOLATION else SMALL_VIOLATION * float(np.arctan(f[0]) / np.pi)
+        merit = (
+            violation
+            if violation > SMALL_VIOLATION
+            else SMALL_VIOLATION * float(np.arctan(f[0]) / np.pi)
+        )
         if np.isfinite(merit) and merit < self._merit:
             self._merit, self.w = merit, w.copy()
         try:
-            proceed = self._watch is None or self._watch(Progress(self._count, float(f[0]) * self._objective, violation)) is not False
+            proceed = (
+                self._watch is None
+                or self._watch(Progress(self._count, float(f[0]) * self._objective, violation))
+                is not False
+            )
         except KeyboardInterrupt:
             proceed = False
         except Exception as error:  # noqa: BLE001  # raised again once the solver has stopped, which would make a failure of it
@@ -315,16 +367,37 @@ def _bent(solver: ca.Function) -> bool:
     return len(added) == BENT and min(added) > 0.0
 
 
-def _run(solver: ca.Function, best: BestIterate, program: Program, deadline: float | None = None, leaves_saddles: bool = False) -> Solution:
-    known = {} if program.multipliers is None else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
+def _run(
+    solver: ca.Function,
+    best: BestIterate,
+    program: Program,
+    deadline: float | None = None,
+    leaves_saddles: bool = False,
+) -> Solution:
+    known = (
+        {}
+        if program.multipliers is None
+        else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
+    )
     with best.following(program.lower, program.upper, deadline, solver if leaves_saddles else None):
-        result = solver(x0=program.first, lbx=program.w_lower, ubx=program.w_upper, lbg=program.lower, ubg=program.upper, **known)
+        result = solver(
+            x0=program.first,
+            lbx=program.w_lower,
+            ubx=program.w_upper,
+            lbg=program.lower,
+            ubg=program.upper,
+            **known,
+        )
     if best.error is not None:
         raise best.error
     stats = solver.stats()
     w = last = np.asarray(result["x"].full()).ravel()
     success = bool(stats["success"])
-    if not success and best.w is not None and (best.status or "Exceeded" in str(stats["return_status"])):
+    if (
+        not success
+        and best.w is not None
+        and (best.status or "Exceeded" in str(stats["return_status"]))
+    ):
         w = best.w
     multipliers = result["lam_g"].full().ravel(), result["lam_x"].full().ravel()
     status = best.status or str(stats["return_status"])

@@ -17,20 +17,24 @@ from tenscasadi.util.validate import Array, Indices, instance
 class Duals(ReadOnlyArrays):
     """Multipliers of an optimum: how much each constraint costs.
 
-    A multiplier is positive where an upper limit holds, negative where a lower one does. Where a limit, or the value that a goal wants,
-    rises by δ, the least objective J changes by −λ δ, to first order. Finite differences of solved plans agree as long as both solutions lie on
-    one branch of optima. Where problem and optimum have a symmetry, several limits share the price: moving one of them alone costs the sum of
-    what its images pay, or breaks the symmetry, and a plan that is solved anew may come out mirrored, with its multipliers at other strings.
-    Compare by moving all images of a limit together, from `guess=plan` with ``Ipopt(warm=True)``.
+    A multiplier is positive where an upper limit holds, negative where a lower one does. Where a
+    limit, or the value that a goal wants, rises by δ, the least objective J changes by −λ δ, to
+    first order. Finite differences of solved plans agree as long as both solutions lie on one
+    branch of optima. Where problem and optimum have a symmetry, several limits share the price:
+    moving one of them alone costs the sum of what its images pay, or breaks the symmetry, and a
+    plan that is solved anew may come out mirrored, with its multipliers at other strings. Compare
+    by moving all images of a limit together, from `guess=plan` with ``Ipopt(warm=True)``.
 
     Attributes
     ----------
     names : tuple of str
-        Names of the m multipliers: path constraints and the motion, then goals, then the n unknowns of the program.
+        Names of the m multipliers: path constraints and the motion, then goals, then the n unknowns
+        of the program.
     values : ndarray, shape (m,)
-        Multipliers λ of J + Σ λ c, with c what is limited: J per unit of what is limited (N/m, N, m, m/s), of goals per m or m/s,
-        as far as bars and momenta let them give. Of the motion per unit of the state (costates) with `MultipleShooting`, with other
-        transcriptions in the scale of their rows.
+        Multipliers λ of J + Σ λ c, with c what is limited: J per unit of what is limited (N/m, N,
+        m, m/s), of goals per m or m/s, as far as bars and momenta let them give. Of the motion per
+        unit of the state (costates) with `MultipleShooting`, with other transcriptions in the scale
+        of their rows.
     point : ndarray, shape (n,)
         The unknowns at the optimum.
 
@@ -54,11 +58,20 @@ class Duals(ReadOnlyArrays):
 
     def __getitem__(self, name: str) -> Array:
         """Return all multipliers of one name, in the order of time: duals["tension of string 3"]. Raises TypeError, KeyError."""
-        instance("Duals[name]", name, str, 'one of Duals.names, such as duals["tension of string 3"]')
-        found = [k for k, own in enumerate(self.names) if own == name or own.startswith(f"{name}, ")]
+        instance(
+            "Duals[name]", name, str, 'one of Duals.names, such as duals["tension of string 3"]'
+        )
+        found = [
+            k for k, own in enumerate(self.names) if own == name or own.startswith(f"{name}, ")
+        ]
         if not found:
-            examples = sorted({own.split(",")[0] for own in self.names if own.split(" ")[0] == name.split(" ")[0]})
-            raise KeyError(f"{name!r} has no multiplier: give " + (" or ".join(map(repr, examples[:3])) if examples else "one of Duals.names"))
+            examples = sorted(
+                {own.split(",")[0] for own in self.names if own.split(" ")[0] == name.split(" ")[0]}
+            )
+            raise KeyError(
+                f"{name!r} has no multiplier: give "
+                + (" or ".join(map(repr, examples[:3])) if examples else "one of Duals.names")
+            )
         return np.asarray(self.values[found])
 
 
@@ -68,11 +81,19 @@ def named_duals(program: Program, target: Target, w: Array, rows: Array, limits:
     for part in _parts(program, target):
         reduction = part.target.reduction
         names += [f"{part.label}{name}" for name in reduction.names]
-        values.append(reduction.combinations.T @ rows[part.rows] * program.objective / reduction.sizes)
+        values.append(
+            reduction.combinations.T @ rows[part.rows] * program.objective / reduction.sizes
+        )
     rest = _rest(program)
     return Duals(
         (*(program.names[k] for k in rest), *names, *program.w_names),
-        np.concatenate([(rows * program.objective / program.scale)[rest], *values, limits * program.objective / program.w_scale]),
+        np.concatenate(
+            [
+                (rows * program.objective / program.scale)[rest],
+                *values,
+                limits * program.objective / program.w_scale,
+            ]
+        ),
         w * program.w_scale,
     )
 
@@ -92,7 +113,11 @@ def warm_started(program: Program, target: Target, duals: Duals) -> Program:
         own = values[place : place + len(reduction.sizes)] * reduction.sizes
         rows[part.rows] = np.linalg.lstsq(reduction.combinations.T, own)[0]
         place += len(own)
-    return replace(program, first=duals.point / program.w_scale, multipliers=(rows, values[len(values) - count :] * program.w_scale))
+    return replace(
+        program,
+        first=duals.point / program.w_scale,
+        multipliers=(rows, values[len(values) - count :] * program.w_scale),
+    )
 
 
 class _Part(NamedTuple):
@@ -105,10 +130,15 @@ def _parts(program: Program, target: Target) -> list[_Part]:
     """Return the targets of waypoints and of the end, and where their rows stand."""
     goals = [(waypoint.target, waypoint.label) for waypoint in target.waypoints] + [(target, "")]
     imposed = [(part, label) for part, label in goals if part.count]
-    return [_Part(part, label, rows) for (part, label), rows in zip(imposed, program.rows("waypoint", "end"), strict=True)]
+    return [
+        _Part(part, label, rows)
+        for (part, label), rows in zip(imposed, program.rows("waypoint", "end"), strict=True)
+    ]
 
 
 def _rest(program: Program) -> Indices:
     """Return the rows that are not of goals."""
     goals = [np.arange(rows.start, rows.stop) for rows in program.rows("waypoint", "end")]
-    return np.setdiff1d(np.arange(len(program.names)), np.concatenate([np.zeros(0, dtype=np.intp), *goals]))
+    return np.setdiff1d(
+        np.arange(len(program.names)), np.concatenate([np.zeros(0, dtype=np.intp), *goals])
+    )

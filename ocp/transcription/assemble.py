@@ -15,7 +15,14 @@ from ocp.problem.costs import ControlCost, Cost, CostAt, FinalCost, RunningCost,
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.transcription.mesh import hermite_state, locate_share
-from ocp.transcription.sparse_nlp import Block, Program, Separable, gathered, split_symbol, symbol_kind
+from ocp.transcription.sparse_nlp import (
+    Block,
+    Program,
+    Separable,
+    gathered,
+    split_symbol,
+    symbol_kind,
+)
 from ocp.transcription.variables import Variables
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Indices, shown
@@ -31,8 +38,8 @@ class Asked(NamedTuple):
 class Defects(NamedTuple):
     """Blocks of what makes a motion of the variables: rows that vanish where the discretised equations of motion hold.
 
-    states: None, or, where not all states are unknowns, from the column of all entries (in the order of `Variables.entries`) to all states
-    (nx, K + 1).
+    states: None, or, where not all states are unknowns, from the column of all entries (in the
+    order of `Variables.entries`) to all states (nx, K + 1).
     """
 
     rows: list[Block]
@@ -47,7 +54,10 @@ def asked_blocks(v: Variables) -> Asked:
 def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
     """Return the program: costs are least where defects vanish, and path constraints and goals are met."""
     unknowns, place = v.entries.ordered()
-    rows, costs = ([block.relabelled(place) for block in blocks] for blocks in ([*start_blocks(v), *defects.rows, *asked.rows], asked.costs))
+    rows, costs = (
+        [block.relabelled(place) for block in blocks]
+        for blocks in ([*start_blocks(v), *defects.rows, *asked.rows], asked.costs)
+    )
     parts = Separable(unknowns, rows, costs, 1 / v.objective)
     entries = unknowns.entries(parts.w)[place.tolist()]
     states = gathered(entries, v.states) if defects.states is None else defects.states(entries)
@@ -57,7 +67,9 @@ def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
         noise = np.zeros(unknowns.count)
         noise[place[v.controls]] = v.noise
         noise /= unknowns.scale
-    lower, upper, scale = (np.concatenate(columns) for columns in zip(*(block.limits() for block in rows), strict=True))
+    lower, upper, scale = (
+        np.concatenate(columns) for columns in zip(*(block.limits() for block in rows), strict=True)
+    )
     return Program(
         parts,
         w_lower=unknowns.lower / unknowns.scale,
@@ -67,9 +79,13 @@ def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
         upper=upper,
         scale=scale,
         objective=v.objective,
-        unpack=ca.Function("unpack", [parts.w], [states, controls, gathered(entries, v.duration[:, None])]),
+        unpack=ca.Function(
+            "unpack", [parts.w], [states, controls, gathered(entries, v.duration[:, None])]
+        ),
         states=place[v.states],
-        controls=place[v.controls] if not v.profile.linear and len(np.unique(v.controls)) == v.controls.size else None,
+        controls=place[v.controls]
+        if not v.profile.linear and len(np.unique(v.controls)) == v.controls.size
+        else None,
         together=v.group_matrix,
         contact=v.model.scene.ground is not None,
         noise=noise,
@@ -81,15 +97,25 @@ def path_blocks(v: Variables) -> list[Block]:
     limits = scaled_rows(v.problem, PathBound, v.scales, v.strength)
     blocks = [_at_end(v, rows, end) for rows in limits for end in rows.ends]
     if v.problem.free_start:  # a given one has been checked
-        blocks += [_only(0, _at_end(v, rows, "start"), len(rows.names)) for rows in limits if rows.ends == ("end",)]
+        blocks += [
+            _only(0, _at_end(v, rows, "start"), len(rows.names))
+            for rows in limits
+            if rows.ends == ("end",)
+        ]
     if len(v.controls) > 1:
-        blocks += [_between(v, rows) for rows in scaled_rows(v.problem, RateBound, v.scales, v.strength)]
+        blocks += [
+            _between(v, rows) for rows in scaled_rows(v.problem, RateBound, v.scales, v.strength)
+        ]
     return blocks
 
 
 def cost_blocks(v: Variables) -> list[Block]:
     """Return all costs: integrals interval by interval, differences of neighbours pair by pair, the end once."""
-    return [_cost(v, cost) for cost in v.problem.costs if not (isinstance(cost, Smoothness) and len(v.controls) == 1)]
+    return [
+        _cost(v, cost)
+        for cost in v.problem.costs
+        if not (isinstance(cost, Smoothness) and len(v.controls) == 1)
+    ]
 
 
 def start_blocks(v: Variables) -> list[Block]:
@@ -98,7 +124,14 @@ def start_blocks(v: Variables) -> list[Block]:
     count = 0 if free is None else free.start.size1_out(0)
     if free is None or not count:
         return []
-    return [Block(free.start, v.states[:1], tuple(f"start, combination {k} of bars and goals" for k in range(count)), kind="start")]
+    return [
+        Block(
+            free.start,
+            v.states[:1],
+            tuple(f"start, combination {k} of bars and goals" for k in range(count)),
+            kind="start",
+        )
+    ]
 
 
 def waypoint_blocks(v: Variables) -> list[Block]:
@@ -111,8 +144,17 @@ def waypoint_blocks(v: Variables) -> list[Block]:
         z, (x, y, T, part) = split_symbol(ca.MX, nx, nx, 1, 1)
         state = y if share == 1.0 else hermite_state(v.model, x, y, T * part, share)
         function = ca.Function("waypoint", [z], [waypoint.target.rows(state)])
-        names = tuple(f"goal of waypoint {number}, combination {row}" for row in range(waypoint.target.count))
-        blocks.append(Block(function, np.concatenate([v.states[k], v.states[k + 1], v.duration, v.share[k]])[None], names, kind="waypoint"))
+        names = tuple(
+            f"goal of waypoint {number}, combination {row}" for row in range(waypoint.target.count)
+        )
+        blocks.append(
+            Block(
+                function,
+                np.concatenate([v.states[k], v.states[k + 1], v.duration, v.share[k]])[None],
+                names,
+                kind="waypoint",
+            )
+        )
     return blocks
 
 
@@ -121,20 +163,30 @@ def end_blocks(v: Variables) -> list[Block]:
     blocks, target, free = [], v.target, v.target.free_start
     if target.count:
         names = tuple(f"goal, combination {k}" for k in range(target.count))
-        blocks.append(Block(target.single, v.states[-1:], names, combination=target.weights, kind="end"))
+        blocks.append(
+            Block(target.single, v.states[-1:], names, combination=target.weights, kind="end")
+        )
     if free is not None and free.reduction.names:
-        names = tuple(f"goal of repeating, combination {k}" for k in range(free.repeats.size1_out(0)))
+        names = tuple(
+            f"goal of repeating, combination {k}" for k in range(free.repeats.size1_out(0))
+        )
         z, ends = split_symbol(ca.SX, v.model.nx, v.model.nx)
         function = ca.Function("repeats", [z], [free.repeats(*ends)])
-        blocks.append(Block(function, np.hstack([v.states[:1], v.states[-1:]]), names, kind="periodic"))
+        blocks.append(
+            Block(function, np.hstack([v.states[:1], v.states[-1:]]), names, kind="periodic")
+        )
     return blocks
 
 
 def _at_end(v: Variables, rows: ScaledRows, end: str) -> Block:
     share, at_end = (0.0, slice(-1)) if end == "start" else (1.0, slice(1, None))
-    z, (x, c, T, part) = split_symbol(symbol_kind(rows.function), v.model.nx, v.interval_controls.shape[1], 1, 1)
+    z, (x, c, T, part) = split_symbol(
+        symbol_kind(rows.function), v.model.nx, v.interval_controls.shape[1], 1, 1
+    )
     function = ca.Function("bound", [z], [rows.function(x, v.gamma(c, share), T * part)])
-    index = np.hstack([v.states[at_end], v.interval_controls, v.repeated(v.duration), v.time[at_end]])
+    index = np.hstack(
+        [v.states[at_end], v.interval_controls, v.repeated(v.duration), v.time[at_end]]
+    )
     side = "start" if end == "start" else "end"
     names = tuple(f"{name}, {side} of interval {k}" for k in range(v.count) for name in rows.names)
     block = Block(function, index, names, rows.lower, rows.upper, rows.scale, kind="path")
@@ -143,7 +195,9 @@ def _at_end(v: Variables, rows: ScaledRows, end: str) -> Block:
 
 def _only(k: int, block: Block, count: int) -> Block:
     """Return instance k of a block with `count` names for each."""
-    return replace(block, index=block.index[k : k + 1], names=block.names[k * count : (k + 1) * count])
+    return replace(
+        block, index=block.index[k : k + 1], names=block.names[k * count : (k + 1) * count]
+    )
 
 
 def _between(v: Variables, rows: ScaledRows) -> Block:
@@ -152,9 +206,26 @@ def _between(v: Variables, rows: ScaledRows) -> Block:
     z, (x, c, y, d, T, part) = split_symbol(symbol_kind(rows.function), nx, m, nx, m, 1, 1)
     value = rows.function(x, ca.mtimes(E, c), y, ca.mtimes(E, d), T * part)
     duration = v.repeated(v.duration, pairs)
-    index = np.hstack([v.states[:pairs], v.controls[:-1], v.states[1 : pairs + 1], v.controls[1:], duration, v.share[:pairs]])
+    index = np.hstack(
+        [
+            v.states[:pairs],
+            v.controls[:-1],
+            v.states[1 : pairs + 1],
+            v.controls[1:],
+            duration,
+            v.share[:pairs],
+        ]
+    )
     names = tuple(f"{name}, end of interval {k}" for k in range(pairs) for name in rows.names)
-    return Block(ca.Function("between", [z], [value]), index, names, rows.lower, rows.upper, rows.scale, kind="rate")
+    return Block(
+        ca.Function("between", [z], [value]),
+        index,
+        names,
+        rows.lower,
+        rows.upper,
+        rows.scale,
+        kind="rate",
+    )
 
 
 def _cost(v: Variables, cost: Cost) -> Block:
@@ -171,11 +242,15 @@ def _cost(v: Variables, cost: Cost) -> Block:
     elif isinstance(cost, CostAt):
         z, value, index = _passing(v, cost)
     elif isinstance(cost, FinalCost):
-        z, (x, c, T) = split_symbol(type(symbolic(v.model).state), v.model.nx, v.interval_controls.shape[1], 1)
+        z, (x, c, T) = split_symbol(
+            type(symbolic(v.model).state), v.model.nx, v.interval_controls.shape[1], 1
+        )
         value = cost.final(Instant(v.model, x, v.gamma(c, 1.0), T))
         index = np.concatenate([v.states[-1], v.interval_controls[-1], v.duration])[None]
     else:
-        raise TypeError(f"Problem.costs has {shown(cost)}: give a ControlCost, RunningCost or FinalCost")
+        raise TypeError(
+            f"Problem.costs has {shown(cost)}: give a ControlCost, RunningCost or FinalCost"
+        )
     return Block(ca.Function("cost", [z], [value]), index, ("cost",) * len(index), kind="cost")
 
 
@@ -183,9 +258,13 @@ def _passing(v: Variables, cost: CostAt) -> tuple[Any, Any, Indices]:
     """At a share of the duration, on the cubic between the ends of the interval in which it lies."""
     k, share = locate_share(v.fractions, cost.share)
     final = ca.Function("final", (now := symbolic(v.model)).symbols, [cost.cost.final(now)])
-    z, (x, y, c, T, part) = split_symbol(symbol_kind(final), v.model.nx, v.model.nx, v.interval_controls.shape[1], 1, 1)
+    z, (x, y, c, T, part) = split_symbol(
+        symbol_kind(final), v.model.nx, v.model.nx, v.interval_controls.shape[1], 1, 1
+    )
     state = y if share == 1.0 else hermite_state(v.model, x, y, T * part, share)
-    index = np.concatenate([v.states[k], v.states[k + 1], v.interval_controls[k], v.duration, v.share[k]])
+    index = np.concatenate(
+        [v.states[k], v.states[k + 1], v.interval_controls[k], v.duration, v.share[k]]
+    )
     return z, final(state, v.gamma(c, share), T * cost.share), index[None]
 
 
@@ -196,7 +275,11 @@ def _differences(v: Variables, cost: Smoothness) -> tuple[Any, Any, Indices]:
     pair = ca.mtimes(sparse(v.group_matrix), ca.reshape(z[: 2 * width], width, 2))
     spacing = v.fractions if v.profile.linear else (v.fractions[1:] + v.fractions[:-1]) / 2
     constants = [v.repeated(v.duration, len(spacing)), v.entries.constants(spacing[:, None])]
-    return z, cost.expression(pair, z[-2] * z[-1]), np.hstack([v.controls[:-1], v.controls[1:], *constants])
+    return (
+        z,
+        cost.expression(pair, z[-2] * z[-1]),
+        np.hstack([v.controls[:-1], v.controls[1:], *constants]),
+    )
 
 
 def _integral(v: Variables, cost: ControlCost, local: Any, interval: Any) -> Any:
@@ -212,9 +295,21 @@ def _simpson(v: Variables, expression: Callable[[Instant], Any]) -> tuple[Any, A
     now = symbolic(v.model)
     rate = ca.Function("rate", now.symbols, [expression(now)])
     nx = v.model.nx
-    z, (x, y, c, T, part, start, end) = split_symbol(symbol_kind(rate), nx, nx, v.interval_controls.shape[1], 1, 1, 1, 1)
+    z, (x, y, c, T, part, start, end) = split_symbol(
+        symbol_kind(rate), nx, nx, v.interval_controls.shape[1], 1, 1, 1, 1
+    )
     ends = rate(x, v.gamma(c, 0.0), T * start) + rate(y, v.gamma(c, 1.0), T * end)
-    middle = rate(hermite_state(v.model, x, y, T * part, 0.5), v.gamma(c, 0.5), T * (start + end) / 2)
+    middle = rate(
+        hermite_state(v.model, x, y, T * part, 0.5), v.gamma(c, 0.5), T * (start + end) / 2
+    )
     value = T * part / 6 * (ends + 4 * middle)
-    index = [v.states[:-1], v.states[1:], v.interval_controls, v.repeated(v.duration), v.share, v.time[:-1], v.time[1:]]
+    index = [
+        v.states[:-1],
+        v.states[1:],
+        v.interval_controls,
+        v.repeated(v.duration),
+        v.share,
+        v.time[:-1],
+        v.time[1:],
+    ]
     return z, value, np.hstack(index)

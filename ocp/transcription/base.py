@@ -1,6 +1,7 @@
 """The base of all transcriptions: a mesh of intervals and a profile of force densities; and the rows that keep bars at its nodes.
 
-A transcription is a subclass of `Transcription` that gives `defects`: see `ocp.transcription.multiple_shooting` for a short one.
+A transcription is a subclass of `Transcription` that gives `defects`: see
+`ocp.transcription.multiple_shooting` for a short one.
 """
 
 from __future__ import annotations
@@ -16,7 +17,14 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.transcription.assemble import Defects, asked_blocks, assemble
 from ocp.transcription.initial_guess import Guess
-from ocp.transcription.mesh import Intervals, PiecewiseConstant, PiecewiseLinear, Profile, check_intervals, fractions
+from ocp.transcription.mesh import (
+    Intervals,
+    PiecewiseConstant,
+    PiecewiseLinear,
+    Profile,
+    check_intervals,
+    fractions,
+)
 from ocp.transcription.sparse_nlp import Program
 from ocp.transcription.variables import Variables
 from tenscasadi.dynamics.constraint_forces import nodal_forces
@@ -35,8 +43,9 @@ class Transcription:
     control : PiecewiseConstant or PiecewiseLinear
         How force densities run over the intervals.
     accuracy : float, optional
-        How near the motion shall be to that of fine steps, m (speeds: m per duration). The program is solved again from its solution until
-        it is (`ocp.solvers.deferred_correction`). By default the motion is as the intervals make it.
+        How near the motion shall be to that of fine steps, m (speeds: m per duration). The program
+        is solved again from its solution until it is (`ocp.solvers.deferred_correction`). By
+        default the motion is as the intervals make it.
     """
 
     intervals: Intervals = 40
@@ -46,7 +55,12 @@ class Transcription:
     def __post_init__(self) -> None:
         name = type(self).__name__
         object.__setattr__(self, "intervals", check_intervals(f"{name}.intervals", self.intervals))
-        instance(f"{name}.control", self.control, (PiecewiseConstant, PiecewiseLinear), "ocp.PiecewiseConstant() or ocp.PiecewiseLinear()")
+        instance(
+            f"{name}.control",
+            self.control,
+            (PiecewiseConstant, PiecewiseLinear),
+            "ocp.PiecewiseConstant() or ocp.PiecewiseLinear()",
+        )
         if self.accuracy is not None:
             positive_number(f"{name}.accuracy", self.accuracy)
 
@@ -107,7 +121,9 @@ def bar_multipliers(v: Variables) -> Indices:
     size = 2 * v.model.mechanism.bars
     names = [f"{name}, interval {k}" for k in range(v.count) for name in end_names(v.model)]
     scale = np.repeat([v.scales.mass, v.scales.mass / v.scales.time], size // 2)
-    return v.entries.unknowns(names, np.zeros((v.count, size)), scale, interval=np.arange(v.count)[:, None])
+    return v.entries.unknowns(
+        names, np.zeros((v.count, size)), scale, interval=np.arange(v.count)[:, None]
+    )
 
 
 def end_rows(v: Variables, end: Any, after: Any, multipliers: Any) -> Any:
@@ -117,7 +133,10 @@ def end_rows(v: Variables, end: Any, after: Any, multipliers: Any) -> Any:
     if mech.bars:
         N, _, _ = model.unpack(after)
         B = mech.bar_vectors(N)
-        moves = [mech.with_inverse(nodal_forces(mech, B, m.T)) for m in ca.vertsplit(multipliers, mech.bars)]
+        moves = [
+            mech.with_inverse(nodal_forces(mech, B, m.T))
+            for m in ca.vertsplit(multipliers, mech.bars)
+        ]
         gap = gap - model.pack(moves[0], moves[1], 0)
     return ca.vertcat(gap / ca.DM(v.scales.state), *bar_rows(model, after, v.scales))
 

@@ -28,7 +28,8 @@ NOISY = 16.0  # rad of the fastest vibration: along longer motions there is less
 class Guess(ReadOnlyArrays):
     """states (intervals + 1, nx), force_density (intervals, α) N/m and duration s.
 
-    noise: None, or what is to be added to the force densities (α,), N/m, where a solver meets a saddle.
+    noise: None, or what is to be added to the force densities (α,), N/m, where a solver meets a
+    saddle.
     """
 
     states: Array
@@ -41,7 +42,9 @@ class Guess(ReadOnlyArrays):
         if self.noise is None:
             return self
         lower, upper = problem.control_limits
-        return replace(self, force_density=np.clip(self.force_density + self.noise, lower, upper), noise=None)
+        return replace(
+            self, force_density=np.clip(self.force_density + self.noise, lower, upper), noise=None
+        )
 
 
 @runtime_checkable
@@ -56,25 +59,30 @@ class InitialGuess(Protocol):
 class InverseDynamics:
     """A guess by inverse dynamics: the force densities that make nodes follow a path best.
 
-    Accelerations are linear in the force densities, so these are the solution of a small convex problem in each interval.
+    Accelerations are linear in the force densities, so these are the solution of a small convex
+    problem in each interval.
 
     Parameters
     ----------
     path : array_like, shape (P, n, 3), optional
-        Nodes, m, at equal times from the start to the end; they are projected onto bars and joints. By default they move from the start
-        to the goals along a smooth line, which is what `solve` starts from by itself.
+        Nodes, m, at equal times from the start to the end; they are projected onto bars and joints.
+        By default they move from the start to the goals along a smooth line, which is what `solve`
+        starts from by itself.
     noise : float, optional
-        Most that is added to the force density of a string, relative to the strongest of all: a share of it that is drawn for each string. A
-        guess that is as symmetric as its structure is often next to a saddle, which a solver takes several times as many iterations to leave.
-        It is less where the motion lasts more than 16 rad of the fastest vibration, along which errors would grow. 0 for none; rest lengths
-        get none. Default: 0.3, which `Ipopt` adds only where it meets a saddle, or where the start is free.
+        Most that is added to the force density of a string, relative to the strongest of all: a
+        share of it that is drawn for each string. A guess that is as symmetric as its structure is
+        often next to a saddle, which a solver takes several times as many iterations to leave. It
+        is less where the motion lasts more than 16 rad of the fastest vibration, along which errors
+        would grow. 0 for none; rest lengths get none. Default: 0.3, which `Ipopt` adds only where
+        it meets a saddle, or where the start is free.
     seed : int
         Seed of the draw. Noise of other seeds than 0 is always added.
 
     Raises
     ------
     TypeError, ValueError
-        If the path is no array of at least two instants, the noise no number of 0 or more, or the seed no whole number of 0 or more.
+        If the path is no array of at least two instants, the noise no number of 0 or more, or the
+        seed no whole number of 0 or more.
 
     Examples
     --------
@@ -95,12 +103,16 @@ class InverseDynamics:
 
     def __post_init__(self) -> None:
         if self.noise is not None:
-            object.__setattr__(self, "noise", positive_number("InverseDynamics.noise", self.noise, zero=True))
+            object.__setattr__(
+                self, "noise", positive_number("InverseDynamics.noise", self.noise, zero=True)
+            )
         whole_number("InverseDynamics.seed", self.seed, 0)
         if self.path is not None:
             array = finite_array("InverseDynamics.path", self.path, (None, None, 3))
             if len(array) < 2:
-                raise ValueError(f"InverseDynamics.path has {len(array)} instants: give at least the start and the end")
+                raise ValueError(
+                    f"InverseDynamics.path has {len(array)} instants: give at least the start and the end"
+                )
             object.__setattr__(self, "path", array)
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
@@ -125,7 +137,11 @@ class InverseDynamics:
         ValueError
             If the path has another number of nodes.
         """
-        guess = make_guess(problem, target, intervals) if self.path is None else self._along_path(problem, target, intervals, self.path)
+        guess = (
+            make_guess(problem, target, intervals)
+            if self.path is None
+            else self._along_path(problem, target, intervals, self.path)
+        )
         noisy = _with_noise(problem, guess, NOISE if self.noise is None else self.noise, self.seed)
         return noisy if self.noise is None and self.seed == 0 else noisy.disturbed(problem)
 
@@ -137,8 +153,12 @@ class InverseDynamics:
         degree = min(3, len(path) - 1)
         columns = path.reshape(len(path), -1, 3)[:, model.mechanism.physical].reshape(len(path), -1)
         free = model.mechanism.free_index
-        spline = scipy.interpolate.make_interp_spline(before, model.mechanism.local(columns)[:, free], k=degree)
-        return follow(problem, target, np.asarray(spline(np.linspace(0.0, 1.0, intervals + 1))), duration)
+        spline = scipy.interpolate.make_interp_spline(
+            before, model.mechanism.local(columns)[:, free], k=degree
+        )
+        return follow(
+            problem, target, np.asarray(spline(np.linspace(0.0, 1.0, intervals + 1))), duration
+        )
 
 
 @dataclass(frozen=True)
@@ -220,7 +240,9 @@ class Arrays:
 
     def __post_init__(self) -> None:
         for name in ("states", "force_density"):
-            object.__setattr__(self, name, finite_array(f"Arrays.{name}", getattr(self, name), (None, None)))
+            object.__setattr__(
+                self, name, finite_array(f"Arrays.{name}", getattr(self, name), (None, None))
+            )
         if self.duration is not None:
             object.__setattr__(self, "duration", positive_number("Arrays.duration", self.duration))
 
@@ -250,31 +272,59 @@ class Arrays:
         states = finite_array("Arrays.states", self.states, (None, model.nx))
         gamma = finite_array("Arrays.force_density", self.force_density, (None, model.nu))
         if len(states) < 2 or not len(gamma):
-            raise ValueError(f"Arrays has {len(states)} states and {len(gamma)} rows of force densities: give at least 2 and 1")
+            raise ValueError(
+                f"Arrays has {len(states)} states and {len(gamma)} rows of force densities: give at least 2 and 1"
+            )
         middle = problem.typical_duration if self.duration is None else self.duration
-        return resampled(problem, target, states, np.linspace(0, 1, len(states)), gamma, np.linspace(0, 1, len(gamma) + 1), intervals, middle)
+        return resampled(
+            problem,
+            target,
+            states,
+            np.linspace(0, 1, len(states)),
+            gamma,
+            np.linspace(0, 1, len(gamma) + 1),
+            intervals,
+            middle,
+        )
 
 
-def evaluate_guess(value: InitialGuess | None, problem: Problem, target: Target, intervals: int) -> Guess:
+def evaluate_guess(
+    value: InitialGuess | None, problem: Problem, target: Target, intervals: int
+) -> Guess:
     """Return the guess that a value stands for. Raises TypeError, ValueError, also for states that no projection puts onto bars and joints."""
     value = InverseDynamics() if value is None else value
     if isinstance(value, type) or not isinstance(value, InitialGuess):
-        raise TypeError(f"guess is {shown(value)}: give ocp.InverseDynamics(), ocp.Equilibrium(), ocp.Arrays(states, force_density) or an ocp.Plan")
+        raise TypeError(
+            f"guess is {shown(value)}: give ocp.InverseDynamics(), ocp.Equilibrium(), ocp.Arrays(states, force_density) or an ocp.Plan"
+        )
     return value.guess(problem, target, intervals)
 
 
 def resampled(
-    problem: Problem, target: Target, states: Array, state_shares: Array, gamma: Array, gamma_shares: Array, intervals: int, duration: float
+    problem: Problem,
+    target: Target,
+    states: Array,
+    state_shares: Array,
+    gamma: Array,
+    gamma_shares: Array,
+    intervals: int,
+    duration: float,
 ) -> Guess:
     """Return states and force densities at shares of the duration, moved to equal intervals, within the limits, from the problem's start."""
     shares = np.linspace(0.0, 1.0, intervals + 1)
-    moved = _projected(problem.model, np.column_stack([np.interp(shares, state_shares, column) for column in states.T]), 3)
+    moved = _projected(
+        problem.model,
+        np.column_stack([np.interp(shares, state_shares, column) for column in states.T]),
+        3,
+    )
     if not problem.free_start:
         moved[0] = target.start
     lost = ~np.isfinite(moved).all(axis=1)
     if lost.any():
         share = shares[int(np.argmax(lost))]
-        raise ValueError(f"guess has states at {share:.3g} of the duration that are no motion, such as bars without a length: give others")
+        raise ValueError(
+            f"guess has states at {share:.3g} of the duration that are no motion, such as bars without a length: give others"
+        )
     lower, upper = problem.control_limits
     held = np.clip(profile_at(gamma, gamma_shares, (shares[:-1] + shares[1:]) / 2), lower, upper)
     return Guess(moved, held, float(np.clip(duration, problem.shortest, problem.longest)))
@@ -295,7 +345,9 @@ def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> G
 
 def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
     """Return the guess with what parts its strings where a solver meets a saddle: at most a share of the strongest force density."""
-    if winds(problem.model):  # rest lengths: a share of them is far from any that hold the structure
+    if winds(
+        problem.model
+    ):  # rest lengths: a share of them is far from any that hold the structure
         return guess
     change = np.random.default_rng(seed).uniform(size=guess.force_density.shape[1])
     strength = float(np.abs(guess.force_density).max()) or 1.0
@@ -327,24 +379,35 @@ def _line(target: Target, model: Model, intervals: int, duration: float) -> Arra
     start, end = target.start, target.start if target.state is None else target.state
     s = np.linspace(0.0, 1.0, intervals + 1)[:, None]
     rise, fall = s**3 * (10 - 15 * s + 6 * s**2), -4 * s**3 + 7 * s**4 - 3 * s**5
-    out = s - 6 * s**3 + 8 * s**4 - 3 * s**5  # leaves with the start's velocity; `fall` arrives with the target's
+    out = (
+        s - 6 * s**3 + 8 * s**4 - 3 * s**5
+    )  # leaves with the start's velocity; `fall` arrives with the target's
     (q0, v0, _), (q1, v1, _) = model.split(start), model.split(end)
     q = q0 + rise * (q1 - q0) + duration * (out * v0 + fall * v1)
-    waypoints = [(one.share, one.target.state) for one in target.waypoints if one.target.state is not None]
+    waypoints = [
+        (one.share, one.target.state) for one in target.waypoints if one.target.state is not None
+    ]
     if waypoints:
         places = [q0, *(model.split(state)[0] for _, state in waypoints), q1]
         rates = [(1, duration * v) for v in (v0, v1)]
-        q = scipy.interpolate.CubicSpline([0.0, *(share for share, _ in waypoints), 1.0], places, bc_type=tuple(rates))(s[:, 0])
+        q = scipy.interpolate.CubicSpline(
+            [0.0, *(share for share, _ in waypoints), 1.0], places, bc_type=tuple(rates)
+        )(s[:, 0])
     return np.asarray(q)
 
 
 def _motion(problem: Problem, target: Target, q: Array, duration: float) -> Array:
     model, intervals = problem.model, len(q) - 1
     start = target.start
-    clock = model.split(start)[2] + np.linspace(0.0, duration, intervals + 1)[:, None][:, : model.nx - 2 * model.nq]
+    clock = (
+        model.split(start)[2]
+        + np.linspace(0.0, duration, intervals + 1)[:, None][:, : model.nx - 2 * model.nq]
+    )
     q, _, _ = model.split(_projected(model, np.column_stack([q, np.zeros_like(q), clock]), 10))
     v = np.empty_like(q)
-    v[0], v[-1] = (model.split(state)[1] for state in (start, start if target.state is None else target.state))
+    v[0], v[-1] = (
+        model.split(state)[1] for state in (start, start if target.state is None else target.state)
+    )
     v[1:-1] = (q[2:] - q[:-2]) * (intervals / (2 * duration))
     states = _projected(model, np.column_stack([q, v, clock]), 10)
     states[0] = start

@@ -17,7 +17,8 @@ from tenscasadi.util.validate import Array
 
 MOST_ROUNDS = 20  # of an active-set method, which mostly needs five
 TAUT = 0.02  # of the greatest force density: the least that a guess of rest lengths pulls by
-REFERENCE_WEIGHT = 1e-3  # how much the reference force densities weigh against following the path, both in scaled units
+# how much the reference force densities weigh against following the path, both in scaled units
+REFERENCE_WEIGHT = 1e-3
 
 
 def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
@@ -25,8 +26,9 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
 
     These are `interval` s apart.
 
-    Accelerations are linear in γ: a small least-squares problem with bounds for every interval. What it leaves open (self-stress) follows the
-    equilibrium force densities of the first and the last state.
+    Accelerations are linear in γ: a small least-squares problem with bounds for every interval.
+    What it leaves open (self-stress) follows the equilibrium force densities of the first and the
+    last state.
     """
     model = pulled(problem.model)
     middle = (states[:-1] + states[1:]) / 2
@@ -38,8 +40,18 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
     free = model.split(at_none.rates)[1]
     A = dynamics.by_control(at_none)
     size = np.sqrt(np.maximum(np.linalg.eigvalsh(A.transpose(0, 2, 1) @ A)[:, -1:], 1e-300))
-    A = np.concatenate([A / size[:, None], np.broadcast_to(np.sqrt(REFERENCE_WEIGHT) * np.eye(model.nu), (count, model.nu, model.nu))], axis=1)
-    b = np.concatenate([(wanted - free) / size, np.sqrt(REFERENCE_WEIGHT) * _reference(problem, states)], axis=1)
+    A = np.concatenate(
+        [
+            A / size[:, None],
+            np.broadcast_to(
+                np.sqrt(REFERENCE_WEIGHT) * np.eye(model.nu), (count, model.nu, model.nu)
+            ),
+        ],
+        axis=1,
+    )
+    b = np.concatenate(
+        [(wanted - free) / size, np.sqrt(REFERENCE_WEIGHT) * _reference(problem, states)], axis=1
+    )
     found = _bounded_least_squares(A, b, lower, upper)
     return _wound(problem, middle, found) if winds(problem.model) else found
 
@@ -50,10 +62,17 @@ def _wound(problem: Problem, states: Array, force_density: Array) -> Array:
     Strings are held a little more than slack: just slack ones would not feel that they are wound.
     """
     structure, now = problem.model.scene.structure, symbolic(problem.model)
-    measure = ca.Function("measure", [now.state], [ca.densify(now.lengths), ca.densify(now.rates)]).map(len(states))
+    measure = ca.Function(
+        "measure", [now.state], [ca.densify(now.lengths), ca.densify(now.rates)]
+    ).map(len(states))
     lengths, rates = (np.asarray(value.full()).T for value in measure(states.T))
     taut = np.maximum(force_density, TAUT * force_density.max(initial=0.0)) * lengths
-    return np.asarray(np.clip(lengths - (taut - structure.damping * rates) / structure.stiffness, *problem.control_limits))
+    return np.asarray(
+        np.clip(
+            lengths - (taut - structure.damping * rates) / structure.stiffness,
+            *problem.control_limits,
+        )
+    )
 
 
 def _reference(problem: Problem, states: Array) -> Array:
@@ -66,8 +85,14 @@ def _reference(problem: Problem, states: Array) -> Array:
     for state in (states[0], states[-1]):
         try:
             nodes = model.nodes(state)[:count]
-            shape = structure if np.array_equal(nodes, structure.nodes) else structure.replace(nodes=nodes)
-            gamma = equilibrium_force_density(shape, _weights(structure, model.scene.gravity), minimum=0.0)
+            shape = (
+                structure
+                if np.array_equal(nodes, structure.nodes)
+                else structure.replace(nodes=nodes)
+            )
+            gamma = equilibrium_force_density(
+                shape, _weights(structure, model.scene.gravity), minimum=0.0
+            )
         except (EquilibriumError, ValueError):
             gamma = lower
         ends.append(np.clip(gamma, lower, upper))
@@ -78,14 +103,17 @@ def _reference(problem: Problem, states: Array) -> Array:
 def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
     if gravity is None:
         return None
-    return np.outer(np.asarray(structure.mass_matrix().sum(axis=1)).ravel(), ca.DM(gravity.at(0.0)).full().ravel())
+    return np.outer(
+        np.asarray(structure.mass_matrix().sum(axis=1)).ravel(),
+        ca.DM(gravity.at(0.0)).full().ravel(),
+    )
 
 
 def _bounded_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
     """Return x (n, m) with the least |A x − b| of each A (n, k, m), b (n, k), lower ≤ x ≤ upper.
 
-    All n at once by a primal-dual active-set method (Hintermüller, Ito, Kunisch, SIAM J. Optim. 2002, 13, 865), which may cycle: what it has not
-    settled is left to SciPy.
+    All n at once by a primal-dual active-set method (Hintermüller, Ito, Kunisch, SIAM J. Optim.
+    2002, 13, 865), which may cycle: what it has not settled is left to SciPy.
     """
     H, c = A.transpose(0, 2, 1) @ A, (A.transpose(0, 2, 1) @ b[:, :, None])[:, :, 0]
     held = lower == upper
@@ -94,17 +122,29 @@ def _bounded_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Ar
     for _ in range(MOST_ROUNDS):
         fixed = np.where(side < 0, lower, np.where(side > 0, upper, 0.0))
         free = side == 0
-        masked = H * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(c.shape[1])
-        x = np.linalg.solve(masked, np.where(free, c - (H @ fixed[:, :, None])[:, :, 0], fixed)[:, :, None])[:, :, 0]
+        masked = H * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(
+            c.shape[1]
+        )
+        x = np.linalg.solve(
+            masked, np.where(free, c - (H @ fixed[:, :, None])[:, :, 0], fixed)[:, :, None]
+        )[:, :, 0]
         slope = (H @ x[:, :, None])[:, :, 0] - c
-        down, up = (x < lower) | ((side < 0) & (slope >= 0)) | held, (x > upper) | ((side > 0) & (slope <= 0))
+        down, up = (
+            (x < lower) | ((side < 0) & (slope >= 0)) | held,
+            (x > upper) | ((side > 0) & (slope <= 0)),
+        )
         before, side = side, np.where(down, -1, np.where(up & ~held, 1, 0))
         open_ = np.any(before != side, axis=1)
         if not open_.any():
             return np.asarray(x)
     loose = ~held  # lsq_linear wants room between its bounds
     for k in np.flatnonzero(open_):
-        inner = scipy.optimize.lsq_linear(A[k][:, loose], b[k] - A[k][:, held] @ lower[held], (lower[loose], upper[loose]), method="bvls")
+        inner = scipy.optimize.lsq_linear(
+            A[k][:, loose],
+            b[k] - A[k][:, held] @ lower[held],
+            (lower[loose], upper[loose]),
+            method="bvls",
+        )
         x[k] = lower
         x[k, loose] = inner.x
     return np.asarray(x)

@@ -11,7 +11,14 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import hermite_cubic
-from tenscasadi.util.validate import Array, Indices, finite_array, positive_number, shown, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    Indices,
+    finite_array,
+    positive_number,
+    shown,
+    whole_number,
+)
 
 Intervals = int | Sequence[float]
 MOST_INTERVALS = 100_000  # a file may ask for more than memory holds
@@ -23,7 +30,9 @@ def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
         return whole_number(field, value, 1, MOST_INTERVALS)
     shares = finite_array(field, value, (None,))
     if not shares.size:
-        raise ValueError(f"{field} is empty: give a number of intervals, or their lengths relative to each other")
+        raise ValueError(
+            f"{field} is empty: give a number of intervals, or their lengths relative to each other"
+        )
     for k, share in enumerate(shares):
         positive_number(f"{field}[{k}]", share)
     return tuple((shares / shares.sum()).tolist())
@@ -61,7 +70,9 @@ class _Grouped:
         try:
             groups = tuple(tuple(group) for group in self.groups)
         except TypeError:
-            raise TypeError(f"{field} is {shown(self.groups)}: give groups of strings, such as ((0, 1, 2), (3, 4, 5))") from None
+            raise TypeError(
+                f"{field} is {shown(self.groups)}: give groups of strings, such as ((0, 1, 2), (3, 4, 5))"
+            ) from None
         seen: set[int] = set()
         for group in groups:
             for string in group:
@@ -78,15 +89,17 @@ class PiecewiseConstant(_Grouped):
     Parameters
     ----------
     groups : sequence of sequences of int
-        Groups of strings, such as those that a symmetry maps onto each other: the strings of a group share their force density.
+        Groups of strings, such as those that a symmetry maps onto each other: the strings of a
+        group share their force density.
     changes : int, optional
-        How often force densities may change at most, after (nearly) equal times: they are held over the intervals between. By default they
-        change from interval to interval.
+        How often force densities may change at most, after (nearly) equal times: they are held over
+        the intervals between. By default they change from interval to interval.
 
     Raises
     ------
     TypeError, ValueError
-        If a group is no sequence of strings, a string is given twice, or changes is no number of at least 0.
+        If a group is no sequence of strings, a string is given twice, or changes is no number of at
+        least 0.
 
     Examples
     --------
@@ -113,7 +126,8 @@ class PiecewiseLinear(_Grouped):
     Parameters
     ----------
     groups : sequence of sequences of int
-        Groups of strings, such as those that a symmetry maps onto each other: the strings of a group share their force density.
+        Groups of strings, such as those that a symmetry maps onto each other: the strings of a
+        group share their force density.
 
     Raises
     ------
@@ -139,7 +153,9 @@ def group_matrix(profile: Profile, strings: int) -> Array:
     for group in profile.groups:
         for string in group:
             if string >= strings:
-                raise ValueError(f"{type(profile).__name__}.groups has string {string}: strings run from 0 to {strings - 1}")
+                raise ValueError(
+                    f"{type(profile).__name__}.groups has string {string}: strings run from 0 to {strings - 1}"
+                )
     leader = np.arange(strings)
     for group in profile.groups:
         leader[list(group)] = min(group)

@@ -29,8 +29,9 @@ _UNIFORM = ca.Function("ode", [ca.SX.sym("x"), ca.SX.sym("u")], [ca.SX.ones(1)])
 class MultipleShooting(Transcription):
     """Multiple shooting: an explicit scheme integrates each interval, and constraints close the gaps between intervals.
 
-    The states at the nodes of the mesh are unknowns too. The steps of an interval are followed by a projection onto bars and joints:
-    without it these drift, and imposed as constraints they would repeat the dynamics.
+    The states at the nodes of the mesh are unknowns too. The steps of an interval are followed by a
+    projection onto bars and joints: without it these drift, and imposed as constraints they would
+    repeat the dynamics.
 
     Parameters
     ----------
@@ -43,8 +44,8 @@ class MultipleShooting(Transcription):
     control : PiecewiseConstant or PiecewiseLinear
         How force densities run over the intervals.
     accuracy : float, optional
-        How near the motion shall be to that of fine steps, m (speeds: m per duration): `solve` then solves again, with `Ipopt`, until it
-        is. By default the motion is as the intervals make it.
+        How near the motion shall be to that of fine steps, m (speeds: m per duration): `solve` then
+        solves again, with `Ipopt`, until it is. By default the motion is as the intervals make it.
 
     Raises
     ------
@@ -53,7 +54,8 @@ class MultipleShooting(Transcription):
 
     References
     ----------
-    H. G. Bock, K. J. Plitt, A multiple shooting algorithm for direct solution of optimal control problems, IFAC Proceedings 17, 1984.
+    H. G. Bock, K. J. Plitt, A multiple shooting algorithm for direct solution of optimal control
+    problems, IFAC Proceedings 17, 1984.
 
     Examples
     --------
@@ -79,7 +81,9 @@ class MultipleShooting(Transcription):
         except TypeError:
             name = type(self.scheme).__name__
             text = f"MultipleShooting.scheme is {name}(), which steps whole models, not the equations with force densities of an interval"
-            raise ValueError(f"{text}: give RungeKutta4(), DormandPrince54(), DormandPrince853() or Collocation()") from None
+            raise ValueError(
+                f"{text}: give RungeKutta4(), DormandPrince54(), DormandPrince853() or Collocation()"
+            ) from None
 
     def longest_step(self, duration: float) -> float:
         """Return the longest step of a motion.
@@ -102,7 +106,8 @@ class MultipleShooting(Transcription):
         Parameters
         ----------
         variables : Variables
-            States at the nodes of the mesh, force densities and duration; further unknowns are added to them.
+            States at the nodes of the mesh, force densities and duration; further unknowns are
+            added to them.
         used : ndarray of bool
             Which of their entries bounds, costs and goals depend on.
 
@@ -112,30 +117,53 @@ class MultipleShooting(Transcription):
             The blocks, and how states follow from unknowns where not all are.
         """
         v, model = variables, variables.model
-        z, (x, c, after, duration, share) = split_symbol(ca.MX, model.nx, v.interval_controls.shape[1], model.nx, 1, 1)
+        z, (x, c, after, duration, share) = split_symbol(
+            ca.MX, model.nx, v.interval_controls.shape[1], model.nx, 1, 1
+        )
         if self.control.linear:
-            end = ramped_step(model, self.scheme, self.substeps)(x, v.gamma(c, 0.0), v.gamma(c, 1.0), duration * share)
+            end = ramped_step(model, self.scheme, self.substeps)(
+                x, v.gamma(c, 0.0), v.gamma(c, 1.0), duration * share
+            )
         else:
-            end = shooting_step(model, self.scheme, self.substeps)(x, v.gamma(c, 0.0), duration * share)
+            end = shooting_step(model, self.scheme, self.substeps)(
+                x, v.gamma(c, 0.0), duration * share
+            )
         gap = unrolled(model, ca.Function("gap", [z], [(after - end) / ca.DM(v.scales.state)]))
-        index = np.hstack([v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share])
+        index = np.hstack(
+            [v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share]
+        )
         names = interval_names(v.count, state_names(model))
         derivatives = None
         if isinstance(self.scheme, ExplicitRungeKutta | Collocation) and not model.mechanism.large:
             derivatives = self._derivatives(v, self.scheme)
-        return Defects([Block(gap, index, names, scale=v.scales.state, closes=v.states[1:], derivatives=derivatives)])
+        return Defects(
+            [
+                Block(
+                    gap,
+                    index,
+                    names,
+                    scale=v.scales.state,
+                    closes=v.states[1:],
+                    derivatives=derivatives,
+                )
+            ]
+        )
 
     def _derivatives(self, v: Variables, scheme: ExplicitRungeKutta | Collocation) -> Derivatives:
         """Return those of the gaps, from the stages of their steps."""
         nx, m, count = v.model.nx, v.interval_controls.shape[1], v.count
-        inner = StepDerivatives(v.model, v.group_matrix, scheme, self.substeps, self.control.linear, v.free_time, count)
+        inner = StepDerivatives(
+            v.model, v.group_matrix, scheme, self.substeps, self.control.linear, v.free_time, count
+        )
         ends = np.cumsum([nx, m, nx, 1])
         varied = np.concatenate([np.arange(nx + m), np.arange(ends[2], ends[2] + v.free_time)])
         scale = v.scales.state
 
         def jacobian(z: Array) -> Array:
             x, c, _, duration, share = np.split(z, ends, axis=1)
-            rows = np.empty((count, inner.size + 1, nx))  # of what the interval starts from, and what is behind it
+            rows = np.empty(
+                (count, inner.size + 1, nx)
+            )  # of what the interval starts from, and what is behind it
             inner.jacobian(x, c, duration, share, rows[:, :-1])
             rows[:, :-1] *= -1 / scale
             rows[:, -1] = 1 / scale
@@ -169,9 +197,14 @@ def shooting_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
 
 def ramped_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
     """Return the same for a control that runs linearly from u to v, which the scheme integrates with the state: (x, u, v, h) → x_next."""
-    x, u, v, h = (ca.MX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("v", model.nu), ("h", 1)))
+    x, u, v, h = (
+        ca.MX.sym(name, size)
+        for name, size in (("x", model.nx), ("u", model.nu), ("v", model.nu), ("h", 1))
+    )
     z, rate = ca.MX.sym("z", model.nx + model.nu), ca.MX.sym("rate", model.nu)
-    ode = ca.Function("ramped", [z, rate], [ca.vertcat(model.ode(z[: model.nx], z[model.nx :]), rate)])
+    ode = ca.Function(
+        "ramped", [z, rate], [ca.vertcat(model.ode(z[: model.nx], z[model.nx :]), rate)]
+    )
     advance = scheme.step(ode)
     end: Any = ca.vertcat(x, u)
     for _ in range(substeps):

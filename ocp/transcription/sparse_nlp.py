@@ -1,8 +1,9 @@
 """Sparse nonlinear programs: many instances of few small functions, their exact derivatives put together instance by instance.
 
-A function of a few dozen numbers is differentiated once and evaluated for each interval; its values are put where they belong by index.
-No colouring of large graphs, no derivative of a graph of many calls: building and evaluating cost what the non-zeros cost.
-`Separable.jacobian` and `Separable.hessian` assemble the matrices.
+A function of a few dozen numbers is differentiated once and evaluated for each interval; its values
+are put where they belong by index. No colouring of large graphs, no derivative of a graph of many
+calls: building and evaluating cost what the non-zeros cost. `Separable.jacobian` and
+`Separable.hessian` assemble the matrices.
 """
 
 from __future__ import annotations
@@ -17,15 +18,18 @@ import numpy as np
 
 from tenscasadi.util.validate import Array, Indices
 
-Kind = Literal["start", "defect", "path", "rate", "waypoint", "end", "periodic", "cost"]  # what rows are of
+Kind = Literal[
+    "start", "defect", "path", "rate", "waypoint", "end", "periodic", "cost"
+]  # what rows are of
 
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
     """The n unknowns of a program in their order, and constants: together the entries y to which blocks refer by index, unknowns first.
 
-    first, lower, upper: where to start, and limits, in physical units. scale: what the solver's w is multiplied by to be physical
-    (see `invertible`). interval: the interval of the plan to which each belongs; infinite for what belongs to all.
+    first, lower, upper: where to start, and limits, in physical units. scale: what the solver's w
+    is multiplied by to be physical (see `invertible`). interval: the interval of the plan to which
+    each belongs; infinite for what belongs to all.
     """
 
     names: tuple[str, ...]
@@ -47,15 +51,20 @@ class Unknowns:
 
     def selected(self, order: Indices) -> Unknowns:
         """Return these unknowns in this order, with all constants."""
-        columns = {field.name: getattr(self, field.name)[order] for field in fields(self) if field.name not in ("names", "constants")}
+        columns = {
+            field.name: getattr(self, field.name)[order]
+            for field in fields(self)
+            if field.name not in ("names", "constants")
+        }
         return replace(self, names=tuple(self.names[k] for k in order), **columns)
 
 
 class Derivatives(NamedTuple):
     """Derivatives of a block's function that are not those of its expression, of all its instances at once.
 
-    jacobian: Function z (nz, count) → values (n, count), which stand at `rows` and `columns` (n,) of the Jacobian of each instance.
-    hessian: (z, weights (m, count)) → values (s·s, count) of the symmetric matrix of the entries `varied` (s,) of z.
+    jacobian: Function z (nz, count) → values (n, count), which stand at `rows` and `columns` (n,)
+    of the Jacobian of each instance. hessian: (z, weights (m, count)) → values (s·s, count) of the
+    symmetric matrix of the entries `varied` (s,) of z.
     """
 
     jacobian: ca.Function
@@ -69,10 +78,12 @@ class Derivatives(NamedTuple):
 class Block:
     """Rows lower ≤ function(z_k) ≤ upper of `count` instances k; z_k are the entries `index[k]` of unknowns and constants.
 
-    function: z (nz) → rows (m); index (count, nz); lower, upper, scale (count, m) or broadcast to it; names: count·m, instance by instance.
-    scale: what one stands for, in the unit of what is limited. closes: None, or for each row of an instance the unknown x⁺ of which it is
-    x⁺ − F(…), in the same scale. combination: None, or a dense matrix (m, rows of function) with which the function's rows are multiplied.
-    kind: what the rows are of, by which others find them. derivatives: None, or what takes the place of CasADi's.
+    function: z (nz) → rows (m); index (count, nz); lower, upper, scale (count, m) or broadcast to
+    it; names: count·m, instance by instance. scale: what one stands for, in the unit of what is
+    limited. closes: None, or for each row of an instance the unknown x⁺ of which it is x⁺ − F(…),
+    in the same scale. combination: None, or a dense matrix (m, rows of function) with which the
+    function's rows are multiplied. kind: what the rows are of, by which others find them.
+    derivatives: None, or what takes the place of CasADi's.
     """
 
     function: ca.Function
@@ -94,7 +105,9 @@ class Block:
     @property
     def rows(self) -> int:
         """Rows of one instance."""
-        return int(self.function.size1_out(0)) if self.combination is None else len(self.combination)
+        return (
+            int(self.function.size1_out(0)) if self.combination is None else len(self.combination)
+        )
 
     @property
     def size(self) -> int:
@@ -109,39 +122,69 @@ class Block:
     def limits(self) -> tuple[Array, Array, Array]:
         """Return lower and upper limits and scales of all rows, instance by instance."""
         shape, given = (self.count, self.rows), (self.lower, self.upper, self.scale)
-        return tuple(np.broadcast_to(np.asarray(value, dtype=float), shape).ravel() for value in given)  # type: ignore[return-value]
+        return tuple(
+            np.broadcast_to(np.asarray(value, dtype=float), shape).ravel() for value in given
+        )  # type: ignore[return-value]
 
     def relabelled(self, label: Indices) -> Block:
         """Return the block with label[k] in place of each index k."""
-        return replace(self, index=label[self.index], closes=None if self.closes is None else label[self.closes])
+        return replace(
+            self,
+            index=label[self.index],
+            closes=None if self.closes is None else label[self.closes],
+        )
 
 
 class Separable:
     """f(w) = sum of cost blocks, g(w) = rows of row blocks, one below the other; and their derivatives, as CasADi Functions."""
 
-    def __init__(self, unknowns: Unknowns, rows: Sequence[Block], costs: Sequence[Block], weight: float) -> None:
-        self.unknowns, self.rows, self.costs, self._weight = unknowns, tuple(rows), tuple(costs), weight
+    def __init__(
+        self, unknowns: Unknowns, rows: Sequence[Block], costs: Sequence[Block], weight: float
+    ) -> None:
+        self.unknowns, self.rows, self.costs, self._weight = (
+            unknowns,
+            tuple(rows),
+            tuple(costs),
+            weight,
+        )
         self.w, self._p = ca.MX.sym("w", unknowns.count), ca.MX.sym("p", 0)
         y = unknowns.entries(self.w)
-        self._row_inputs, self._cost_inputs = ([gathered(y, block.index) for block in blocks] for blocks in (rows, costs))
-        self.g = ca.vertcat(ca.MX(0, 1), *(ca.vec(block.value(z)) for block, z in zip(rows, self._row_inputs, strict=True)))
-        totals = [ca.sum2(block.value(z)) for block, z in zip(costs, self._cost_inputs, strict=True)]
+        self._row_inputs, self._cost_inputs = (
+            [gathered(y, block.index) for block in blocks] for blocks in (rows, costs)
+        )
+        self.g = ca.vertcat(
+            ca.MX(0, 1),
+            *(ca.vec(block.value(z)) for block, z in zip(rows, self._row_inputs, strict=True)),
+        )
+        totals = [
+            ca.sum2(block.value(z)) for block, z in zip(costs, self._cost_inputs, strict=True)
+        ]
         self.f = sum(totals, start=ca.MX(0)) * weight if costs else ca.MX(0)
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
         """Where the rows of each block stand in g."""
         ends = np.cumsum([block.size for block in self.rows]).tolist()
-        return tuple(slice(end - block.size, end) for block, end in zip(self.rows, ends, strict=True))
+        return tuple(
+            slice(end - block.size, end) for block, end in zip(self.rows, ends, strict=True)
+        )
 
     @cached_property
     def derivatives(self) -> dict[str, ca.Function]:
         """The Functions nlp_grad_f, nlp_jac_g and nlp_hess_l with the inputs and outputs that CasADi's solvers expect."""
-        return {function.name(): function for function in (self.gradient(), self.jacobian(), self.hessian())}
+        return {
+            function.name(): function
+            for function in (self.gradient(), self.jacobian(), self.hessian())
+        }
 
     def unrolled(self) -> Separable:
         """Return the same with all derivatives as expressions, of which C can be generated."""
-        return Separable(self.unknowns, [replace(block, derivatives=None) for block in self.rows], self.costs, self._weight)
+        return Separable(
+            self.unknowns,
+            [replace(block, derivatives=None) for block in self.rows],
+            self.costs,
+            self._weight,
+        )
 
     def gradient(self) -> ca.Function:
         """Return the Function nlp_grad_f: (w, p) → f and its gradient."""
@@ -149,7 +192,9 @@ class Separable:
         for block, z in zip(self.costs, self._cost_inputs, strict=True):
             matrix.add_jacobian(block, z, self._weight, transposed=True)
         slope = ca.densify(matrix.assembled(self.unknowns.count, 1))
-        return ca.Function("nlp_grad_f", [self.w, self._p], [self.f, slope], ["x", "p"], ["f", "grad_f_x"])
+        return ca.Function(
+            "nlp_grad_f", [self.w, self._p], [self.f, slope], ["x", "p"], ["f", "grad_f_x"]
+        )
 
     def jacobian(self) -> ca.Function:
         """Return the Function nlp_jac_g: (w, p) → g and its sparse Jacobian."""
@@ -157,7 +202,9 @@ class Separable:
         for block, z, rows in zip(self.rows, self._row_inputs, self.slices, strict=True):
             matrix.add_jacobian(block, z, first_row=rows.start)
         J = matrix.assembled(self.g.shape[0], self.unknowns.count)
-        return self._keeping(ca.Function("nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"]))
+        return self._keeping(
+            ca.Function("nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"])
+        )
 
     def hessian(self) -> ca.Function:
         """Return the Function nlp_hess_l: (w, p, λ_f, λ_g) → the upper triangle of the sparse Hessian of λ_f f + λ_gᵀ g."""
@@ -169,7 +216,11 @@ class Separable:
             matrix.add_hessian(block, z, ca.repmat(lam_f * self._weight, 1, block.count))
         H = matrix.assembled(self.unknowns.count, self.unknowns.count)
         inputs = [self.w, self._p, lam_f, lam_g]
-        return self._keeping(ca.Function("nlp_hess_l", inputs, [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]))
+        return self._keeping(
+            ca.Function(
+                "nlp_hess_l", inputs, [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+            )
+        )
 
     def _keeping(self, function: Any) -> ca.Function:
         """Return the Function with what it calls back in Python, which CasADi does not keep."""
@@ -182,12 +233,15 @@ class Separable:
 class Program:
     """minimise f(w) subject to lower ≤ g(w) ≤ upper and w_lower ≤ w ≤ w_upper, all in scaled numbers of order one.
 
-    parts: what w, f and g consist of. w_lower, w_upper, first (n,): limits of w, and where to start. lower, upper, scale: limits of the rows
-    of g, and what these are multiplied by to be physical (rows of goals have no unit); objective: the same for f. unpack: Function
-    w → states (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise linear), duration.
-    states: entries of x (intervals + 1, nx). controls: None, or entries (intervals, m) of what is held in each interval, none held over several,
-    which `together` (α, m) makes force densities of. contact: whether nodes may meet a ground. multipliers: those of g and of w's limits to start
-    from, where they are known. noise: None, or what is to be added to `first` where that leads to a saddle.
+    parts: what w, f and g consist of. w_lower, w_upper, first (n,): limits of w, and where to
+    start. lower, upper, scale: limits of the rows of g, and what these are multiplied by to be
+    physical (rows of goals have no unit); objective: the same for f. unpack: Function w → states
+    (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise
+    linear), duration. states: entries of x (intervals + 1, nx). controls: None, or entries
+    (intervals, m) of what is held in each interval, none held over several, which `together` (α, m)
+    makes force densities of. contact: whether nodes may meet a ground. multipliers: those of g and
+    of w's limits to start from, where they are known. noise: None, or what is to be added to
+    `first` where that leads to a saddle.
     """
 
     parts: Separable
@@ -210,7 +264,9 @@ class Program:
         """Return the program that begins with its noise, within the limits."""
         if self.noise is None:
             return self
-        return replace(self, first=np.clip(self.first + self.noise, self.w_lower, self.w_upper), noise=None)
+        return replace(
+            self, first=np.clip(self.first + self.noise, self.w_lower, self.w_upper), noise=None
+        )
 
     @property
     def problem(self) -> dict[str, Any]:
@@ -234,7 +290,11 @@ class Program:
 
     def rows(self, *kinds: Kind) -> list[slice]:
         """Return where the rows of blocks of some kinds stand in g, one slice for each block."""
-        return [rows for block, rows in zip(self.parts.rows, self.parts.slices, strict=True) if block.kind in kinds]
+        return [
+            rows
+            for block, rows in zip(self.parts.rows, self.parts.slices, strict=True)
+            if block.kind in kinds
+        ]
 
     def derivatives(self) -> dict[str, ca.Function]:
         """Return gradient, Jacobian and Hessian as CasADi's solvers name and call them."""
@@ -294,7 +354,14 @@ class _SparseMatrix:
         self._rows: list[Indices] = []
         self._columns: list[Indices] = []
 
-    def add_jacobian(self, block: Block, z: Any, factor: float = 1.0, first_row: int = 0, transposed: bool = False) -> None:
+    def add_jacobian(
+        self,
+        block: Block,
+        z: Any,
+        factor: float = 1.0,
+        first_row: int = 0,
+        transposed: bool = False,
+    ) -> None:
         """Add the Jacobian of all instances of a block."""
         values, local_row, local_column = self._derivative(block, z)
         if not len(local_row):
@@ -303,7 +370,12 @@ class _SparseMatrix:
         row = (first_row + block.rows * np.arange(block.count)[:, None] + local_row).ravel()
         kept = np.flatnonzero(column < self._unknowns.count)
         places = (column, np.zeros_like(column)) if transposed else (row, column)
-        self._keep(values, kept, factor * self._unknowns.scale[column[kept]], [place[kept] for place in places])
+        self._keep(
+            values,
+            kept,
+            factor * self._unknowns.scale[column[kept]],
+            [place[kept] for place in places],
+        )
 
     def add_hessian(self, block: Block, z: Any, multipliers: Any) -> None:
         """Add the upper triangle of the Hessian of Σ multipliers · rows of all instances."""
@@ -314,7 +386,8 @@ class _SparseMatrix:
         if not size:
             return
         row, column = (block.index[:, local].ravel() for local in (local_row, local_column))
-        # where one unknown has several places in z, both halves of the block fall on the diagonal: they are both wanted
+        # where one unknown has several places in z, both halves of the block fall on the diagonal:
+        # they are both wanted
         kept = np.flatnonzero((row <= column) & (column < self._unknowns.count))
         needed = np.zeros(size, dtype=bool)
         needed[kept % size] = True
@@ -338,36 +411,49 @@ class _SparseMatrix:
             own, s = ca.Function("own", [s], [J]), ca.MX.sym("z", s.shape[0])
             J = ca.mtimes(ca.DM(block.combination), own(s))
         row, column = (np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet())
-        return ca.Function("derivative", [s], [_nonzeros(J)]).map(block.count)(z), row, places[column]
+        return (
+            ca.Function("derivative", [s], [_nonzeros(J)]).map(block.count)(z),
+            row,
+            places[column],
+        )
 
     def _second(self, block: Block) -> tuple[Callable[[Any, Any, Indices], Any], Indices, Indices]:
         """Return what makes the chosen non-zeros (n, count) of the Hessian, from z and multipliers; and the entries of z of each non-zero."""
         if (given := block.derivatives) is not None:
-            size, chosen_values = len(given.varied), lambda z, weights, chosen: given.hessian(z, weights)[chosen.tolist(), :]
+            size, chosen_values = (
+                len(given.varied),
+                lambda z, weights, chosen: given.hessian(z, weights)[chosen.tolist(), :],
+            )
             return chosen_values, np.tile(given.varied, size), np.repeat(given.varied, size)
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         weight = type(s).sym("weight", block.function.size1_out(0))
         varied, places = self._varied(block, s)
         H = ca.hessian(ca.dot(weight, block.function(s)), varied)[0]
-        row, column = (places[np.array(entries, dtype=np.intp)] for entries in H.sparsity().get_triplet())
+        row, column = (
+            places[np.array(entries, dtype=np.intp)] for entries in H.sparsity().get_triplet()
+        )
 
         def values(z: Any, weights: Any, chosen: Indices) -> Any:
-            return ca.Function("second", [s, weight], [_nonzeros(H)[chosen.tolist()]]).map(block.count)(z, weights)
+            return ca.Function("second", [s, weight], [_nonzeros(H)[chosen.tolist()]]).map(
+                block.count
+            )(z, weights)
 
         return values, row, column
 
     def _varied(self, block: Block, z: Any) -> tuple[Any, Indices]:
         """Return the entries of z that are unknowns in some instance, and their places.
 
-        Derivatives by constants would cost time and join what does not depend on each other. All of an MX, which CasADi differentiates by
-        whole symbols.
+        Derivatives by constants would cost time and join what does not depend on each other. All of
+        an MX, which CasADi differentiates by whole symbols.
         """
         if isinstance(z, ca.MX):
             return z, np.arange(z.shape[0])
         places = np.flatnonzero((block.index < self._unknowns.count).any(axis=0))
         return z[places.tolist()], places
 
-    def _keep(self, values: Any, position: Indices, factor: Array, places: Sequence[Indices]) -> None:
+    def _keep(
+        self, values: Any, position: Indices, factor: Array, places: Sequence[Indices]
+    ) -> None:
         if not position.size:
             return
         self._values.append(ca.vec(values))
@@ -381,15 +467,24 @@ class _SparseMatrix:
         """Return the matrix as an MX of its sparsity."""
         if not self._values:
             return ca.MX(rows, columns)
-        row, column, factors, position = (np.concatenate(parts) for parts in (self._rows, self._columns, self._factors, self._positions))
+        row, column, factors, position = (
+            np.concatenate(parts)
+            for parts in (self._rows, self._columns, self._factors, self._positions)
+        )
         values = ca.vertcat(*self._values)
-        places, first, inverse = np.unique(column * rows + row, return_index=True, return_inverse=True)
+        places, first, inverse = np.unique(
+            column * rows + row, return_index=True, return_inverse=True
+        )
         starts = np.searchsorted(places, rows * np.arange(columns + 1))  # of the columns
         sparsity = ca.Sparsity(rows, columns, starts.tolist(), (places % rows).tolist())
         # lists, as CasADi takes half as long again for arrays
         if len(places) == len(position):
-            return ca.MX(sparsity, values[position[first].tolist()] * ca.DM(factors[first].tolist()))
-        adding = ca.DM.triplet(inverse.tolist(), position.tolist(), ca.DM(factors.tolist()), len(places), self._count)
+            return ca.MX(
+                sparsity, values[position[first].tolist()] * ca.DM(factors[first].tolist())
+            )
+        adding = ca.DM.triplet(
+            inverse.tolist(), position.tolist(), ca.DM(factors.tolist()), len(places), self._count
+        )
         return ca.MX(sparsity, ca.mtimes(adding, values))
 
 

@@ -1,7 +1,8 @@
 """The acceleration of one stage of a step, and its first and second derivatives, as small Functions of many intervals at once.
 
-In scaled variables ν = h v and α = h² a the states of all stages and steps of an interval are linear in what it starts from and in the α.
-Only α itself is expression code; λ̂ and Ω are unknowns of their own in it, found and differentiated by linear algebra: no factorisation is unrolled.
+In scaled variables ν = h v and α = h² a the states of all stages and steps of an interval are
+linear in what it starts from and in the α. Only α itself is expression code; λ̂ and Ω are unknowns
+of their own in it, found and differentiated by linear algebra: no factorisation is unrolled.
 """
 
 from __future__ import annotations
@@ -12,7 +13,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.constraint_forces import assemble_system, nodal_forces, recover_multipliers, residual_rates, residuals
+from tenscasadi.dynamics.constraint_forces import (
+    assemble_system,
+    nodal_forces,
+    recover_multipliers,
+    residual_rates,
+    residuals,
+)
 from tenscasadi.dynamics.equation_of_motion import lifted_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
@@ -66,7 +73,16 @@ class Places(NamedTuple):
 
     def symbols(self) -> tuple[Any, Any, Any, Any, Any, Any]:
         """Return y, q, ν, t, w and h; where h is no part of y, a symbol below it."""
-        q, nu, t, w, h = (ca.SX.sym(*entry) for entry in (("q", self.nq), ("nu", self.nq), ("t", self.clock), ("w", self.controls), ("h", 1)))
+        q, nu, t, w, h = (
+            ca.SX.sym(*entry)
+            for entry in (
+                ("q", self.nq),
+                ("nu", self.nq),
+                ("t", self.clock),
+                ("w", self.controls),
+                ("h", 1),
+            )
+        )
         return ca.vertcat(q, nu, t, w, h), q, nu, t, w, h
 
 
@@ -76,7 +92,9 @@ class Curve:
     inputs: y, with h below where it is no part of y.
     """
 
-    def __init__(self, count: int, places: Places, inputs: Any, f: Any, s: Any, S: Any, b: Any) -> None:
+    def __init__(
+        self, count: int, places: Places, inputs: Any, f: Any, s: Any, S: Any, b: Any
+    ) -> None:
         self._places, self._solved = places, s.shape[0]
         y = inputs[: places.size]
         rest = ca.densify(ca.mtimes(S, s) - b) if self._solved else ca.SX(0, 1)
@@ -88,21 +106,29 @@ class Curve:
         weights, others = ca.SX.sym("weights", f.shape[0]), ca.SX.sym("others", self._solved)
         H = ca.hessian(ca.dot(weights, f) + ca.dot(others, rest), ca.vertcat(y, s))[0]
         z, r, after = places.z.stop, places.size, H.shape[0]
-        # of the symmetric matrix as much as makes it whole with its transpose: triangles, and blocks above the diagonal
-        half = ca.vertcat(ca.horzcat(_triangle(H[:z, :z]), H[:z, z:r]), ca.horzcat(ca.SX(r - z, z), _triangle(H[z:r, z:r])))
+        # of the symmetric matrix as much as makes it whole with its transpose: triangles, and
+        # blocks above the diagonal
+        half = ca.vertcat(
+            ca.horzcat(_triangle(H[:z, :z]), H[:z, z:r]),
+            ca.horzcat(ca.SX(r - z, z), _triangle(H[z:r, z:r])),
+        )
         self._second = _mapped(count, [inputs, s, weights, others], [half, H[:r, r:after]])
 
     def at(self, inputs: Array) -> Slopes:
         """Return the function and its slopes at inputs (K, …)."""
         if not self._solved:
             value, slopes, _, _ = self._first(inputs, np.zeros((len(inputs), 0)))
-            return Slopes(value[:, 0], slopes, (inputs, np.zeros((len(inputs), 0)), None, None, None))
+            return Slopes(
+                value[:, 0], slopes, (inputs, np.zeros((len(inputs), 0)), None, None, None)
+            )
         S, b = self._system(inputs)
         inverse = self._inverse(S)
         s = np.matmul(b, inverse)[:, 0]
         value, slopes, by_s, rest = self._first(inputs, s)
         moved = -np.matmul(rest, inverse)  # ∂s/∂y, transposed
-        return Slopes(value[:, 0], slopes + np.matmul(moved, by_s), (inputs, s, inverse, by_s, moved))
+        return Slopes(
+            value[:, 0], slopes + np.matmul(moved, by_s), (inputs, s, inverse, by_s, moved)
+        )
 
     def half(self, slopes: Slopes, weights: Array) -> Array:
         """Return L (K, ny, ny), with L + Lᵀ the Hessian of weightsᵀ f, without entries below its blocks (z, z) and (r, r); transposed."""
@@ -123,7 +149,9 @@ class Chain:
     def at(self, inputs: Array) -> Slopes:
         """Return the function and its slopes at inputs (K, …)."""
         one = self._first.at(inputs)
-        step = np.ones((len(inputs), 1))  # no part of the second curve, whose variables are not scaled
+        step = np.ones(
+            (len(inputs), 1)
+        )  # no part of the second curve, whose variables are not scaled
         two = self._second.at(np.hstack([one.value, step]))
         return Slopes(two.value, np.matmul(one.jacobian, two.jacobian), (one, two))
 
@@ -149,12 +177,20 @@ def end_curve(model: Model, places: Places, count: int) -> Curve | Chain:
     inputs, q, nu, t, _, h = places.symbols()
     end, none = ca.vertcat(q, nu / h, t), (ca.SX(0, 1), ca.SX(0, 0), ca.SX(0, 1))
     if not model.mechanism.system_size:
-        return Curve(count, places, inputs, projection(model, 1)(end) if model.mechanism.constrained else end, *none)
+        return Curve(
+            count,
+            places,
+            inputs,
+            projection(model, 1)(end) if model.mechanism.constrained else end,
+            *none,
+        )
     own = Places(model.nq, places.clock, 0, False)
     states, q, v, t, _, _ = own.symbols()
     placed = _projected(model, end, positions=True)
     moving = _projected(model, ca.vertcat(q, v, t), positions=False)
-    return Chain(Curve(count, places, inputs, *placed), Curve(count, own, states, *moving), places.z.stop)
+    return Chain(
+        Curve(count, places, inputs, *placed), Curve(count, own, states, *moving), places.z.stop
+    )
 
 
 def _projected(model: Model, x: Any, positions: bool) -> tuple[Any, Any, Any, Any]:
@@ -173,10 +209,16 @@ def _mapped(count: int, inputs: list[Any], outputs: list[Any]) -> Callable[..., 
     """Return outputs of `count` instances as arrays (count, columns, rows)."""
     values = ca.Function("f", inputs, ca.cse([ca.SX(value) for value in outputs]))
     symbols = values.mx_in()
-    function = ca.Function("dense", symbols, [ca.densify(value) for value in values.call(symbols)])  # zeros are no instructions
-    shapes = [(count, function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())]
+    function = ca.Function(
+        "dense", symbols, [ca.densify(value) for value in values.call(symbols)]
+    )  # zeros are no instructions
+    shapes = [
+        (count, function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())
+    ]
     whole = ArrayFunction(function.map(count))
-    return lambda *arrays: [value.reshape(shape) for value, shape in zip(whole(*arrays), shapes, strict=True)]
+    return lambda *arrays: [
+        value.reshape(shape) for value, shape in zip(whole(*arrays), shapes, strict=True)
+    ]
 
 
 def _folded(half: Array, z: int) -> Array:
@@ -201,7 +243,9 @@ def _semidefinite_inverse(S: Array) -> Array:
     diagonal = np.einsum("kii->ki", S)
     scale = 1 / np.sqrt(diagonal + 1e-14 * diagonal.sum(axis=1, keepdims=True))
     values, vectors = np.linalg.eigh(S * scale[:, :, None] * scale[:, None, :])
-    weights = np.divide(1.0, values, out=np.zeros_like(values), where=values > REGULARISATION)  # nothing along repeated rows
+    weights = np.divide(
+        1.0, values, out=np.zeros_like(values), where=values > REGULARISATION
+    )  # nothing along repeated rows
     scaled = vectors * scale[:, :, None]
     result: Array = np.matmul(scaled * weights[:, None], scaled.transpose(0, 2, 1))
     return result

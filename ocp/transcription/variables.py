@@ -21,7 +21,16 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
 
-_ENTRY = np.dtype([("first", float), ("scale", float), ("lower", float), ("upper", float), ("interval", float), ("unknown", bool)])
+_ENTRY = np.dtype(
+    [
+        ("first", float),
+        ("scale", float),
+        ("lower", float),
+        ("upper", float),
+        ("interval", float),
+        ("unknown", bool),
+    ]
+)
 
 
 class Entries:
@@ -31,7 +40,15 @@ class Entries:
         self._names: list[str] = []
         self._table = np.zeros(0, _ENTRY)
 
-    def unknowns(self, names: Sequence[str], first: Any, scale: Any, lower: Any = -np.inf, upper: Any = np.inf, interval: Any = 0) -> Indices:
+    def unknowns(
+        self,
+        names: Sequence[str],
+        first: Any,
+        scale: Any,
+        lower: Any = -np.inf,
+        upper: Any = np.inf,
+        interval: Any = 0,
+    ) -> Indices:
         """Add unknowns and return their numbers in the shape of `first`; all else is broadcast to it."""
         return self._add(names, first, scale, lower, upper, interval, True)
 
@@ -56,7 +73,9 @@ class Entries:
         """Return for each entry whether some block depends on it."""
         used = np.zeros(len(self._table), dtype=bool)
         for block in blocks:
-            columns = np.unique(np.array(block.function.jac_sparsity(0, 0).get_triplet()[1], dtype=np.intp))
+            columns = np.unique(
+                np.array(block.function.jac_sparsity(0, 0).get_triplet()[1], dtype=np.intp)
+            )
             used[block.index[:, columns]] = True
         return used
 
@@ -67,29 +86,56 @@ class Entries:
         order = order[np.argsort(table["interval"][order], kind="stable")]
         place = np.zeros(len(table), dtype=np.intp)
         place[np.concatenate([order, np.flatnonzero(~unknown)])] = np.arange(len(table))
-        first, scale, lower, upper, interval = (table[name][order] for name in ("first", "scale", "lower", "upper", "interval"))
+        first, scale, lower, upper, interval = (
+            table[name][order] for name in ("first", "scale", "lower", "upper", "interval")
+        )
         names = tuple(self._names[k] for k in order)
-        return Unknowns(names, first, invertible(scale), lower, upper, interval, table["first"][~unknown]), place
+        return Unknowns(
+            names, first, invertible(scale), lower, upper, interval, table["first"][~unknown]
+        ), place
 
 
 class Variables:
     """The variables of a plan on a mesh, and what is needed to write rows in them.
 
-    fractions (K,): shares of the duration. guess: on this mesh, with its force densities as the profile has them. As numbers of `entries`:
-    states (K + 1, nx), controls (K, m) or (K + 1, m) of the m groups of strings, duration (1,), and, as parts of it, share (K, 1) of each
-    interval and time (K + 1, 1) of the nodes of the mesh. strength: a typical γ, N/m; objective: a typical cost; noise: None, or that of the
-    guess, for each group.
+    fractions (K,): shares of the duration. guess: on this mesh, with its force densities as the
+    profile has them. As numbers of `entries`: states (K + 1, nx), controls (K, m) or (K + 1, m) of
+    the m groups of strings, duration (1,), and, as parts of it, share (K, 1) of each interval and
+    time (K + 1, 1) of the nodes of the mesh. strength: a typical γ, N/m; objective: a typical cost;
+    noise: None, or that of the guess, for each group.
     """
 
-    def __init__(self, problem: Problem, target: Target, scales: Scales, guess: Guess, fractions: Array, profile: Profile) -> None:
-        self.problem, self.target, self.fractions, self.profile = problem, target, fractions, profile
+    def __init__(
+        self,
+        problem: Problem,
+        target: Target,
+        scales: Scales,
+        guess: Guess,
+        fractions: Array,
+        profile: Profile,
+    ) -> None:
+        self.problem, self.target, self.fractions, self.profile = (
+            problem,
+            target,
+            fractions,
+            profile,
+        )
         self.scales = replace(scales, state=invertible(scales.state))
         self.model, self.count = problem.model, len(fractions)
-        self.strength = _strength(scales, forces_of(self.model, (guess.states[:-1] + guess.states[1:]) / 2, guess.force_density))
-        self.objective = typical_cost(problem, self.strength, guess.states, guess.force_density, guess.duration)
+        self.strength = _strength(
+            scales,
+            forces_of(self.model, (guess.states[:-1] + guess.states[1:]) / 2, guess.force_density),
+        )
+        self.objective = typical_cost(
+            problem, self.strength, guess.states, guess.force_density, guess.duration
+        )
         self.guess = on_mesh(self.model, guess, fractions, profile)
         self.group_matrix = group_matrix(profile, self.model.nu)
-        self.noise = None if guess.noise is None else guess.noise @ (self.group_matrix / self.group_matrix.sum(axis=0))
+        self.noise = (
+            None
+            if guess.noise is None
+            else guess.noise @ (self.group_matrix / self.group_matrix.sum(axis=0))
+        )
         self.entries = Entries()
         self.states = np.vstack([self._start(), self._later_states()])
         self.controls = self._controls()
@@ -105,20 +151,32 @@ class Variables:
         return np.append(free, self.entries.constants(self.target.start[size:]))
 
     def _later_states(self) -> Indices:
-        names = [f"{name}, interval {k}" for k in range(self.count) for name in state_names(self.model)]
-        return self.entries.unknowns(names, self.guess.states[1:], self.scales.state, interval=np.arange(1, self.count + 1)[:, None])
+        names = [
+            f"{name}, interval {k}" for k in range(self.count) for name in state_names(self.model)
+        ]
+        return self.entries.unknowns(
+            names,
+            self.guess.states[1:],
+            self.scales.state,
+            interval=np.arange(1, self.count + 1)[:, None],
+        )
 
     def _controls(self) -> Indices:
         """Add force densities of intervals, or, where they are piecewise linear, at the nodes of the mesh."""
         members = [np.flatnonzero(column) for column in self.group_matrix.T]
         least, most = self.problem.control_limits
-        lower, upper = (np.array([choose(limit[own]) for own in members]) for choose, limit in ((np.max, least), (np.min, most)))
+        lower, upper = (
+            np.array([choose(limit[own]) for own in members])
+            for choose, limit in ((np.max, least), (np.min, most))
+        )
         first = self.guess.force_density @ (self.group_matrix / self.group_matrix.sum(axis=0))
         span = np.arange(len(first)) if self.profile.linear else spans(self.profile, self.fractions)
         begins = np.unique(span, return_index=True)[1]
         first = np.add.reduceat(first, begins) / np.bincount(span)[:, None]
         names = control_names(self.group_matrix, begins, control_name(self.model))
-        scale = np.array([np.max(control_scale(self.problem, self.strength)[own]) for own in members])
+        scale = np.array(
+            [np.max(control_scale(self.problem, self.strength)[own]) for own in members]
+        )
         return self.entries.unknowns(names, first, scale, lower, upper, begins[:, None])[span]
 
     @property
@@ -130,12 +188,18 @@ class Variables:
         shortest, longest = self.problem.shortest, self.problem.longest
         if not self.free_time:
             return self.entries.constants([longest])
-        return self.entries.unknowns(["duration"], [self.guess.duration], self.scales.time, shortest, longest, np.inf)
+        return self.entries.unknowns(
+            ["duration"], [self.guess.duration], self.scales.time, shortest, longest, np.inf
+        )
 
     @property
     def interval_controls(self) -> Indices:
         """Entries (K, m or 2m) that `gamma` needs in each interval."""
-        return np.hstack([self.controls[:-1], self.controls[1:]]) if self.profile.linear else self.controls
+        return (
+            np.hstack([self.controls[:-1], self.controls[1:]])
+            if self.profile.linear
+            else self.controls
+        )
 
     def gamma(self, local: Any, share: float) -> Any:
         """Return force densities (α,) at a share of an interval, from its `interval_controls`."""
@@ -151,14 +215,21 @@ class Variables:
 def control_names(group_matrix: Array, begins: Indices, what: str = "force density") -> list[str]:
     """Return the names of what is decided and held from the start of these intervals on, those of one interval after the other."""
     members = [np.flatnonzero(column) for column in group_matrix.T]
-    own = [f"{what} of string{'s' * (len(strings) > 1)} {', '.join(map(str, strings))}" for strings in members]
+    own = [
+        f"{what} of string{'s' * (len(strings) > 1)} {', '.join(map(str, strings))}"
+        for strings in members
+    ]
     return [f"{name}, interval {k}" for k in begins for name in own]
 
 
 def state_names(model: Model) -> tuple[str, ...]:
     """Return what each entry of the state is, such as "node 2 z velocity"."""
     places = model.mechanism.coordinate_names
-    return (*places, *(f"{place} velocity" for place in places), *["clock"] * (model.nx - 2 * len(places)))
+    return (
+        *places,
+        *(f"{place} velocity" for place in places),
+        *["clock"] * (model.nx - 2 * len(places)),
+    )
 
 
 def interval_names(count: int, rows: Sequence[str]) -> tuple[str, ...]:

@@ -19,7 +19,8 @@ from tenscasadi.integrators.stabilization import projection
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
 
-# Where, in an interval, a linear γ has its mean in the sense of the hat functions of the interval's start and end: its impulse there.
+# Where, in an interval, a linear γ has its mean in the sense of the hat functions of the interval's
+# start and end: its impulse there.
 EARLY, LATE = 1 / 3, 2 / 3
 
 
@@ -27,7 +28,8 @@ EARLY, LATE = 1 / 3, 2 / 3
 class Variational(ReducedOnly):
     """A discrete principle of least action (leapfrog): order 2, momenta and bars kept exactly; the fastest of the transcriptions.
 
-    Neither accelerations nor inverse matrices appear: all rows are polynomials of low degree with few non-zeros.
+    Neither accelerations nor inverse matrices appear: all rows are polynomials of low degree with
+    few non-zeros.
 
     Parameters
     ----------
@@ -36,20 +38,22 @@ class Variational(ReducedOnly):
     control : PiecewiseConstant or PiecewiseLinear
         How force densities run over the intervals.
     accuracy : float, optional
-        How near the motion shall be to that of fine steps, m (speeds: m per duration): `solve` then solves again, with `Ipopt`, until it
-        is. By default the motion is as the intervals make it.
+        How near the motion shall be to that of fine steps, m (speeds: m per duration): `solve` then
+        solves again, with `Ipopt`, until it is. By default the motion is as the intervals make it.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind; from `solve`, if the model has full coordinates and redundant constraints.
+        If a value is not of its kind; from `solve`, if the model has full coordinates and redundant
+        constraints.
 
     Notes
     -----
-    The discrete Euler-Lagrange equations M (q⁺ − 2q + q⁻)/h² = F(q, γ) + B λ̂ C_b, with bᵀb = l² at every node of the mesh, are those of the
-    leapfrog (Störmer-Verlet, Rattle) method, with a Lagrangian multiplier λ for each bar and node [1]_. Velocities are those of the discrete
-    momenta, which unlike central differences see force densities that jump; within, they are unknowns only where a goal, a limit or a cost
-    asks for them.
+    The discrete Euler-Lagrange equations M (q⁺ − 2q + q⁻)/h² = F(q, γ) + B λ̂ C_b, with bᵀb = l² at
+    every node of the mesh, are those of the leapfrog (Störmer-Verlet, Rattle) method, with a
+    Lagrangian multiplier λ for each bar and node [1]_. Velocities are those of the discrete
+    momenta, which unlike central differences see force densities that jump; within, they are
+    unknowns only where a goal, a limit or a cost asks for them.
 
     References
     ----------
@@ -73,7 +77,8 @@ class Variational(ReducedOnly):
         Parameters
         ----------
         variables : Variables
-            States at the nodes of the mesh, force densities and duration; further unknowns are added to them.
+            States at the nodes of the mesh, force densities and duration; further unknowns are
+            added to them.
         used : ndarray of bool
             Which of their entries bounds, costs and goals depend on.
 
@@ -97,30 +102,50 @@ class _Chain:
         self._row_scale = v.scales.mass * v.scales.length / v.count
         # velocities within, and the clock, are unknowns only where something depends on them
         inner, clock = v.states[1:-1, self.nq : 2 * self.nq], v.states[1:, 2 * self.nq :]
-        self.with_velocities, self.with_clock = (bool(used[asked].any()) for asked in (inner, clock))
+        self.with_velocities, self.with_clock = (
+            bool(used[asked].any()) for asked in (inner, clock)
+        )
         for asked, kept in ((inner, self.with_velocities), (clock, self.with_clock)):
             if not kept:
                 v.entries.leave_out(asked)
         lam = self._guessed()
         self.lam = self._bar_forces(lam, "force density", 0)
-        if self.with_velocities:  # where γ jumps, bars push otherwise before a node than after it; λ is the mean of both
+        if (
+            self.with_velocities
+        ):  # where γ jumps, bars push otherwise before a node than after it; λ is the mean of both
             self.lam_before = self._bar_forces(lam[1:-1], "force density before the end", 1)
 
     def _bar_forces(self, first: Array, name: str, node: int) -> Indices:
         """Add force densities λ of the bars at the nodes of the mesh from `node` on."""
-        names = [f"{own}, interval {k}" for k in range(len(first)) for own in bar_names(self.bars, name)]
-        return self.v.entries.unknowns(names, first, self.v.strength, interval=node + np.arange(len(first))[:, None])
+        names = [
+            f"{own}, interval {k}" for k in range(len(first)) for own in bar_names(self.bars, name)
+        ]
+        return self.v.entries.unknowns(
+            names, first, self.v.strength, interval=node + np.arange(len(first))[:, None]
+        )
 
     def _guessed(self) -> Array:
         """λ (K + 1, β) of the guess."""
         if not self.bars:
             return np.zeros((self.v.count + 1, 0))
         guess = self.v.guess
-        gamma = guess.force_density if self.v.profile.linear else np.concatenate([guess.force_density, guess.force_density[-1:]])
-        x, u = (symbol_kind(self.model.ode).sym(name, size) for name, size in (("x", self.model.nx), ("u", self.model.nu)))
+        gamma = (
+            guess.force_density
+            if self.v.profile.linear
+            else np.concatenate([guess.force_density, guess.force_density[-1:]])
+        )
+        x, u = (
+            symbol_kind(self.model.ode).sym(name, size)
+            for name, size in (("x", self.model.nx), ("u", self.model.nu))
+        )
         N, V, time = self.model.unpack(x)
         _, lam, _ = forward_dynamics(self.model, N, V, u, time)
-        values = ca.Function("forces", [x, u], [ca.densify(lam.T)]).map(len(gamma))(guess.states.T, gamma.T).full().T
+        values = (
+            ca.Function("forces", [x, u], [ca.densify(lam.T)])
+            .map(len(gamma))(guess.states.T, gamma.T)
+            .full()
+            .T
+        )
         return np.asarray(np.nan_to_num(values, posinf=0.0, neginf=0.0))
 
     def blocks(self) -> list[Block]:
@@ -131,29 +156,63 @@ class _Chain:
         names = state_names(self.model)[:nq]
         kind = symbol_kind(self.model.ode)
 
-        # First and last: v is given, at the end backwards in time. T² and shares instead of h: polynomial also where the duration is free.
-        z, (q0, rate, q1, c, lam, duration, share, passed) = split_symbol(kind, nq, nq, nq, m, self.bars, 1, 1, 1)
+        # First and last: v is given, at the end backwards in time. T² and shares instead of h:
+        # polynomial also where the duration is free.
+        z, (q0, rate, q1, c, lam, duration, share, passed) = split_symbol(
+            kind, nq, nq, nq, m, self.bars, 1, 1, 1
+        )
         force = self._force(q0, rate, v.gamma(c, EARLY), lam, duration * passed)
         (p0, speed), (p1, _) = (self._carried(duration * time) for time in (passed, passed + share))
-        row = self._momentum((q1 - q0) / share - duration * rate, (p1 - p0) / share - duration * speed) - duration**2 * share / 2 * force
-        first = np.concatenate([q[0], v.states[0, nq : 2 * nq], q[1], own[0], self.lam[0], T, v.share[0], v.time[0]])
-        rows = tuple(f"dynamics of interval {k}, {name}{at}" for k, at in ((0, ""), (v.count - 1, " at its end")) for name in names)
+        row = (
+            self._momentum(
+                (q1 - q0) / share - duration * rate, (p1 - p0) / share - duration * speed
+            )
+            - duration**2 * share / 2 * force
+        )
+        first = np.concatenate(
+            [q[0], v.states[0, nq : 2 * nq], q[1], own[0], self.lam[0], T, v.share[0], v.time[0]]
+        )
+        rows = tuple(
+            f"dynamics of interval {k}, {name}{at}"
+            for k, at in ((0, ""), (v.count - 1, " at its end"))
+            for name in names
+        )
         last = self._backwards(v.states[-1:, nq : 2 * nq], self.lam[-1:], slice(-1, None))
         self._leaving = self._block("ends", z, row, np.vstack([first, last]), rows)
         result = [self._leaving]
 
         if v.count > 1:
-            z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = split_symbol(kind, nq, nq, nq, m, m, self.bars, 1, 1, 1, 1)
+            z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = split_symbol(
+                kind, nq, nq, nq, m, m, self.bars, 1, 1, 1, 1
+            )
             both = before + after
             gamma = (before * v.gamma(c, LATE) + after * v.gamma(d, EARLY)) / both
             force = self._force(q1, (q2 - q0) / (duration * both), gamma, lam, duration * passed)
-            p0, p1, p2 = (self._carried(duration * time)[0] for time in (passed - before, passed, passed + after))
-            row = self._momentum((q2 - q1) / after - (q1 - q0) / before, (p2 - p1) / after - (p1 - p0) / before)
+            p0, p1, p2 = (
+                self._carried(duration * time)[0]
+                for time in (passed - before, passed, passed + after)
+            )
+            row = self._momentum(
+                (q2 - q1) / after - (q1 - q0) / before, (p2 - p1) / after - (p1 - p0) / before
+            )
             row -= duration**2 * both / 2 * force
             index = np.hstack(
-                [q[:-2], q[1:-1], q[2:], own[:-1], own[1:], self.lam[1:-1], v.repeated(T, v.count - 1), v.share[:-1], v.share[1:], v.time[1:-1]]
+                [
+                    q[:-2],
+                    q[1:-1],
+                    q[2:],
+                    own[:-1],
+                    own[1:],
+                    self.lam[1:-1],
+                    v.repeated(T, v.count - 1),
+                    v.share[:-1],
+                    v.share[1:],
+                    v.time[1:-1],
+                ]
             )
-            rows = tuple(f"dynamics of interval {k}, {name}" for k in range(1, v.count) for name in names)
+            rows = tuple(
+                f"dynamics of interval {k}, {name}" for k in range(1, v.count) for name in names
+            )
             result.append(self._block("middle", z, row, index, rows))
 
         if self.bars:
@@ -166,19 +225,35 @@ class _Chain:
 
     def _lengths(self) -> list[Block]:
         v, nq = self.v, self.nq
-        q, speeds, when = ca.SX.sym("q", nq), ca.SX.sym("v", nq), ca.SX.sym("when", 2 if self.moved else 0)
+        q, speeds, when = (
+            ca.SX.sym("q", nq),
+            ca.SX.sym("v", nq),
+            ca.SX.sym("when", 2 if self.moved else 0),
+        )
         time = when[0] * when[1] if self.moved else 0
         lengths, rates = bar_rows(self.model, self._state(q, speeds, time), v.scales)
-        at_nodes = ca.Function("lengths", [ca.vertcat(q, when)], [ca.substitute(lengths, speeds, ca.SX.zeros(nq))])
+        at_nodes = ca.Function(
+            "lengths", [ca.vertcat(q, when)], [ca.substitute(lengths, speeds, ca.SX.zeros(nq))]
+        )
         names = interval_names(v.count, bar_names(self.bars, "length"))
-        last = tuple(f"dynamics of interval {v.count - 1}, {name}" for name in bar_names(self.bars, "rate"))
-        self._rates = Block(ca.Function("rates", [ca.vertcat(q, speeds, when)], [rates]), self._when(v.states[-1:, : 2 * nq], slice(-1, None)), last)
+        last = tuple(
+            f"dynamics of interval {v.count - 1}, {name}" for name in bar_names(self.bars, "rate")
+        )
+        self._rates = Block(
+            ca.Function("rates", [ca.vertcat(q, speeds, when)], [rates]),
+            self._when(v.states[-1:, : 2 * nq], slice(-1, None)),
+            last,
+        )
         return [Block(at_nodes, self._when(v.states[1:, :nq], slice(1, None)), names), self._rates]
 
     def _when(self, entries: Indices, nodes: slice) -> Indices:
         """Entries at nodes of the mesh, with those of their times where supports are moved."""
         v = self.v
-        return np.hstack([entries, v.repeated(v.duration, len(entries)), v.time[nodes]]) if self.moved else entries
+        return (
+            np.hstack([entries, v.repeated(v.duration, len(entries)), v.time[nodes]])
+            if self.moved
+            else entries
+        )
 
     def _block(self, name: str, z: Any, row: Any, index: Indices, names: tuple[str, ...]) -> Block:
         return Block(ca.Function(name, [z], [row / self._row_scale]), index, names)
@@ -217,25 +292,52 @@ class _Chain:
         pushed = ca.SX.sym("pushed", self.nq)
         _, V, _ = self.model.unpack(self._state(pushed, pushed, 0))
         faster = self.mech.with_inverse(V)
-        return ca.Function("per_mass", [pushed], [self.model.split(self.model.pack(faster, faster, 0))[0]])
+        return ca.Function(
+            "per_mass", [pushed], [self.model.split(self.model.pack(faster, faster, 0))[0]]
+        )
 
     def _backwards(self, velocities: Indices, lam: Indices, intervals: slice) -> Indices:
         """Entries of the momenta (of velocities) at the ends of intervals, seen backwards in time; lam: of bars before these ends."""
         v = self.v
-        before, after = (v.states[part, : self.nq][intervals] for part in (slice(-1), slice(1, None)))
+        before, after = (
+            v.states[part, : self.nq][intervals] for part in (slice(-1), slice(1, None))
+        )
         own = v.interval_controls[intervals]
         controls = own.reshape(len(own), -1, v.controls.shape[1])[:, ::-1].reshape(own.shape)
         duration = v.repeated(v.duration, len(own))
-        return np.hstack([after, velocities, before, controls, lam, duration, self._back[intervals], v.time[1:][intervals]])
+        return np.hstack(
+            [
+                after,
+                velocities,
+                before,
+                controls,
+                lam,
+                duration,
+                self._back[intervals],
+                v.time[1:][intervals],
+            ]
+        )
 
     def _inner_velocities(self) -> list[Block]:
         """Rows of the velocities within."""
         v, nq = self.v, self.nq
         index = self._backwards(v.states[1:-1, nq : 2 * nq], self.lam_before, slice(-1))
-        blocks = [replace(self._leaving, index=index, names=interval_names(v.count - 1, state_names(self.model)[nq : 2 * nq]))]
+        blocks = [
+            replace(
+                self._leaving,
+                index=index,
+                names=interval_names(v.count - 1, state_names(self.model)[nq : 2 * nq]),
+            )
+        ]
         if self.bars:
             rates = interval_names(v.count - 1, bar_names(self.bars, "rate"))
-            blocks.append(replace(self._rates, index=self._when(v.states[1:-1, : 2 * nq], slice(1, -1)), names=rates))
+            blocks.append(
+                replace(
+                    self._rates,
+                    index=self._when(v.states[1:-1, : 2 * nq], slice(1, -1)),
+                    names=rates,
+                )
+            )
         return blocks
 
     def _clock(self) -> Block:
@@ -250,15 +352,24 @@ class _Chain:
         q, rates = (gathered(entries, v.states[:, part]) for part in (slice(nq), slice(nq, 2 * nq)))
         duration = gathered(entries, v.duration[:, None])
         if v.count > 1 and not self.with_velocities:
-            central = ca.mtimes(q[:, 2:] - q[:, :-2], ca.diag(1 / (v.fractions[1:] + v.fractions[:-1]))) / duration
-            nowhere = np.zeros((v.count - 1, nq), dtype=np.intp)  # whatever: `central` takes the place of what stands there
+            central = (
+                ca.mtimes(q[:, 2:] - q[:, :-2], ca.diag(1 / (v.fractions[1:] + v.fractions[:-1])))
+                / duration
+            )
+            nowhere = np.zeros(
+                (v.count - 1, nq), dtype=np.intp
+            )  # whatever: `central` takes the place of what stands there
             z = gathered(entries, self._backwards(nowhere, self.lam[1:-1], slice(-1)))
-            left = self._leaving.function.map(v.count - 1)(ca.vertcat(z[:nq, :], central, z[2 * nq :, :]))
+            left = self._leaving.function.map(v.count - 1)(
+                ca.vertcat(z[:nq, :], central, z[2 * nq :, :])
+            )
             faster = self._per_mass().map(v.count - 1)(left) * (self._row_scale / duration)
             rates = ca.horzcat(rates[:, 0], central + faster, rates[:, -1])
         x = ca.vertcat(q, rates)
         if self.model.scene.has_clock:
-            x = ca.vertcat(x, float(v.target.start[-1]) + ca.mtimes(duration, gathered(entries, v.time)))
+            x = ca.vertcat(
+                x, float(v.target.start[-1]) + ca.mtimes(duration, gathered(entries, v.time))
+            )
         if self.bars and v.count > 1:
             inner = projection(self.model, 1).map(v.count - 1)(x[:, 1:-1])
             x = ca.horzcat(x[:, 0], inner, x[:, -1])

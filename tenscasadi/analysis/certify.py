@@ -29,9 +29,11 @@ _FINER = 4  # from one pair of solutions to the next
 _COARSEST = 64  # steps of the first pair, at least
 _TOLERANCES = (1e-10, 1e-12, 1e-14)
 _GRID = 50  # parts of a run with control of the error, at least as many steps
-_ROUNDING = 1e-10  # of the structure's size: solutions that differ by less and cease to converge, do so by rounding
+# of the structure's size: solutions that differ by less and cease to converge, do so by rounding
+_ROUNDING = 1e-10
 _RESOLUTION = Resolution(1e-3, 1e-10)  # of functions of time
-_TOLD = 0.1  # of the distance of two solutions: what the clock's rounding adds, and the message speaks of
+# of the distance of two solutions: what the clock's rounding adds, and the message speaks of
+_TOLD = 0.1
 _LEAST_SECONDS = 0.1  # for a solution that is begun
 _FASTER = 10.0  # compiled code against the virtual machine
 
@@ -49,7 +51,8 @@ class Reference:
     nodes : ndarray (n, 3)
         Nodes of the scene's structure at `t_end`, m, read-only; those inside strings are left out.
     error : float
-        Estimate of their error, m: the largest distance of a node between two solutions by different schemes and steps.
+        Estimate of their error, m: the largest distance of a node between two solutions by
+        different schemes and steps.
     t_end : float
         Time of the end, s.
     message : str
@@ -87,11 +90,13 @@ def certify(
 ) -> Reference:
     """Compute where a motion ends, with an estimate of the error, from two schemes whose steps are refined until both agree.
 
-    The schemes are `DormandPrince853` and `DormandPrince54`. Refinement ends when they agree within `enough`, when finer steps do not
-    bring them closer, or when the next solution would cost more than `work`. Where slack or contact spoils the order of fixed steps,
-    both control their error and locate these events. Steps are cut where a function of time of the scene would do something that they do
-    not see, down to a ten-billionth of its impulse over the run, however short it is; the message says where a function, such as an
-    interpolant, can be looked at in samples alone. What the rounding of the clock may do to such functions is part of the error.
+    The schemes are `DormandPrince853` and `DormandPrince54`. Refinement ends when they agree within
+    `enough`, when finer steps do not bring them closer, or when the next solution would cost more
+    than `work`. Where slack or contact spoils the order of fixed steps, both control their error
+    and locate these events. Steps are cut where a function of time of the scene would do something
+    that they do not see, down to a ten-billionth of its impulse over the run, however short it is;
+    the message says where a function, such as an interpolant, can be looked at in samples alone.
+    What the rounding of the clock may do to such functions is part of the error.
 
     Parameters
     ----------
@@ -104,9 +109,11 @@ def certify(
     control : array_like or callable, optional
         Control input, as for `simulate`.
     accuracy : float, optional
-        Largest distance of the two solutions that is accepted, m; None: 1e-7 of the structure's size.
+        Largest distance of the two solutions that is accepted, m; None: 1e-7 of the structure's
+        size.
     enough : float, optional
-        Distance of the two solutions at which refinement ends, m; None: 1e-12 of the structure's size.
+        Distance of the two solutions at which refinement ends, m; None: 1e-12 of the structure's
+        size.
     compiled : bool, optional
         Whether to run as machine code, as for `simulate`.
     work : float
@@ -114,7 +121,8 @@ def certify(
     parameters : array_like, shape (np,), or mapping, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
     seconds : float, optional
-        Wall time that the solutions may take together, s; the best pair by then counts. None: no limit.
+        Wall time that the solutions may take together, s; the best pair by then counts. None: no
+        limit.
 
     Returns
     -------
@@ -144,24 +152,44 @@ def certify(
     enough = min(_ENOUGH * size, accuracy) if enough is None else positive_number("enough", enough)
     work = positive_number("work", work) / (1 if compiled is not False else _FASTER)
     parameters = model.parameters.values(parameters)
-    deadline = np.inf if seconds is None else time.perf_counter() + positive_number("seconds", seconds)
-    pairs = _Pairs(model, t_end, deadline, {"state": state, "control": control, "compiled": compiled, "parameters": parameters})
+    deadline = (
+        np.inf if seconds is None else time.perf_counter() + positive_number("seconds", seconds)
+    )
+    pairs = _Pairs(
+        model,
+        t_end,
+        deadline,
+        {"state": state, "control": control, "compiled": compiled, "parameters": parameters},
+    )
     enough = max(enough, 2 * pairs.rounding)
     for count in _step_counts(model, t_end, state, work, parameters):
         before = pairs.apart
         pairs.try_steps(count)
-        if pairs.late or pairs.error <= enough or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size)):
+        if (
+            pairs.late
+            or pairs.error <= enough
+            or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size))
+        ):
             break  # finer steps only round more
         if pairs.apart > before / _FINER**3 and build_switching(model) is not None:
             break
-    if not pairs.late and pairs.error > enough and pairs.apart > _ROUNDING * size and (build_switching(model) is not None or model.scene.over_time):
+    if (
+        not pairs.late
+        and pairs.error > enough
+        and pairs.apart > _ROUNDING * size
+        and (build_switching(model) is not None or model.scene.over_time)
+    ):
         for rtol in _TOLERANCES:
             pairs.try_tolerance(rtol)
             if pairs.late or pairs.error <= enough:
                 break
     if pairs.best is not None and pairs.error <= accuracy:
         return pairs.best
-    why = f"{pairs.best.message}, wanted {accuracy:.2g} m" if pairs.best is not None else f"the solutions diverge, the last: {pairs.fault}"
+    why = (
+        f"{pairs.best.message}, wanted {accuracy:.2g} m"
+        if pairs.best is not None
+        else f"the solutions diverge, the last: {pairs.fault}"
+    )
     why += f"; seconds = {seconds:g} were too few" if pairs.late else ""
     raise NoReference(
         f"no reference up to t_end = {t_end:g} s: {why}; give a smaller t_end (chaotic and unstable motions lose all digits), "
@@ -172,11 +200,17 @@ def certify(
 class _Pairs:
     """Pairs of solutions, the best so far, and how far the last pair ends apart (infinite when one fails)."""
 
-    def __init__(self, model: Model, t_end: float, deadline: float, options: dict[str, Any]) -> None:
+    def __init__(
+        self, model: Model, t_end: float, deadline: float, options: dict[str, Any]
+    ) -> None:
         self._model, self._t_end, self._deadline = model, t_end, deadline
         self._options = {**options, "energy_balance": False}
         sampled = [load.field for load in model.scene.over_time if not is_bounded(load)]
-        self._unknown = f"; {' and '.join(sampled)} known by samples alone, pulses between them are not seen" if sampled else ""
+        self._unknown = (
+            f"; {' and '.join(sampled)} known by samples alone, pulses between them are not seen"
+            if sampled
+            else ""
+        )
         self.best: Reference | None = None
         self.apart, self.fault = np.inf, "not tried"
         self.rounding = self._round_clock()
@@ -194,17 +228,29 @@ class _Pairs:
     def try_steps(self, count: int) -> None:
         """Solve with `count` steps of order 8 and four times as many of order 5; no multiple: they meet events at different places of a step."""
         finer = _FINER * count + 1
-        self._try(f"DormandPrince853 with {count} steps and DormandPrince54 with {finer}", (DormandPrince853(), count), (DormandPrince54(), finer))
+        self._try(
+            f"DormandPrince853 with {count} steps and DormandPrince54 with {finer}",
+            (DormandPrince853(), count),
+            (DormandPrince54(), finer),
+        )
 
     def try_tolerance(self, rtol: float) -> None:
         """Solve both with control of the error and events located."""
         first, second = DormandPrince853(rtol), DormandPrince54(rtol)
-        self._try(f"DormandPrince853 and DormandPrince54 with rtol={rtol:g}", (first, _GRID), (second, _GRID + 1))
+        self._try(
+            f"DormandPrince853 and DormandPrince54 with rtol={rtol:g}",
+            (first, _GRID),
+            (second, _GRID + 1),
+        )
 
     def _unseen(self, count: int) -> str:
         """Say what of the scene changes faster than so many steps and their cuts see; "" where they see all."""
         scene, state = self._model.scene, self._options["state"]
-        first = float((self._model.initial_state if state is None else state)[-1]) if scene.has_clock else 0.0
+        first = (
+            float((self._model.initial_state if state is None else state)[-1])
+            if scene.has_clock
+            else 0.0
+        )
         return unseen_changes(scene.over_time, first, first + self._t_end, count, _RESOLUTION)
 
     def _round_clock(self) -> float:
@@ -215,18 +261,38 @@ class _Pairs:
         model, state = self._model, self._options["state"]
         if not model.scene.over_time:
             return 0.0
-        start, p = np.array(model.start_at(self._options["parameters"]) if state is None else state), self._options["parameters"]
+        start, p = (
+            np.array(model.start_at(self._options["parameters"]) if state is None else state),
+            self._options["parameters"],
+        )
         with resolving(_RESOLUTION):
-            grid = lay_run(model, start, self._t_end, self._t_end / _GRID, DormandPrince853(_TOLERANCES[0]), self._options["control"], p)
+            grid = lay_run(
+                model,
+                start,
+                self._t_end,
+                self._t_end / _GRID,
+                DormandPrince853(_TOLERANCES[0]),
+                self._options["control"],
+                p,
+            )
         times = start[-1] + grid.times(np.arange(grid.steps + 1))
         states = np.tile(start, (len(times), 1))
         model.split(states)[2][:, 0] = times
         held = np.tile(grid.window(0, 1), (len(times), 1))
-        rates = model.stacked(model.ode).map(len(times))(states.T, held.T if model.nw else ca.DM(0, len(times))).full().T
+        rates = (
+            model.stacked(model.ode)
+            .map(len(times))(states.T, held.T if model.nw else ca.DM(0, len(times)))
+            .full()
+            .T
+        )
         model.split(states)[1][:], model.split(states)[2][:] = model.split(rates)[1], start[-1]
         changes = np.linalg.norm(np.diff(model.velocities(states), axis=0), axis=2).max(axis=1)
         late = grid.early * np.linalg.norm(model.velocities(start), axis=1).max()
-        return float(np.nan_to_num(np.spacing(abs(times).max()) * (changes * (times[-1] - times[:-1])).sum() + late))
+        return float(
+            np.nan_to_num(
+                np.spacing(abs(times).max()) * (changes * (times[-1] - times[:-1])).sum() + late
+            )
+        )
 
     def _try(self, what: str, *pair: tuple[Scheme, int]) -> None:
         self.apart = np.inf
@@ -236,8 +302,20 @@ class _Pairs:
                 self.fault = unseen.removeprefix("; ")
                 return
             with resolving(_RESOLUTION):
-                left = None if np.isinf(self._deadline) else max(_LEAST_SECONDS, self._deadline - time.perf_counter())
-            run = simulate(self._model, self._t_end, self._t_end / count, scheme, save_every=count, seconds=left, **self._options)
+                left = (
+                    None
+                    if np.isinf(self._deadline)
+                    else max(_LEAST_SECONDS, self._deadline - time.perf_counter())
+                )
+            run = simulate(
+                self._model,
+                self._t_end,
+                self._t_end / count,
+                scheme,
+                save_every=count,
+                seconds=left,
+                **self._options,
+            )
             if run.interrupted:
                 raise KeyboardInterrupt
             if not run.success:
@@ -246,15 +324,33 @@ class _Pairs:
             ends.append(end_nodes(self._model, run))
         self.apart = distance(*ends)
         if (error := self.apart + self.rounding) < self.error:
-            rounded = f", the clock's rounding may add {self.rounding:.2g} m" if self.rounding > _TOLD * self.apart else ""
-            self.best = Reference(ends[0], error, self._t_end, f"{what} end {self.apart:.2g} m apart{rounded}{self._unknown}")
+            rounded = (
+                f", the clock's rounding may add {self.rounding:.2g} m"
+                if self.rounding > _TOLD * self.apart
+                else ""
+            )
+            self.best = Reference(
+                ends[0],
+                error,
+                self._t_end,
+                f"{what} end {self.apart:.2g} m apart{rounded}{self._unknown}",
+            )
 
 
-def _step_counts(model: Model, t_end: float, state: Any, work: float, parameters: Array) -> Iterator[int]:
+def _step_counts(
+    model: Model, t_end: float, state: Any, work: float, parameters: Array
+) -> Iterator[int]:
     """Yield numbers of steps of order 8, from what is stable at the start to what `work` allows; at least one pair."""
-    limits = [stable_step(model, state, None, scheme, parameters=parameters) for scheme in (DormandPrince853(), DormandPrince54())]
+    limits = [
+        stable_step(model, state, None, scheme, parameters=parameters)
+        for scheme in (DormandPrince853(), DormandPrince54())
+    ]
     longest = min(limits[0], _FINER * limits[1])
-    steps = max(_COARSEST, int(np.ceil(t_end / longest))) if np.isfinite(longest) and longest > 0 else _COARSEST
+    steps = (
+        max(_COARSEST, int(np.ceil(t_end / longest)))
+        if np.isfinite(longest) and longest > 0
+        else _COARSEST
+    )
     most = work / max(1, count_instructions(DormandPrince853().advance(model)))
     yield steps
     while steps * _FINER <= most:

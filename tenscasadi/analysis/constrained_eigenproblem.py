@@ -10,8 +10,12 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh, splu
 
 from tenscasadi.util.validate import Array
 
-SLACK = 1e-8  # a constraint's give, of unit rows and a unit block above: redundant rows do no harm; the refinement takes it away
-SHIFT = 1e-6  # distance of the shift below zero, relative to the largest |λ|: less would drown in rounding over SLACK
+# a constraint's give, of unit rows and a unit block above: redundant rows do no harm; the
+# refinement takes it away
+SLACK = 1e-8
+# distance of the shift below zero, relative to the largest |λ|: less would drown in rounding over
+# SLACK
+SHIFT = 1e-6
 AUGMENTED = 10.0  # ρ, in the same units
 REFINEMENTS = 10  # at most
 ROUNDING = 1e-15  # of the equations, relative to the solution
@@ -28,7 +32,9 @@ class SaddlePoint:
         self.size, self.rows = int(A.shape[0]), int(J.shape[0])
         block = float(abs(A).max()) or 1.0
         norm = np.sqrt(J.multiply(J).sum(axis=1))
-        self.scale = np.concatenate([np.full(self.size, block**-0.5), block**0.5 / np.where(norm > 0.0, norm, 1.0)])
+        self.scale = np.concatenate(
+            [np.full(self.size, block**-0.5), block**0.5 / np.where(norm > 0.0, norm, 1.0)]
+        )
         D = sp.diags_array(self.scale)
         self.exact = sp.csc_array(D @ sp.block_array([[A, J.T], [J, None]]) @ D)
         unit = self.exact[self.size :, : self.size]
@@ -36,10 +42,16 @@ class SaddlePoint:
         self.added = sp.csc_array(AUGMENTED * unit.T)
         upper = self.exact[: self.size, : self.size] + self.added @ unit
         slack = sp.diags_array(np.full(self.rows, -SLACK))
-        # pivots on the diagonal keep the symmetry, by which their signs are those of the eigenvalues
+        # pivots on the diagonal keep the symmetry, by which their signs are those of the
+        # eigenvalues
         options = {"SymmetricMode": True}
         try:
-            self.factors = splu(sp.csc_array(sp.block_array([[upper, unit.T], [unit, slack]])), "MMD_AT_PLUS_A", 0.0, options=options)
+            self.factors = splu(
+                sp.csc_array(sp.block_array([[upper, unit.T], [unit, slack]])),
+                "MMD_AT_PLUS_A",
+                0.0,
+                options=options,
+            )
         except RuntimeError as error:  # SciPy's word for a pivot that is zero
             raise np.linalg.LinAlgError(str(error)) from None
 
@@ -102,16 +114,31 @@ def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tu
     mass = M @ left_out
 
     def solve(f: Array) -> Array:
-        v, _ = system.solve(f - mass @ (left_out.T @ f))  # else the shift would magnify what is left out
+        v, _ = system.solve(
+            f - mass @ (left_out.T @ f)
+        )  # else the shift would magnify what is left out
         return np.asarray(v - left_out @ (mass.T @ v))
 
     inverse = LinearOperator(K.shape, matvec=lambda f: solve(f.ravel()), dtype=float)
-    start = inverse @ np.random.default_rng(0).normal(size=K.shape[0])  # fixed: the same answer every time
+    start = inverse @ np.random.default_rng(0).normal(
+        size=K.shape[0]
+    )  # fixed: the same answer every time
 
     def nearest(number: int, side: str) -> Array:
         if not number:
             return np.zeros((K.shape[0], 0))
-        return np.asarray(eigsh(K, number, M, shift, side, start, OPinv=inverse, ncv=min(K.shape[0], max(2 * number + 1, 40)))[1])
+        return np.asarray(
+            eigsh(
+                K,
+                number,
+                M,
+                shift,
+                side,
+                start,
+                OPinv=inverse,
+                ncv=min(K.shape[0], max(2 * number + 1, 40)),
+            )[1]
+        )
 
     try:
         basis: Array = np.hstack([nearest(below, "SA"), nearest(count - below, "LA")])
@@ -126,5 +153,9 @@ def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tu
 
 def fastest_rate(K: Any, M: Any) -> float:
     """Return about the largest |λ| of K v = λ M v without constraints, by the diagonal of M; 1 where K is zero."""
-    weight = M.diagonal() ** -0.5 if np.all(M.diagonal() > 0.0) else np.full(M.shape[0], float(M.diagonal().max()) ** -0.5)
+    weight = (
+        M.diagonal() ** -0.5
+        if np.all(M.diagonal() > 0.0)
+        else np.full(M.shape[0], float(M.diagonal().max()) ** -0.5)
+    )
     return float(abs(sp.diags_array(weight) @ K @ sp.diags_array(weight)).sum(axis=1).max()) or 1.0

@@ -12,7 +12,11 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from tenscasadi.analysis.constrained_eigenproblem import SaddlePoint, fastest_rate, lowest_eigenpairs
+from tenscasadi.analysis.constrained_eigenproblem import (
+    SaddlePoint,
+    fastest_rate,
+    lowest_eigenpairs,
+)
 from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.model import Model
@@ -24,7 +28,8 @@ from tenscasadi.util.validate import Array, finite_array, instance, positive_num
 DENSE = 600  # coordinates up to which all modes are computed, by dense matrices
 _MOST_ROWS = 100_000  # times of a motion
 LOWEST = 20  # modes of larger structures where no number is asked for
-NEUTRAL = 1e-9  # stiffness against a rigid-body motion that counts as none, relative to that of all motions
+# stiffness against a rigid-body motion that counts as none, relative to that of all motions
+NEUTRAL = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +45,8 @@ class Linearization(ReadOnlyArrays):
     residual : ndarray (nx,)
         The rate ode(x₀, u₀); zero in equilibrium.
     tangent : ndarray (nq, d)
-        Orthonormal basis of the displacements that bars and joints allow. Only motions within it are physical.
+        Orthonormal basis of the displacements that bars and joints allow. Only motions within it
+        are physical.
     by_parameters : ndarray (nx, np)
         Derivative of the state's rate by the model's parameters.
 
@@ -66,7 +72,8 @@ class Modes(ReadOnlyArrays):
     Attributes
     ----------
     frequency : ndarray (k,)
-        Natural frequencies in increasing order, Hz. An unstable mode has a negative one: −√(−λ)/2π for an eigenvalue λ < 0.
+        Natural frequencies in increasing order, Hz. An unstable mode has a negative one: −√(−λ)/2π
+        for an eigenvalue λ < 0.
     shape : ndarray (k, n, 3)
         Displacements of the nodes in each mode, normalised by mass.
     rigid : int
@@ -91,7 +98,8 @@ class Modes(ReadOnlyArrays):
 def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None) -> Linearization:
     """Compute the exact derivatives of a model's equations at a state and control.
 
-    A and B act on all coordinates of the state. Only perturbations along `tangent` keep the bars' lengths and the joints closed.
+    A and B act on all coordinates of the state. Only perturbations along `tangent` keep the bars'
+    lengths and the joints closed.
 
     Parameters
     ----------
@@ -112,14 +120,16 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
     Raises
     ------
     TypeError
-        If an argument has a wrong type, or is a symbol of CasADi's: its expressions are `ca.jacobian(model.ode(x, u), x)`.
+        If an argument has a wrong type, or is a symbol of CasADi's: its expressions are
+        `ca.jacobian(model.ode(x, u), x)`.
     ValueError
-        If an argument has a wrong shape, or the equations have no derivative at the state, as where a bar has no length.
+        If an argument has a wrong shape, or the equations have no derivative at the state, as where
+        a bar has no length.
 
     Notes
     -----
-    Bars keep their length (Eqs. 26-29 of the paper) and joints stay closed (Eq. 84); `tangent` spans the null space of the derivative
-    of these constraints by the coordinates.
+    Bars keep their length (Eqs. 26-29 of the paper) and joints stay closed (Eq. 84); `tangent`
+    spans the null space of the derivative of these constraints by the coordinates.
 
     Examples
     --------
@@ -134,16 +144,27 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
     if ("linearize",) not in model.functions:
         sx, sw = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
         rate = model.stacked(model.ode)(sx, sw)
-        model.functions["linearize",] = ca.Function("linearize", [sx, sw], [ca.jacobian(rate, sx), ca.jacobian(rate, sw), rate])
+        model.functions["linearize",] = ca.Function(
+            "linearize", [sx, sw], [ca.jacobian(rate, sx), ca.jacobian(rate, sw), rate]
+        )
     A, by_input, residual = (value.full() for value in model.functions["linearize",](state, held))
     _refuse_degenerate(model, state, A, by_input, residual)
-    return Linearization(A, by_input[:, : model.nu], residual.ravel(), _tangent(model, state), by_input[:, model.nu :])
+    return Linearization(
+        A,
+        by_input[:, : model.nu],
+        residual.ravel(),
+        _tangent(model, state),
+        by_input[:, model.nu :],
+    )
 
 
-def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None, parameters: Any = None) -> Modes:
+def modes(
+    model: Model, x: Any = None, u: Any = None, count: int | None = None, parameters: Any = None
+) -> Modes:
     """Compute the natural modes of small undamped vibrations about an equilibrium at rest.
 
-    Strings act with their stiffness and prestress, bars with the force that they carry. A `ForceDensity` control is held constant.
+    Strings act with their stiffness and prestress, bars with the force that they carry. A
+    `ForceDensity` control is held constant.
 
     Parameters
     ----------
@@ -154,8 +175,8 @@ def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None, 
     u : array_like (nu,), optional
         Control of equilibrium; None: the initial control.
     count : int, optional
-        How many modes, from the lowest frequency on; unstable ones are the lowest. None: all of a structure of up to 600 coordinates
-        (`model.nq`), the 20 lowest of a larger one.
+        How many modes, from the lowest frequency on; unstable ones are the lowest. None: all of a
+        structure of up to 600 coordinates (`model.nq`), the 20 lowest of a larger one.
     parameters : array_like, shape (np,), or mapping, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
@@ -169,28 +190,33 @@ def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None, 
     TypeError
         If an argument has a wrong type, or is a symbol of CasADi's.
     ValueError
-        If an argument has a wrong shape, or the equations have no derivative at the state, as where a bar has no length.
+        If an argument has a wrong shape, or the equations have no derivative at the state, as where
+        a bar has no length.
 
     Warns
     -----
     UserWarning
-        If `count` is None and the structure has more than 600 coordinates: not all modes are computed.
+        If `count` is None and the structure has more than 600 coordinates: not all modes are
+        computed.
 
     Notes
     -----
-    With M the mass matrix and T an M-orthonormal basis of the displacements that bars and joints allow, the squares of the angular
-    frequencies are the eigenvalues of −Tᵀ M (∂N̈/∂N) T. Above 600 coordinates they are those of K v = ω² M v, J v = 0, with J the
-    derivative of the constraints and K the derivative of all forces at constant multipliers. Both matrices are sparse: shift-invert
-    Lanczos finds the lowest eigenvalues [1]_, and the signs of the pivots tell how many unstable ones there are [2]_. Where nearly as
-    many modes are asked for as there are, bars leave few motions, or matrices are too badly conditioned, dense matrices are used at any size.
+    With M the mass matrix and T an M-orthonormal basis of the displacements that bars and joints
+    allow, the squares of the angular frequencies are the eigenvalues of −Tᵀ M (∂N̈/∂N) T. Above 600
+    coordinates they are those of K v = ω² M v, J v = 0, with J the derivative of the constraints
+    and K the derivative of all forces at constant multipliers. Both matrices are sparse:
+    shift-invert Lanczos finds the lowest eigenvalues [1]_, and the signs of the pivots tell how
+    many unstable ones there are [2]_. Where nearly as many modes are asked for as there are, bars
+    leave few motions, or matrices are too badly conditioned, dense matrices are used at any size.
 
-    Where bars are redundant and carry load, how they share it is not known, and the stiffness across them depends on it: the modes are
-    those of the smallest multipliers.
+    Where bars are redundant and carry load, how they share it is not known, and the stiffness
+    across them depends on it: the modes are those of the smallest multipliers.
 
     References
     ----------
-    .. [1] T. Ericsson and A. Ruhe, The spectral transformation Lanczos method, Mathematics of Computation 35 (1980), 1251-1268.
-    .. [2] B. N. Parlett, The Symmetric Eigenvalue Problem, section 3.3: Sylvester's law of inertia.
+    .. [1] T. Ericsson and A. Ruhe, The spectral transformation Lanczos method, Mathematics of
+    Computation 35 (1980), 1251-1268. .. [2] B. N. Parlett, The Symmetric Eigenvalue Problem,
+    section 3.3: Sylvester's law of inertia.
 
     Examples
     --------
@@ -215,7 +241,9 @@ def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None, 
         with suppress(np.linalg.LinAlgError):  # then by dense matrices, in more time
             found = _lowest_modes(model, state, held, number)
         count = number
-    values, vectors, rigid, residual = found or _all_modes(model, linearize(model, state, held[: model.nu, :], held[model.nu :, :]), state, held)
+    values, vectors, rigid, residual = found or _all_modes(
+        model, linearize(model, state, held[: model.nu, :], held[model.nu :, :]), state, held
+    )
     values, vectors = values[:count], vectors[:, :count]
     displacement = np.zeros((len(values), model.nx))
     model.split(displacement)[0][:] = vectors.T
@@ -224,11 +252,19 @@ def modes(model: Model, x: Any = None, u: Any = None, count: int | None = None, 
     return Modes(frequency, shape, rigid, residual)
 
 
-def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None = None, rows: int = 41, parameters: Any = None) -> Trajectory:
+def mode_motion(
+    model: Model,
+    modes: Modes,
+    index: int,
+    amplitude: float | None = None,
+    rows: int = 41,
+    parameters: Any = None,
+) -> Trajectory:
     """Return one period of a natural mode about the model's initial shape as a trajectory, for plots and animations.
 
-    Nodes move in straight lines, so bar lengths are off in the second order of the amplitude; `bar_length_error` says by how much.
-    An unstable mode gets the period that its rate of growth would give a vibration.
+    Nodes move in straight lines, so bar lengths are off in the second order of the amplitude;
+    `bar_length_error` says by how much. An unstable mode gets the period that its rate of growth
+    would give a vibration.
 
     Parameters
     ----------
@@ -253,7 +289,8 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
     Raises
     ------
     TypeError, ValueError
-        If an argument has a wrong type, there is no such mode, or the modes are those of another structure.
+        If an argument has a wrong type, there is no such mode, or the modes are those of another
+        structure.
 
     Examples
     --------
@@ -266,11 +303,15 @@ def mode_motion(model: Model, modes: Modes, index: int, amplitude: float | None 
     instance("model", model, Model, "a tenscasadi.Model")
     instance("modes", modes, Modes, "the result of tenscasadi.modes(model)")
     if whole_number("index", index, 0) >= len(modes.frequency):
-        raise ValueError(f"index is {index}: modes are numbered from 0 to {len(modes.frequency) - 1}")
+        raise ValueError(
+            f"index is {index}: modes are numbered from 0 to {len(modes.frequency) - 1}"
+        )
     count = whole_number("rows", rows, 3, _MOST_ROWS)
     shape = modes.shape[index]
     if shape.shape != model.structure.nodes.shape:
-        raise ValueError(f"modes.shape has {shape.shape[0]} nodes: give the modes of this model, which has {len(model.structure.nodes)}")
+        raise ValueError(
+            f"modes.shape has {shape.shape[0]} nodes: give the modes of this model, which has {len(model.structure.nodes)}"
+        )
     reach = extent(model) / 20 if amplitude is None else positive_number("amplitude", amplitude)
     omega = 2 * np.pi * max(abs(float(modes.frequency[index])), 1e-9)
     time = np.linspace(0.0, 2 * np.pi / omega, count)
@@ -302,14 +343,20 @@ def _refuse_degenerate(model: Model, state: ca.DM, *values: Any) -> None:
     structure, nodes = model.structure, model.nodes(state.full().ravel())
     reason = "the forces or the accelerations there are not finite"
     for kind, pairs in (("bar", structure.bars), ("string", structure.strings)):
-        short = np.flatnonzero(np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1) == 0.0)
+        short = np.flatnonzero(
+            np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1) == 0.0
+        )
         if len(short):
             reason = f"{kind} {short[0]} has no length, its nodes {pairs[short[0]][0]} and {pairs[short[0]][1]} coincide"
             break
-    raise ValueError(f"x is a state at which the equations of motion have no derivative: {reason}; give a state without it")
+    raise ValueError(
+        f"x is a state at which the equations of motion have no derivative: {reason}; give a state without it"
+    )
 
 
-def _all_modes(model: Model, linear: Linearization, state: ca.DM, held: ca.DM) -> tuple[Array, Array, int, float]:
+def _all_modes(
+    model: Model, linear: Linearization, state: ca.DM, held: ca.DM
+) -> tuple[Array, Array, int, float]:
     """Return ω² (k,), shapes (nq, k), the number of rigid-body motions and the largest acceleration, by dense matrices."""
     nq = model.nq
     M = _mass(model, held).toarray()
@@ -324,19 +371,30 @@ def _all_modes(model: Model, linear: Linearization, state: ca.DM, held: ca.DM) -
         elastic = scipy.linalg.null_space(rigid.T)
         K, T = elastic.T @ K @ elastic, T @ elastic
     values, vectors = np.linalg.eigh((K + K.T) / 2)
-    return values, T @ vectors, rigid.shape[1], float(np.abs(model.split(linear.residual)[1]).max(initial=0.0))
+    return (
+        values,
+        T @ vectors,
+        rigid.shape[1],
+        float(np.abs(model.split(linear.residual)[1]).max(initial=0.0)),
+    )
 
 
-def _lowest_modes(model: Model, state: ca.DM, held: ca.DM, count: int) -> tuple[Array, Array, int, float]:
+def _lowest_modes(
+    model: Model, state: ca.DM, held: ca.DM, count: int
+) -> tuple[Array, Array, int, float]:
     """Return the lowest ω² (count,) and the rest as `_all_modes` does, by sparse matrices; LinAlgError where these are too badly conditioned."""
     K, M, J, acceleration = _stiffness(model, state, held)
     motions = _supported_motions(model, state.full().ravel())
     motions = _allowed(motions, J @ motions)
     if motions.shape[1]:
         motions = motions @ np.linalg.inv(np.linalg.cholesky(motions.T @ (M @ motions))).T
-        restored, _ = SaddlePoint(M, J).solve(K @ motions)  # the acceleration that each motion meets
+        restored, _ = SaddlePoint(M, J).solve(
+            K @ motions
+        )  # the acceleration that each motion meets
         values, vectors = np.linalg.eigh(restored.T @ (M @ restored))
-        motions = motions @ vectors[:, np.sqrt(np.maximum(values, 0.0)) <= NEUTRAL * fastest_rate(K, M)]
+        motions = (
+            motions @ vectors[:, np.sqrt(np.maximum(values, 0.0)) <= NEUTRAL * fastest_rate(K, M)]
+        )
     values, shapes = lowest_eigenpairs(K, M, J, motions, count)
     return values, shapes, motions.shape[1], float(np.abs(acceleration).max(initial=0.0))
 
@@ -348,18 +406,27 @@ def _stiffness(model: Model, state: ca.DM, held: ca.DM) -> tuple[Any, Any, Any, 
     lam = ca.MX.sym("lambda", 1, mech.bars)
     N, V, time = model.unpack(x)
     kept = model.constraints(x)
-    residual, rate = ca.vertcat(kept.bars, kept.joints), ca.vertcat(kept.bar_rates, kept.joint_rates)
+    residual, rate = (
+        ca.vertcat(kept.bars, kept.joints),
+        ca.vertcat(kept.bar_rates, kept.joint_rates),
+    )
     push, B = applied_forces(model, N, V, u, time)[0], mech.bar_vectors(N)
     velocity, clock = model.split(x)[1], [1.0] if model.scene.has_clock else []
     F = mech.local(ca.vec(ca.densify(push)))[free]
     onward = ca.vertcat(velocity, ca.DM.zeros(model.nq), *clock)  # without accelerations
-    rest = ca.Function("rest", [x, u], [ca.jacobian(residual, x)[:, : model.nq], F, ca.jtimes(rate, x, onward)])
+    rest = ca.Function(
+        "rest", [x, u], [ca.jacobian(residual, x)[:, : model.nq], F, ca.jtimes(rate, x, onward)]
+    )
     total = F + mech.local(ca.vec(ca.densify(nodal_forces(mech, B, lam))))[free]
     slope = ca.Function("slope", [x, u, lam], [ca.jacobian(total, x)[:, : model.nq]])
     jacobian, force, bend = rest(state, held)
-    _refuse_degenerate(model, state, *(np.asarray(value.nonzeros()) for value in (jacobian, force, bend)))
+    _refuse_degenerate(
+        model, state, *(np.asarray(value.nonzeros()) for value in (jacobian, force, bend))
+    )
     M, J = _mass(model, held), sp.csc_array(jacobian.sparse())
-    acceleration, multiplier = SaddlePoint(M, J).solve(force.full().ravel(), -bend.full().ravel())  # M a + Jᵀ μ = F, J a = −J̇ v
+    acceleration, multiplier = SaddlePoint(M, J).solve(
+        force.full().ravel(), -bend.full().ravel()
+    )  # M a + Jᵀ μ = F, J a = −J̇ v
     gradient = slope(state, held, -multiplier[: mech.bars] / mech.lengths)
     _refuse_degenerate(model, state, np.asarray(gradient.nonzeros()), acceleration)
     K = -sp.csc_array(gradient.sparse())
@@ -379,7 +446,9 @@ def _tangent(model: Model, state: ca.DM) -> Array:
     """Return an orthonormal basis of the displacements that keep bar lengths and joints at a state."""
     x = ca.MX.sym("x", model.nx)
     kept = model.constraints(x)
-    jacobian = ca.Function("rows", [x], [ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)])(state).full()
+    jacobian = ca.Function("rows", [x], [ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)])(
+        state
+    ).full()
     jacobian, _, _ = model.split(jacobian)
     return np.asarray(scipy.linalg.null_space(jacobian)) if len(jacobian) else np.eye(model.nq)
 
@@ -388,7 +457,9 @@ def _supported_motions(model: Model, state: Array) -> Array:
     """Return an orthonormal basis (nq, ≤ 6) of the rigid-body motions that leave pinned coordinates where they are."""
     mech = model.mechanism
     columns = model.nodes(state)[mech.physical]
-    fields = [np.broadcast_to(axis, columns.shape) for axis in np.eye(3)] + [np.cross(axis, columns - columns.mean(axis=0)) for axis in np.eye(3)]
+    fields = [np.broadcast_to(axis, columns.shape) for axis in np.eye(3)] + [
+        np.cross(axis, columns - columns.mean(axis=0)) for axis in np.eye(3)
+    ]
     motions = scipy.linalg.orth(np.stack([mech.local(field.ravel()) for field in fields], axis=1))
     held = np.flatnonzero(~mech.free.ravel())
     allowed = motions @ scipy.linalg.null_space(motions[held]) if len(held) else motions
@@ -397,4 +468,8 @@ def _supported_motions(model: Model, state: Array) -> Array:
 
 def _allowed(motions: Array, outside: Array) -> Array:
     """Return the combinations of rigid-body motions that the constraints allow, given what of each they stop: pins of full coordinates."""
-    return np.asarray(motions @ scipy.linalg.null_space(outside, rcond=1e-9)) if np.abs(outside).max(initial=0.0) > 1e-9 else motions
+    return (
+        np.asarray(motions @ scipy.linalg.null_space(outside, rcond=1e-9))
+        if np.abs(outside).max(initial=0.0) > 1e-9
+        else motions
+    )

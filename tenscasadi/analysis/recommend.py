@@ -114,9 +114,11 @@ def recommend(
 ) -> Recommendation:
     """Find the scheme, step and correction that reach a position error at the end for the least work.
 
-    The motion is solved once to a tenth of the tolerance by `certify`. Then the largest step, or `rtol`, that serves is looked for with
-    each scheme, which is left out as soon as it costs more than the best so far. That takes some twenty runs like the one recommended.
-    Where strings go slack or nodes meet the ground, schemes that control their error come first: they locate these events.
+    The motion is solved once to a tenth of the tolerance by `certify`. Then the largest step, or
+    `rtol`, that serves is looked for with each scheme, which is left out as soon as it costs more
+    than the best so far. That takes some twenty runs like the one recommended. Where strings go
+    slack or nodes meet the ground, schemes that control their error come first: they locate these
+    events.
 
     Parameters
     ----------
@@ -131,14 +133,16 @@ def recommend(
     control : array_like or callable, optional
         Control input, as for `simulate`.
     schemes : sequence of schemes
-        Schemes to choose from. Of those with an `rtol` the tolerance is looked for, without corrections.
+        Schemes to choose from. Of those with an `rtol` the tolerance is looked for, without
+        corrections.
     corrections : sequence of corrections
         Each None, `Projection()` or `BarLengthCorrection()`.
     compiled : bool or Single, optional
         How to run, as for `simulate`.
     seconds : float
-        Wall time for the search, s. A run that would not end in time is not begun; the best found so far is then returned, and `message`
-        names the schemes that there was no time for. Up to as many seconds go before that into the reference.
+        Wall time for the search, s. A run that would not end in time is not begun; the best found
+        so far is then returned, and `message` names the schemes that there was no time for. Up to
+        as many seconds go before that into the reference.
     parameters : array_like, shape (np,), or mapping, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
@@ -158,9 +162,10 @@ def recommend(
 
     Notes
     -----
-    Costs are instructions times steps, so the answer does not depend on what else the machine does. Machine code computes equal steps
-    in blocks of up to 32, which count whole. Implicit schemes are looked at where
-    stability, not accuracy, bounds the steps of the best explicit one; how often they iterate is not known, so the clock decides.
+    Costs are instructions times steps, so the answer does not depend on what else the machine does.
+    Machine code computes equal steps in blocks of up to 32, which count whole. Implicit schemes are
+    looked at where stability, not accuracy, bounds the steps of the best explicit one; how often
+    they iterate is not known, so the clock decides.
 
     Examples
     --------
@@ -181,8 +186,19 @@ def recommend(
     limits = {"accuracy": enough, "enough": enough, "work": _PROOF * seconds, "seconds": seconds}
     reference = certify(model, t_end, start, control, compiled=double, parameters=p, **limits)
 
-    ways = [Case(model, scheme, correction, t_end, start, control, compiled, p) for scheme, correction in product(schemes, corrections)]
-    best, told = _find_cheapest(ways, _Goal(reference.nodes, _MARGIN * tolerance - reference.error, time.perf_counter() + seconds, seconds))
+    ways = [
+        Case(model, scheme, correction, t_end, start, control, compiled, p)
+        for scheme, correction in product(schemes, corrections)
+    ]
+    best, told = _find_cheapest(
+        ways,
+        _Goal(
+            reference.nodes,
+            _MARGIN * tolerance - reference.error,
+            time.perf_counter() + seconds,
+            seconds,
+        ),
+    )
     names = ", ".join(map(abbreviate, schemes))
     if best is None:
         failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
@@ -190,12 +206,18 @@ def recommend(
     scheme, duration, expected = best.case.scheme, best.time_loop(), best.error + reference.error
     limit = stable_step(model, start, None, scheme, safety=1.0, parameters=p)
     if best.step > limit and not scheme.adaptive:
-        told.append(f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved")
+        told.append(
+            f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved"
+        )
     told += [advice] if (advice := compare_coordinates(model)) else []
     outcome = f"{best.steps} steps of {abbreviate(scheme)}: {expected:.2g} m, {duration:.2g} s"
-    message = "; ".join(dict.fromkeys([outcome, f"compared with {names}", f"reference: {reference.message}", *told]))
+    message = "; ".join(
+        dict.fromkeys([outcome, f"compared with {names}", f"reference: {reference.message}", *told])
+    )
     work = float(best.steps * best.case.instructions()) or np.nan
-    return Recommendation(scheme, best.step, best.case.correction, expected, duration, work, message)
+    return Recommendation(
+        scheme, best.step, best.case.correction, expected, duration, work, message
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,35 +246,47 @@ class _OutOfTime(Exception):
 def _find_cheapest(ways: Sequence[Case], goal: _Goal) -> tuple[_Choice | None, list[str]]:
     """Find the cheapest way that serves, and why others were left out.
 
-    Explicit schemes come first: implicit ones are measured against them. Steps that miss events serve only when they are tiny: schemes
-    that locate them say beforehand how few may be tried.
+    Explicit schemes come first: implicit ones are measured against them. Steps that miss events
+    serve only when they are tiny: schemes that locate them say beforehand how few may be tried.
     """
     best: _Choice | None = None
     told, late = [], []
     events = build_switching(ways[0].model) is not None
     speed = 1.0  # instructions of the best explicit scheme in a second
-    for case in sorted(ways, key=lambda case: (case.scheme.implicit, events and not case.scheme.adaptive)):
+    for case in sorted(
+        ways, key=lambda case: (case.scheme.implicit, events and not case.scheme.adaptive)
+    ):
         name = abbreviate(case.scheme)
         if case.scheme.implicit and best is not None and not best.case.scheme.implicit:
             if best.steps > _BOUND * _count_coarsest(best.case, best.end):
-                told.append(f"{name} left out: stability does not bound the steps of {abbreviate(best.case.scheme)}")
+                told.append(
+                    f"{name} left out: stability does not bound the steps of {abbreviate(best.case.scheme)}"
+                )
                 continue
             speed = best.cost / best.time_loop()
         most = np.inf if best is None else best.cost
         try:
-            if case.correction is not None and (case.scheme.adaptive or case.correction.step(case.model) is None):
+            if case.correction is not None and (
+                case.scheme.adaptive or case.correction.step(case.model) is None
+            ):
                 continue  # nothing to correct
             goal.check_time(0.0, None)
             found = _find_option(case, speed, goal, most)
         except _OutOfTime as stop:
             found = stop.best
             late.append(name)
-        except (TypeError, ValueError, CompileError) as error:  # such as Appendix C's correction where bars meet
+        except (
+            TypeError,
+            ValueError,
+            CompileError,
+        ) as error:  # such as Appendix C's correction where bars meet
             told.append(f"{name} left out: {error}")
             continue
         best = found if found is not None and found.cost < most else best
     if late:
-        told.append(f"seconds = {goal.seconds:g} were too few for {', '.join(dict.fromkeys(late))}: give more, and they are searched to the end")
+        told.append(
+            f"seconds = {goal.seconds:g} were too few for {', '.join(dict.fromkeys(late))}: give more, and they are searched to the end"
+        )
     return best, told
 
 
@@ -277,7 +311,9 @@ def _find_option(case: Case, speed: float, goal: _Goal, most: float) -> _Choice 
         return _find_loosest(case, clock, goal, most)
     if case.compiled is False:
         return _find_fewest(case, clock, goal, most)
-    promising = _find_fewest(replace(case, compiled=False), _Price(0.0, speed / _GAIN), goal, most)  # it takes seconds to compile
+    promising = _find_fewest(
+        replace(case, compiled=False), _Price(0.0, speed / _GAIN), goal, most
+    )  # it takes seconds to compile
     if promising is None:
         return None
     goal.check_time(0.0, None)
@@ -302,7 +338,9 @@ class _Choice:
     def time_loop(self) -> float:
         """Measure the time loop, s."""
         if not self.case.even or self.steps <= _MANY:
-            return min(self.case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS))
+            return min(
+                self.case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS)
+            )
         return self.case.seconds_per_step(self.step, _REPEATS) * self.steps
 
 
@@ -311,7 +349,9 @@ def _measure(case: Case, step: float, price: _Price, goal: _Goal, uncompiled: bo
     swift = replace(case, compiled=False) if uncompiled and case.compiled is None else case
 
     def run(**options: Any) -> Trajectory:
-        return swift.run(step, **options, seconds=max(_LEAST_SECONDS, goal.deadline - time.perf_counter()))
+        return swift.run(
+            step, **options, seconds=max(_LEAST_SECONDS, goal.deadline - time.perf_counter())
+        )
 
     bare = {"energy_balance": False, "save_every": 10**9}
     first = run(**bare)
@@ -346,7 +386,12 @@ def _find_loosest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choic
         if loose <= 4 * tight or (best is now and now.error > wanted / 4):
             break
         ratio = float(np.clip(0.5 * wanted / max(now.error, 1e-300), 1e-3, 1e3))
-        before, rtol = rtol, rtol * ratio if tight < rtol * ratio < loose else float(np.sqrt(max(tight, 1e-16) * loose))
+        before, rtol = (
+            rtol,
+            rtol * ratio
+            if tight < rtol * ratio < loose
+            else float(np.sqrt(max(tight, 1e-16) * loose)),
+        )
         expected = now.seconds * (before / rtol) ** (1 / case.scheme.order)
     return best
 
@@ -354,7 +399,9 @@ def _find_loosest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choic
 def _find_fewest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice | None:
     """Find about the fewest equal steps whose error is at most `wanted`; None when that costs `most` or more."""
     wanted, block = goal.wanted, _count_block(case)
-    limit = block * (np.ceil(most / price.step / block) - 1) if price.step else np.inf  # the last whole block that costs less
+    limit = (
+        block * (np.ceil(most / price.step / block) - 1) if price.step else np.inf
+    )  # the last whole block that costs less
     steps = int(max(1, min(_count_coarsest(case), limit)))  # from there on downwards
     low, best, each = 0, None, price.step / _PACE
     for _ in range(_TRIES):
@@ -371,7 +418,9 @@ def _find_fewest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice
                 return None
         if best is None:
             # as far as the scheme's order says, if it is in its range already
-            factor = (now.error / wanted) ** (1 / case.scheme.order) if np.isfinite(now.error) else 2.0
+            factor = (
+                (now.error / wanted) ** (1 / case.scheme.order) if np.isfinite(now.error) else 2.0
+            )
             steps = max(low + 1, int(np.ceil(low * float(np.clip(1.05 * factor, _CLOSE, 8.0)))))
         elif best.steps <= max(_CLOSE * low, low + 1):
             break
@@ -393,5 +442,8 @@ def _count_coarsest(case: Case, state: Array | None = None) -> int:
     if case.scheme.implicit:
         return _FEW
     states = [case.state] if state is None else [case.state, state]
-    limit = min(stable_step(case.model, x, None, case.scheme, safety=1.0, parameters=case.parameters) for x in states)
+    limit = min(
+        stable_step(case.model, x, None, case.scheme, safety=1.0, parameters=case.parameters)
+        for x in states
+    )
     return max(1, int(np.ceil(case.t_end / limit))) if np.isfinite(limit) and limit > 0 else 1

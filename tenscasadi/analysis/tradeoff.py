@@ -22,7 +22,16 @@ from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, CompileError, Single
-from tenscasadi.util.validate import Array, call_user_function, finite_array, flag, instance, positive_number, shown, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    call_user_function,
+    finite_array,
+    flag,
+    instance,
+    positive_number,
+    shown,
+    whole_number,
+)
 
 _TIMED = 0.02  # s of one timed run, about: short enough for many, long enough for the clock
 _MOST_REPEATS = 1000
@@ -49,21 +58,25 @@ def tradeoff(
 ) -> Tradeoff:
     """Measure what accuracy costs: run every scheme with every step, correction, model and way to run.
 
-    A run that diverges, and a scheme that cannot serve a model, give rows with `success` False and the reason in `message`. Ctrl-C ends
-    the study and returns the rows so far, with `complete` False.
+    A run that diverges, and a scheme that cannot serve a model, give rows with `success` False and
+    the reason in `message`. Ctrl-C ends the study and returns the rows so far, with `complete`
+    False.
 
     Parameters
     ----------
     models : Model or mapping of str to Model
-        A model, or several by name that share their scene's nodes and differ in fidelity: segments, lumping, slack, coordinates.
+        A model, or several by name that share their scene's nodes and differ in fidelity: segments,
+        lumping, slack, coordinates.
     t_end : float
         Duration of each run, s.
     schemes : sequence of schemes
         Integration schemes, such as `RungeKutta4()`.
     steps : sequence of float
-        Largest steps, s. A scheme that controls its error takes its own, up to a twentieth of `t_end`, and is run once.
+        Largest steps, s. A scheme that controls its error takes its own, up to a twentieth of
+        `t_end`, and is run once.
     reference : Reference or str, optional
-        End that position errors are measured against, or the name of the model that `certify` solves for it; None: the first model.
+        End that position errors are measured against, or the name of the model that `certify`
+        solves for it; None: the first model.
     state : array_like (nx,) or callable, optional
         Start, or a function that gives it for a model; None: each model's initial state.
     control : array_like or callable, optional
@@ -103,12 +116,21 @@ def tradeoff(
     """
     named = dict(models) if isinstance(models, Mapping) else {"": models}
     _check_models(named, schemes, corrections)
-    t_end, repeats = positive_number("t_end", t_end), whole_number("repeats", repeats, 1, _MOST_REPEATS)
+    t_end, repeats = (
+        positive_number("t_end", t_end),
+        whole_number("repeats", repeats, 1, _MOST_REPEATS),
+    )
     flag("progress", progress)
     ways = _check_sequence("compiled", compiled)
     for way in ways:
         instance("compiled", way, (bool, Single, type(None)), "True, False, None or Single()")
-    lengths = sorted({positive_number(f"steps[{i}]", step) for i, step in enumerate(_check_sequence("steps", steps))}, reverse=True)
+    lengths = sorted(
+        {
+            positive_number(f"steps[{i}]", step)
+            for i, step in enumerate(_check_sequence("steps", steps))
+        },
+        reverse=True,
+    )
     rows: list[Row] = []
     known: Reference | None = None
     end = "interrupted from the keyboard before the reference was found"
@@ -116,9 +138,26 @@ def tradeoff(
     total = sum(1 if scheme.adaptive else len(lengths) for _, scheme, _, _ in plans)
     try:
         with tqdm(total=total, unit=" runs", disable=not progress) as bar:
-            known = _find_reference(named, t_end, reference, state, control, False if all(way is False for way in ways) else None, parameters)
+            known = _find_reference(
+                named,
+                t_end,
+                reference,
+                state,
+                control,
+                False if all(way is False for way in ways) else None,
+                parameters,
+            )
             for (name, model), scheme, correction, way in plans:
-                case = Case(model, scheme, correction, t_end, start_of(model, state), control, way, parameters)
+                case = Case(
+                    model,
+                    scheme,
+                    correction,
+                    t_end,
+                    start_of(model, state),
+                    control,
+                    way,
+                    parameters,
+                )
                 for row in _measure_rows(case, name, lengths, known, repeats):
                     rows.append(row)
                     bar.update()
@@ -144,8 +183,21 @@ class Case:
 
     def run(self, step: float, **options: Any) -> Trajectory:
         """Simulate the motion; raise KeyboardInterrupt where `simulate` returns what it has."""
-        options = {"t_end": self.t_end, "control": self.control, "parameters": self.parameters, **options}
-        run = simulate(self.model, step=step, scheme=self.scheme, state=self.state, correction=self.correction, compiled=self.compiled, **options)
+        options = {
+            "t_end": self.t_end,
+            "control": self.control,
+            "parameters": self.parameters,
+            **options,
+        }
+        run = simulate(
+            self.model,
+            step=step,
+            scheme=self.scheme,
+            state=self.state,
+            correction=self.correction,
+            compiled=self.compiled,
+            **options,
+        )
         if run.interrupted:
             raise KeyboardInterrupt
         return run
@@ -160,18 +212,32 @@ class Case:
         if self.scheme.implicit:
             return 0
         project = None if self.correction is None else self.correction.step(self.model)
-        extra = 0 if self.correction is None or project is None else count_instructions(project) / self.correction.every
+        extra = (
+            0
+            if self.correction is None or project is None
+            else count_instructions(project) / self.correction.every
+        )
         return round(count_instructions(self.scheme.advance(self.model)) + extra)
 
     def seconds_per_step(self, step: float, repeats: int) -> float:
         """Measure the wall time of a step, s: the median of `repeats` runs that are long enough for the clock, and hardly leave the start.
 
-        A run over [0, t_end] with coarse steps is too short to be timed, and all steps cost the same.
+        A run over [0, t_end] with coarse steps is too short to be timed, and all steps cost the
+        same.
         """
         fine = 1e-3 * step
 
         def seconds(steps: int) -> float:
-            return self.run(fine, t_end=fine * steps, control=self._held(), energy_balance=False, save_every=steps).seconds / steps
+            return (
+                self.run(
+                    fine,
+                    t_end=fine * steps,
+                    control=self._held(),
+                    energy_balance=False,
+                    save_every=steps,
+                ).seconds
+                / steps
+            )
 
         steps = int(np.clip(_TIMED / seconds(_TRIAL), _TRIAL, _MOST))
         steps = 2 ** int(np.log2(steps))  # what the loop does in one call divides it
@@ -179,37 +245,64 @@ class Case:
 
     def _held(self) -> ControlInput:
         """Return the control where it is constant: others are not for the short time of a timed run."""
-        return None if callable(self.control) or (self.control is not None and np.ndim(self.control) != 1) else self.control
+        return (
+            None
+            if callable(self.control) or (self.control is not None and np.ndim(self.control) != 1)
+            else self.control
+        )
 
 
 def start_of(model: Model, state: State) -> Array | None:
     """Return the start (nx,) that `state` means for this model. Raises TypeError, ValueError."""
-    value = call_user_function("state", state, model, "give a function of a model that returns its start") if callable(state) else state
+    value = (
+        call_user_function(
+            "state", state, model, "give a function of a model that returns its start"
+        )
+        if callable(state)
+        else state
+    )
     return None if value is None else finite_array("state", value, (model.nx,))
 
 
-def _measure_rows(case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int) -> Iterable[Row]:
+def _measure_rows(
+    case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int
+) -> Iterable[Row]:
     """Yield a row for each step; the time of a step and the set-up are measured once."""
-    empty = Row(case.scheme, np.nan, case.correction, name, compiled=case.compiled is not False, single=isinstance(case.compiled, Single))
+    empty = Row(
+        case.scheme,
+        np.nan,
+        case.correction,
+        name,
+        compiled=case.compiled is not False,
+        single=isinstance(case.compiled, Single),
+    )
     each = setup = np.nan
     for step in [LONGEST * case.t_end] if case.scheme.adaptive else lengths:
         began = time.perf_counter()
         empty = replace(empty, step=np.nan if case.scheme.adaptive else step)
         try:
             run, work = case.run(step), case.instructions()
-        except (TypeError, ValueError, CompileError) as error:  # such as Rattle where supports are moved
+        except (
+            TypeError,
+            ValueError,
+            CompileError,
+        ) as error:  # such as Rattle where supports are moved
             yield replace(empty, message=str(error))
             continue
         if np.isnan(setup):
             setup = time.perf_counter() - began - run.seconds
             empty = replace(empty, compiled=run.compiled, setup=setup)
-        row = replace(empty, instructions=work, steps=run.attempts, success=run.success, message=run.message)
+        row = replace(
+            empty, instructions=work, steps=run.attempts, success=run.success, message=run.message
+        )
         if run.success:
             if case.even:
                 each = case.seconds_per_step(lengths[-1], repeats) if np.isnan(each) else each
                 seconds = each * run.attempts
             else:
-                seconds = median(case.run(step, energy_balance=False).seconds for _ in range(repeats))
+                seconds = median(
+                    case.run(step, energy_balance=False).seconds for _ in range(repeats)
+                )
             row = replace(
                 row,
                 seconds=seconds / case.t_end,
@@ -233,24 +326,39 @@ def _find_reference(
     if isinstance(reference, Reference):
         nodes = len(next(iter(named.values())).scene.structure.nodes)
         if len(reference.nodes) != nodes:
-            raise ValueError(f"reference has {len(reference.nodes)} nodes, the models have {nodes}: give the reference of the same structure")
+            raise ValueError(
+                f"reference has {len(reference.nodes)} nodes, the models have {nodes}: give the reference of the same structure"
+            )
         if not np.isclose(reference.t_end, t_end, rtol=1e-12):
-            raise ValueError(f"reference is for t_end = {reference.t_end:g} s and t_end is {t_end:g}: give one of the same time")
+            raise ValueError(
+                f"reference is for t_end = {reference.t_end:g} s and t_end is {t_end:g}: give one of the same time"
+            )
         return reference
     if reference is not None and not (isinstance(reference, str) and reference in named):
-        raise ValueError(f"reference is {shown(reference)}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}")
+        raise ValueError(
+            f"reference is {shown(reference)}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}"
+        )
     model = named[next(iter(named)) if reference is None else reference]
-    return certify(model, t_end, start_of(model, state), control, compiled=compiled, parameters=parameters)
+    return certify(
+        model, t_end, start_of(model, state), control, compiled=compiled, parameters=parameters
+    )
 
 
 def _check_models(named: dict[str, Model], schemes: Any, corrections: Any) -> None:
     if not named:
         raise ValueError("models is empty: give a tenscasadi.Model, or models by name")
     for name, model in named.items():
-        instance(f"models[{shown(name)}]" if name else "models", model, Model, "a tenscasadi.Model, or models by name")
+        instance(
+            f"models[{shown(name)}]" if name else "models",
+            model,
+            Model,
+            "a tenscasadi.Model, or models by name",
+        )
     counts = {name: len(model.scene.structure.nodes) for name, model in named.items()}
     if len(set(counts.values())) > 1:
-        raise ValueError(f"models have scenes of {counts} nodes: give models of one structure, that differ in what is modelled")
+        raise ValueError(
+            f"models have scenes of {counts} nodes: give models of one structure, that differ in what is modelled"
+        )
     check_ways(schemes, corrections)
 
 
@@ -259,7 +367,12 @@ def check_ways(schemes: Any, corrections: Any) -> None:
     for i, scheme in enumerate(_check_sequence("schemes", schemes)):
         check_scheme(scheme, f"schemes[{i}]")
     for correction in _check_sequence("corrections", corrections):
-        instance("corrections", correction, (Projection, BarLengthCorrection, type(None)), "(None, Projection())")
+        instance(
+            "corrections",
+            correction,
+            (Projection, BarLengthCorrection, type(None)),
+            "(None, Projection())",
+        )
 
 
 def _check_sequence(field: str, values: Any) -> Sequence[Any]:

@@ -45,7 +45,8 @@ class Row:
     setup : float
         Wall time of building and compiling the equations, s.
     position : float
-        Largest distance of a node from the reference at the end, m; NaN where the run failed, as all errors.
+        Largest distance of a node from the reference at the end, m; NaN where the run failed, as
+        all errors.
     bar : float
         Largest relative error of a bar's length over the run.
     joint : float
@@ -104,7 +105,9 @@ class Row:
     def curve(self) -> str:
         """Name that rows share which differ only in step or tolerance."""
         swept = "rtol" if np.isnan(self.step) else ""
-        return ", ".join([abbreviate(self.scheme, swept) + (f" with {swept}" if swept else ""), *self._variant()])
+        return ", ".join(
+            [abbreviate(self.scheme, swept) + (f" with {swept}" if swept else ""), *self._variant()]
+        )
 
     def _variant(self) -> list[str]:
         named = [] if self.correction is None else [abbreviate(self.correction)]
@@ -205,11 +208,17 @@ class Tradeoff:
             if row.position + self.reference_error <= tolerance:
                 return row
         if tolerance <= self.reference_error < np.inf:
-            raise ValueError(f"tolerance is {tolerance:g} m: the reference itself may be off by {self.reference_error:.2g} m, give more than that")
+            raise ValueError(
+                f"tolerance is {tolerance:g} m: the reference itself may be off by {self.reference_error:.2g} m, give more than that"
+            )
         if not self._successful():
-            raise ValueError(f"tolerance is {tolerance:g} m: {f'all {len(self.rows)} runs failed' if self.rows else 'there is no run'}")
+            raise ValueError(
+                f"tolerance is {tolerance:g} m: {f'all {len(self.rows)} runs failed' if self.rows else 'there is no run'}"
+            )
         least = min(row.position for row in self._successful())
-        raise ValueError(f"tolerance is {tolerance:g} m: the most accurate of {len(self.rows)} runs is off by {least:.2g} m, add smaller steps")
+        raise ValueError(
+            f"tolerance is {tolerance:g} m: the most accurate of {len(self.rows)} runs is off by {least:.2g} m, add smaller steps"
+        )
 
     def summary(self) -> str:
         """Return the table as lines of text, in which rows that no other beats are marked.
@@ -220,21 +229,42 @@ class Tradeoff:
             A line for each row, and how the reference was found.
         """
         width = max([len(row.name) for row in self.rows] + [6])
-        names = {"step s": 9, "s per s": 9, "position m": 10, "bars": 8, "joints m": 8, "energy J": 9, "instr.": 7, "set-up s": 8}
-        head = f"  {'scheme':<{width}} " + " ".join(f"{name:>{size}}" for name, size in names.items())
+        names = {
+            "step s": 9,
+            "s per s": 9,
+            "position m": 10,
+            "bars": 8,
+            "joints m": 8,
+            "energy J": 9,
+            "instr.": 7,
+            "set-up s": 8,
+        }
+        head = f"  {'scheme':<{width}} " + " ".join(
+            f"{name:>{size}}" for name, size in names.items()
+        )
         front = set(map(id, self.pareto()))
         lines = [head]
         for row in self.rows:
             mark = "*" if id(row) in front else " "
             start = f"{mark} {row.name:<{width}} {_number(row.step, '9.3g')}"
             if row.success:
-                position = f"{row.position:.2g}" if row.position > self.reference_error else f"< {self.reference_error:.2g}"
-                errors = f"{position:>10} {row.bar:8.1g} {row.joint:8.1g} {_number(row.energy, '9.2g')}"
-                lines.append(f"{start} {row.seconds:9.2g} {errors} {row.instructions:7} {row.setup:8.2f}")
+                position = (
+                    f"{row.position:.2g}"
+                    if row.position > self.reference_error
+                    else f"< {self.reference_error:.2g}"
+                )
+                errors = (
+                    f"{position:>10} {row.bar:8.1g} {row.joint:8.1g} {_number(row.energy, '9.2g')}"
+                )
+                lines.append(
+                    f"{start} {row.seconds:9.2g} {errors} {row.instructions:7} {row.setup:8.2f}"
+                )
             else:
                 lines.append(f"{start}   {row.message.split(';')[0]}")
         lines.append(f"reference: {self.reference_message}")
-        lines.append("s per s: seconds per simulated second, without set-up; *: no other row is both faster and more accurate")
+        lines.append(
+            "s per s: seconds per simulated second, without set-up; *: no other row is both faster and more accurate"
+        )
         return "\n".join([*lines, self.message] if self.message else lines)
 
     def plot(self, path: str | os.PathLike[str] | None = None, title: str = "") -> Any:
@@ -278,11 +308,17 @@ class Tradeoff:
         OSError
             If it cannot be written.
         """
-        columns = {field.name: [getattr(row, field.name) for row in self.rows] for field in fields(Row)}
+        columns = {
+            field.name: [getattr(row, field.name) for row in self.rows] for field in fields(Row)
+        }
         for name in ("scheme", "correction"):
             columns[name] = list(map(repr, columns[name]))
-        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "rows"}
-        content = {f"row_{name}": np.asarray(values) for name, values in columns.items()} | {name: np.asarray(value) for name, value in own.items()}
+        own = {
+            field.name: getattr(self, field.name) for field in fields(self) if field.name != "rows"
+        }
+        content = {f"row_{name}": np.asarray(values) for name, values in columns.items()} | {
+            name: np.asarray(value) for name, value in own.items()
+        }
         return archive.save(path, _FORMAT, content)
 
     @staticmethod
@@ -304,7 +340,8 @@ class Tradeoff:
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it cannot be read, is no study, or holds numbers that no study can have; the message names the file and the field.
+            If it cannot be read, is no study, or holds numbers that no study can have; the message
+            names the file and the field.
         """
         return archive.load(path, _FORMAT, "trade-off", _from_arrays)
 
@@ -321,8 +358,16 @@ class Tradeoff:
 
 def abbreviate(value: Any, without: str = "") -> str:
     """Return a frozen value as text, with only the options that are not the default, and not that of the name `without`."""
-    own = [(field.name, getattr(value, field.name), field.default) for field in fields(value)] if is_dataclass(value) else []
-    changed = ", ".join(f"{name}={option!r}" for name, option, default in own if option != default and name != without)
+    own = (
+        [(field.name, getattr(value, field.name), field.default) for field in fields(value)]
+        if is_dataclass(value)
+        else []
+    )
+    changed = ", ".join(
+        f"{name}={option!r}"
+        for name, option, default in own
+        if option != default and name != without
+    )
     return type(value).__name__ + (f"({changed})" if changed else "")
 
 
@@ -338,23 +383,38 @@ def _check_kinds(value: Row | Tradeoff) -> None:
             raise ValueError(f"{name} is {shown(given)}: it must be less than 2^63 in size")
 
 
-_WORDS: dict[Any, tuple[Any, str]] = {"int": (Integral, "a whole number"), "bool": ((bool, np.bool_), "True or False"), "str": (str, "text")}
+_WORDS: dict[Any, tuple[Any, str]] = {
+    "int": (Integral, "a whole number"),
+    "bool": ((bool, np.bool_), "True or False"),
+    "str": (str, "text"),
+}
 
 
 def _from_arrays(content: archive.Fields) -> Tradeoff:
-    columns: dict[str, Any] = {field.name: content.array(f"row_{field.name}", "fibU", 1) for field in fields(Row)}
+    columns: dict[str, Any] = {
+        field.name: content.array(f"row_{field.name}", "fibU", 1) for field in fields(Row)
+    }
     for field in fields(Row):
         if columns[field.name].size:  # NumPy takes an empty list for numbers
             content.array(f"row_{field.name}", _kinds(field))
     known = {field.name: field for field in fields(Tradeoff) if field.name != "rows"}
     if unknown := {name for name in content if not name.startswith("row_")} - known.keys():
         raise ValueError(f"it has a field {min(unknown)!r}")
-    own = {name: content.array(name, _kinds(field), 0).item() for name, field in known.items() if field.default is MISSING or name in content}
+    own = {
+        name: content.array(name, _kinds(field), 0).item()
+        for name, field in known.items()
+        if field.default is MISSING or name in content
+    }
     _check_values(columns, own)
     for name in ("scheme", "correction"):
         columns[name] = [_value(text) for text in columns[name].tolist()]
     lists = [values if isinstance(values, list) else values.tolist() for values in columns.values()]
-    return Tradeoff(tuple(Row(**dict(zip(columns, values, strict=True))) for values in zip(*lists, strict=True)), **own)
+    return Tradeoff(
+        tuple(
+            Row(**dict(zip(columns, values, strict=True))) for values in zip(*lists, strict=True)
+        ),
+        **own,
+    )
 
 
 def _kinds(field: Field[Any]) -> str:
@@ -367,13 +427,19 @@ def _check_values(columns: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     if not 0 < own["t_end"] < np.inf:
         raise ValueError(f"field 't_end' is {own['t_end']:g}: it must be finite and greater than 0")
     if not own["reference_error"] >= 0:
-        raise ValueError(f"field 'reference_error' is {own['reference_error']:g}: it must be at least 0")
+        raise ValueError(
+            f"field 'reference_error' is {own['reference_error']:g}: it must be at least 0"
+        )
     success = columns["success"].astype(bool)
     for name in ("step", "seconds", "position", "bar", "joint", "energy", "instructions", "steps"):
         values = columns[name]
         wrong = values <= 0 if name == "step" else values < 0
         wrong = wrong | np.isinf(values) if name in ("step", "seconds") else wrong
-        wrong = wrong | (success & ~np.isfinite(values)) if name in ("position", "bar", "joint") else wrong
+        wrong = (
+            wrong | (success & ~np.isfinite(values))
+            if name in ("position", "bar", "joint")
+            else wrong
+        )
         for k in np.flatnonzero(wrong)[:1]:
             raise ValueError(f"field 'row_{name}' is {values[k]:g} in row {k}, which no run has")
 
@@ -390,7 +456,12 @@ def _value(text: str) -> Any:
         raise ValueError(f"{text!r} is no scheme or correction") from None
     if isinstance(tree, ast.Constant) and tree.value is None:
         return None
-    if not isinstance(tree, ast.Call) or not isinstance(tree.func, ast.Name) or tree.func.id not in integrators.__all__ or tree.args:
+    if (
+        not isinstance(tree, ast.Call)
+        or not isinstance(tree.func, ast.Name)
+        or tree.func.id not in integrators.__all__
+        or tree.args
+    ):
         raise ValueError(f"{text!r} is no scheme or correction")
     options = {str(option.arg): ast.literal_eval(option.value) for option in tree.keywords}
     try:

@@ -34,7 +34,9 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     began = time.perf_counter()
     names = ("t_end", "step", "coordinates", "gravity", "save_every", "projection")
     simulation = source.simulation(**{name: getattr(arguments, name) for name in names})
-    trajectory = simulation.run(progress=sys.stderr.isatty(), compiled=False if arguments.uncompiled else None)
+    trajectory = simulation.run(
+        progress=sys.stderr.isatty(), compiled=False if arguments.uncompiled else None
+    )
     model = simulation.model
     set_up = time.perf_counter() - began - trajectory.seconds
     print(f"{source.name}: {model.structure!r}, {model.nx} states, {model.coordinates} coordinates")
@@ -43,9 +45,13 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     writers: Writers = {
         ".npz": trajectory.save,
         ".png": lambda path: plots.time_lapse(trajectory, title=source.stem, path=path),
-        "-errors.png": lambda path: plots.errors(trajectory, title=f"{source.stem}: errors", path=path),
+        "-errors.png": lambda path: plots.errors(
+            trajectory, title=f"{source.stem}: errors", path=path
+        ),
     }
-    films = [ending for ending, wanted in ((".gif", arguments.gif), (".mp4", arguments.mp4)) if wanted]
+    films = [
+        ending for ending, wanted in ((".gif", arguments.gif), (".mp4", arguments.mp4)) if wanted
+    ]
     writers |= dict.fromkeys(films, lambda path: animate(trajectory, path, title=source.stem))
     write_files(arguments.output, f"{source.stem}-simulation", writers)
     return 0 if trajectory.success else FAILED
@@ -58,7 +64,13 @@ def run_tradeoff(arguments: argparse.Namespace) -> int:
         positive_number("tolerance", arguments.tolerance)
     simulation = source.simulation(t_end=arguments.t_end)
     model = simulation.model
-    schemes: list[Scheme] = [RungeKutta4(), DormandPrince54(), DormandPrince853(), Rattle(), *map(DormandPrince853, arguments.rtol)]
+    schemes: list[Scheme] = [
+        RungeKutta4(),
+        DormandPrince54(),
+        DormandPrince853(),
+        Rattle(),
+        *map(DormandPrince853, arguments.rtol),
+    ]
     table = tradeoff(
         model,
         simulation.t_end,
@@ -68,7 +80,10 @@ def run_tradeoff(arguments: argparse.Namespace) -> int:
         control=simulation.control,
         parameters=simulation.parameters,
         corrections=(None, Projection()),
-        compiled=(False if arguments.uncompiled else None, *([Single()] if arguments.single else [])),
+        compiled=(
+            False if arguments.uncompiled else None,
+            *([Single()] if arguments.single else []),
+        ),
         progress=sys.stderr.isatty(),
     )
     print(f"{source.name}: {model.structure!r}, {table.t_end:g} s")
@@ -79,12 +94,19 @@ def run_tradeoff(arguments: argparse.Namespace) -> int:
     if arguments.tolerance is not None:
         try:
             row = table.cheapest(arguments.tolerance)
-            print(f"fastest within {arguments.tolerance:g} m: {row.name}" + ("" if np.isnan(row.step) else f", step {row.step:g} s"))
+            print(
+                f"fastest within {arguments.tolerance:g} m: {row.name}"
+                + ("" if np.isnan(row.step) else f", step {row.step:g} s")
+            )
         except ValueError as error:  # what was measured is kept all the same
             print(error)
             served = False
     title = f"{source.stem}: cost and error of schemes"
-    write_files(arguments.output, f"{source.stem}-tradeoff", {".npz": table.save, ".png": lambda path: table.plot(path, title=title)})
+    write_files(
+        arguments.output,
+        f"{source.stem}-tradeoff",
+        {".npz": table.save, ".png": lambda path: table.plot(path, title=title)},
+    )
     return INTERRUPTED if not table.complete else 0 if served else FAILED
 
 
@@ -95,18 +117,37 @@ def run_info(arguments: argparse.Namespace) -> int:
     source = find_source(arguments.source)
     simulation = source.simulation() if source.has("simulation") else None
     scene = source.scene() if simulation is None else simulation.scene
-    model, given = (Model(scene), None) if simulation is None else (simulation.model, simulation.parameters)
+    model, given = (
+        (Model(scene), None) if simulation is None else (simulation.model, simulation.parameters)
+    )
     s = model.fixed(given).scene.structure
     print(f"{source.name}: {source.text}")
-    print(f"nodes         {len(s.nodes)}, pinned: {', '.join(map(str, sorted({*s.pinned, *s.rollers}))) or 'none'}")
-    print(f"bars          {len(s.bars)}" + (f", lengths {_range(s.bar_lengths)} m, mass {s.bar_mass.sum():g} kg in all" if len(s.bars) else ""))
     print(
-        f"strings       {len(s.strings)}" + (f", lengths {_range(s.string_lengths)} m, stiffness {_range(s.stiffness)} N/m" if len(s.strings) else "")
+        f"nodes         {len(s.nodes)}, pinned: {', '.join(map(str, sorted({*s.pinned, *s.rollers}))) or 'none'}"
+    )
+    print(
+        f"bars          {len(s.bars)}"
+        + (
+            f", lengths {_range(s.bar_lengths)} m, mass {s.bar_mass.sum():g} kg in all"
+            if len(s.bars)
+            else ""
+        )
+    )
+    print(
+        f"strings       {len(s.strings)}"
+        + (
+            f", lengths {_range(s.string_lengths)} m, stiffness {_range(s.stiffness)} N/m"
+            if len(s.strings)
+            else ""
+        )
     )
     gamma = _equilibrium(s)
     print("\nterm: instructions of the right-hand side")
     print(model.describe())
-    rate, stable = fastest_rate(model, parameters=given), stable_step(model, safety=1.0, parameters=given)
+    rate, stable = (
+        fastest_rate(model, parameters=given),
+        stable_step(model, safety=1.0, parameters=given),
+    )
     print(f"\nfastest rate  {rate:.4g} rad/s, largest stable step of RungeKutta4 {stable:.3g} s")
     if simulation is not None:
         step = "" if simulation.step is None else f" in steps of {simulation.step:g} s"
@@ -114,8 +155,22 @@ def run_info(arguments: argparse.Namespace) -> int:
     if source.has("plan"):
         print(f"plan          {describe_plan(source.path)}")
     compiler = find_compiler()
-    print(f"C compiler    {' '.join(compiler) if compiler else 'none found: simulations run uncompiled'}")
-    fields = ("nodes", "bars", "strings", "bar_mass", "bar_radius", "node_mass", "fixed", "stiffness", "damping", "rest_length", "string_mass")
+    print(
+        f"C compiler    {' '.join(compiler) if compiler else 'none found: simulations run uncompiled'}"
+    )
+    fields = (
+        "nodes",
+        "bars",
+        "strings",
+        "bar_mass",
+        "bar_radius",
+        "node_mass",
+        "fixed",
+        "stiffness",
+        "damping",
+        "rest_length",
+        "string_mass",
+    )
     content: dict[str, Any] = {name: getattr(s, name) for name in fields}
     writers: Writers = {
         ".npz": lambda path: np.savez_compressed(path, **content, equilibrium_force_density=gamma),
@@ -134,7 +189,9 @@ def _equilibrium(structure: Structure) -> Any:
     except EquilibriumError as error:
         print(f"equilibrium   {error}")
         return np.full(len(structure.strings), np.nan)
-    print(f"equilibrium   without loads, force densities in the ratio {' : '.join(f'{value:.4g}' for value in np.unique(gamma.round(9)))}")
+    print(
+        f"equilibrium   without loads, force densities in the ratio {' : '.join(f'{value:.4g}' for value in np.unique(gamma.round(9)))}"
+    )
     return gamma
 
 

@@ -29,7 +29,9 @@ _SCENES: dict[str, Callable[[Scene, Path], object]] = {
 _MOTIONS: dict[str, Callable[[Any, Path], object]] = {
     ".csv": lambda motion, path: motion.to_csv(path),
     ".mat": lambda motion, path: save_mat(_trajectory(motion), path),
-    ".pvd": lambda motion, path: export_vtk(_trajectory(motion), path, model=getattr(motion, "model", None)),  # a plan's, for forces of bars
+    ".pvd": lambda motion, path: export_vtk(
+        _trajectory(motion), path, model=getattr(motion, "model", None)
+    ),  # a plan's, for forces of bars
 }
 
 
@@ -47,7 +49,11 @@ _FOREIGN: dict[str, Callable[[str, dict[str, Any]], Scene]] = {
 def run_export(arguments: argparse.Namespace) -> int:
     """Write a scene, a motion or a plan for another tool. Raises ValueError, OSError, ImportError."""
     is_result = arguments.source.endswith(".npz")
-    write = _by_ending(_MOTIONS if is_result else _SCENES, arguments.out, "motions and plans" if is_result else "scenes")
+    write = _by_ending(
+        _MOTIONS if is_result else _SCENES,
+        arguments.out,
+        "motions and plans" if is_result else "scenes",
+    )
     check_file("OUT", arguments.out)
     source = None if is_result else find_source(arguments.source)
     if source is not None and arguments.out.exists() and arguments.out.samefile(source.path):
@@ -57,7 +63,9 @@ def run_export(arguments: argparse.Namespace) -> int:
         raise ValueError(f"{arguments.source} holds rollouts: give a trajectory or a plan")
     write(content, arguments.out)
     print(f"wrote {arguments.out}")
-    if source is not None and (left := [f"[{name}]" for name in _not_held(arguments.out) if source.has(name)]):
+    if source is not None and (
+        left := [f"[{name}]" for name in _not_held(arguments.out) if source.has(name)]
+    ):
         print(f"tenscasadi: left out: {', '.join(left)}", file=sys.stderr)
     return 0
 
@@ -84,5 +92,7 @@ def _trajectory(motion: Any) -> Trajectory:
 
 def _by_ending(known: dict[str, Callable[..., Any]], path: Path, what: str) -> Callable[..., Any]:
     if path.suffix.lower() not in known:
-        raise ValueError(f"{path} does not end as the files of {what} do: give one of {', '.join(sorted(known))}")
+        raise ValueError(
+            f"{path} does not end as the files of {what} do: give one of {', '.join(sorted(known))}"
+        )
     return known[path.suffix.lower()]

@@ -24,8 +24,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code. 0: done. 1: a run diverged, no plan was found or no run is as accurate as wanted; what there is was written. 2: bad input,
-        told in one line on standard error. 130: interrupted from the keyboard.
+        Exit code. 0: done. 1: a run diverged, no plan was found or no run is as accurate as wanted;
+        what there is was written. 2: bad input, told in one line on standard error. 130:
+        interrupted from the keyboard.
 
     Raises
     ------
@@ -48,7 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 check_folder("output", arguments.output)
             return int(arguments.run(arguments))
     except BrokenPipeError:  # whoever read the output has left, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains once more when it ends
+        os.dup2(
+            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+        )  # or Python complains once more when it ends
         return FAILED
     except (ValueError, TypeError, OSError, ImportError, MemoryError, CompileError) as error:
         if isinstance(error, OSError) and error.filename is not None and error.strerror:
@@ -63,9 +66,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _tell(text: str) -> None:
     line = " ".join(text.split())
-    print(f"tenscasadi: {''.join(c if c.isprintable() else '?' for c in line)}", file=sys.stderr)  # what files say may not steer a terminal
+    print(
+        f"tenscasadi: {''.join(c if c.isprintable() else '?' for c in line)}", file=sys.stderr
+    )  # what files say may not steer a terminal
 
 
-def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None, line: str | None = None) -> None:
+def _warn(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
     """Tell a warning in one line, without the line of code that it comes from."""
     _tell(f"warning: {message}")

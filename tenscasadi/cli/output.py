@@ -16,7 +16,9 @@ def check_folder(name: str, folder: Path) -> None:
     """Raise OSError unless there is such a folder, or it can be made: told now instead of after a long run."""
     there = next(path for path in (folder, *folder.parents) if path.exists())
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
-        raise OSError(f"{name} is {folder}: {there} {'cannot be written to' if there.is_dir() else 'is a file'}, give another folder")
+        raise OSError(
+            f"{name} is {folder}: {there} {'cannot be written to' if there.is_dir() else 'is a file'}, give another folder"
+        )
 
 
 def check_file(name: str, path: Path) -> None:
@@ -24,8 +26,12 @@ def check_file(name: str, path: Path) -> None:
     if path.is_dir():
         raise OSError(f"{name} is {path}: that is a folder, give a file")
     if not path.parent.is_dir():
-        raise OSError(f"{name} is {path}: there is no folder {path.parent}, make it or give another")
-    if not os.access(path.parent, os.W_OK | os.X_OK) or (path.exists() and not os.access(path, os.W_OK)):
+        raise OSError(
+            f"{name} is {path}: there is no folder {path.parent}, make it or give another"
+        )
+    if not os.access(path.parent, os.W_OK | os.X_OK) or (
+        path.exists() and not os.access(path, os.W_OK)
+    ):
         raise OSError(f"{name} is {path}: it cannot be written, give another")
 
 

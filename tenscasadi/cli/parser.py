@@ -38,7 +38,9 @@ class Command(NamedTuple):
 
 def command_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    parser = _Parser(prog="tenscasadi", description=_DESCRIPTION, epilog=_EPILOG, allow_abbrev=False)
+    parser = _Parser(
+        prog="tenscasadi", description=_DESCRIPTION, epilog=_EPILOG, allow_abbrev=False
+    )
     parser.add_argument("--version", action="version", version=f"tenscasadi {__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, command in COMMANDS.items():
@@ -76,54 +78,132 @@ _OUTPUT: _Options = {
         "complete": FOLDER,
     }
 }
-_SOURCE: _Options = {"source": {"metavar": "SHAPE|FILE", "help": "one of the shapes below, or a scene file (.toml)", "complete": SOURCE}}
-_THING: _Options = {"source": {"metavar": "SHAPE|FILE", "help": "a shape, a scene file (.toml), a trajectory or plan (.npz)", "complete": FILE}}
+_SOURCE: _Options = {
+    "source": {
+        "metavar": "SHAPE|FILE",
+        "help": "one of the shapes below, or a scene file (.toml)",
+        "complete": SOURCE,
+    }
+}
+_THING: _Options = {
+    "source": {
+        "metavar": "SHAPE|FILE",
+        "help": "a shape, a scene file (.toml), a trajectory or plan (.npz)",
+        "complete": FILE,
+    }
+}
 _T_END = {"--t-end": _number("end of the simulation, s (default: the scene's)", metavar="S")}
-_UNCOMPILED: _Options = {"--uncompiled": {"help": "use CasADi's virtual machine even where there is a C compiler", **_FLAG}}
+_UNCOMPILED: _Options = {
+    "--uncompiled": {
+        "help": "use CasADi's virtual machine even where there is a C compiler",
+        **_FLAG,
+    }
+}
 
 _PLAN_OPTIONS = {
-    **{f"--{name.replace('_', '-')}": _number(f"{text} (default: {default:g})", type(default)) for name, (text, default) in plan.PRISM.items()},
-    "--to-height": _number("prism: height at the end, m (default: 1.2 times the height at the start)"),
-    "--intervals": _number("prism: this many intervals, by multiple shooting and IPOPT (default: what suits the problem)", int, "N"),
+    **{
+        f"--{name.replace('_', '-')}": _number(f"{text} (default: {default:g})", type(default))
+        for name, (text, default) in plan.PRISM.items()
+    },
+    "--to-height": _number(
+        "prism: height at the end, m (default: 1.2 times the height at the start)"
+    ),
+    "--intervals": _number(
+        "prism: this many intervals, by multiple shooting and IPOPT (default: what suits the problem)",
+        int,
+        "N",
+    ),
 }
 _SIMULATE_OPTIONS: _Options = {
     **_T_END,
     "--step": _number("largest time step, s (default: the scene's, 0.001 for shapes)", metavar="S"),
-    "--coordinates": {"help": '"reduced" or "full": the class-one nodes and joint forces of the paper (default: the scene\'s)', "metavar": "C"},
+    "--coordinates": {
+        "help": '"reduced" or "full": the class-one nodes and joint forces of the paper (default: the scene\'s)',
+        "metavar": "C",
+    },
     "--gravity": _number("m/s² downwards, 0: none (default: the scene's)", metavar="G"),
-    "--save-every": _number("steps from one kept row to the next (default: about 1000 rows)", int, "N"),
-    "--projection": _number("put bars and joints right after every N steps (default: the scene's)", int, "N"),
+    "--save-every": _number(
+        "steps from one kept row to the next (default: about 1000 rows)", int, "N"
+    ),
+    "--projection": _number(
+        "put bars and joints right after every N steps (default: the scene's)", int, "N"
+    ),
     **_UNCOMPILED,
     "--gif": {"help": "write an animation too", **_FLAG},
     "--mp4": {"help": "write a film too", **_FLAG},
 }
 _TRADEOFF_OPTIONS: _Options = {
     **_T_END,
-    "--steps": _number("steps, s (default: 0.02 … 0.001)", metavar="S", nargs="+", default=[0.02, 0.01, 0.005, 0.002, 0.001]),
-    "--rtol": _number("tolerances (default: 1e-4 1e-7 1e-10)", metavar="R", nargs="+", default=[1e-4, 1e-7, 1e-10]),
+    "--steps": _number(
+        "steps, s (default: 0.02 … 0.001)",
+        metavar="S",
+        nargs="+",
+        default=[0.02, 0.01, 0.005, 0.002, 0.001],
+    ),
+    "--rtol": _number(
+        "tolerances (default: 1e-4 1e-7 1e-10)", metavar="R", nargs="+", default=[1e-4, 1e-7, 1e-10]
+    ),
     "--tolerance": _number("wanted accuracy, m: names the fastest run within it"),
     "--single": {"help": "measure everything in single precision, too", **_FLAG},
     **_UNCOMPILED,
 }
 _SHELL: _Options = {"shell": {"choices": ("bash", "zsh"), "help": "whose script"}}
-_SHAPE: _Options = {"shape": {"metavar": "SHAPE", "help": "one of the shapes below", "complete": SHAPE}}
-_THINGS: _Options = {
-    "things": {"metavar": "SHAPE|FILE", "nargs": "+", "help": "shapes, scene files (.toml), trajectories, rollouts, plans (.npz)", "complete": FILE}
+_SHAPE: _Options = {
+    "shape": {"metavar": "SHAPE", "help": "one of the shapes below", "complete": SHAPE}
 }
-_FOREIGN: _Options = {"source": {"metavar": "FILE", "help": "file of another tool; its ending says which", "complete": FILE}}
-_OUT: _Options = {"out": {"metavar": "OUT", "type": Path, "help": "file to write; its ending says the format", "complete": FILE}}
+_THINGS: _Options = {
+    "things": {
+        "metavar": "SHAPE|FILE",
+        "nargs": "+",
+        "help": "shapes, scene files (.toml), trajectories, rollouts, plans (.npz)",
+        "complete": FILE,
+    }
+}
+_FOREIGN: _Options = {
+    "source": {
+        "metavar": "FILE",
+        "help": "file of another tool; its ending says which",
+        "complete": FILE,
+    }
+}
+_OUT: _Options = {
+    "out": {
+        "metavar": "OUT",
+        "type": Path,
+        "help": "file to write; its ending says the format",
+        "complete": FILE,
+    }
+}
 _IMPORT_OPTIONS: _Options = {
     "--length-unit": _number("NTRT: its unit of length, m", default=1.0),
     "--ball-joints": {"help": "NTRT: rods that share a node may turn there", **_FLAG},
 }
 _VIEW_OPTIONS: _Options = {
-    "--html": {"type": Path, "metavar": "OUT", "help": "write one page that plays in any browser, instead of showing it now", "complete": FILE},
+    "--html": {
+        "type": Path,
+        "metavar": "OUT",
+        "help": "write one page that plays in any browser, instead of showing it now",
+        "complete": FILE,
+    },
     "--live": {"help": "simulate in real time: sliders for the strings, nodes to pull at", **_FLAG},
-    "--save": {"type": Path, "metavar": "OUT", "help": "with --live: the file that the button Save writes (.npz)", "complete": FILE},
-    "--host": {"default": "127.0.0.1", "metavar": "HOST", "help": "address to listen on (default: 127.0.0.1, this machine alone)"},
+    "--save": {
+        "type": Path,
+        "metavar": "OUT",
+        "help": "with --live: the file that the button Save writes (.npz)",
+        "complete": FILE,
+    },
+    "--host": {
+        "default": "127.0.0.1",
+        "metavar": "HOST",
+        "help": "address to listen on (default: 127.0.0.1, this machine alone)",
+    },
     "--port": _number("port (default: one that is free)", int, "N"),
     "--no-browser": {"help": "open no browser: print the address", **_FLAG},
-    "--colour": {"choices": ("tension", "force density"), "default": "tension", "help": "what the colour of strings tells (default: tension)"},
+    "--colour": {
+        "choices": ("tension", "force density"),
+        "default": "tension",
+        "help": "what the colour of strings tells (default: tension)",
+    },
     "--speed": _number("simulated seconds in each second", default=1.0),
     "--follow": {"help": "keep the first motion in the middle", **_FLAG},
 }
@@ -163,20 +243,70 @@ _STARTS = f"shapes and how they start:\n{_SHAPES}"
 _PLAIN = f"shapes:\n{_SHAPES}"
 
 COMMANDS = {
-    "new": Command(run_new, "print a commented scene file to start from", f"{_NEW}\n\n{_PLAIN}", _SHAPE, {}),
+    "new": Command(
+        run_new, "print a commented scene file to start from", f"{_NEW}\n\n{_PLAIN}", _SHAPE, {}
+    ),
     "info": Command(
-        commands.run_info, "describe a scene: members, masses, equilibrium, equations, stable step; check its file", _PLAIN, _SOURCE, _OUTPUT
+        commands.run_info,
+        "describe a scene: members, masses, equilibrium, equations, stable step; check its file",
+        _PLAIN,
+        _SOURCE,
+        _OUTPUT,
     ),
-    "simulate": Command(commands.run_simulate, "simulate a scene from its start", _STARTS, _SOURCE, _OUTPUT | _SIMULATE_OPTIONS),
+    "simulate": Command(
+        commands.run_simulate,
+        "simulate a scene from its start",
+        _STARTS,
+        _SOURCE,
+        _OUTPUT | _SIMULATE_OPTIONS,
+    ),
     "plan": Command(
-        plan.run_plan, "plan force densities: as a scene file asks, or from one height of a prism to another", _PLAN, _SOURCE, _OUTPUT | _PLAN_OPTIONS
+        plan.run_plan,
+        "plan force densities: as a scene file asks, or from one height of a prism to another",
+        _PLAN,
+        _SOURCE,
+        _OUTPUT | _PLAN_OPTIONS,
     ),
-    "view": Command(run_view, "show scenes, motions and plans in a browser, or write them as a page", f"{_VIEW}\n\n{_PLAIN}", _THINGS, _VIEW_OPTIONS),
+    "view": Command(
+        run_view,
+        "show scenes, motions and plans in a browser, or write them as a page",
+        f"{_VIEW}\n\n{_PLAIN}",
+        _THINGS,
+        _VIEW_OPTIONS,
+    ),
     "tradeoff": Command(
-        commands.run_tradeoff, "measure how fast and how accurate each scheme is", f"{_TRADEOFF}\n\n{_STARTS}", _SOURCE, _OUTPUT | _TRADEOFF_OPTIONS
+        commands.run_tradeoff,
+        "measure how fast and how accurate each scheme is",
+        f"{_TRADEOFF}\n\n{_STARTS}",
+        _SOURCE,
+        _OUTPUT | _TRADEOFF_OPTIONS,
     ),
-    "export": Command(run_export, "write a scene, a trajectory or a plan for other tools", _EXPORT, _THING | _OUT, {}),
-    "import": Command(run_import, "write what another tool wrote as a scene file", _IMPORT, _FOREIGN | _OUT, _IMPORT_OPTIONS),
-    "schema": Command(run_schema, "print the JSON Schema of scene files, for editors", "    tenscasadi schema > scene.schema.json", {}, {}),
-    "completion": Command(run_completion, "print the script that lets a shell complete what is typed", _COMPLETION, _SHELL, {}),
+    "export": Command(
+        run_export,
+        "write a scene, a trajectory or a plan for other tools",
+        _EXPORT,
+        _THING | _OUT,
+        {},
+    ),
+    "import": Command(
+        run_import,
+        "write what another tool wrote as a scene file",
+        _IMPORT,
+        _FOREIGN | _OUT,
+        _IMPORT_OPTIONS,
+    ),
+    "schema": Command(
+        run_schema,
+        "print the JSON Schema of scene files, for editors",
+        "    tenscasadi schema > scene.schema.json",
+        {},
+        {},
+    ),
+    "completion": Command(
+        run_completion,
+        "print the script that lets a shell complete what is typed",
+        _COMPLETION,
+        _SHELL,
+        {},
+    ),
 }

@@ -17,7 +17,9 @@ from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import find_compiler
 
-PRISM: dict[str, tuple[str, float]] = {  # options of the prism's plan: what they are, and their defaults
+PRISM: dict[
+    str, tuple[str, float]
+] = {  # options of the prism's plan: what they are, and their defaults
     "bars": ("prism: number of bars", 3),
     "radius": ("prism: radius of the polygons at the start, m", 0.5),
     "height": ("prism: height at the start, m", 1.0),
@@ -36,7 +38,9 @@ def run_plan(arguments: argparse.Namespace) -> int:
     source = find_source(arguments.source)
     for name in (*PRISM, "to_height", "intervals"):
         if getattr(arguments, name) is not None:
-            raise ValueError(f"--{name.replace('_', '-')} is for the shape prism: leave it out, and change [plan] of {source.path.name}")
+            raise ValueError(
+                f"--{name.replace('_', '-')} is for the shape prism: leave it out, and change [plan] of {source.path.name}"
+            )
     asked = ocp.load_arguments(source.path)
     problem = asked["problem"]
     try:
@@ -56,9 +60,18 @@ def describe_plan(path: Path) -> str:
 
 
 def _describe(problem: Any) -> str:
-    duration = f"{problem.shortest:g} s" if problem.shortest == problem.longest else f"{problem.shortest:g} to {problem.longest:g} s"
-    parts = {name: [type(value).__name__ for value in getattr(problem, name)] for name in ("phases", "goals", "bounds", "costs")}
-    return f"{duration}, " + "; ".join(f"{name}: {', '.join(kinds)}" for name, kinds in parts.items() if kinds)
+    duration = (
+        f"{problem.shortest:g} s"
+        if problem.shortest == problem.longest
+        else f"{problem.shortest:g} to {problem.longest:g} s"
+    )
+    parts = {
+        name: [type(value).__name__ for value in getattr(problem, name)]
+        for name in ("phases", "goals", "bounds", "costs")
+    }
+    return f"{duration}, " + "; ".join(
+        f"{name}: {', '.join(kinds)}" for name, kinds in parts.items() if kinds
+    )
 
 
 def _plan_prism(arguments: argparse.Namespace) -> int:
@@ -68,7 +81,9 @@ def _plan_prism(arguments: argparse.Namespace) -> int:
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)
     start = shapes.prism(arguments.bars, arguments.radius, arguments.height)
-    goal = _same_bars(arguments, 1.2 * arguments.height if arguments.to_height is None else arguments.to_height)
+    goal = _same_bars(
+        arguments, 1.2 * arguments.height if arguments.to_height is None else arguments.to_height
+    )
     problem = ocp.Problem(
         Model(Scene(start, control=ForceDensity())),
         duration=arguments.duration,
@@ -76,9 +91,15 @@ def _plan_prism(arguments: argparse.Namespace) -> int:
         bounds=[ocp.ForceDensityLimits(arguments.lower, arguments.upper)],
         costs=[ocp.Effort()],
     )
-    way = () if arguments.intervals is None else (ocp.MultipleShooting(intervals=arguments.intervals), ocp.Ipopt())
+    way = (
+        ()
+        if arguments.intervals is None
+        else (ocp.MultipleShooting(intervals=arguments.intervals), ocp.Ipopt())
+    )
     plan = ocp.solve(problem, *way)
-    print(f"prism: {start!r}, from a height of {arguments.height:g} m to {goal.nodes[:, 2].max():g} m in {arguments.duration:g} s")
+    print(
+        f"prism: {start!r}, from a height of {arguments.height:g} m to {goal.nodes[:, 2].max():g} m in {arguments.duration:g} s"
+    )
     return _finish(arguments, "prism", plan, {"lower": arguments.lower, "upper": arguments.upper})
 
 
@@ -91,8 +112,12 @@ def _finish(arguments: argparse.Namespace, stem: str, plan: Any, limits: dict[st
         print("C compiler    none found: it runs uncompiled")
     writers: Writers = {
         ".npz": plan.save,
-        ".png": lambda path: plots.time_lapse(plan.replay(), title=f"{stem}: the plan, replayed", path=path),
-        "-forces.png": lambda path: plots.force_densities(plan, **limits, title=f"{stem}: planned force densities", path=path),
+        ".png": lambda path: plots.time_lapse(
+            plan.replay(), title=f"{stem}: the plan, replayed", path=path
+        ),
+        "-forces.png": lambda path: plots.force_densities(
+            plan, **limits, title=f"{stem}: planned force densities", path=path
+        ),
     }
     write_files(arguments.output, f"{stem}-plan", writers)
     return 0 if plan.success else FAILED
@@ -105,5 +130,7 @@ def _same_bars(arguments: argparse.Namespace, height: float) -> Structure:
     square = (chord * radius) ** 2 + arguments.height**2 - height**2
     if not square > 0:
         longest = np.sqrt((chord * radius) ** 2 + arguments.height**2)
-        raise ValueError(f"to-height is {height:g}: it must be less than the length of the bars, {longest:g} m")
+        raise ValueError(
+            f"to-height is {height:g}: it must be less than the length of the bars, {longest:g} m"
+        )
     return shapes.prism(bars, float(np.sqrt(square)) / chord, height)

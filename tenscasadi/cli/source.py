@@ -55,20 +55,29 @@ class Source:
         """Return the scene. Raises SceneFileError, OSError."""
         return read_scene(self.document)[0]
 
-    def simulation(self, gravity: float | None = None, projection: int | None = None, **changes: Any) -> Simulation:
+    def simulation(
+        self, gravity: float | None = None, projection: int | None = None, **changes: Any
+    ) -> Simulation:
         """Return the simulation, but for what is given here; gravity: m/s² downwards, 0: none; projection: steps from one to the next."""
         told = read_simulation(self.document, *read_scene(self.document), changes.get("t_end"))
         if gravity is not None:
             down = positive_number("gravity", gravity, zero=True)
-            changes["scene"] = replace(told.scene, gravity=Gravity((0.0, 0.0, -down)) if down else None)
+            changes["scene"] = replace(
+                told.scene, gravity=Gravity((0.0, 0.0, -down)) if down else None
+            )
         if projection is not None:
             changes["correction"] = Projection(projection)
-        return replace(told, **{name: value for name, value in changes.items() if value is not None})
+        return replace(
+            told, **{name: value for name, value in changes.items() if value is not None}
+        )
 
     @property
     def string_groups(self) -> dict[str, list[int]]:
         """Strings by the names of their groups."""
-        return {name: list(strings) for name, strings in read_scene(self.document)[1].named.get("string", {}).items()}
+        return {
+            name: list(strings)
+            for name, strings in read_scene(self.document)[1].named.get("string", {}).items()
+        }
 
     def has(self, section: str) -> bool:
         """Tell whether the file has a table of this name."""
@@ -80,8 +89,12 @@ def find_source(name: str) -> Source:
     if name in SHAPES:
         return Source(name, STARTING_FILES / f"{name}.toml", SHAPES[name])
     if not name.endswith(".toml"):
-        raise ValueError(f"unknown shape {name!r}: give one of {', '.join(SHAPES)}, or a scene file, whose name ends in .toml")
+        raise ValueError(
+            f"unknown shape {name!r}: give one of {', '.join(SHAPES)}, or a scene file, whose name ends in .toml"
+        )
     path = Path(name)
     if not path.exists():
-        raise FileNotFoundError(f"there is no file {name}: `tenscasadi new prism > {path.name}` writes one to start from")
+        raise FileNotFoundError(
+            f"there is no file {name}: `tenscasadi new prism > {path.name}` writes one to start from"
+        )
     return Source(name, path, "scene file")

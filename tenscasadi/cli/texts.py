@@ -18,7 +18,9 @@ def run_new(arguments: argparse.Namespace) -> int:
 
 def run_schema(_: argparse.Namespace) -> int:
     """Print the JSON Schema of scene files."""
-    from ocp.files.plan_part import file_schema  # only here: everything else of tenscasadi works without it
+    from ocp.files.plan_part import (
+        file_schema,
+    )  # only here: everything else of tenscasadi works without it
 
     print(json.dumps(file_schema(), indent=1, ensure_ascii=False))
     return 0

@@ -18,7 +18,11 @@ def run_view(arguments: argparse.Namespace) -> int:
     """Show what is named, over each other; or write the page; or simulate in real time. Raises ValueError, OSError, ImportError."""
     from tenscasadi.viewer.view import view  # only here: what needs no viewer does not wait for it
 
-    where = {"host": arguments.host, "port": arguments.port, "browser": False if arguments.no_browser else None}
+    where = {
+        "host": arguments.host,
+        "port": arguments.port,
+        "browser": False if arguments.no_browser else None,
+    }
     if arguments.live:
         return _live(arguments, where)
     if arguments.save is not None:
@@ -47,7 +51,11 @@ def _live(arguments: argparse.Namespace, where: dict[str, Any]) -> int:
     source = find_source(arguments.things[0])
     simulation = source.simulation()
     stepping = Stepping(simulation.step, simulation.scheme, simulation.correction or Projection())
-    control = None if callable(simulation.control) or np.ndim(simulation.control) != 1 else simulation.control
+    control = (
+        None
+        if callable(simulation.control) or np.ndim(simulation.control) != 1
+        else simulation.control
+    )
     live(
         simulation.model,
         state=simulation.start,

@@ -13,13 +13,23 @@ from scipy.sparse.linalg import splu
 from tenscasadi.util.validate import Array
 
 _ITERATIONS = 80
-_CONVERGED = 1e-10  # of residuals, relative; complementarity goes to its square: bounds that hold without force show no earlier
-_CERTAIN, _WORK = 1e-8, 1e-6  # shares of the largest entry: what may be lacking of a proof that nothing balances the loads
-_PROXIMAL, _BARS = 1e-9, 1e-4  # keep the system regular where rows or bars depend on each other; they weigh changes alone
+# of residuals, relative; complementarity goes to its square: bounds that hold without force show no
+# earlier
+_CONVERGED = 1e-10
+_CERTAIN, _WORK = (
+    1e-8,
+    1e-6,
+)  # shares of the largest entry: what may be lacking of a proof that nothing balances the loads
+_PROXIMAL, _BARS = (
+    1e-9,
+    1e-4,
+)  # keep the system regular where rows or bars depend on each other; they weigh changes alone
 _LIGHT = 1e-8  # weight of γ² beside what is left unbalanced
 _TO_THE_BOUND = 0.995  # share of the way to the nearest bound that a step goes at most
 _REFINEMENTS = 8  # of the solution with known bounds
-_CONFIRMED = 1e-7  # what its force densities and multipliers may be on the wrong side of their bounds by
+_CONFIRMED = (
+    1e-7  # what its force densities and multipliers may be on the wrong side of their bounds by
+)
 
 
 class _Point(NamedTuple):
@@ -31,7 +41,9 @@ class _Point(NamedTuple):
     z: Array
 
 
-def least_force_density(A: Any, B: Any, w: Array, least: Array, bounded: NDArray[np.bool_]) -> tuple[Array | None, Array]:
+def least_force_density(
+    A: Any, B: Any, w: Array, least: Array, bounded: NDArray[np.bool_]
+) -> tuple[Array | None, Array]:
     """Compute γ of least Σγ² with A γ + B t = w, for any bar forces t, and with γ ≥ `least` where it is `bounded`.
 
     Parameters
@@ -50,18 +62,26 @@ def least_force_density(A: Any, B: Any, w: Array, least: Array, bounded: NDArray
     Returns
     -------
     tuple
-        γ (α,), N/m, None where there is none, and w − A γ − B t (n,), N: what stays unbalanced at best.
+        γ (α,), N/m, None where there is none, and w − A γ − B t (n,), N: what stays unbalanced at
+        best.
 
     References
     ----------
-    .. [1] S. Mehrotra, On the implementation of a primal-dual interior point method, SIAM Journal on Optimization 2, 1992, 575-601.
+    .. [1] S. Mehrotra, On the implementation of a primal-dual interior point method, SIAM Journal
+    on Optimization 2, 1992, 575-601.
     """
     alpha, (inside, outside) = len(least), (np.flatnonzero(mask) for mask in (bounded, ~bounded))
     length = float(np.sqrt(np.asarray(A.multiply(A).sum(axis=0)).max(initial=0.0))) or 1.0
     unit = max(float(least.max(initial=0.0)), float(np.abs(w).max(initial=0.0)) / length) or 1.0
     others = sp.csc_array(sp.hstack([A[:, outside] / length, B]))
     weights = np.repeat([1.0, 0.0], [len(outside), B.shape[1]])
-    program = sp.csc_array(A[:, inside] / length), others, w / (unit * length), least[inside] / unit, weights
+    program = (
+        sp.csc_array(A[:, inside] / length),
+        others,
+        w / (unit * length),
+        least[inside] / unit,
+        weights,
+    )
     point, converged = _interior_point(*program, slack=0.0)
     if converged:
         above, free = _polish(*program, point)
@@ -75,26 +95,37 @@ def least_force_density(A: Any, B: Any, w: Array, least: Array, bounded: NDArray
     return gamma if converged else None, left
 
 
-def _interior_point(A: Any, B: Any, w: Array, low: Array, weights: Array, slack: float) -> tuple[_Point, bool]:
+def _interior_point(
+    A: Any, B: Any, w: Array, low: Array, weights: Array, slack: float
+) -> tuple[_Point, bool]:
     """Minimise ½ weight |γ|² + ½ weightsᵀ t² + ½ slack |y|² with A γ + B t + slack y = w and γ ≥ low; tell whether that has converged.
 
-    The weight of γ is 1, and next to nothing with slack: what is left unbalanced is what counts then.
+    The weight of γ is 1, and next to nothing with slack: what is left unbalanced is what counts
+    then.
     """
     weight = _LIGHT if slack else 1.0
     point = _Point(np.ones(len(low)), np.zeros(B.shape[1]), np.zeros(len(w)), np.ones(len(low)))
     for _ in range(_ITERATIONS):
         above, free, y, z = point
         gamma, gap = low + above, float(above @ z) / max(len(z), 1)
-        dual, other, primal = weight * gamma - A.T @ y - z, weight * weights * free - B.T @ y, w - A @ gamma - B @ free - slack * y
+        dual, other, primal = (
+            weight * gamma - A.T @ y - z,
+            weight * weights * free - B.T @ y,
+            w - A @ gamma - B @ free - slack * y,
+        )
         forces, multipliers = 1.0 + _largest(gamma), 1.0 + _largest(y)
-        off = max(_largest(primal) / forces, _largest(dual) / multipliers, _largest(other) / multipliers)
+        off = max(
+            _largest(primal) / forces, _largest(dual) / multipliers, _largest(other) / multipliers
+        )
         if off < _CONVERGED and gap < _CONVERGED**2:
             return point, True
         if not slack and _is_impossible(A, B, w - A @ low, y):
             break
         newton = _newton(A, B, point, (dual, other, primal), (weight, weight * weights), slack)
         predicted = newton(np.zeros(len(z)))
-        ahead = (above + min(1.0, _reach(above, predicted.above)) * predicted.above) @ (z + min(1.0, _reach(z, predicted.z)) * predicted.z)
+        ahead = (above + min(1.0, _reach(above, predicted.above)) * predicted.above) @ (
+            z + min(1.0, _reach(z, predicted.z)) * predicted.z
+        )
         centre = (float(ahead) / max(len(z), 1) / gap) ** 3 * gap if gap > 0 else 0.0
         change = newton(centre - predicted.above * predicted.z)
         share = min(1.0, _TO_THE_BOUND * min(_reach(above, change.above), _reach(z, change.z)))
@@ -102,7 +133,14 @@ def _interior_point(A: Any, B: Any, w: Array, low: Array, weights: Array, slack:
     return point, False
 
 
-def _newton(A: Any, B: Any, point: _Point, residuals: tuple[Array, ...], weights: tuple[float, Array], slack: float) -> Callable[[Array], _Point]:
+def _newton(
+    A: Any,
+    B: Any,
+    point: _Point,
+    residuals: tuple[Array, ...],
+    weights: tuple[float, Array],
+    slack: float,
+) -> Callable[[Array], _Point]:
     """Return Newton's step from a point as a function of the complementarity above · z that it aims at."""
     above, _, _, z = point
     dual, other, primal = residuals
@@ -119,7 +157,11 @@ def _newton(A: Any, B: Any, point: _Point, residuals: tuple[Array, ...], weights
 def _is_impossible(A: Any, B: Any, load: Array, y: Array) -> bool:
     """Tell whether y proves that no γ ≥ 0 and no t carry a load: strings and bars would do no work in a motion in which the load does (Farkas)."""
     size = _largest(y) or 1.0
-    return float((A.T @ y).max(initial=0.0)) <= _CERTAIN * size and _largest(B.T @ y) <= _CERTAIN * size and float(load @ y) > _WORK * size
+    return (
+        float((A.T @ y).max(initial=0.0)) <= _CERTAIN * size
+        and _largest(B.T @ y) <= _CERTAIN * size
+        and float(load @ y) > _WORK * size
+    )
 
 
 def _largest(values: Array) -> float:
@@ -132,11 +174,20 @@ def _reach(values: Array, change: Array) -> float:
     return min(1e3, float((-values[falling] / change[falling]).min(initial=np.inf)))
 
 
-def _factor(A: Any, B: Any, D: Array, weights: Array, slack: float) -> Callable[[Array, Array, Array], tuple[Array, Array, Array]]:
+def _factor(
+    A: Any, B: Any, D: Array, weights: Array, slack: float
+) -> Callable[[Array, Array, Array], tuple[Array, Array, Array]]:
     """Return the solution of D x − Aᵀ y = f, weights t − Bᵀ y = g, A x + B t + slack y = h for f, g and h, near enough to converge."""
     W = weights + _BARS
-    system = (A * (1 / D)) @ A.T + (B * (1 / W)) @ B.T + (slack + _PROXIMAL) * sp.eye_array(A.shape[0])
-    factors = splu(sp.csc_array(system), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    system = (
+        (A * (1 / D)) @ A.T + (B * (1 / W)) @ B.T + (slack + _PROXIMAL) * sp.eye_array(A.shape[0])
+    )
+    factors = splu(
+        sp.csc_array(system),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
 
     def solve(f: Array, g: Array, h: Array) -> tuple[Array, Array, Array]:
         y = factors.solve(h - A @ (f / D) - B @ (g / W))
@@ -145,7 +196,9 @@ def _factor(A: Any, B: Any, D: Array, weights: Array, slack: float) -> Callable[
     return solve
 
 
-def _polish(A: Any, B: Any, w: Array, low: Array, weights: Array, point: _Point) -> tuple[Array, Array]:
+def _polish(
+    A: Any, B: Any, w: Array, low: Array, weights: Array, point: _Point
+) -> tuple[Array, Array]:
     """Return γ − low and t to rounding: with the bounds that hold as equations, where that confirms which these are."""
     held = point.above < point.z
     loose = np.flatnonzero(~held)
@@ -153,7 +206,9 @@ def _polish(A: Any, B: Any, w: Array, low: Array, weights: Array, point: _Point)
     solve = _factor(inside, B, np.ones(len(loose)), weights, 0.0)
     gamma, free, y = np.zeros(len(loose)), np.zeros(B.shape[1]), np.zeros(len(w))
     for _ in range(_REFINEMENTS):
-        change, dt, dy = solve(inside.T @ y - gamma, B.T @ y - weights * free, load - inside @ gamma - B @ free)
+        change, dt, dy = solve(
+            inside.T @ y - gamma, B.T @ y - weights * free, load - inside @ gamma - B @ free
+        )
         gamma, free, y = gamma + change, free + dt, y + dy
     push = low - A.T @ y
     if np.all(gamma > low[loose] - _CONFIRMED) and np.all(push[held] > -_CONFIRMED):

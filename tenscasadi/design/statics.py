@@ -56,9 +56,10 @@ def self_stress(structure: Structure) -> Array:
 
     Notes
     -----
-    N K = 0 at all free coordinates, with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58 and 60 at rest). Singular values below 1e-9 of the
-    largest one count as zero. Up to a million entries N K is decomposed as a whole; beyond, by a sparse orthogonal factorisation, whose
-    self-stresses are local where the structure's are: 2000 bars take seconds.
+    N K = 0 at all free coordinates, with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58 and 60 at rest).
+    Singular values below 1e-9 of the largest one count as zero. Up to a million entries N K is
+    decomposed as a whole; beyond, by a sparse orthogonal factorisation, whose self-stresses are
+    local where the structure's are: 2000 bars take seconds.
 
     Examples
     --------
@@ -73,14 +74,22 @@ def self_stress(structure: Structure) -> Array:
     try:
         return sparse_null_space(balance, TOLERANCE)
     except RankError as error:
-        raise ValueError(f"structure: its self-stresses cannot be counted: {error}; move nodes that are nearly in line") from None
+        raise ValueError(
+            f"structure: its self-stresses cannot be counted: {error}; move nodes that are nearly in line"
+        ) from None
 
 
-def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = None, minimum: ArrayLike = 1.0, pushing: Iterable[int] = ()) -> Array:
+def equilibrium_force_density(
+    structure: Structure,
+    loads: ArrayLike | None = None,
+    minimum: ArrayLike = 1.0,
+    pushing: Iterable[int] = (),
+) -> Array:
     """Compute the least force densities that hold a structure at rest in its nodes.
 
-    Bars carry what they must and pins react freely. Among all γ that balance the loads and are nowhere below the minimum, that of
-    least Σγ² is returned; it is negative where strings that may push do so.
+    Bars carry what they must and pins react freely. Among all γ that balance the loads and are
+    nowhere below the minimum, that of least Σγ² is returned; it is negative where strings that may
+    push do so.
 
     Parameters
     ----------
@@ -107,12 +116,14 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
 
     Notes
     -----
-    Beyond a million entries of N K the quadratic program is solved by a sparse interior point method [2]_: 2000 bars take seconds.
+    Beyond a million entries of N K the quadratic program is solved by a sparse interior point
+    method [2]_: 2000 bars take seconds.
 
     References
     ----------
-    .. [1] C. L. Lawson and R. J. Hanson, Solving Least Squares Problems, chapter 23: least distance programming.
-    .. [2] S. Mehrotra, On the implementation of a primal-dual interior point method, SIAM Journal on Optimization 2, 1992, 575-601.
+    .. [1] C. L. Lawson and R. J. Hanson, Solving Least Squares Problems, chapter 23: least distance
+    programming. .. [2] S. Mehrotra, On the implementation of a primal-dual interior point method,
+    SIAM Journal on Optimization 2, 1992, 575-601.
 
     Examples
     --------
@@ -123,26 +134,48 @@ def equilibrium_force_density(structure: Structure, loads: ArrayLike | None = No
     instance("structure", structure, Structure, "a tenscasadi.Structure")
     alpha = len(structure.strings)
     pushes = item_mask("pushing", pushing, alpha, "string")
-    least = np.where(pushes, 0.0, nonnegative("minimum", per_item("minimum", minimum, alpha), "string"))
-    load = np.zeros(structure.nodes.shape) if loads is None else finite_array("loads", loads, structure.nodes.shape)
+    least = np.where(
+        pushes, 0.0, nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
+    )
+    load = (
+        np.zeros(structure.nodes.shape)
+        if loads is None
+        else finite_array("loads", loads, structure.nodes.shape)
+    )
     directions = _free_directions(structure)
     w = directions.T @ load.ravel()
     balance = _balance(structure)
-    program = balance[:, :alpha], balance[:, alpha:] * (1 / structure.bar_lengths), w, least, ~pushes
-    force = max(float(abs(program[0] * least).max()) if alpha and len(w) else 0.0, float(np.abs(w).max(initial=0.0)))
+    program = (
+        balance[:, :alpha],
+        balance[:, alpha:] * (1 / structure.bar_lengths),
+        w,
+        least,
+        ~pushes,
+    )
+    force = max(
+        float(abs(program[0] * least).max()) if alpha and len(w) else 0.0,
+        float(np.abs(w).max(initial=0.0)),
+    )
     if not _is_small(balance):
         gamma, unbalanced = least_force_density(*program)
         residual = float(np.linalg.norm(unbalanced))
         if residual > TOLERANCE * force:
-            raise _no_equilibrium((directions @ unbalanced).reshape(-1, 3), least[~pushes], residual)
+            raise _no_equilibrium(
+                (directions @ unbalanced).reshape(-1, 3), least[~pushes], residual
+            )
         if gamma is None:
-            raise EquilibriumError("least force densities were not found, though some hold the structure: give another minimum", residual)
+            raise EquilibriumError(
+                "least force densities were not found, though some hold the structure: give another minimum",
+                residual,
+            )
         return gamma
     # the bars take whatever acts along them: what is left is balanced by strings alone
     Q = null_space((balance[:, alpha:].toarray() / structure.bar_lengths).T, rcond=TOLERANCE).T
     strings = balance[:, :alpha].toarray()
     E, f = Q @ strings, Q @ w
-    E[:, np.linalg.norm(E, axis=0) <= TOLERANCE * np.linalg.norm(strings, axis=0)] = 0.0  # a string beside a bar: what is left is rounding
+    E[:, np.linalg.norm(E, axis=0) <= TOLERANCE * np.linalg.norm(strings, axis=0)] = (
+        0.0  # a string beside a bar: what is left is rounding
+    )
 
     extra, residual = _balancing(E, f - E @ least, pushes)
     if residual > TOLERANCE * force:
@@ -164,9 +197,14 @@ def _balance(structure: Structure) -> Any:
     vectors = structure.nodes[pairs[:, 1]] - structure.nodes[pairs[:, 0]]
     vectors[len(structure.strings) :] *= -1  # bars push
     rows = 3 * pairs[:, :, None] + np.arange(3)
-    values = np.stack([-vectors, vectors], axis=1)  # s C_s: what balances the member at its first and its second node
+    values = np.stack(
+        [-vectors, vectors], axis=1
+    )  # s C_s: what balances the member at its first and its second node
     columns = np.repeat(np.arange(members), 6)
-    return sp.csc_array(_free_directions(structure).T @ sp.csc_array((values.ravel(), (rows.ravel(), columns)), shape=(coordinates, members)))
+    return sp.csc_array(
+        _free_directions(structure).T
+        @ sp.csc_array((values.ravel(), (rows.ravel(), columns)), shape=(coordinates, members))
+    )
 
 
 def _is_small(balance: Any) -> bool:
@@ -203,7 +241,8 @@ def _least_norm(E: Array, f: Array, least: Array, bounded: NDArray[np.bool_]) ->
     """Return γ of least ‖γ‖ with E γ = f, γ ≥ `least` where it is `bounded`: least distance programming.
 
     Lawson and Hanson, Solving Least Squares Problems, ch. 23.
-    With γ = γ₀ + Z y, Z a basis of null(E): min ‖y‖ with Z y ≥ least − γ₀. None where rounding hides that it is feasible, or which is the least.
+    With γ = γ₀ + Z y, Z a basis of null(E): min ‖y‖ with Z y ≥ least − γ₀. None where rounding
+    hides that it is feasible, or which is the least.
     """
     if E.shape[0] == 0:
         return least.copy()  # 0 where there is no bound

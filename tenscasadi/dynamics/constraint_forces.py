@@ -1,13 +1,15 @@
 """Rigid bars and joints: the multipliers λ̂ and Ω, and what they do to accelerations, positions and velocities.
 
-One formula serves every class and both coordinates. With M⁻ the inverse mass matrix on the coordinates that can move,
-B = N C_bᵀ and X any 3×n matrix of accelerations (or displacements) before the constraints act, the constrained one is
+One formula serves every class and both coordinates. With M⁻ the inverse mass matrix on the
+coordinates that can move, B = N C_bᵀ and X any 3×n matrix of accelerations (or displacements)
+before the constraints act, the constrained one is
 
     X + (B λ̂ C_b + Ω Pᵀ) M⁻,                                                    Eqs. 85-87 in the current bᵀb instead of l²
 
-with λ̂ and Ω such that bᵢᵀ of its bar i is −rᵢ and its joints (times P) are −R. In "reduced" coordinates joints hold by
-construction, P has no columns and λ solves ((BᵀB) ∘ G) λ = −r with G = C_b M⁻ C_bᵀ (Eqs. 94-95); in "full" coordinates every
-bar has its own nodes, G is diagonal, λ̂ is eliminated bar by bar and Ω solves Eq. 103 (corrected, and symmetric).
+with λ̂ and Ω such that bᵢᵀ of its bar i is −rᵢ and its joints (times P) are −R. In "reduced"
+coordinates joints hold by construction, P has no columns and λ solves ((BᵀB) ∘ G) λ = −r with G =
+C_b M⁻ C_bᵀ (Eqs. 94-95); in "full" coordinates every bar has its own nodes, G is diagonal, λ̂ is
+eliminated bar by bar and Ω solves Eq. 103 (corrected, and symmetric).
 """
 
 from __future__ import annotations
@@ -35,15 +37,17 @@ from tenscasadi.util.casadi_tools import (
     weighted_product,
 )
 
-SINGULAR = 1e-9  # eigenvalue below which a constraint counts as redundant, relative to the largest of a system of unit diagonal
+# eigenvalue below which a constraint counts as redundant, relative to the largest of a system of
+# unit diagonal
+SINGULAR = 1e-9
 LARGEST = 600  # unknowns of a system that is looked at for redundancy: a dense eigenvalue problem
 
 
 class RedundantConstraints(UserWarning):
     """Bars and joints constrain the initial shape more often than once, or nearly.
 
-    Warned of when a `Model` is built. The motion is exact as long as the constraints stay consistent, but their multipliers are not
-    unique. The message names the bars or joints.
+    Warned of when a `Model` is built. The motion is exact as long as the constraints stay
+    consistent, but their multipliers are not unique. The message names the bars or joints.
     """
 
 
@@ -70,13 +74,19 @@ def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
     if mech.frames is None:
         return matrix, ca.vec(rhs)
     directions, idle = mech.held_directions, sparse(sp.diags_array(1.0 - mech.active.T.ravel()))
-    return ca.mtimes(ca.mtimes(directions.T, matrix), directions) + idle, ca.mtimes(directions.T, ca.vec(rhs))
+    return ca.mtimes(ca.mtimes(directions.T, matrix), directions) + idle, ca.mtimes(
+        directions.T, ca.vec(rhs)
+    )
 
 
 def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, Any]:
     """Return λ (1×β) and Ω (3×c) from the solution of `assemble_system`, or bar by bar where nothing had to be solved (Eq. 87)."""
     if mech.joints:
-        Omega = ca.reshape(solution if mech.frames is None else ca.mtimes(mech.held_directions, solution), 3, mech.joints)
+        Omega = ca.reshape(
+            solution if mech.frames is None else ca.mtimes(mech.held_directions, solution),
+            3,
+            mech.joints,
+        )
         return -(r + ca.sum1(B * ca.mtimes(Omega, sparse(mech.K)))) / bar_scale(mech, B), Omega
     lam = solution.T if mech.system_size else -r / bar_scale(mech, B)
     return lam, ca.DM.zeros(3, 0)
@@ -99,15 +109,24 @@ def remove_residuals(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
     return call_weighted(mech, _pushed, Z, B, r, solution)[0]
 
 
-def call_weighted(mech: Mechanism, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
+def call_weighted(
+    mech: Mechanism, function: Callable[..., tuple[Any, ...]], *arguments: Any
+) -> tuple[Any, ...]:
     """Return function(mech, *arguments) as `call_as_sx` does, the masses of `mech` among the arguments where they are expressions."""
     if mech.weights is None:
         return call_as_sx(mech.large, partial(function, mech), *arguments)
-    return call_as_sx(mech.large, lambda weights, *rest: function(mech.weighted(weights), *rest), mech.weights, *arguments)
+    return call_as_sx(
+        mech.large,
+        lambda weights, *rest: function(mech.weighted(weights), *rest),
+        mech.weights,
+        *arguments,
+    )
 
 
 def _pushed(mech: Mechanism, Z: Any, B: Any, r: Any, solution: Any) -> tuple[Any, ...]:
-    return (Z + mech.with_inverse(nodal_forces(mech, B, *recover_multipliers(mech, B, r, solution))),)
+    return (
+        Z + mech.with_inverse(nodal_forces(mech, B, *recover_multipliers(mech, B, r, solution))),
+    )
 
 
 def project_velocities(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
@@ -142,13 +161,19 @@ def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
     elif len(G) == 3:
         values = sum(products[axis, :].T * weights[axis] for axis in range(3))
     else:
-        values = sum((B[a, rows] * B[b, columns]).T * weights[3 * a + b] for a in range(3) for b in range(3))
+        values = sum(
+            (B[a, rows] * B[b, columns]).T * weights[3 * a + b] for a in range(3) for b in range(3)
+        )
     return matrix_with_pattern(ca.Sparsity.triplet(mech.bars, mech.bars, rows, columns), values)
 
 
 def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
     """(Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ) (3c×3c), with kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ: Eq. 103 with Eᵀ, columns combined to be symmetric."""
-    c, K, active = mech.joints, mech.K, mech.active if mech.frames is None else np.ones_like(mech.active)
+    c, K, active = (
+        mech.joints,
+        mech.K,
+        mech.active if mech.frames is None else np.ones_like(mech.active),
+    )
     E, links = product(mech.P.T, mech.inverse[0], mech.P), abs(numbered(K))
     pattern = sp.coo_array(abs(numbered(E)) + links @ links.T + sp.eye_array(c))
     n, j = pattern.row, pattern.col
@@ -182,7 +207,11 @@ def check_mass_ratio(mech: Mechanism) -> None:
     for inverse in mech.inverse[::4] if len(mech.inverse) == 9 else mech.inverse:
         ends = sp.csr_array(abs(mech.C_b)) @ inverse.diagonal()  # 1/kg; zero where both are fixed
         moving = np.flatnonzero(ends > 0)
-        heavy, light = (moving[pick(ends[moving])] for pick in (np.argmin, np.argmax)) if len(moving) else (0, 0)
+        heavy, light = (
+            (moving[pick(ends[moving])] for pick in (np.argmin, np.argmax))
+            if len(moving)
+            else (0, 0)
+        )
         if len(moving) and ends[light] > HEAVIEST * ends[heavy]:
             raise ValueError(
                 f"Structure.bar_mass: bar {heavy} is {ends[light] / ends[heavy]:.1e} times as heavy as bar {light}, with the nodes at its ends: "
@@ -193,15 +222,23 @@ def check_mass_ratio(mech: Mechanism) -> None:
 def find_redundancy(mech: Mechanism) -> str | None:
     """Return a message that names the bars and joints whose constraints depend on each other in the initial shape, or None.
 
-    Looks at the system that the multipliers solve, scaled to unit diagonal; systems above `LARGEST` unknowns are not looked at.
+    Looks at the system that the multipliers solve, scaled to unit diagonal; systems above `LARGEST`
+    unknowns are not looked at.
     """
     size = mech.system_size
     if not 0 < size <= LARGEST:
         return None
-    matrix, _ = assemble_system(mech, mech.bar_vectors(ca.DM(mech.N)), ca.DM.zeros(1, mech.bars), ca.DM.zeros(3, mech.joints))
+    matrix, _ = assemble_system(
+        mech,
+        mech.bar_vectors(ca.DM(mech.N)),
+        ca.DM.zeros(1, mech.bars),
+        ca.DM.zeros(3, mech.joints),
+    )
     A = matrix.full()
     diagonal = np.sqrt(np.maximum(A.diagonal(), 0))
-    scale = np.divide(1, diagonal, out=np.zeros(size), where=diagonal > 1e-14 * diagonal.max(initial=1e-300))
+    scale = np.divide(
+        1, diagonal, out=np.zeros(size), where=diagonal > 1e-14 * diagonal.max(initial=1e-300)
+    )
     values, vectors = np.linalg.eigh(A * np.outer(scale, scale))
     null = values < SINGULAR * values[-1]
     if not null.any():
@@ -210,7 +247,11 @@ def find_redundancy(mech: Mechanism) -> str | None:
     involved = np.flatnonzero(share > 1e-6 * share.max())
     smallest = max(float(values[0]), np.finfo(float).eps * float(values[-1]))
     if mech.joints:
-        names = "joints " + ", ".join(str(k) for k in np.unique(involved // 3)) + " (columns of P) and the bars between them"
+        names = (
+            "joints "
+            + ", ".join(str(k) for k in np.unique(involved // 3))
+            + " (columns of P) and the bars between them"
+        )
     else:
         names = "bars " + ", ".join(str(k) for k in involved)
     return (

@@ -9,13 +9,21 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.constraint_forces import assemble_system, bar_scale, call_weighted, nodal_forces, recover_multipliers
+from tenscasadi.dynamics.constraint_forces import (
+    assemble_system,
+    bar_scale,
+    call_weighted,
+    nodal_forces,
+    recover_multipliers,
+)
 from tenscasadi.dynamics.mechanism import Mechanism, scene_mechanism
 from tenscasadi.dynamics.state_space import StateSpace
 from tenscasadi.util.casadi_tools import solve_semidefinite, sparse
 
 
-def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE) -> tuple[Any, Any, Any]:
+def forward_dynamics(
+    space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE
+) -> tuple[Any, Any, Any]:
     """Return accelerations and multipliers of nodes that move under given forces: N̈, λ and Ω.
 
     Parameters
@@ -38,7 +46,8 @@ def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode:
 
     Notes
     -----
-    Up to sizes that are worth unrolling, both steps around the linear system are scalar code, called once each.
+    Up to sizes that are worth unrolling, both steps around the linear system are scalar code,
+    called once each.
     """
     mech = space.weighted(u)
     F, B, r, *system = call_weighted(mech, partial(_unconstrained, space, mode), N, V, u, time)
@@ -47,11 +56,13 @@ def forward_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode:
     return A, lam, Omega
 
 
-def lifted_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, solution: Any) -> tuple[Any, Any, Any]:
+def lifted_dynamics(
+    space: StateSpace, N: Any, V: Any, u: Any, time: Any, solution: Any
+) -> tuple[Any, Any, Any]:
     """Return N̈ (3×n) as `forward_dynamics` does, from the solution of the multipliers' linear system, and that system: matrix, right-hand side.
 
-    solution: of `assemble_system`, or λ (β, 1) of bars that stand alone. The matrix times it is the right-hand side. With a symbol in its
-    place no linear system is unrolled.
+    solution: of `assemble_system`, or λ (β, 1) of bars that stand alone. The matrix times it is the
+    right-hand side. With a symbol in its place no linear system is unrolled.
     """
     mech = space.weighted(u)
     F, B, r, *system = _unconstrained(space, forces.FREE, mech, N, V, u, time)
@@ -62,7 +73,9 @@ def lifted_dynamics(space: StateSpace, N: Any, V: Any, u: Any, time: Any, soluti
     return _accelerations(space, mech, F, B, lam, Omega, time), system[0], system[1]
 
 
-def _unconstrained(space: StateSpace, mode: forces.Mode, mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
+def _unconstrained(
+    space: StateSpace, mode: forces.Mode, mech: Mechanism, N: Any, V: Any, u: Any, time: Any
+) -> tuple[Any, ...]:
     """F, B, the residuals r that forces alone leave along the bars, and the linear system of the multipliers where there is one."""
     F, moved = applied_forces(space, N, V, u, time, mode, mech)  # 3×n, Eq. 67
     B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)  # 3×β
@@ -70,23 +83,36 @@ def _unconstrained(space: StateSpace, mode: forces.Mode, mech: Mechanism, N: Any
     r = ca.sum1(Bd * Bd) + ca.sum1(B * Bdd)  # 1×β: the constraint ḃᵀḃ + bᵀb̈ = 0, Eq. 28
     if not mech.system_size:
         return F, B, r
-    R = mech.with_inverse(F, mech.P) - space.targets(time)[2]  # 3×c: the constraint N̈ P = D̈, Eq. 84
+    # 3×c: the constraint N̈ P = D̈, Eq. 84
+    R = mech.with_inverse(F, mech.P) - space.targets(time)[2]
     return F, B, r, *assemble_system(mech, B, r, R)  # Eq. 103
 
 
-def _constrained(space: StateSpace, mech: Mechanism, F: Any, B: Any, r: Any, solution: Any, time: Any) -> tuple[Any, ...]:
+def _constrained(
+    space: StateSpace, mech: Mechanism, F: Any, B: Any, r: Any, solution: Any, time: Any
+) -> tuple[Any, ...]:
     """N̈, λ and Ω from the solution of the linear system."""
     lam, Omega = recover_multipliers(mech, B, r, solution)  # 1×β, Eq. 87; 3×c, Eq. 103
     return _accelerations(space, mech, F, B, lam, Omega, time), lam, Omega
 
 
-def _accelerations(space: StateSpace, mech: Mechanism, F: Any, B: Any, lam: Any, Omega: Any, time: Any) -> Any:
+def _accelerations(
+    space: StateSpace, mech: Mechanism, F: Any, B: Any, lam: Any, Omega: Any, time: Any
+) -> Any:
     """N̈ (3×n), Eqs. 85-86."""
-    return mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + space.support_accelerations(time)
+    return mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + space.support_accelerations(
+        time
+    )
 
 
 def applied_forces(
-    space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE, mech: Mechanism | None = None
+    space: StateSpace,
+    N: Any,
+    V: Any,
+    u: Any,
+    time: Any,
+    mode: forces.Mode = forces.FREE,
+    mech: Mechanism | None = None,
 ) -> tuple[Any, Any]:
     """Return the forces F of strings and loads less the inertia of moved supports (3×n), N, and the supports' accelerations (3×n), m/s².
 
@@ -94,7 +120,9 @@ def applied_forces(
     F M⁻ plus those accelerations is the motion that no bar and no joint constrains.
     """
     moved, mech = space.support_accelerations(time), mech or space.weighted(u, inverse=False)
-    return forces.total(space.scene, mech, N, V, u, time, mode) - ca.mtimes(moved, sparse(mech.M)), moved
+    return forces.total(space.scene, mech, N, V, u, time, mode) - ca.mtimes(
+        moved, sparse(mech.M)
+    ), moved
 
 
 def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
@@ -106,5 +134,7 @@ def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, ti
         full = full.weighted(full.masses.weigh(u[space.nu :]))
     N, V, A = (Z[:, full.physical.tolist()] for Z in (N, V, A))
     known = forces.total(space.scene, full, N, V, u, time)
-    lacking = ca.mtimes(A, sparse(full.M)) - known - nodal_forces(full, full.bar_vectors(N), lam)  # Ω Pᵀ
+    lacking = (
+        ca.mtimes(A, sparse(full.M)) - known - nodal_forces(full, full.bar_vectors(N), lam)
+    )  # Ω Pᵀ
     return ca.mtimes(lacking, ca.DM(np.linalg.pinv(full.P.toarray().T)))

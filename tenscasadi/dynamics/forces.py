@@ -1,7 +1,7 @@
 """The forces of a scene on the columns of N: strings and loads, F = W − S γ̂ C_s (3×n, Eq. 67), and their potential energy.
 
-Only what the scene has is built. In full coordinates loads act on the first copy of each physical node, unless another is given.
-Where the scene has parameters, u is followed by them: (nu + np).
+Only what the scene has is built. In full coordinates loads act on the first copy of each physical
+node, unless another is given. Where the scene has parameters, u is followed by them: (nu + np).
 """
 
 from __future__ import annotations
@@ -32,22 +32,38 @@ FREE = Mode(None, None)
 
 
 def string_force_density(
-    scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, damped: bool = True, taut: Any = None, longest: Any = None
+    scene: Scene,
+    mech: Mechanism,
+    N: Any,
+    V: Any,
+    u: Any,
+    damped: bool = True,
+    taut: Any = None,
+    longest: Any = None,
 ) -> tuple[Any, Any]:
     """Return γ (1×α), N/m, of the modelled strings under the control u, and their vectors S (3×α), m; taut: see `Mode`.
 
-    longest (1×α), m: what rest lengths are at most, but for those of smooth strings, which keep theirs.
+    longest (1×α), m: what rest lengths are at most, but for those of smooth strings, which keep
+    theirs.
     """
     scene, u = bind(scene, u)
     S = ca.mtimes(N, sparse(mech.C_s.T))  # 3×α, Eq. 66
     if isinstance(scene.control, ForceDensity):
-        return _per_child(scene, u, 1 / scene.modelled.string_fraction), S  # equal tension along a straight parent
+        return _per_child(
+            scene, u, 1 / scene.modelled.string_fraction
+        ), S  # equal tension along a straight parent
     switching = scene.switching_strings
 
-    def law_of(law: Slack, which: Indices, squared: Any, rest: Any, stiffness: Any, rate: Any, unit: Any) -> Any:
+    def law_of(
+        law: Slack, which: Indices, squared: Any, rest: Any, stiffness: Any, rate: Any, unit: Any
+    ) -> Any:
         if longest is not None and not isinstance(law, Smooth):
             rest = ca.fmin(rest, _columns(longest, which))
-        held = taut if taut is None or not law.switches or len(which) == len(switching) else taut[:, np.searchsorted(switching, which).tolist()]
+        held = (
+            taut
+            if taut is None or not law.switches or len(which) == len(switching)
+            else taut[:, np.searchsorted(switching, which).tolist()]
+        )
         return law.force_density(squared, rest, stiffness, rate, unit, held)
 
     return _by_law(scene, law_of, _law_inputs(scene, mech, S, V, u, damped)), S
@@ -60,16 +76,28 @@ def string_gaps(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any) -> Any:
     return _by_law(scene, lambda law, which, *rows: law.gap(*rows), inputs, switching=True)
 
 
-def _law_inputs(scene: Scene, mech: Mechanism, S: Any, V: Any, u: Any, damped: bool) -> tuple[Any, ...]:
+def _law_inputs(
+    scene: Scene, mech: Mechanism, S: Any, V: Any, u: Any, damped: bool
+) -> tuple[Any, ...]:
     """Return what laws of strings depend on, rows over the modelled strings: squared lengths, rest lengths, stiffness, rates, typical lengths."""
     s = scene.modelled
     rate = None
     if damped and is_damped(scene):
-        rate = ca.sum1(S * ca.mtimes(V, sparse(mech.C_s.T))) * constant_row(s.damping)  # c sᵀṡ, Eq. 98
-    return ca.sum1(S * S), _rest(scene, u), constant_row(s.stiffness), rate, constant_row(s.rest_length)
+        rate = ca.sum1(S * ca.mtimes(V, sparse(mech.C_s.T))) * constant_row(
+            s.damping
+        )  # c sᵀṡ, Eq. 98
+    return (
+        ca.sum1(S * S),
+        _rest(scene, u),
+        constant_row(s.stiffness),
+        rate,
+        constant_row(s.rest_length),
+    )
 
 
-def _by_law(scene: Scene, evaluate: Callable[..., Any], rows: tuple[Any, ...], switching: bool = False) -> Any:
+def _by_law(
+    scene: Scene, evaluate: Callable[..., Any], rows: tuple[Any, ...], switching: bool = False
+) -> Any:
     """Return the row of what `evaluate` (law, its strings, their entries of `rows`) returns for each law, string by string.
 
     switching: of the laws that switch alone.
@@ -80,8 +108,20 @@ def _by_law(scene: Scene, evaluate: Callable[..., Any], rows: tuple[Any, ...], s
     damping = scene.modelled.damping
     parts = []
     for law, which in laws:
-        squared, rest, stiffness, rate, unit = (None if row is None else _columns(row, which) for row in rows)
-        parts.append(evaluate(law, which, squared, rest, stiffness, rate if is_expression(damping) or np.any(damping[which] > 0) else None, unit))
+        squared, rest, stiffness, rate, unit = (
+            None if row is None else _columns(row, which) for row in rows
+        )
+        parts.append(
+            evaluate(
+                law,
+                which,
+                squared,
+                rest,
+                stiffness,
+                rate if is_expression(damping) or np.any(damping[which] > 0) else None,
+                unit,
+            )
+        )
     place = np.argsort(np.concatenate([which for _, which in laws]))
     return ca.horzcat(*parts)[:, place.tolist()]
 
@@ -100,7 +140,9 @@ def is_damped(scene: Scene) -> bool:
 
 def is_rough(scene: Scene) -> bool:
     """Return whether any ground damps or rubs."""
-    return scene.has_parameter("ground_damping") or any(not ground.conservative for ground in scene.grounds)
+    return scene.has_parameter("ground_damping") or any(
+        not ground.conservative for ground in scene.grounds
+    )
 
 
 def contacts(scene: Scene, mech: Mechanism) -> list[tuple[Surface, list[int], slice]]:
@@ -118,13 +160,17 @@ def string_forces(mech: Mechanism, gamma: Any, S: Any) -> Any:
     return weighted_product(S, gamma, -mech.C_s)
 
 
-def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE) -> dict[str, Any]:
+def terms(
+    scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE
+) -> dict[str, Any]:
     """Return the terms of F (3×n), N, by the name of their origin."""
     scene, u = bind(scene, u)
     first = mech.first.tolist()
     result: dict[str, Any] = {}
     if len(scene.modelled.strings):
-        result["strings"] = string_forces(mech, *string_force_density(scene, mech, N, V, u, taut=mode.taut))
+        result["strings"] = string_forces(
+            mech, *string_force_density(scene, mech, N, V, u, taut=mode.taut)
+        )
     if scene.gravity is not None:
         result["gravity"] = _weights(scene, mech, time)
     if scene.ground is not None:
@@ -132,11 +178,15 @@ def terms(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode
     if scene.pressure is not None:
         result["pressure"] = _on_first(mech, scene.pressure.forces(N[:, first], time))
     if scene.forces is not None:
-        result["nodal forces"] = _on_columns(mech, scene.forces.forces(time), _loaded_columns(scene, mech))
+        result["nodal forces"] = _on_columns(
+            mech, scene.forces.forces(time), _loaded_columns(scene, mech)
+        )
     return result
 
 
-def total(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE) -> Any:
+def total(
+    scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE
+) -> Any:
     """Return F (3×n), the sum of all `terms`, N."""
     return sum(terms(scene, mech, N, V, u, time, mode).values(), start=ca.DM.zeros(*mech.N.shape))
 
@@ -147,14 +197,26 @@ def potential_energy(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any
     s = scene.modelled
     elastic: Any = ca.DM(0)
     if len(s.strings) and not isinstance(scene.control, ForceDensity):
-        squared, rest, stiffness, _, unit = _law_inputs(scene, mech, ca.mtimes(N, sparse(mech.C_s.T)), None, u, False)
-        elastic = ca.sum2(_by_law(scene, lambda law, _, *rows: law.energy(*rows[:3], rows[4]), (squared, rest, stiffness, None, unit)))
+        squared, rest, stiffness, _, unit = _law_inputs(
+            scene, mech, ca.mtimes(N, sparse(mech.C_s.T)), None, u, False
+        )
+        elastic = ca.sum2(
+            _by_law(
+                scene,
+                lambda law, _, *rows: law.energy(*rows[:3], rows[4]),
+                (squared, rest, stiffness, None, unit),
+            )
+        )
     if scene.ground is not None:
-        elastic = elastic + sum(ground.energy(N[:, columns]) for ground, columns, _ in contacts(scene, mech))
+        elastic = elastic + sum(
+            ground.energy(N[:, columns]) for ground, columns, _ in contacts(scene, mech)
+        )
     if scene.gravity is None:
         return elastic, ca.DM(0)
     if is_expression(mech.M):
-        return elastic, ca.DM(0) if scene.gravity.varies else -ca.sum1(ca.sum2(N * _weights(scene, mech, 0)))
+        return elastic, ca.DM(0) if scene.gravity.varies else -ca.sum1(
+            ca.sum2(N * _weights(scene, mech, 0))
+        )
     return elastic, scene.gravity.energy(N, mech.node_weight)
 
 
@@ -174,7 +236,11 @@ def is_conservative(scene: Scene) -> bool:
 
 def _rest(scene: Scene, u: Any) -> Any:
     s = scene.modelled
-    return _per_child(scene, u, s.string_fraction) if isinstance(scene.control, RestLength) else constant_row(s.rest_length)
+    return (
+        _per_child(scene, u, s.string_fraction)
+        if isinstance(scene.control, RestLength)
+        else constant_row(s.rest_length)
+    )
 
 
 def _per_child(scene: Scene, u: Any, factor: Array) -> Any:
@@ -187,7 +253,13 @@ def _per_child(scene: Scene, u: Any, factor: Array) -> Any:
 def _ground_forces(scene: Scene, mech: Mechanism, N: Any, V: Any, touching: Any) -> Any:
     """Return the forces of all grounds (3×n), N; touching (1×c): see `Mode`."""
     parts = [
-        _on_columns(mech, ground.forces(N[:, columns], V[:, columns], None if touching is None else touching[:, places]), columns)
+        _on_columns(
+            mech,
+            ground.forces(
+                N[:, columns], V[:, columns], None if touching is None else touching[:, places]
+            ),
+            columns,
+        )
         for ground, columns, places in contacts(scene, mech)
     ]
     return sum(parts[1:], start=parts[0])
@@ -196,7 +268,9 @@ def _ground_forces(scene: Scene, mech: Mechanism, N: Any, V: Any, touching: Any)
 def _loaded_columns(scene: Scene, mech: Mechanism) -> list[int]:
     """Return the column that takes the nodal force of each node: its first copy, or that of the bar that is given."""
     columns = mech.first[: len(scene.structure.nodes)].copy()
-    for node, bar in (scene.forces.bars if scene.forces is not None and scene.forces.bars else {}).items():
+    for node, bar in (
+        scene.forces.bars if scene.forces is not None and scene.forces.bars else {}
+    ).items():
         ends = mech.C_b[[bar]].tocoo().col
         columns[node] = ends[mech.physical[ends] == node][0]
     return columns.tolist()  # type: ignore[no-any-return]

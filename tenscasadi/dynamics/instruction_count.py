@@ -13,8 +13,12 @@ from tenscasadi.dynamics.mechanism import Mechanism, build_mechanism
 from tenscasadi.dynamics.state_space import StateSpace
 from tenscasadi.scene.strings import ForceDensity
 
-_CHEAPER = 4.0  # times the operations at which full coordinates, whose operations take longer, are faster for sure
-_COUPLED, _COMPARED = 50, 3000  # multipliers of a system that is looked at: fewer cost little, more take long to look at
+# times the operations at which full coordinates, whose operations take longer, are faster for sure
+_CHEAPER = 4.0
+_COUPLED, _COMPARED = (
+    50,
+    3000,
+)  # multipliers of a system that is looked at: fewer cost little, more take long to look at
 
 
 class TermCounts(dict[str, int]):
@@ -53,18 +57,28 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
     N, V, time = space.unpack(x)
     built = forces.terms(scene, mech, N, V, u, time)
     if forces.is_damped(scene):
-        elastic = forces.string_forces(mech, *forces.string_force_density(scene, mech, N, V, u, damped=False))
+        elastic = forces.string_forces(
+            mech, *forces.string_force_density(scene, mech, N, V, u, damped=False)
+        )
         built = {"string elasticity": elastic, "string damping": built.pop("strings"), **built}
     elif "strings" in built:
-        name = "string force densities" if isinstance(scene.control, ForceDensity) else "string elasticity"
+        name = (
+            "string force densities"
+            if isinstance(scene.control, ForceDensity)
+            else "string elasticity"
+        )
         built = {name: built.pop("strings"), **built}
     counts = TermCounts()
     outputs: dict[str, Any] = {}
     before = 0
     for name, expression in built.items():
-        if name == "string damping":  # the whole string law; what it adds to elasticity is the damping
+        if (
+            name == "string damping"
+        ):  # the whole string law; what it adds to elasticity is the damping
             outputs.pop("string elasticity")
-        outputs[name] = mech.local(ca.vec(expression))[mech.free_index.tolist()]  # what pulls at a pinned node is not needed
+        outputs[name] = mech.local(ca.vec(expression))[
+            mech.free_index.tolist()
+        ]  # what pulls at a pinned node is not needed
         count = ca.Function("terms", [x, u], ca.cse(list(outputs.values()))).n_instructions()
         counts[name] = count - before
         before = count
@@ -81,12 +95,16 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
 def compare_coordinates(space: StateSpace) -> str:
     """Say where full coordinates are cheaper than the reduced ones of `space`, else "".
 
-    In reduced coordinates bars that hang together couple all their multipliers, as the inverse mass matrix of a long chain is full; in full
-    coordinates each joint couples with its neighbours alone.
+    In reduced coordinates bars that hang together couple all their multipliers, as the inverse mass
+    matrix of a long chain is full; in full coordinates each joint couples with its neighbours
+    alone.
     """
     if space.coordinates == "full" or not _COUPLED <= space.mechanism.system_size <= _COMPARED:
         return ""
-    reduced, full = (_count_operations(build_mechanism(space.structure, coordinates)) for coordinates in ("reduced", "full"))
+    reduced, full = (
+        _count_operations(build_mechanism(space.structure, coordinates))
+        for coordinates in ("reduced", "full")
+    )
     if reduced < _CHEAPER * full:
         return ""
     return (
@@ -99,6 +117,13 @@ def _count_operations(mech: Mechanism) -> int:
     """Count the multiplications of a solution for the multipliers, and of a product with M⁻."""
     if not mech.system_size:
         return 0
-    matrix, _ = assemble_system(mech, mech.bar_vectors(ca.DM(mech.N)), ca.DM.zeros(1, mech.bars), ca.DM.zeros(3, mech.joints))
+    matrix, _ = assemble_system(
+        mech,
+        mech.bar_vectors(ca.DM(mech.N)),
+        ca.DM.zeros(1, mech.bars),
+        ca.DM.zeros(3, mech.joints),
+    )
     columns = np.diff(matrix.sparsity().ldl()[0].colind())
-    return int((columns**2).sum() + 6 * columns.sum() + sum(inverse.nnz for inverse in mech.inverse))  # three solutions, see solve_semidefinite
+    return int(
+        (columns**2).sum() + 6 * columns.sum() + sum(inverse.nnz for inverse in mech.inverse)
+    )  # three solutions, see solve_semidefinite

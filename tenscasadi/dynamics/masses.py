@@ -19,7 +19,9 @@ from tenscasadi.util.casadi_tools import matrix_with_pattern
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices
 
-_UNROLLED = 6  # nodes of a block of the mass matrix up to which its inverse is scalar code; above, a routine solves for it
+# nodes of a block of the mass matrix up to which its inverse is scalar code; above, a routine
+# solves for it
+_UNROLLED = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +46,14 @@ class Masses(ReadOnlyArrays):
 
     def matrices(self, weights: Any) -> tuple[Any, tuple[Any, ...]]:
         """Return M and M⁻ (n×n; for each axis, or once for all three) with these entries."""
-        sizes = np.cumsum([0, self.pattern.nnz(), *(pattern.nnz() for pattern, _ in self._inverses)]).tolist()
+        sizes = np.cumsum(
+            [0, self.pattern.nnz(), *(pattern.nnz() for pattern, _ in self._inverses)]
+        ).tolist()
         patterns = [self.pattern, *(pattern for pattern, _ in self._inverses)]
-        M, *inverses = (matrix_with_pattern(pattern, weights[a:b]) for pattern, a, b in zip(patterns, sizes, sizes[1:], strict=False))
+        M, *inverses = (
+            matrix_with_pattern(pattern, weights[a:b])
+            for pattern, a, b in zip(patterns, sizes, sizes[1:], strict=False)
+        )
         return M, tuple(inverses)
 
     def mass_matrix(self, p: Any) -> Any:
@@ -60,25 +67,41 @@ class Masses(ReadOnlyArrays):
         for pattern, _ in self._inverses:
             row, column = pattern.get_triplet()
             half = sp.csr_array((generator.random(len(row)), (row, column)), shape=pattern.shape)
-            found.append(sp.csr_array(half + half.T + sp.diags_array(np.where(half.diagonal() > 0, 2.0 * pattern.size1(), 0.0))))
+            found.append(
+                sp.csr_array(
+                    half
+                    + half.T
+                    + sp.diags_array(np.where(half.diagonal() > 0, 2.0 * pattern.size1(), 0.0))
+                )
+            )
         return found
 
     def _column(self, p: Any) -> Any:
         entries = self.entries.expression(p)
-        return entries if entries.shape[0] == self.pattern.nnz() else ca.repmat(entries, self.pattern.nnz(), 1)
+        return (
+            entries
+            if entries.shape[0] == self.pattern.nnz()
+            else ca.repmat(entries, self.pattern.nnz(), 1)
+        )
 
     @cached_property
     def _inverses(self) -> list[tuple[ca.Sparsity, list[Indices]]]:
         """The pattern of each M⁻ and the blocks of nodes that bars join."""
         n = self.pattern.size1()
-        linked = sp.csr_array((np.ones(self.pattern.nnz()), self.pattern.get_triplet()), shape=(n, n))
+        linked = sp.csr_array(
+            (np.ones(self.pattern.nnz()), self.pattern.get_triplet()), shape=(n, n)
+        )
         found = []
         for free in self.free:
             index = np.flatnonzero(free)
             count, label = sp.csgraph.connected_components(linked[index][:, index], directed=False)
             blocks = [index[label == k] for k in range(count)] if len(index) else []
-            rows = np.concatenate([np.zeros(0, int), *(np.tile(block, len(block)) for block in blocks)])
-            columns = np.concatenate([np.zeros(0, int), *(np.repeat(block, len(block)) for block in blocks)])
+            rows = np.concatenate(
+                [np.zeros(0, int), *(np.tile(block, len(block)) for block in blocks)]
+            )
+            columns = np.concatenate(
+                [np.zeros(0, int), *(np.repeat(block, len(block)) for block in blocks)]
+            )
             found.append((ca.Sparsity.triplet(n, n, rows.tolist(), columns.tolist()), blocks))
         return found
 
@@ -104,7 +127,9 @@ class Masses(ReadOnlyArrays):
                 rows.append(np.tile(block, len(block)))
                 columns.append(np.repeat(block, len(block)))
                 values.append(ca.vec(inverse))
-            order = np.lexsort((np.concatenate(rows), np.concatenate(columns))).tolist() if rows else []
+            order = (
+                np.lexsort((np.concatenate(rows), np.concatenate(columns))).tolist() if rows else []
+            )
             outputs.append(ca.vertcat(*values)[order] if values else kind(0, 1))
         return ca.Function("inverse_masses", [entries], outputs)
 
@@ -124,27 +149,37 @@ def _invert(block: Any, held: Array) -> Any:
     return ca.solve(block, ca.DM.eye(n), "ldl")
 
 
-def read_masses(scene: Any, physical: Indices, inverse: tuple[Any, ...], layout: Layout | None) -> Masses | None:
+def read_masses(
+    scene: Any, physical: Indices, inverse: tuple[Any, ...], layout: Layout | None
+) -> Masses | None:
     """Return how the parameters of a scene make the masses of a mechanism; None where they do not.
 
-    inverse: M⁻ at the nominal values, as the mechanism has it. layout: of full coordinates; None: reduced.
+    inverse: M⁻ at the nominal values, as the mechanism has it. layout: of full coordinates; None:
+    reduced.
     """
     quantities = scene.layout.quantities
     if not quantities.keys() & set(MASSES):
         return None
     structure, n = scene.modelled, len(physical)
     given = _stack(_bar_masses(scene), _node_masses(scene))
-    columns, share = (structure.bars, np.ones(n)) if layout is None else (layout.bar_columns, layout.mass_share)
+    columns, share = (
+        (structure.bars, np.ones(n)) if layout is None else (layout.bar_columns, layout.mass_share)
+    )
     beta = len(structure.bars)
     own = structure.bar_inertia / structure.bar_mass  # J/m, Eq. 19
     (a, b), bar = columns.T, np.arange(beta)
-    row, column = np.concatenate([a, b, a, b, np.arange(n)]), np.concatenate([a, b, b, a, np.arange(n)])
+    row, column = (
+        np.concatenate([a, b, a, b, np.arange(n)]),
+        np.concatenate([a, b, b, a, np.arange(n)]),
+    )
     source = np.concatenate([bar, bar, bar, bar, beta + physical])
     value = np.concatenate([0.25 + own, 0.25 + own, 0.25 - own, 0.25 - own, share])  # Eq. 59
     kept = value != 0
     row, column, source, value = row[kept], column[kept], source[kept], value[kept]
     code, entry = np.unique(column * n + row, return_inverse=True)
-    onto_entries = sp.csr_array((value, (entry, source)), shape=(len(code), beta + len(structure.nodes)))
+    onto_entries = sp.csr_array(
+        (value, (entry, source)), shape=(len(code), beta + len(structure.nodes))
+    )
     pattern = ca.Sparsity.triplet(n, n, (code % n).tolist(), (code // n).tolist())
     free = tuple(np.asarray(matrix.diagonal() > 0) for matrix in inverse)
     held = np.zeros(n)
@@ -178,7 +213,13 @@ def _string_shares(structure: Structure, scene: Any) -> sp.csr_array:
         return sp.csr_array(found)
     for i in range(count):
         share = modelled.string_fraction[modelled.string_parent == i] / structure.string_fraction[i]
-        mass = cut_strings(structure.nodes, structure.strings[i : i + 1], np.ones(1), [share], scene.ends == "lumped")[2]
+        mass = cut_strings(
+            structure.nodes,
+            structure.strings[i : i + 1],
+            np.ones(1),
+            [share],
+            scene.ends == "lumped",
+        )[2]
         inner = len(mass) - n
         found[:n, [i]], found[new : new + inner, [i]] = mass[:n, None], mass[n:, None]
         new += inner
@@ -190,4 +231,7 @@ def _constant(scene: Any, values: Array) -> Affine:
 
 
 def _stack(upper: Affine, lower: Affine) -> Affine:
-    return Affine(np.concatenate([upper.constant, lower.constant]), sp.csr_array(sp.vstack([upper.matrix, lower.matrix])))
+    return Affine(
+        np.concatenate([upper.constant, lower.constant]),
+        sp.csr_array(sp.vstack([upper.matrix, lower.matrix])),
+    )

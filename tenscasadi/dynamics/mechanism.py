@@ -16,13 +16,24 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.pins import Normals
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.casadi_tools import block_inverse, drop_rounding, is_diagonal, is_expression, matrix_with_pattern, numbered, product, sparse
+from tenscasadi.util.casadi_tools import (
+    block_inverse,
+    drop_rounding,
+    is_diagonal,
+    is_expression,
+    matrix_with_pattern,
+    numbered,
+    product,
+    sparse,
+)
 from tenscasadi.util.read_only import ReadOnlyArrays, read_only
 from tenscasadi.util.validate import Array, Indices
 
-UNROLL_MEMBERS = 300  # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
+# above, expressions stay vector operations (MX loops): generated C does not grow with the structure
+UNROLL_MEMBERS = 300
 UNROLL_UNKNOWNS = 60  # the same for the unknowns of the multipliers' system
-UNROLL_SOLVE = 6  # above, linear systems are solved by a routine instead of unrolled scalar code: shorter derivatives
+# above, linear systems are solved by a routine instead of unrolled scalar code: shorter derivatives
+UNROLL_SOLVE = 6
 
 Coordinates = Literal["reduced", "full"]
 BarLength = Literal["current", "constant"]
@@ -67,14 +78,24 @@ class Mechanism(ReadOnlyArrays):
     C_b: sp.csr_array  # β×n
     C_s: sp.csr_array  # α×n
     M: Any  # n×n
-    inverse: tuple[Any, ...]  # M⁻ (n×n) for each axis, once for all three, or for each pair of axes where rollers couple them
+    inverse: tuple[
+        Any, ...
+    ]  # M⁻ (n×n) for each axis, once for all three, or for each pair of axes where rollers couple them
     P: sp.csr_array  # n×c, no columns in reduced coordinates
     D: Array  # 3×c
-    active: Any  # 3×c bool: axes that a column of P constrains (all, but for per-axis supports), or directions of its frame
+    # 3×c bool: axes that a column of P constrains (all, but for per-axis supports), or directions
+    # of its frame
+    active: Any
     lengths: Array  # (β,)
     constant_length: bool  # λ̂ divides by l² as Eqs. 46-87 print it, instead of by the current bᵀb
-    frames: Any = None  # (c, 3, 3): the directions of each column's frame, as columns, of which `active` are held; None: the axes
-    turn: sp.csr_array | None = None  # 3n×3n: from local coordinates, along and across rollers, to those of N; None: they are the same
+    # (c, 3, 3): the directions of each column's frame, as columns, of which `active` are held;
+    # None: the axes
+    frames: Any = None
+    turn: sp.csr_array | None = (
+        # 3n×3n: from local coordinates, along and across rollers, to those of N; None: they are the
+        # same
+        None
+    )
     masses: Masses | None = None  # how M and M⁻ follow from parameters; None: they are constant
     weights: Any = None  # entries of M and M⁻, a CasADi column, where they are expressions
 
@@ -96,7 +117,9 @@ class Mechanism(ReadOnlyArrays):
     @property
     def large(self) -> bool:
         """Whether expressions are kept as vector operations instead of unrolled scalars."""
-        return bool(self.bars + self.C_s.shape[0] > UNROLL_MEMBERS or self.system_size > UNROLL_UNKNOWNS)
+        return bool(
+            self.bars + self.C_s.shape[0] > UNROLL_MEMBERS or self.system_size > UNROLL_UNKNOWNS
+        )
 
     @property
     def unrolled(self) -> bool:
@@ -111,8 +134,13 @@ class Mechanism(ReadOnlyArrays):
     @property
     def coordinate_names(self) -> list[str]:
         """The names of the free coordinates, such as "node 2 z"."""
-        turned = set() if self.turn is None else set(np.flatnonzero(np.diff(self.turn.indptr) > 1) // 3)
-        return [f"node {self.physical[k // 3]} {'along its roller' if k // 3 in turned else 'xyz'[k % 3]}" for k in self.free_index]
+        turned = (
+            set() if self.turn is None else set(np.flatnonzero(np.diff(self.turn.indptr) > 1) // 3)
+        )
+        return [
+            f"node {self.physical[k // 3]} {'along its roller' if k // 3 in turned else 'xyz'[k % 3]}"
+            for k in self.free_index
+        ]
 
     @property
     def frames_of_nodes(self) -> Array:
@@ -120,7 +148,11 @@ class Mechanism(ReadOnlyArrays):
         if self.turn is None:
             return np.zeros((0, 3, 3))
         columns = self.N.shape[1]
-        return np.asarray(self.turn.toarray().reshape(columns, 3, columns, 3)[np.arange(columns), :, np.arange(columns), :])
+        return np.asarray(
+            self.turn.toarray().reshape(columns, 3, columns, 3)[
+                np.arange(columns), :, np.arange(columns), :
+            ]
+        )
 
     def local(self, vector: Any) -> Any:
         """Return coordinates along and across rollers of vectors in the axes of N: columns (3n) of CasADi's, arrays (…, 3n)."""
@@ -135,9 +167,15 @@ class Mechanism(ReadOnlyArrays):
         """The mass matrix (nq×nq) of the free coordinates, kg."""
         if not is_expression(self.M):
             return _free_mass(self.M, self.turn, self.free_index)
-        wide = sp.csc_array(sp.csr_array(sp.kron(numbered(self.M), sp.eye_array(3)))[self.free_index][:, self.free_index])
+        wide = sp.csc_array(
+            sp.csr_array(sp.kron(numbered(self.M), sp.eye_array(3)))[self.free_index][
+                :, self.free_index
+            ]
+        )
         wide.sort_indices()
-        pattern = ca.Sparsity(wide.shape[0], wide.shape[1], wide.indptr.tolist(), wide.indices.tolist())
+        pattern = ca.Sparsity(
+            wide.shape[0], wide.shape[1], wide.indptr.tolist(), wide.indices.tolist()
+        )
         return matrix_with_pattern(pattern, self.M.nz[:][(wide.data - 1).astype(int).tolist()])
 
     @property
@@ -160,13 +198,21 @@ class Mechanism(ReadOnlyArrays):
     @cached_property
     def held_directions(self) -> Any:
         """Block-diagonal matrix (3c×3c) of the directions that each column of P constrains; without entries along others."""
-        return sparse(sp.block_diag([frame * active for frame, active in zip(self.frames, self.active.T, strict=True)]))
+        return sparse(
+            sp.block_diag(
+                [frame * active for frame, active in zip(self.frames, self.active.T, strict=True)]
+            )
+        )
 
     def along_held(self, gap: Any) -> Any:
         """Return the part of vectors (3×c) along the directions that the columns of P constrain."""
         if self.frames is None:
             return gap * self.active_mask
-        return ca.reshape(ca.mtimes(ca.mtimes(self.held_directions, self.held_directions.T), ca.vec(gap)), 3, self.joints)
+        return ca.reshape(
+            ca.mtimes(ca.mtimes(self.held_directions, self.held_directions.T), ca.vec(gap)),
+            3,
+            self.joints,
+        )
 
     def bar_vectors(self, Z: Any) -> Any:
         """Z C_bᵀ (3×β): the bar vectors B where Z is N, their rates where Z is V."""
@@ -174,12 +220,19 @@ class Mechanism(ReadOnlyArrays):
 
     def with_inverse(self, X: Any, then: Any = None) -> Any:
         """X M⁻ (3×n), or X M⁻ `then` (a constant matrix of n rows)."""
-        factors = [sparse(inverse if then is None else product(inverse, then)) for inverse in self.inverse]
+        factors = [
+            sparse(inverse if then is None else product(inverse, then)) for inverse in self.inverse
+        ]
         if len(factors) == 1:
             return ca.mtimes(X, factors[0])
         if len(factors) == 3:
             return ca.vertcat(*(ca.mtimes(X[axis, :], factors[axis]) for axis in range(3)))
-        return ca.vertcat(*(sum(ca.mtimes(X[other, :], factors[3 * other + axis]) for other in range(3)) for axis in range(3)))
+        return ca.vertcat(
+            *(
+                sum(ca.mtimes(X[other, :], factors[3 * other + axis]) for other in range(3))
+                for axis in range(3)
+            )
+        )
 
     @cached_property
     def G(self) -> tuple[Any, ...]:
@@ -204,22 +257,32 @@ class Mechanism(ReadOnlyArrays):
         return 0 if alone else self.bars
 
 
-def scene_mechanism(scene: Scene, coordinates: Coordinates, bar_length: BarLength = "current") -> Mechanism:
+def scene_mechanism(
+    scene: Scene, coordinates: Coordinates, bar_length: BarLength = "current"
+) -> Mechanism:
     """Return the matrices of a scene's modelled structure, with `masses` where these are parameters."""
     mechanism = build_mechanism(scene.modelled, coordinates, bar_length)
     layout = scene.modelled._layout if coordinates == "full" else None
     if mechanism.turn is not None and scene.layout.quantities.keys() & set(MASSES):
-        raise ValueError('Scene.parameters makes masses open, and a roller is along no axis: give Model(coordinates="full") for both')
+        raise ValueError(
+            'Scene.parameters makes masses open, and a roller is along no axis: give Model(coordinates="full") for both'
+        )
     masses = read_masses(scene, mechanism.physical, mechanism.inverse, layout)
     return mechanism if masses is None else replace(mechanism, masses=masses)
 
 
-def build_mechanism(structure: Structure, coordinates: Coordinates, bar_length: BarLength = "current") -> Mechanism:
+def build_mechanism(
+    structure: Structure, coordinates: Coordinates, bar_length: BarLength = "current"
+) -> Mechanism:
     """Return the matrices of a structure in "reduced" or "full" coordinates; `bar_length`: what λ̂ divides by."""
     constant = bar_length == "constant"
     if coordinates == "reduced":
         n = len(structure.nodes)
-        C_b, C_s, M = connectivity(structure.bars, n), connectivity(structure.strings, n), structure.mass_matrix()
+        C_b, C_s, M = (
+            connectivity(structure.bars, n),
+            connectivity(structure.strings, n),
+            structure.mass_matrix(),
+        )
         free = ~structure.fixed
         axes = [free[:, 0]] if (free == free[:, :1]).all() else [free[:, axis] for axis in range(3)]
         every = np.arange(n)
@@ -228,27 +291,72 @@ def build_mechanism(structure: Structure, coordinates: Coordinates, bar_length: 
             free, turn = _across_rollers(structure)
             inverse = _coupled_inverse(M, turn, np.flatnonzero(free.ravel()))
         none = sp.csr_array((n, 0)), np.zeros((3, 0)), np.ones((3, 0), bool)
-        return Mechanism(structure.nodes.T, free, every, every, C_b, C_s, M, inverse, *none, structure.bar_lengths, constant, turn=turn)
+        return Mechanism(
+            structure.nodes.T,
+            free,
+            every,
+            every,
+            C_b,
+            C_s,
+            M,
+            inverse,
+            *none,
+            structure.bar_lengths,
+            constant,
+            turn=turn,
+        )
     split = structure.class_one(sparse=True)
     n = split.N.shape[1]
     first = np.unique(split.physical, return_index=True)[1]
     free = np.ones((n, 3), dtype=bool)
-    # Supports that NP = D cannot say: a column each, for some axes, then one for each roller along other directions.
+    # Supports that NP = D cannot say: a column each, for some axes, then one for each roller along
+    # other directions.
     fixed, inclined = structure.fixed, np.array(list(structure.rollers), dtype=np.intp)
     partly = np.flatnonzero(fixed.any(axis=1) & ~fixed.all(axis=1))
     held = np.concatenate([partly, inclined])
-    columns = sp.csr_array((np.ones(len(held)), (first[held], np.arange(len(held)))), shape=(n, len(held)))
+    columns = sp.csr_array(
+        (np.ones(len(held)), (first[held], np.arange(len(held)))), shape=(n, len(held))
+    )
     P = sp.csr_array(sp.hstack([split.P, columns]))
     D = np.hstack([split.D, structure.nodes[held].T])
-    among = np.array([[k < len(normals) for normals in structure.rollers.values()] for k in range(3)], dtype=bool).reshape(3, -1)
+    among = np.array(
+        [[k < len(normals) for normals in structure.rollers.values()] for k in range(3)], dtype=bool
+    ).reshape(3, -1)
     active = np.hstack([np.ones(split.D.shape, bool), fixed[partly].T, among])
-    frames = np.array([*[np.eye(3)] * (P.shape[1] - len(inclined)), *map(_frame, structure.rollers.values())]) if len(inclined) else None
+    frames = (
+        np.array(
+            [*[np.eye(3)] * (P.shape[1] - len(inclined)), *map(_frame, structure.rollers.values())]
+        )
+        if len(inclined)
+        else None
+    )
     C_b = sp.csr_array(split.C_b @ split.C_nb)
     # A pinned string node may have no mass; it never moves, so any mass gives the same motion.
     diagonal = split.M_s.diagonal()
-    inverse = (block_inverse(split.M_s + sp.diags_array(np.where(diagonal == 0, diagonal.max(initial=0.0) or 1.0, 0.0)), free[:, 0]),)
+    inverse = (
+        block_inverse(
+            split.M_s
+            + sp.diags_array(np.where(diagonal == 0, diagonal.max(initial=0.0) or 1.0, 0.0)),
+            free[:, 0],
+        ),
+    )
     C_s = sp.csr_array(split.C_s)
-    return Mechanism(split.N, free, split.physical, first, C_b, C_s, split.M_s, inverse, P, D, active, structure.bar_lengths, constant, frames=frames)
+    return Mechanism(
+        split.N,
+        free,
+        split.physical,
+        first,
+        C_b,
+        C_s,
+        split.M_s,
+        inverse,
+        P,
+        D,
+        active,
+        structure.bar_lengths,
+        constant,
+        frames=frames,
+    )
 
 
 def _across_rollers(structure: Structure) -> tuple[Any, sp.csr_array]:

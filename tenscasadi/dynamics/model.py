@@ -58,34 +58,38 @@ def _kinetic_energy(mech: Mechanism, V: Any) -> Any:
 class Model(StateSpace):
     """The equations of motion of a `Scene` as CasADi Functions.
 
-    The state x holds positions and velocities, each node by node, and a clock where loads depend on time. The control u has one
-    entry for each parent string (`ForceDensity`, N/m, or `RestLength`, m), or none.
+    The state x holds positions and velocities, each node by node, and a clock where loads depend on
+    time. The control u has one entry for each parent string (`ForceDensity`, N/m, or `RestLength`,
+    m), or none.
 
     Parameters
     ----------
     scene : Scene
         Structure, control and loads.
     coordinates : {"reduced", "full"}
-        Coordinates of the state. "reduced": physical nodes that are free to move, so that joints and pins cannot drift.
-        "full": the paper's class-one nodes, whose joints and pins are kept by the multipliers Ω.
+        Coordinates of the state. "reduced": physical nodes that are free to move, so that joints
+        and pins cannot drift. "full": the paper's class-one nodes, whose joints and pins are kept
+        by the multipliers Ω.
     bar_length : {"current", "constant"}
-        The square that λ̂ divides by. "current": bᵀb. "constant": l² as the paper prints it, for comparison; errors of length
-        then grow exponentially.
+        The square that λ̂ divides by. "current": bᵀb. "constant": l² as the paper prints it, for
+        comparison; errors of length then grow exponentially.
 
     Raises
     ------
     TypeError
         If `scene` is no `Scene`.
     ValueError
-        If an option is unknown, `bar_length` is "constant" where bars meet or are pinned in reduced coordinates, or a bar is more than
-        1e12 times as heavy as another, or nothing depends on one of the scene's parameters.
+        If an option is unknown, `bar_length` is "constant" where bars meet or are pinned in reduced
+        coordinates, or a bar is more than 1e12 times as heavy as another, or nothing depends on one
+        of the scene's parameters.
 
     Warns
     -----
     RedundantConstraints
         If bars and joints constrain the initial shape more often than once.
     UserWarning
-        If a parameter does no more than set the default control, such as the stiffness under ``control=ForceDensity()``.
+        If a parameter does no more than set the default control, such as the stiffness under
+        ``control=ForceDensity()``.
 
     See Also
     --------
@@ -93,14 +97,16 @@ class Model(StateSpace):
 
     Notes
     -----
-    The equations are Eqs. 58-95 of the paper. Reduced coordinates couple all bars that hang together: long chains of joined bars,
-    from a hundred on, are cheaper in full coordinates.
+    The equations are Eqs. 58-95 of the paper. Reduced coordinates couple all bars that hang
+    together: long chains of joined bars, from a hundred on, are cheaper in full coordinates.
 
-    Where the scene has `Parameters`, all Functions take their values p as one more input after u: they are (x, u, p). `parameters` names
-    the entries of p, and `stacked` gives Functions in the form (x, w), w = (u, p), that integrators use.
+    Where the scene has `Parameters`, all Functions take their values p as one more input after u:
+    they are (x, u, p). `parameters` names the entries of p, and `stacked` gives Functions in the
+    form (x, w), w = (u, p), that integrators use.
 
-    Sizes are `nx` (state), `nq` (positions in it), `nu` (control), `np` (parameters) and `nw` = `nu` + `np`; `structure` is the structure
-    with its strings subdivided as the scene says, `mechanism` holds its constant matrices.
+    Sizes are `nx` (state), `nq` (positions in it), `nu` (control), `np` (parameters) and `nw` =
+    `nu` + `np`; `structure` is the structure with its strings subdivided as the scene says,
+    `mechanism` holds its constant matrices.
 
     Examples
     --------
@@ -116,7 +122,9 @@ class Model(StateSpace):
     Function(ode:(x[36],u[0],p[9])->(xdot[36]) SXFunction)
     """
 
-    def __init__(self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current") -> None:
+    def __init__(
+        self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current"
+    ) -> None:
         super().__init__(scene, coordinates, bar_length)
         if self.np and self.nq:
             check_parameters(self)
@@ -137,11 +145,22 @@ class Model(StateSpace):
         p = self.parameters.values(parameters)
         if not self.np:
             return self
-        return _rebuild(type(self), fix(self.scene, p), self.coordinates, "constant" if self.mechanism.constant_length else "current")
+        return _rebuild(
+            type(self),
+            fix(self.scene, p),
+            self.coordinates,
+            "constant" if self.mechanism.constant_length else "current",
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Copies and other processes build the Functions anew: these are larger than the scene that they come from.
-        return _rebuild, (type(self), self.scene, self.coordinates, "constant" if self.mechanism.constant_length else "current")
+        # Copies and other processes build the Functions anew: these are larger than the scene that
+        # they come from.
+        return _rebuild, (
+            type(self),
+            self.scene,
+            self.coordinates,
+            "constant" if self.mechanism.constant_length else "current",
+        )
 
     # --- CasADi Functions ---
 
@@ -155,8 +174,11 @@ class Model(StateSpace):
         N, V, time = self.unpack(x)
         A, _, _ = forward_dynamics(self, N, V, u, time)
         rate = [self.pack(V, A, 1)]
-        # Of vector operations cse would share the zeros too that each product starts from, and copy them.
-        return self._function("ode", x, u, ca.cse(rate) if self.mechanism.unrolled else rate, ["xdot"])
+        # Of vector operations cse would share the zeros too that each product starts from, and copy
+        # them.
+        return self._function(
+            "ode", x, u, ca.cse(rate) if self.mechanism.unrolled else rate, ["xdot"]
+        )
 
     def compile(self) -> ca.Function:
         """Compile `ode` to machine code.
@@ -177,8 +199,9 @@ class Model(StateSpace):
     def observe(self) -> ca.Function:
         """All that can be observed at a state: Function "observe" (x, u) → seven outputs.
 
-        They are ``nodes``, m, and ``velocities``, m/s, (3n, node by node), ``force_density``, N/m, and ``tension``, N, of the
-        modelled strings (α), ``energy`` (kinetic, elastic, gravity, J), ``bar_length_error`` and ``joint_error``, m.
+        They are ``nodes``, m, and ``velocities``, m/s, (3n, node by node), ``force_density``, N/m,
+        and ``tension``, N, of the modelled strings (α), ``energy`` (kinetic, elastic, gravity, J),
+        ``bar_length_error`` and ``joint_error``, m.
         """
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
@@ -190,11 +213,15 @@ class Model(StateSpace):
             "velocities": ca.vec(V[:, first]),
             "force_density": gamma.T,
             "tension": (gamma * ca.sqrt(ca.sum1(S * S))).T,
-            "energy": ca.vertcat(_kinetic_energy(mech, V), *forces.potential_energy(self.scene, mech, N, u)),
+            "energy": ca.vertcat(
+                _kinetic_energy(mech, V), *forces.potential_energy(self.scene, mech, N, u)
+            ),
             "bar_length_error": self._bar_length_error(N),
             "joint_error": self._joint_error(N, time),
         }
-        return self._function("observe", x, u, [ca.densify(value) for value in outputs.values()], list(outputs))
+        return self._function(
+            "observe", x, u, [ca.densify(value) for value in outputs.values()], list(outputs)
+        )
 
     @cached_property
     def energy_function(self) -> ca.Function:
@@ -221,7 +248,9 @@ class Model(StateSpace):
         n: Any = type(N).sym("n", N.shape)
         total = sum(forces.potential_energy(self.scene, mech, n, u))
         slope = ca.substitute(ca.jtimes(total, n, V), n, N)
-        return self._function("power", x, u, [ca.densify(ca.sum2(ca.sum1(push * V)) + slope)], ["power"])
+        return self._function(
+            "power", x, u, [ca.densify(ca.sum2(ca.sum1(push * V)) + slope)], ["power"]
+        )
 
     @cached_property
     def multiplier_function(self) -> ca.Function:
@@ -231,7 +260,13 @@ class Model(StateSpace):
         A, lam, omega = forward_dynamics(self, N, V, u, time)
         if self.coordinates == "reduced" and len(self.structure.bars):
             omega = joint_forces(self, N, V, A, lam, u, time)
-        return self._function("multipliers", x, u, [ca.densify(lam.T), ca.densify(omega)], ["bar_force_density", "joint_force"])
+        return self._function(
+            "multipliers",
+            x,
+            u,
+            [ca.densify(lam.T), ca.densify(omega)],
+            ["bar_force_density", "joint_force"],
+        )
 
     # --- numbers in, numbers out ---
 
@@ -288,18 +323,28 @@ class Model(StateSpace):
         Returns
         -------
         Multipliers
-            λ̂ and Ω in the paper's signs (Eqs. 85, 87). The columns of Ω are those of `structure.class_one().P`, then one for each
-            node that is pinned along some axes only, then one for each roller along other directions. CasADi (MX) where x or u is.
+            λ̂ and Ω in the paper's signs (Eqs. 85, 87). The columns of Ω are those of
+            `structure.class_one().P`, then one for each node that is pinned along some axes only,
+            then one for each roller along other directions. CasADi (MX) where x or u is.
 
         Notes
         -----
-        Where constraints are redundant many multipliers give the same motion: these are the smallest, in scaled rows.
+        Where constraints are redundant many multipliers give the same motion: these are the
+        smallest, in scaled rows.
         """
         arguments = self.arguments(x, u, parameters)
-        if any(isinstance(value, ca.SX) for value in arguments) and not self.multiplier_function.is_a("SXFunction"):
-            raise TypeError("multipliers got SX for x, u or parameters: give MX, as the system is solved by a routine that has no SX")
+        if any(
+            isinstance(value, ca.SX) for value in arguments
+        ) and not self.multiplier_function.is_a("SXFunction"):
+            raise TypeError(
+                "multipliers got SX for x, u or parameters: give MX, as the system is solved by a routine that has no SX"
+            )
         lam, omega = self.multiplier_function(*arguments)
-        return Multipliers(lam.full().ravel(), omega.full()) if isinstance(lam, ca.DM) else Multipliers(lam, omega)
+        return (
+            Multipliers(lam.full().ravel(), omega.full())
+            if isinstance(lam, ca.DM)
+            else Multipliers(lam, omega)
+        )
 
     def energy(self, x: Any, u: Any = None, parameters: Any = None) -> Energy:
         """Return kinetic, elastic and gravity energy.
@@ -316,7 +361,8 @@ class Model(StateSpace):
         Returns
         -------
         Energy
-            The three energies, J; CasADi where x or u is. Strings driven by force density store none.
+            The three energies, J; CasADi where x or u is. Strings driven by force density store
+            none.
         """
         return Energy(*self._scalars("energy", x, u, parameters))
 
@@ -361,8 +407,9 @@ class Model(StateSpace):
         Returns
         -------
         TermCounts
-            A dictionary from the name of a term to its instructions, with their ``"total"``; prints as a table. Its `advice` tells where the
-            multipliers of long chains of joined bars cost less in full coordinates.
+            A dictionary from the name of a term to its instructions, with their ``"total"``; prints
+            as a table. Its `advice` tells where the multipliers of long chains of joined bars cost
+            less in full coordinates.
         """
         return count_terms(self, self.ode)
 
@@ -377,7 +424,9 @@ class Model(StateSpace):
     def _joint_error(self, N: Any, time: Any) -> Any:
         if not self.mechanism.joints:
             return ca.DM(0)
-        gap = self.mechanism.along_held(ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0])
+        gap = self.mechanism.along_held(
+            ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0]
+        )
         return ca.mmax(ca.fabs(gap))
 
     # --- numbers ---
@@ -392,7 +441,9 @@ class Model(StateSpace):
         return ca.vertsplit(value) if isinstance(value, (ca.SX, ca.MX)) else value.tolist()
 
 
-def _rebuild(kind: type[Model], scene: Scene, coordinates: Coordinates, bar_length: BarLength) -> Model:
+def _rebuild(
+    kind: type[Model], scene: Scene, coordinates: Coordinates, bar_length: BarLength
+) -> Model:
     """Build a model that was built before, and warned then."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

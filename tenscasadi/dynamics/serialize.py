@@ -31,9 +31,18 @@ _LAYOUT = [name for name in Layout._fields if name != "P"]
 _INDICES = "bars strings string_parent layout.physical layout.bar_columns layout.string_columns layout.tied segments pressure.faces supports.nodes"
 _MORE_INDICES = ["grounds", "ground.nodes", "rollers.nodes", "forces.bars"]
 _TEXTS = dict.fromkeys(["ends", "functions", "slack.laws", "parameters"], "U")
-_KINDS = dict.fromkeys([*_INDICES.split(), *_MORE_INDICES], "i") | {"fixed": "b"} | _TEXTS  # NumPy's letters; others: real numbers
+_KINDS = (
+    dict.fromkeys([*_INDICES.split(), *_MORE_INDICES], "i") | {"fixed": "b"} | _TEXTS
+)  # NumPy's letters; others: real numbers
 _DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layout.tied": 0}
-_LATER = ("grounds", "slack.laws", "gravity.times", "pressure.times", "forces.bars", "parameters")  # of a scene: not in files of version 0.1
+_LATER = (
+    "grounds",
+    "slack.laws",
+    "gravity.times",
+    "pressure.times",
+    "forces.bars",
+    "parameters",
+)  # of a scene: not in files of version 0.1
 _CONTROLS = {type(control).__name__: control for control in (ForceDensity(), RestLength(), None)}
 _NOTHING = np.zeros(0)  # stands for None
 
@@ -42,27 +51,52 @@ def structure_to_arrays(structure: Structure) -> dict[str, Array]:
     """Return all that tells a structure, by name, also what `subdivide` and `from_matrices` leave in it."""
     layout = structure._layout
     ties = layout.P.tocoo()
-    content = {name: getattr(structure, name) for name in (*_MEMBERS, "fixed", "string_parent", "string_fraction")}
+    content = {
+        name: getattr(structure, name)
+        for name in (*_MEMBERS, "fixed", "string_parent", "string_fraction")
+    }
     content |= {"rollers": [normal for normals in structure.rollers.values() for normal in normals]}
-    content |= {"rollers.nodes": [node for node, normals in structure.rollers.items() for _ in normals]}
+    content |= {
+        "rollers.nodes": [node for node, normals in structure.rollers.items() for _ in normals]
+    }
     content |= {f"layout.{name}": getattr(layout, name) for name in _LAYOUT}
-    content |= {"layout.ties": np.column_stack([*ties.coords, ties.data]), "layout.tied": np.asarray(layout.P.shape[1])}
+    content |= {
+        "layout.ties": np.column_stack([*ties.coords, ties.data]),
+        "layout.tied": np.asarray(layout.P.shape[1]),
+    }
     return {f"structure.{name}": np.asarray(value) for name, value in content.items()}
 
 
 def structure_from_arrays(content: Content) -> Structure:
     """Return the structure of `structure_to_arrays`; files from before there were layouts have the default one. Raises ValueError."""
     given = _checked(Fields(content).within("structure."))
-    pinned = {int(node): "".join(np.array(list("xyz"))[axes]) for node, axes in enumerate(given["fixed"]) if axes.any()}
+    pinned = {
+        int(node): "".join(np.array(list("xyz"))[axes])
+        for node, axes in enumerate(given["fixed"])
+        if axes.any()
+    }
     rollers: dict[int, list[Array]] = {}
-    for node, normal in zip(given.get("rollers.nodes", _NOTHING).ravel().tolist(), np.atleast_1d(given.get("rollers", _NOTHING)), strict=True):
+    for node, normal in zip(
+        given.get("rollers.nodes", _NOTHING).ravel().tolist(),
+        np.atleast_1d(given.get("rollers", _NOTHING)),
+        strict=True,
+    ):
         rollers.setdefault(node, []).append(normal)
-    structure = Structure(**{name: given[name] for name in _MEMBERS}, pinned=pinned, rollers=rollers)
+    structure = Structure(
+        **{name: given[name] for name in _MEMBERS}, pinned=pinned, rollers=rollers
+    )
     if "layout.ties" not in given:
         return structure
-    bars, strings, columns = len(structure.bars), len(structure.strings), len(given["layout.physical"])
+    bars, strings, columns = (
+        len(structure.bars),
+        len(structure.strings),
+        len(given["layout.physical"]),
+    )
     row, column, value = finite_array("layout.ties", given["layout.ties"], (None, 3)).T
-    P = csr_array((value, (row.astype(np.intp), column.astype(np.intp))), shape=(columns, int(given["layout.tied"])))
+    P = csr_array(
+        (value, (row.astype(np.intp), column.astype(np.intp))),
+        shape=(columns, int(given["layout.tied"])),
+    )
     layout = Layout(
         _indices("layout.physical", given, (columns,), len(structure.nodes)),
         _indices("layout.bar_columns", given, (bars, 2), columns),
@@ -71,13 +105,22 @@ def structure_from_arrays(content: Content) -> Structure:
         P,
     )
     fraction = finite_array("string_fraction", given["string_fraction"], (strings,))
-    return structure._derived(string_parent=_indices("string_parent", given, (strings,), strings), string_fraction=fraction, _layout=layout)
+    return structure._derived(
+        string_parent=_indices("string_parent", given, (strings,), strings),
+        string_fraction=fraction,
+        _layout=layout,
+    )
 
 
 def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
     """Return all that the motion under force densities or rest lengths depends on, by name; of functions of time their values at `times` (K,), s."""
     scene = model.scene
-    gravity, pressure, forces, supports = scene.gravity, scene.pressure, scene.forces, scene.supports
+    gravity, pressure, forces, supports = (
+        scene.gravity,
+        scene.pressure,
+        scene.forces,
+        scene.supports,
+    )
     nodes = len(scene.structure.nodes)
     loads = {
         **_load_to_arrays("gravity", gravity, (3,), times),
@@ -85,7 +128,11 @@ def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
         **_load_to_arrays("forces", forces, (nodes, 3), times),
         "forces.bars": forces and list((forces.bars or {}).items()),
     }
-    called = {"gravity": gravity and gravity.is_function, "pressure": pressure and pressure.is_function, "forces": forces and forces.is_function}
+    called = {
+        "gravity": gravity and gravity.is_function,
+        "pressure": pressure and pressure.is_function,
+        "forces": forces and forces.is_function,
+    }
     functions = [name for name, given in (called | {"supports": supports}).items() if given]
     content: dict[str, Any] = {
         "functions": np.asarray(functions, dtype=str),
@@ -98,16 +145,31 @@ def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
         **loads,
         "grounds": len(scene.grounds),
         **_ground_to_arrays("ground", None),
-        **{name: value for k, ground in enumerate(scene.grounds) for name, value in _ground_to_arrays(f"ground{k or ''}", ground).items()},
+        **{
+            name: value
+            for k, ground in enumerate(scene.grounds)
+            for name, value in _ground_to_arrays(f"ground{k or ''}", ground).items()
+        },
         "pressure.faces": pressure and np.reshape(pressure.faces, (-1, 3)),
-        "supports": supports and [rates(t)[0].full() for rates in [supports.rates()] for t in times],
+        "supports": supports
+        and [rates(t)[0].full() for rates in [supports.rates()] for t in times],
         "supports.nodes": supports and supports.nodes,
         "parameters": scene.parameters and _parameters_to_text(scene.parameters),
     }
-    told = {f"scene.{name}": _NOTHING if value is None else np.asarray(value) for name, value in content.items()}
-    own = {"model.coordinates": model.coordinates, "model.bar_length": "constant" if model.mechanism.constant_length else "current"}
+    told = {
+        f"scene.{name}": _NOTHING if value is None else np.asarray(value)
+        for name, value in content.items()
+    }
+    own = {
+        "model.coordinates": model.coordinates,
+        "model.bar_length": "constant" if model.mechanism.constant_length else "current",
+    }
     own |= {"model.control": type(scene.control).__name__}
-    return structure_to_arrays(scene.structure) | told | {name: np.asarray(value) for name, value in own.items()}
+    return (
+        structure_to_arrays(scene.structure)
+        | told
+        | {name: np.asarray(value) for name, value in own.items()}
+    )
 
 
 def model_from_arrays(content: Content) -> Model | None:
@@ -118,11 +180,15 @@ def model_from_arrays(content: Content) -> Model | None:
     if "model.coordinates" not in content or content["scene.functions"].size:
         return None
     told = _checked(Fields(content).within("scene."))
-    for name in _LATER if any(name in told for name in _LATER) else ():  # what has lost a field must not pass for an older file
+    for name in (
+        _LATER if any(name in told for name in _LATER) else ()
+    ):  # what has lost a field must not pass for an older file
         told[name]
 
     def some(name: str, build: Callable[[Any], Any]) -> Any:
-        return build(told[name]) if (name not in _LATER or name in told) and told[name].size else None
+        return (
+            build(told[name]) if (name not in _LATER or name in told) and told[name].size else None
+        )
 
     control = str(content.get("model.control", "ForceDensity"))
     if control not in _CONTROLS:
@@ -135,15 +201,26 @@ def model_from_arrays(content: Content) -> Model | None:
         fractions=some("fractions", np.ndarray.tolist),
         gravity=some("gravity", lambda values: Gravity(values, some("gravity.times", np.asarray))),
         ground=_grounds_from_arrays(told),
-        pressure=some("pressure", lambda values: _pressure(told["pressure.faces"].tolist(), values, some("pressure.times", np.asarray))),
+        pressure=some(
+            "pressure",
+            lambda values: _pressure(
+                told["pressure.faces"].tolist(), values, some("pressure.times", np.asarray)
+            ),
+        ),
         forces=some(
             "forces",
             lambda values: NodalForce(
-                values, some("forces.times", np.asarray), bars=some("forces.bars", lambda pairs: dict(pairs.reshape(-1, 2).tolist()))
+                values,
+                some("forces.times", np.asarray),
+                bars=some("forces.bars", lambda pairs: dict(pairs.reshape(-1, 2).tolist())),
             ),
         ),
-        parameters=_parameters_from_text(told["parameters"].tolist()) if told.get("parameters", _NOTHING).size else None,
-        slack=some("slack.laws", _laws_from_array) or some("slack", lambda width: Smooth(width.item())) or Clip(),
+        parameters=_parameters_from_text(told["parameters"].tolist())
+        if told.get("parameters", _NOTHING).size
+        else None,
+        slack=some("slack.laws", _laws_from_array)
+        or some("slack", lambda width: Smooth(width.item()))
+        or Clip(),
     )
     return Model(scene, content["model.coordinates"].item(), content["model.bar_length"].item())
 
@@ -152,12 +229,23 @@ def find_differences(content: Content, model: Model) -> list[str]:
     """Return in what `model` differs from the one of `model_to_arrays`, such as "Structure.bar_mass"; of older files in what they hold."""
     own = model_to_arrays(model, content.get("scene.clock", _NOTHING))
     told = own.keys() & content.keys() - {"scene.clock", "scene.functions"}
-    return [name[0].upper() + name[1:] for name in own if name in told and not _same(content[name], own[name])]
+    return [
+        name[0].upper() + name[1:]
+        for name in own
+        if name in told and not _same(content[name], own[name])
+    ]
 
 
 def _parameters_to_text(parameters: Parameters) -> list[str]:
-    groups = [f"groups {name} " + (" ".join(",".join(map(str, group)) for group in groups) or "all") for name, groups in parameters.groups]
-    return [*(f"name {name}" for name in parameters.names), *(f"scale {name}" for name in parameters.scale), *groups]
+    groups = [
+        f"groups {name} " + (" ".join(",".join(map(str, group)) for group in groups) or "all")
+        for name, groups in parameters.groups
+    ]
+    return [
+        *(f"name {name}" for name in parameters.names),
+        *(f"scale {name}" for name in parameters.scale),
+        *groups,
+    ]
 
 
 def _parameters_from_text(lines: list[str]) -> Parameters:
@@ -166,7 +254,11 @@ def _parameters_from_text(lines: list[str]) -> Parameters:
         what, name, *rest = line.split(" ")
         if what not in said:
             raise ValueError(f"field 'parameters' has {line!r}")
-        said[what][name] = "all" if rest == ["all"] else [[int(index) for index in group.split(",")] for group in rest]
+        said[what][name] = (
+            "all"
+            if rest == ["all"]
+            else [[int(index) for index in group.split(",")] for group in rest]
+        )
     return Parameters(*said["name"], scale=said["scale"], groups=said["groups"])
 
 
@@ -189,9 +281,15 @@ def _ground_to_arrays(prefix: str, ground: Surface | None) -> dict[str, Any]:
 def _grounds_from_arrays(told: Fields) -> list[Surface]:
     """Return the grounds; files from before there could be several do not tell how many there are."""
     grounds: list[Surface] = []
-    for k in range(told["grounds"].item() if "grounds" in told else int(told["ground.stiffness"].size > 0)):
+    for k in range(
+        told["grounds"].item() if "grounds" in told else int(told["ground.stiffness"].size > 0)
+    ):
         names = {name: f"ground{k or ''}.{name}" for name in _GROUND}
-        given: dict[str, Any] = {name: told[key] for name, key in names.items() if name == "stiffness" or (key in told and told[key].size)}
+        given: dict[str, Any] = {
+            name: told[key]
+            for name, key in names.items()
+            if name == "stiffness" or (key in told and told[key].size)
+        }
         if np.isnan(given.get("friction", 0.0)):
             del given["friction"]
         if "nodes" in given:
@@ -209,10 +307,17 @@ def _indices(name: str, given: Content, shape: tuple[int, ...], count: int) -> I
 
 def _laws_to_array(scene: Scene) -> list[str] | None:
     """Return the law of each string as text; None where one of the kinds that older files know holds for all."""
-    laws = (scene.slack,) * len(scene.structure.strings) if isinstance(scene.slack, Slack) else tuple(scene.slack)
+    laws = (
+        (scene.slack,) * len(scene.structure.strings)
+        if isinstance(scene.slack, Slack)
+        else tuple(scene.slack)
+    )
     if isinstance(scene.slack, Smooth) or scene.slack == Clip():
         return None
-    return [" ".join([type(law).__name__, *(str(value) for value in vars(law).values())]) for law in laws]
+    return [
+        " ".join([type(law).__name__, *(str(value) for value in vars(law).values())])
+        for law in laws
+    ]
 
 
 def _laws_from_array(told: Array) -> tuple[Slack, ...]:
@@ -234,7 +339,9 @@ def _pressure(faces: Any, values: Array, times: Array | None) -> Pressure:
     return Pressure(faces, values.item()) if times is None else Pressure(faces, values, times)
 
 
-def _load_to_arrays(name: str, load: OverTime | None, shape: tuple[int, ...], times: Array) -> dict[str, Any]:
+def _load_to_arrays(
+    name: str, load: OverTime | None, shape: tuple[int, ...], times: Array
+) -> dict[str, Any]:
     """Return the values of a load, or those that its function has at `times` (K,), and the times of its table."""
     if load is None:
         return {name: None, f"{name}.times": None}
@@ -249,4 +356,12 @@ def _same(one: Any, other: Any) -> bool:
         return False
     if one.dtype.kind != "f":
         return bool(np.array_equal(one, other))
-    return bool(np.allclose(one, other, rtol=_ROUNDING, atol=_ROUNDING * np.abs(other[np.isfinite(other)]).max(initial=0.0), equal_nan=True))
+    return bool(
+        np.allclose(
+            one,
+            other,
+            rtol=_ROUNDING,
+            atol=_ROUNDING * np.abs(other[np.isfinite(other)]).max(initial=0.0),
+            equal_nan=True,
+        )
+    )

@@ -57,7 +57,9 @@ class Constraints(NamedTuple):
 class StateSpace:
     """States and controls of a scene in one of the two coordinates: sizes, conversions, and the matrices in `mechanism`."""
 
-    def __init__(self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current") -> None:
+    def __init__(
+        self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current"
+    ) -> None:
         instance("Model.scene", scene, Scene, "a tenscasadi.Scene")
         choice("Model.coordinates", coordinates, "reduced", "full")
         choice("Model.bar_length", bar_length, "current", "constant")
@@ -67,7 +69,9 @@ class StateSpace:
         self.mechanism = scene_mechanism(scene, coordinates, bar_length)
         check_mass_ratio(self.mechanism)
         if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:
-            raise ValueError('Model.bar_length is "constant": bars that meet or are pinned need coordinates="full" for it')
+            raise ValueError(
+                'Model.bar_length is "constant": bars that meet or are pinned need coordinates="full" for it'
+            )
         self._supports = None if scene.supports is None else scene.supports.rates()
         self._free = self.mechanism.free_index
         self.nq = len(self._free)
@@ -75,7 +79,9 @@ class StateSpace:
         self.nu = scene.nu
         self.parameters = scene.layout
         self.np = len(self.parameters)
-        self.functions: dict[tuple[Any, ...], ca.Function] = {}  # of this model, built by other modules that need the same several times
+        self.functions: dict[
+            tuple[Any, ...], ca.Function
+        ] = {}  # of this model, built by other modules that need the same several times
         self.redundancy = find_redundancy(self.mechanism)
         if self.redundancy:
             warnings.warn(self.redundancy, RedundantConstraints, stacklevel=3)
@@ -85,7 +91,8 @@ class StateSpace:
     @cached_property
     def initial_state(self) -> Array:
         """State (nx,) of the structure's nodes at rest, or at the velocities nearest to rest that moved supports leave possible."""
-        return read_only(self._at_rest(np.concatenate([self.initial_control, self.parameters.nominal])))  # type: ignore[no-any-return]
+        inputs = np.concatenate([self.initial_control, self.parameters.nominal])
+        return read_only(self._at_rest(inputs))  # type: ignore[no-any-return]
 
     def _at_rest(self, w: Array) -> Array:
         x = self.state(self.structure.nodes)
@@ -106,14 +113,19 @@ class StateSpace:
         if isinstance(self.scene.control, RestLength):
             return self.parameters.item_values("rest_length", p, s.rest_length)
         if isinstance(self.scene.control, ForceDensity):
-            stiffness, rest = (self.parameters.item_values(name, p, getattr(s, name)) for name in ("stiffness", "rest_length"))
+            stiffness, rest = (
+                self.parameters.item_values(name, p, getattr(s, name))
+                for name in ("stiffness", "rest_length")
+            )
             return stiffness * np.maximum(0.0, 1 - rest / s.string_lengths)  # Eq. 99 at rest
         return np.zeros(0)
 
     def held(self, u: Any = None, parameters: Any = None) -> Array:
         """Return the held input w (nw,): the control u (nu; None: the initial one), and below it the parameters (None: nominal), checked."""
         p = self.parameters.values(parameters)
-        return np.concatenate([self.control_at(p) if u is None else finite_array("u", u, (self.nu,)), p])
+        return np.concatenate(
+            [self.control_at(p) if u is None else finite_array("u", u, (self.nu,)), p]
+        )
 
     def start_at(self, p: Array) -> Array:
         """Return the initial state (nx,) of the structure that parameters (np,) make: masses share out how moved supports pull."""
@@ -143,7 +155,11 @@ class StateSpace:
         """
         n = len(self.structure.nodes)
         positions = finite_array("nodes", nodes, (n, 3))
-        speeds = np.zeros((n, 3)) if velocities is None else finite_array("velocities", velocities, (n, 3))
+        speeds = (
+            np.zeros((n, 3))
+            if velocities is None
+            else finite_array("velocities", velocities, (n, 3))
+        )
         if self._supports is not None:
             speeds = speeds.copy()
             speeds[self._moved] = self._supports(0.0)[1].full().T  # theirs, whatever is given
@@ -155,16 +171,30 @@ class StateSpace:
         for name, wrong in {"nodes": displaced, "velocities": moving}.items():
             if np.any(wrong & fixed):
                 node, axis = np.argwhere(wrong & fixed)[0]
-                raise ValueError(f"{name}[{node}, {axis}] moves a pinned coordinate: keep node {node} at {self.structure.nodes[node]}, at rest")
+                raise ValueError(
+                    f"{name}[{node}, {axis}] moves a pinned coordinate: keep node {node} at {self.structure.nodes[node]}, at rest"
+                )
         for node, normals in self.structure.rollers.items():
-            sizes = {"nodes": 1e-9 * max(size, 1e-300), "velocities": 1e-9 * abs(speeds).max(initial=0.0)}
-            for (name, least), vector in zip(sizes.items(), (positions[node] - self.structure.nodes[node], speeds[node]), strict=True):
+            sizes = {
+                "nodes": 1e-9 * max(size, 1e-300),
+                "velocities": 1e-9 * abs(speeds).max(initial=0.0),
+            }
+            for (name, least), vector in zip(
+                sizes.items(),
+                (positions[node] - self.structure.nodes[node], speeds[node]),
+                strict=True,
+            ):
                 if np.any(abs(np.array(normals) @ vector) > least):
-                    raise ValueError(f"{name}[{node}] moves node {node} off its roller: keep it where it is along {normals}")
+                    raise ValueError(
+                        f"{name}[{node}] moves node {node} off its roller: keep it where it is along {normals}"
+                    )
         columns = self.mechanism.physical
         x = np.zeros(self.nx)
         q, v, _ = self.split(x)
-        q[:], v[:] = (self.mechanism.local(vectors[columns].ravel())[self._free] for vectors in (positions, speeds))
+        q[:], v[:] = (
+            self.mechanism.local(vectors[columns].ravel())[self._free]
+            for vectors in (positions, speeds)
+        )
         return x
 
     def nodes(self, x: Any) -> Any:
@@ -212,19 +242,25 @@ class StateSpace:
 
         Notes
         -----
-        ``ca.vertcat(*model.constraints(x))`` are the rows that a free start has to satisfy in a tool for optimal control. Every motion
-        keeps them: imposed at later times too they are redundant, and their gradients linearly dependent with those of the dynamics.
+        ``ca.vertcat(*model.constraints(x))`` are the rows that a free start has to satisfy in a
+        tool for optimal control. Every motion keeps them: imposed at later times too they are
+        redundant, and their gradients linearly dependent with those of the dynamics.
         """
         value = self.arguments(x, None)[0]
         N, V, time = self.unpack(value)
         mech = self.mechanism
         B, (D, Dd, _) = mech.bar_vectors(N), self.targets(time)
         held = np.flatnonzero(mech.active.ravel(order="F")).tolist()
-        (bars, joints), (bar_rates, joint_rates) = residuals(mech, N, B, D), residual_rates(mech, V, B, Dd)
+        (bars, joints), (bar_rates, joint_rates) = (
+            residuals(mech, N, B, D),
+            residual_rates(mech, V, B, Dd),
+        )
         own = [ca.vec(ca.densify(row)) for row in (joints, joint_rates)]
         if mech.frames is not None:
             own = [ca.mtimes(mech.held_directions.T, row) for row in own]
-        rows = [row.T / ca.DM(mech.lengths) for row in (bars, bar_rates)] + [row[held] for row in own]
+        rows = [row.T / ca.DM(mech.lengths) for row in (bars, bar_rates)] + [
+            row[held] for row in own
+        ]
         return Constraints(*(row.full().ravel() if isinstance(row, ca.DM) else row for row in rows))
 
     def arguments(self, x: Any, u: Any, parameters: Any = None) -> tuple[Any, ...]:
@@ -236,13 +272,25 @@ class StateSpace:
         p = parameters if symbolic else self.parameters.values(parameters)
         if u is None and symbolic and self.nu:
             raise ValueError("u is None: give the control, too, where parameters are CasADi's")
-        given = [("x", x, self.nx), ("u", (self.initial_control if symbolic else self.control_at(p)) if u is None else u, self.nu)]
+        given = [
+            ("x", x, self.nx),
+            (
+                "u",
+                (self.initial_control if symbolic else self.control_at(p)) if u is None else u,
+                self.nu,
+            ),
+        ]
         if self.np or symbolic:
             given.append(("parameters", p, self.np))
         for name, value, size in given:
             if isinstance(value, (ca.SX, ca.MX)) and value.shape != (size, 1):
                 raise ValueError(f"{name} has shape {value.shape}: give a column of {size}")
-        return tuple(value if isinstance(value, (ca.SX, ca.MX)) else ca.DM(finite_array(name, value, (size,))) for name, value, size in given)
+        return tuple(
+            value
+            if isinstance(value, (ca.SX, ca.MX))
+            else ca.DM(finite_array(name, value, (size,)))
+            for name, value, size in given
+        )
 
     @property
     def nw(self) -> int:
@@ -273,17 +321,29 @@ class StateSpace:
             kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
             x, w = kind.sym("x", self.nx), kind.sym("w", self.nw)
             outputs = function.call([x, w[: self.nu], w[self.nu :]], True, False)
-            self.functions[key] = ca.Function(function.name(), [x, w], outputs, ["x", "w"], function.name_out())
-            self.functions[("kept", *key)] = function  # its hash is its place in memory, which no other one may have
+            self.functions[key] = ca.Function(
+                function.name(), [x, w], outputs, ["x", "w"], function.name_out()
+            )
+            self.functions[("kept", *key)] = (
+                function  # its hash is its place in memory, which no other one may have
+            )
         return self.functions[key]
 
-    def _function(self, name: str, x: Any, w: Any, outputs: list[Any], names: list[str]) -> ca.Function:
+    def _function(
+        self, name: str, x: Any, w: Any, outputs: list[Any], names: list[str]
+    ) -> ca.Function:
         """Return the Function (x, u) → outputs, or (x, u, p) where there are parameters, of expressions of x and w."""
         if not self.np:
             return ca.Function(name, [x, w], outputs, ["x", "u"], names)
         stacked = ca.Function(name, [x, w], outputs, ["x", "w"], names)
         x, u, p = type(x).sym("x", self.nx), type(x).sym("u", self.nu), type(x).sym("p", self.np)
-        public = ca.Function(name, [x, u, p], stacked.call([x, ca.vertcat(u, p)], True, False), ["x", "u", "p"], names)
+        public = ca.Function(
+            name,
+            [x, u, p],
+            stacked.call([x, ca.vertcat(u, p)], True, False),
+            ["x", "u", "p"],
+            names,
+        )
         self.functions["stacked", name, hash(public)] = stacked
         return public
 
@@ -326,7 +386,9 @@ class StateSpace:
         if self._supports is None or not mech.joints:
             return ca.DM(mech.D), still, still
         held = mech.P.toarray()
-        alone = (np.count_nonzero(held, axis=0) == 1) & mech.active.all(axis=0)  # columns of P that pin one of a node's copies alone
+        alone = (np.count_nonzero(held, axis=0) == 1) & mech.active.all(
+            axis=0
+        )  # columns of P that pin one of a node's copies alone
         pinned = mech.physical[abs(held).argmax(axis=0)]
         columns = [int(np.flatnonzero(alone & (pinned == node))[0]) for node in self._moved]
         sign = ca.DM(held[:, columns].sum(axis=0)).T
@@ -351,7 +413,12 @@ class StateSpace:
     def pack(self, upper: Any, lower: Any, clock: Any) -> Any:
         """Return the state (nx) of two 3×n matrices and, where there is a clock, its entry: the inverse of `unpack`, also for rates of change."""
         free = self._free.tolist()
-        parts = [self.mechanism.local(ca.vec(matrix))[free] if self.nq < 3 * matrix.shape[1] else ca.vec(matrix) for matrix in (upper, lower)]
+        parts = [
+            self.mechanism.local(ca.vec(matrix))[free]
+            if self.nq < 3 * matrix.shape[1]
+            else ca.vec(matrix)
+            for matrix in (upper, lower)
+        ]
         return ca.densify(ca.vertcat(*parts, *([clock] if self.scene.has_clock else [])))
 
     def support_accelerations(self, time: Any) -> Any:
@@ -366,7 +433,9 @@ class StateSpace:
         if isinstance(x, (ca.SX, ca.MX)):
             return self.unpack(self.arguments(x, None)[0])[part][:, self.mechanism.first.tolist()]
         states = rows_of_size("x", x, self.nx, "states")
-        result = np.broadcast_to(self.mechanism.local(elsewhere.ravel()), (*states.shape[:-1], elsewhere.size)).copy()
+        result = np.broadcast_to(
+            self.mechanism.local(elsewhere.ravel()), (*states.shape[:-1], elsewhere.size)
+        ).copy()
         result[..., self._free] = self.split(states)[part]
         nodes = self.mechanism.world(result).reshape(*states.shape[:-1], len(elsewhere), 3)
         if self._supports is not None and self.coordinates == "reduced" and states.size:

@@ -21,7 +21,9 @@ def check_parameters(model: Any) -> None:
     inside, commanded = _BY_CONTROL.get(type(model.scene.control), ((), ""))
     for name in unused:
         if name not in inside:
-            raise ValueError(f"Parameters has {name!r}, on which no motion of this scene depends{_reason(model.scene, name)}: leave the name out")
+            raise ValueError(
+                f"Parameters has {name!r}, on which no motion of this scene depends{_reason(model.scene, name)}: leave the name out"
+            )
     for name in unused:
         warnings.warn(
             f"Parameters has {name!r}, which sets the default control alone: under {model.scene.control} {commanded} are commanded, and motions "
@@ -35,7 +37,9 @@ def _unused(model: Any) -> list[str]:
     """Return the quantities of which no entry of p has a place in the ode."""
     places = model.parameters.places
     x, u, one = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("one", len(places))
-    p = ca.vertcat(*(ca.repmat(one[k], place.stop - place.start, 1) for k, place in enumerate(places.values())))
+    p = ca.vertcat(
+        *(ca.repmat(one[k], place.stop - place.start, 1) for k, place in enumerate(places.values()))
+    )
     by_quantity = ca.Function("by_quantity", [x, u, one], [model.ode(x, u, p)]).jac_sparsity(0, 2)
     used = set(by_quantity.get_triplet()[1])
     return [name for k, name in enumerate(places) if k not in used]

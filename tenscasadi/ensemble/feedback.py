@@ -14,7 +14,8 @@ from tenscasadi.util.validate import Array, finite_array, real_array, shown
 class Feedback:
     """Controls that keep to a plan, u = u_k − G_k (x − x_k) within limits, decided at the times of the plan and held between them.
 
-    After the plan its last gain goes on to hold its last state, decided as often as in its last interval.
+    After the plan its last gain goes on to hold its last state, decided as often as in its last
+    interval.
 
     Parameters
     ----------
@@ -32,7 +33,8 @@ class Feedback:
     Raises
     ------
     TypeError, ValueError
-        If an argument has another type or shape, times do not increase from 0, or limits contradict each other.
+        If an argument has another type or shape, times do not increase from 0, or limits contradict
+        each other.
 
     See Also
     --------
@@ -40,7 +42,8 @@ class Feedback:
 
     Examples
     --------
-    A mass is drawn outwards by 1 N; its string holds it at half a metre, by feedback of position and velocity:
+    A mass is drawn outwards by 1 N; its string holds it at half a metre, by feedback of position
+    and velocity:
 
     >>> import numpy as np
     >>> import tenscasadi as tc
@@ -64,16 +67,25 @@ class Feedback:
     def __post_init__(self) -> None:
         time = finite_array("Feedback.time", self.time, (None,))
         if len(time) < 2 or time[0] != 0 or np.any(np.diff(time) <= 0):
-            raise ValueError(f"Feedback.time is {time}: give two or more times that increase from 0")
+            raise ValueError(
+                f"Feedback.time is {time}: give two or more times that increase from 0"
+            )
         count = len(time) - 1
         controls = finite_array("Feedback.controls", self.controls, (count, None))
         states = finite_array("Feedback.states", self.states, (count + 1, None))
         values = {"time": time, "controls": controls, "states": states}
-        values["gains"] = finite_array("Feedback.gains", self.gains, (count, controls.shape[1], states.shape[1]))
-        values |= {name: _limit(name, getattr(self, name), controls.shape[1]) for name in ("lower", "upper")}
+        values["gains"] = finite_array(
+            "Feedback.gains", self.gains, (count, controls.shape[1], states.shape[1])
+        )
+        values |= {
+            name: _limit(name, getattr(self, name), controls.shape[1])
+            for name in ("lower", "upper")
+        }
         if np.any(values["lower"] > values["upper"]):
             k = int(np.argmax(values["lower"] > values["upper"]))
-            raise ValueError(f"Feedback.lower[{k}] is {values['lower'][k]:g}, above upper[{k}] = {values['upper'][k]:g}: give lower ≤ upper")
+            raise ValueError(
+                f"Feedback.lower[{k}] is {values['lower'][k]:g}, above upper[{k}] = {values['upper'][k]:g}: give lower ≤ upper"
+            )
         for name, value in values.items():
             object.__setattr__(self, name, value)
 

@@ -13,7 +13,15 @@ from tenscasadi.ensemble.kernel import Intervals
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.control_input import ControlProfile, SampledControl, sample_control
 from tenscasadi.simulation.simulate import lay_grid
-from tenscasadi.util.validate import SMALLEST, Array, finite_array, nesting, positive_number, real_array, shown
+from tenscasadi.util.validate import (
+    SMALLEST,
+    Array,
+    finite_array,
+    nesting,
+    positive_number,
+    real_array,
+    shown,
+)
 
 _MOST_DECISIONS = 1e7  # of a feedback
 
@@ -28,13 +36,19 @@ class Plan(NamedTuple):
 def read_starts(model: Model, states: Any, p: Array) -> Array:
     """Return the starts (n or 1, nx); one that is not finite is its motion's own fault. Raises TypeError, ValueError."""
     wanted = f"states of shape (n, {model.nx}) or ({model.nx},)"
-    given = _shared([model.start_at(row) for row in p], model.nx) if states is None else real_array("states", states, wanted)
+    given = (
+        _shared([model.start_at(row) for row in p], model.nx)
+        if states is None
+        else real_array("states", states, wanted)
+    )
     if given.ndim not in (1, 2) or given.shape[-1] != model.nx:
         raise ValueError(f"states has shape {given.shape}: give {wanted}")
     starts = np.atleast_2d(given)
     clocks = model.split(starts)[2]
     if clocks.size and len(np.unique(clocks[np.isfinite(clocks)])) > 1:
-        raise ValueError(f"states[:, {model.nx - 1}] are clocks from {np.nanmin(clocks):g} to {np.nanmax(clocks):g} s: start all motions at one time")
+        raise ValueError(
+            f"states[:, {model.nx - 1}] are clocks from {np.nanmin(clocks):g} to {np.nanmax(clocks):g} s: start all motions at one time"
+        )
     return starts
 
 
@@ -43,9 +57,23 @@ def read_parameters(model: Model, given: Any) -> Array:
     layout = model.parameters
     if isinstance(given, Mapping):
         tables = {name: value for name, value in given.items() if nesting(value) >= 2}
-        shared = layout.values({name: value for name, value in given.items() if name not in tables} | dict.fromkeys(tables.keys() - layout.places, 0))
-        checked = {name: _table(f"parameters[{shown(name)}]", value, layout.places[name]) for name, value in tables.items()}
-        rows = np.tile(shared, (count_motions(**{f"parameters[{name!r}]": len(value) for name, value in checked.items()}), 1))
+        shared = layout.values(
+            {name: value for name, value in given.items() if name not in tables}
+            | dict.fromkeys(tables.keys() - layout.places, 0)
+        )
+        checked = {
+            name: _table(f"parameters[{shown(name)}]", value, layout.places[name])
+            for name, value in tables.items()
+        }
+        rows = np.tile(
+            shared,
+            (
+                count_motions(
+                    **{f"parameters[{name!r}]": len(value) for name, value in checked.items()}
+                ),
+                1,
+            ),
+        )
         for name, value in checked.items():
             rows[:, layout.places[name]] = value
     elif nesting(given) < 2:
@@ -71,8 +99,13 @@ def read_controls(model: Model, controls: Any, p: Array) -> Plan:
     nu = model.nu
     if isinstance(controls, Feedback):
         given, known = controls.controls.shape[1], controls.states.shape[1]
-        if given != nu or known - 2 * model.nq not in (0, 1):  # with a clock or without: it is not fed back
-            raise ValueError(f"controls is a Feedback of {given} controls and {known} states: the model has {nu} and {model.nx}")
+        if given != nu or known - 2 * model.nq not in (
+            0,
+            1,
+        ):  # with a clock or without: it is not fed back
+            raise ValueError(
+                f"controls is a Feedback of {given} controls and {known} states: the model has {nu} and {model.nx}"
+            )
         if isinstance(model.scene.control, RestLength):
             _check_rest_lengths(controls)
         return Plan(np.zeros((1, 1, nu)), controls)
@@ -87,18 +120,24 @@ def read_controls(model: Model, controls: Any, p: Array) -> Plan:
     bad = np.argwhere(table < SMALLEST)
     if isinstance(model.scene.control, RestLength) and len(bad):
         place = tuple(int(i) for i in bad[0])
-        raise ValueError(f"controls{list(place)} is {table[place]:g}: rest lengths (RestLength) must be greater than 0")
+        raise ValueError(
+            f"controls{list(place)} is {table[place]:g}: rest lengths (RestLength) must be greater than 0"
+        )
     return Plan(table, None)
 
 
 def _check_rest_lengths(feedback: Feedback) -> None:
     """Raise ValueError where feedback may decide rest lengths of 0 or less."""
     least = np.where(np.any(feedback.gains, axis=(0, 2)), -np.inf, feedback.controls.min(axis=0))
-    bad = np.flatnonzero((np.maximum(least, feedback.lower) < SMALLEST) | (feedback.upper < SMALLEST))
+    bad = np.flatnonzero(
+        (np.maximum(least, feedback.lower) < SMALLEST) | (feedback.upper < SMALLEST)
+    )
     if bad.size:
         k = bad[0]
         told = f"controls is a Feedback whose limits of string {k} are {feedback.lower[k]:g} and {feedback.upper[k]:g}"
-        raise ValueError(f"{told}: rest lengths (RestLength) must be greater than 0, give Feedback(lower=...) above it")
+        raise ValueError(
+            f"{told}: rest lengths (RestLength) must be greater than 0, give Feedback(lower=...) above it"
+        )
 
 
 def _initial(model: Model, p: Array) -> Array:
@@ -123,28 +162,54 @@ def lay_steps(model: Model, starts: Array, t_end: float, step: float, plan: Plan
 
     def sample(end: float, steps: int) -> SampledControl:
         if plan.feedback is None:
-            return sample_control(np.arange(plan.controls.shape[1], dtype=float)[:, None], np.zeros(1), end, steps)
+            return sample_control(
+                np.arange(plan.controls.shape[1], dtype=float)[:, None], np.zeros(1), end, steps
+            )
         nodes = plan.feedback.time
         period = nodes[-1] - nodes[-2]
         if end > _MOST_DECISIONS * period:
-            raise ValueError(f"t_end is {end:g}: that takes more than {_MOST_DECISIONS:g} decisions of {period:g} s, give a smaller one")
+            raise ValueError(
+                f"t_end is {end:g}: that takes more than {_MOST_DECISIONS:g} decisions of {period:g} s, give a smaller one"
+            )
         later = nodes[-1] + period * np.arange(1, max(0, np.ceil((end - nodes[-1]) / period)) + 1)
         nodes = np.append(nodes, later)
         nodes = np.append(nodes[nodes < end - 1e-9 * period], end)
-        return sample_control(ControlProfile(nodes, np.arange(len(nodes) - 1, dtype=float)[:, None]), np.zeros(1), end, steps)
+        return sample_control(
+            ControlProfile(nodes, np.arange(len(nodes) - 1, dtype=float)[:, None]),
+            np.zeros(1),
+            end,
+            steps,
+        )
 
-    return lay_grid(model, first, positive_number("t_end", t_end), positive_number("step", step), sample)
+    return lay_grid(
+        model, first, positive_number("t_end", t_end), positive_number("step", step), sample
+    )
 
 
-def gather_intervals(model: Model, inputs: SampledControl, plan: Plan) -> tuple[Intervals, dict[str, Any] | None]:
+def gather_intervals(
+    model: Model, inputs: SampledControl, plan: Plan
+) -> tuple[Intervals, dict[str, Any] | None]:
     """Gather steps of one length and one control, and what feedback decides there."""
     if inputs.ends is None:
         count = plan.controls.shape[1]  # equal parts
-        row, steps, length = np.arange(count), np.full(count, inputs.steps // count), np.full(count, inputs.step)
+        row, steps, length = (
+            np.arange(count),
+            np.full(count, inputs.steps // count),
+            np.full(count, inputs.step),
+        )
     else:
-        owner, lengths = inputs.window(0, inputs.steps)[:, 0].astype(np.int64), inputs.lengths(0, inputs.steps)
-        begins = np.flatnonzero(np.concatenate([[True], (np.diff(owner) != 0) | (np.diff(lengths) != 0)]))
-        row, steps, length = owner[begins], np.diff(np.append(begins, inputs.steps)), lengths[begins]
+        owner, lengths = (
+            inputs.window(0, inputs.steps)[:, 0].astype(np.int64),
+            inputs.lengths(0, inputs.steps),
+        )
+        begins = np.flatnonzero(
+            np.concatenate([[True], (np.diff(owner) != 0) | (np.diff(lengths) != 0)])
+        )
+        row, steps, length = (
+            owner[begins],
+            np.diff(np.append(begins, inputs.steps)),
+            lengths[begins],
+        )
     if plan.feedback is None:
         return Intervals(row, steps, length), None
     plan_size, referred = len(plan.feedback.controls), 2 * model.nq
@@ -152,9 +217,13 @@ def gather_intervals(model: Model, inputs: SampledControl, plan: Plan) -> tuple[
     feedback = {
         "decides": np.concatenate([[1], np.diff(row) != 0]).astype(np.int64),
         "decision": np.minimum(row, plan_size).astype(np.int64),
-        "given": np.ascontiguousarray(np.concatenate([plan.feedback.controls, plan.feedback.controls[last]])),
+        "given": np.ascontiguousarray(
+            np.concatenate([plan.feedback.controls, plan.feedback.controls[last]])
+        ),
         "reference": np.ascontiguousarray(plan.feedback.states[:, :referred]),
-        "gains": np.ascontiguousarray(np.concatenate([plan.feedback.gains, plan.feedback.gains[last]])[:, :, :referred]),
+        "gains": np.ascontiguousarray(
+            np.concatenate([plan.feedback.gains, plan.feedback.gains[last]])[:, :, :referred]
+        ),
         "lower": plan.feedback.lower,
         "upper": plan.feedback.upper,
         "referred": referred,
@@ -166,9 +235,17 @@ def controls_at(plan: Plan, model: Model, time: Array, saved: Any, k: int) -> Ar
     """Return the controls (T, nu) of motion k at saved times, s; those of feedback as if it were decided there."""
     if plan.feedback is None:
         table = plan.controls[k if len(plan.controls) > 1 else 0]
-        return np.asarray(table[np.minimum((time / time[-1] * len(table) + 1e-9).astype(int), len(table) - 1)])
+        return np.asarray(
+            table[np.minimum((time / time[-1] * len(table) + 1e-9).astype(int), len(table) - 1)]
+        )
     f, known = plan.feedback, 2 * model.nq
     row = np.searchsorted(f.time, time + 1e-9, side="right") - 1
     gain = np.minimum(row, len(f.controls) - 1)
     away = saved[k][:, :known] - f.states[row, :known]
-    return np.asarray(np.clip(f.controls[gain] - np.einsum("tux,tx->tu", f.gains[gain][:, :, :known], away), f.lower, f.upper))
+    return np.asarray(
+        np.clip(
+            f.controls[gain] - np.einsum("tux,tx->tu", f.gains[gain][:, :, :known], away),
+            f.lower,
+            f.upper,
+        )
+    )

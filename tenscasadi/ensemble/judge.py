@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.kernel import KernelResult
-from tenscasadi.ensemble.request import BEYOND, BROKEN, KINETIC, NOT_FINITE, STOPPED, SUPPLIED, WORST
+from tenscasadi.ensemble.request import (
+    BEYOND,
+    BROKEN,
+    KINETIC,
+    NOT_FINITE,
+    STOPPED,
+    SUPPLIED,
+    WORST,
+)
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.simulation.diagnosis import (
     BROKEN_BARS,
@@ -28,9 +36,13 @@ from tenscasadi.simulation.trajectory import record_trajectory
 from tenscasadi.util.validate import Array
 
 _ROUNDING = 1e-9  # of the energies, what a run may lose by rounding
-_LOOKED_AT = 2  # motions that are looked at closely beside the first and the last, and for each of a few parameters the two with its extremes
+# motions that are looked at closely beside the first and the last, and for each of a few parameters
+# the two with its extremes
+_LOOKED_AT = 2
 _FEW = 8  # entries of controls and of parameters; of more their sum
-_MOST = 50  # motions that are looked at where a step is above the stability limit, or energy is off by what takes the trust
+# motions that are looked at where a step is above the stability limit, or energy is off by what
+# takes the trust
+_MOST = 50
 _LIMIT = "stability limit"
 
 _FAULTS = {
@@ -43,8 +55,9 @@ _FAULTS = {
 class Run(NamedTuple):
     """Request as it was, with the kernel's answer.
 
-    starts (n or 1, nx), controls (n or 1, K, nu), parameters (n or 1, np); steps and their mean length, s; time (T,) of saved rows, times: of
-    steps; rows: the controls (T, nu) of motion k at the saved times.
+    starts (n or 1, nx), controls (n or 1, K, nu), parameters (n or 1, np); steps and their mean
+    length, s; time (T,) of saved rows, times: of steps; rows: the controls (T, nu) of motion k at
+    the saved times.
     """
 
     model: Model
@@ -75,14 +88,39 @@ def judge(run: Run) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
             "start from tenscasadi.projection(model)(state)"
         )
     success &= violation <= WRONG_START
-    worst = dict(zip(WORST, result.worst.T if result.worst is not None else np.empty((len(WORST), n)), strict=True))
+    worst = dict(
+        zip(
+            WORST,
+            result.worst.T if result.worst is not None else np.empty((len(WORST), n)),
+            strict=True,
+        )
+    )
     for k in np.flatnonzero(success & (worst["bar_length_error"] > DRIFTED_BARS)).tolist():
-        told[k] += f"; bars are off by up to {worst['bar_length_error'][k]:.2g} of their length (correction=Projection() holds them)"
-    moved = worst["kinetic"] + worst["elastic_high"] - worst["elastic_low"] + worst["gravity_high"] - worst["gravity_low"]
-    size = worst["kinetic"] + abs(worst["elastic_high"]) + abs(worst["gravity_low"]) + abs(worst["gravity_high"])
-    off = np.where(worst["energy_error"] > _ROUNDING * size, worst["energy_error"] / np.maximum(moved, 1e-300), 0.0)
+        told[k] += (
+            f"; bars are off by up to {worst['bar_length_error'][k]:.2g} of their length (correction=Projection() holds them)"
+        )
+    moved = (
+        worst["kinetic"]
+        + worst["elastic_high"]
+        - worst["elastic_low"]
+        + worst["gravity_high"]
+        - worst["gravity_low"]
+    )
+    size = (
+        worst["kinetic"]
+        + abs(worst["elastic_high"])
+        + abs(worst["gravity_low"])
+        + abs(worst["gravity_high"])
+    )
+    off = np.where(
+        worst["energy_error"] > _ROUNDING * size,
+        worst["energy_error"] / np.maximum(moved, 1e-300),
+        0.0,
+    )
     for k in np.flatnonzero(success & (off > LOST_ENERGY)).tolist():
-        told[k] += f"; energy is off by {worst['energy_error'][k]:.2g} J where {moved[k]:.2g} J move: try a smaller step"
+        told[k] += (
+            f"; energy is off by {worst['energy_error'][k]:.2g} J where {moved[k]:.2g} J move: try a smaller step"
+        )
     _look_closer(run, off, success, told)
     if run.unseen:
         success[:] = False
@@ -94,7 +132,9 @@ def _finished(run: Run) -> str:
 
 
 def _describe_end(run: Run, k: int) -> str:
-    status, good, fault = (int(values[k]) for values in (run.result.status, run.result.good, run.result.fault))
+    status, good, fault = (
+        int(values[k]) for values in (run.result.status, run.result.good, run.result.fault)
+    )
     if status == STOPPED:
         return f"interrupted from the keyboard after t = {run.times(fault):g} s"
     if fault == 0:
@@ -125,12 +165,22 @@ def _may_be_off(model: Model, starts: Array) -> NDArray[np.bool_]:
         return np.zeros(len(starts), dtype=bool)
     small = OFF * float(lengths.min(initial=np.inf if len(lengths) else 1.0))
     if not model.mechanism.joints:
-        ends, moving = (part[:, model.structure.bars] for part in (model.nodes(starts), model.velocities(starts)))
+        ends, moving = (
+            part[:, model.structure.bars]
+            for part in (model.nodes(starts), model.velocities(starts))
+        )
         bars, rates = ends[:, :, 1] - ends[:, :, 0], moving[:, :, 1] - moving[:, :, 0]
-        off = np.abs(np.einsum("nbx,nbx->nb", bars, bars) / lengths - lengths) + np.abs(np.einsum("nbx,nbx->nb", bars, rates) / lengths)
+        off = np.abs(np.einsum("nbx,nbx->nb", bars, bars) / lengths - lengths) + np.abs(
+            np.einsum("nbx,nbx->nb", bars, rates) / lengths
+        )
     else:
         x = ca.MX.sym("x", model.nx)
-        off = abs(ca.Function("rows", [x], [ca.vertcat(*model.constraints(x))]).map(len(starts))(starts.T).full().T)
+        off = abs(
+            ca.Function("rows", [x], [ca.vertcat(*model.constraints(x))])
+            .map(len(starts))(starts.T)
+            .full()
+            .T
+        )
     return np.asarray(off.max(axis=1, initial=0.0) > small)
 
 
@@ -142,17 +192,25 @@ def _look_closer(run: Run, share: Array, success: NDArray[np.bool_], told: NDArr
     left = np.flatnonzero(success)
     if not len(left) or not run.model.nx:
         return
-    order = left[np.argsort(-np.nan_to_num(share[left]), kind="stable")].tolist()  # those likeliest to be wrong first
+    order = left[
+        np.argsort(-np.nan_to_num(share[left]), kind="stable")
+    ].tolist()  # those likeliest to be wrong first
     chosen = {int(left[0]), int(left[-1]), *order[:_LOOKED_AT]}
     for values in (run.parameters, run.controls[:, 0]):
         if len(values) > 1 and values.shape[1]:
-            columns = values[left] if values.shape[1] <= _FEW else values[left].sum(axis=1, keepdims=True)
-            chosen |= {int(left[pick(column)]) for column in columns.T for pick in (np.argmin, np.argmax)}
+            columns = (
+                values[left] if values.shape[1] <= _FEW else values[left].sum(axis=1, keepdims=True)
+            )
+            chosen |= {
+                int(left[pick(column)]) for column in columns.T for pick in (np.argmin, np.argmax)
+            }
     lost = [k for k in order if share[k] > LOST_TRUST]
     chosen |= set(lost[:_MOST])
     for k in sorted(chosen):
         _ask(run, k, success, told)
-    success[lost[_MOST:]] &= bool(success[lost[:_MOST]].all())  # as far to be trusted as those that were looked at
+    success[lost[_MOST:]] &= bool(
+        success[lost[:_MOST]].all()
+    )  # as far to be trusted as those that were looked at
     above = [k for k in sorted(chosen) if _LIMIT in told[k]]
     if not above:
         return
@@ -162,7 +220,9 @@ def _look_closer(run: Run, share: Array, success: NDArray[np.bool_], told: NDArr
     trusted = bool(success[[*chosen, *others[:_MOST]]].all())
     for k in others[_MOST:]:  # not looked at: as far to be trusted as those that were
         success[k] &= trusted
-        told[k] += f"; not looked at, as others took steps above the {_LIMIT}, see motion {above[0]}"
+        told[k] += (
+            f"; not looked at, as others took steps above the {_LIMIT}, see motion {above[0]}"
+        )
 
 
 def _ask(run: Run, k: int, success: NDArray[np.bool_], told: NDArray[Any]) -> None:
@@ -170,9 +230,19 @@ def _ask(run: Run, k: int, success: NDArray[np.bool_], told: NDArray[Any]) -> No
     saved, measured = run.result.saved, run.result.measured
     if saved is None or measured is None:
         return
-    inputs = np.hstack([run.rows(k), np.broadcast_to(run.parameters[k if len(run.parameters) > 1 else 0], (len(run.time), run.parameters.shape[1]))])
+    inputs = np.hstack(
+        [
+            run.rows(k),
+            np.broadcast_to(
+                run.parameters[k if len(run.parameters) > 1 else 0],
+                (len(run.time), run.parameters.shape[1]),
+            ),
+        ]
+    )
     recorded = record_trajectory(run.model, run.time, saved[k], inputs, step=run.step, message="")
-    energy = measured[k, :, KINETIC:SUPPLIED].sum(axis=1)  # under the control that led there: the row's may be the one that follows
+    energy = measured[k, :, KINETIC:SUPPLIED].sum(
+        axis=1
+    )  # under the control that led there: the row's may be the one that follows
     recorded = replace(recorded, energy_error=energy - energy[0] - measured[k, :, SUPPLIED])
     doubts, success[k] = describe_doubts(run.model, run.scheme, recorded, None)
     if doubts:

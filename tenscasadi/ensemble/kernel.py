@@ -37,9 +37,10 @@ class Intervals(NamedTuple):
 class KernelResult(NamedTuple):
     """Ends of n motions; one that failed ends in NaN and costs inf.
 
-    states (n, nx): their ends. saved (n, T, nx): the start, each `save_every`-th step and the end; None where nothing is saved.
-    cost (n,). status (n,): 0, or the code of what went wrong; `fault`, `good` (n,): the step at which that was found, and the last one at
-    which all was well. measured (n, T, 6), worst (n, 8): see `request`; None where nothing is measured.
+    states (n, nx): their ends. saved (n, T, nx): the start, each `save_every`-th step and the end;
+    None where nothing is saved. cost (n,). status (n,): 0, or the code of what went wrong; `fault`,
+    `good` (n,): the step at which that was found, and the last one at which all was well. measured
+    (n, T, 6), worst (n, 8): see `request`; None where nothing is measured.
     """
 
     states: Array
@@ -55,7 +56,8 @@ class KernelResult(NamedTuple):
 class Kernel:
     """Steps of many motions of one model as machine code; `build_kernel` makes it.
 
-    lanes: motions that each instruction moves; 0 without C++, `note` then says why, as it does where code that branches leaves one lane.
+    lanes: motions that each instruction moves; 0 without C++, `note` then says why, as it does
+    where code that branches leaves one lane.
     """
 
     def __init__(self, program: Program, lanes: int | None) -> None:
@@ -83,11 +85,13 @@ class Kernel:
     ) -> KernelResult:
         """Roll n motions through K equal intervals of `steps_per_interval` steps of `step` s.
 
-        states (n or 1, nx); inputs (n or 1, K, nw), w = [u; p], constant in each interval. Ctrl-C waits for the end where there is one thread.
-        Raises TypeError, ValueError.
+        states (n or 1, nx); inputs (n or 1, K, nw), w = [u; p], constant in each interval. Ctrl-C
+        waits for the end where there is one thread. Raises TypeError, ValueError.
         """
         count = inputs.shape[1] if np.ndim(inputs) == 3 else 0
-        intervals = Intervals(np.arange(count), np.full(count, steps_per_interval), np.full(count, float(step)))
+        intervals = Intervals(
+            np.arange(count), np.full(count, steps_per_interval), np.full(count, float(step))
+        )
         result = self.run(states, inputs, intervals, save_every or 0, threads=threads)
         if threads > 1 and np.any(result.status == STOPPED):
             raise KeyboardInterrupt
@@ -108,14 +112,20 @@ class Kernel:
     ) -> KernelResult:
         """Roll n motions through `intervals`.
 
-        look_every: steps from one measurement to the next, 0: only where a row is kept and at the end. parameters (n or 1, np): p, where the
-        inputs hold u alone. feedback: controls that depend on the
-        state, by name as `motions.hpp` reads them. watch: called with the steps done now and then; the work is then done in other
-        threads, and after Ctrl-C motions that have not arrived have the status STOPPED.
+        look_every: steps from one measurement to the next, 0: only where a row is kept and at the
+        end. parameters (n or 1, np): p, where the inputs hold u alone. feedback: controls that
+        depend on the
+        state, by name as `motions.hpp` reads them. watch: called with the steps done now and then;
+        the work is then done in other threads, and after Ctrl-C motions that have not arrived have
+        the status STOPPED.
         """
         sizes = self._sizes
         states = _rows("states", states, (None, sizes["NX"]))
-        held = np.empty((1, 0)) if parameters is None else _rows("parameters", parameters, (None, sizes["NW"] - sizes["NU"]))
+        held = (
+            np.empty((1, 0))
+            if parameters is None
+            else _rows("parameters", parameters, (None, sizes["NW"] - sizes["NU"]))
+        )
         inputs = _rows("inputs", inputs, (None, None, sizes["NW"] - held.shape[1]))
         n = _common(states=len(states), inputs=len(inputs), parameters=len(held))
         steps = int(intervals.steps.sum())
@@ -146,16 +156,29 @@ class Kernel:
             "inputs": inputs,
             "parameters": held,
             **(feedback or {}),
-            **{"correct_every": self._every, "save_every": save_every, "look_every": look_every, "rows": rows},
+            **{
+                "correct_every": self._every,
+                "save_every": save_every,
+                "look_every": look_every,
+                "rows": rows,
+            },
             **{"broken": BROKEN_BARS, "beyond": BEYOND, "largest": LARGEST},
-            **{"last": result.states, "saved": result.saved, "measured": result.measured, "worst": result.worst, "cost": result.cost},
+            **{
+                "last": result.states,
+                "saved": result.saved,
+                "measured": result.measured,
+                "worst": result.worst,
+                "cost": result.cost,
+            },
             **{"status": result.status, "fault": result.fault, "good": result.good},
             **dict(zip(("next", "done", "stop"), np.zeros((3, 1), dtype=np.int64), strict=True)),
         }
         self._roll(values, threads, watch)
         return result
 
-    def _roll(self, values: Mapping[str, Any], threads: int, watch: Callable[[int], object] | None) -> None:
+    def _roll(
+        self, values: Mapping[str, Any], threads: int, watch: Callable[[int], object] | None
+    ) -> None:
         if self._one_by_one is not None:
             work: Callable[[], Any] = lambda: self._one_by_one(values)  # type: ignore[misc]  # noqa: E731
             threads = 1
@@ -168,7 +191,11 @@ class Kernel:
         else:
             _share(work, threads, values, watch)
         if any(failed):
-            raise MemoryError("there is no memory for the motions on their way") if 2 in failed else RuntimeError("CasADi could not evaluate a step")
+            raise (
+                MemoryError("there is no memory for the motions on their way")
+                if 2 in failed
+                else RuntimeError("CasADi could not evaluate a step")
+            )
 
 
 def _reason(told: str) -> str:
@@ -177,7 +204,12 @@ def _reason(told: str) -> str:
     return next((line.split("error: ")[1] for line in lines if "error: " in line), lines[0])
 
 
-def _share(work: Callable[[], Any], threads: int, values: Mapping[str, Any], watch: Callable[[int], object] | None) -> None:
+def _share(
+    work: Callable[[], Any],
+    threads: int,
+    values: Mapping[str, Any],
+    watch: Callable[[int], object] | None,
+) -> None:
     """Let `threads` threads do the work, and wait; Ctrl-C, or whatever else ends the wait, tells them to stop before memory goes that they use."""
     ended: list[bool] = []
     wake = threading.Event()
@@ -197,12 +229,22 @@ def _share(work: Callable[[], Any], threads: int, values: Mapping[str, Any], wat
     except BaseException as error:
         values["stop"][0] = 1
         interrupted = isinstance(error, KeyboardInterrupt)
-        _wait(wake, lambda: len(ended) == sum(worker.ident is not None for worker in workers), values, watch if interrupted else None)
+        _wait(
+            wake,
+            lambda: len(ended) == sum(worker.ident is not None for worker in workers),
+            values,
+            watch if interrupted else None,
+        )
         if not interrupted:
             raise
 
 
-def _wait(wake: threading.Event, over: Callable[[], bool], values: Mapping[str, Any], watch: Callable[[int], object] | None) -> None:
+def _wait(
+    wake: threading.Event,
+    over: Callable[[], bool],
+    values: Mapping[str, Any],
+    watch: Callable[[int], object] | None,
+) -> None:
     """Wait for what sets `wake` until it is over. Threads are not joined: a join that Ctrl-C ends takes them for dead (CPython issue 89437)."""
     while not over():
         wake.wait(_POLL)
@@ -216,7 +258,11 @@ def _wait(wake: threading.Event, over: Callable[[], bool], values: Mapping[str, 
 def _rows(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     array = np.ascontiguousarray(value, dtype=float)
     if array.ndim != len(shape) or array.shape[-1] != shape[-1]:
-        raise ValueError(f"{field} has shape {array.shape}: give an array of shape {shape}".replace("None", "any"))
+        raise ValueError(
+            f"{field} has shape {array.shape}: give an array of shape {shape}".replace(
+                "None", "any"
+            )
+        )
     return array
 
 
@@ -250,8 +296,9 @@ def build_kernel(
     correction : Projection or BarLengthCorrection, optional
         Applied after every `correction.every`-th step.
     stage, final : casadi.Function, optional
-        Costs (x, w) → (1), w = [u; p]: of each interval, at its end, times its length; and of the end. Their w may be longer, by what only
-        costs depend on, such as the time; so are then the inputs.
+        Costs (x, w) → (1), w = [u; p]: of each interval, at its end, times its length; and of the
+        end. Their w may be longer, by what only costs depend on, such as the time; so are then the
+        inputs.
     measured : bool
         Whether to measure errors of bars and joints, and energies.
     lanes : int, optional
@@ -260,7 +307,8 @@ def build_kernel(
     Returns
     -------
     Kernel
-        Call it with states and inputs. Where there is no C++ compiler it goes one by one, to the same numbers.
+        Call it with states and inputs. Where there is no C++ compiler it goes one by one, to the
+        same numbers.
 
     Raises
     ------

@@ -10,11 +10,14 @@ import casadi as ca
 from tenscasadi.ensemble.program import Program
 from tenscasadi.ensemble.stages import work_size, write_step
 
-# CasADi writes if_else as a sum of these; the operands are variables, or entries that a loop passes over.
+# CasADi writes if_else as a sum of these; the operands are variables, or entries that a loop passes
+# over.
 _OPERAND = r"\w+(?:\[\w+\])?|\(\*\w+\+\+\)"
 _CONDITION = re.compile(rf"\(({_OPERAND})\?({_OPERAND}):0\)")
 _SIGN = re.compile(r"^casadi_real casadi_sign\(.*?\}$", re.DOTALL | re.MULTILINE)
-_LOOK_UP = re.compile(r"casadi_interpn\([^,;]+, \d+, (\w+), \w+, (\w+),")  # of a table: its points, and its values
+_LOOK_UP = re.compile(
+    r"casadi_interpn\([^,;]+, \d+, (\w+), \w+, (\w+),"
+)  # of a table: its points, and its values
 _TABLE_CODE = "clear", "low", "interpn_weights", "interpn_interpolate", "flip", "interpn"
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 
@@ -32,7 +35,8 @@ _WIDEST = """
 def write_source(program: Program, lanes: int | None) -> str:
     """Write the C++ of a program.
 
-    lanes: motions in each instruction; None: as many as the processor's registers hold. One lane is plain double, and takes any code.
+    lanes: motions in each instruction; None: as many as the processor's registers hold. One lane is
+    plain double, and takes any code.
     """
     functions, sizes, tableau = program.functions, program.sizes, program.tableau
     generator = ca.CodeGenerator("motion.c", {"with_header": False, "verbose": False})
@@ -62,7 +66,9 @@ def write_source(program: Program, lanes: int | None) -> str:
 def _replace_branches(source: str) -> str:
     """Write choices between numbers as functions of lanes; what is not known here does not compile as lanes."""
     source = _CONDITION.sub(r"select(\1, \2)", _tables_lane_by_lane(_COMMENT.sub("", source)))
-    return _SIGN.sub("static inline casadi_real casadi_sign(casadi_real x) { return sign(x); }", source)
+    return _SIGN.sub(
+        "static inline casadi_real casadi_sign(casadi_real x) { return sign(x); }", source
+    )
 
 
 def _tables_lane_by_lane(source: str) -> str:
@@ -74,13 +80,22 @@ def _tables_lane_by_lane(source: str) -> str:
         source = source.replace(f"static const casadi_real {name}[", f"static const double {name}[")
     code = []
     for name in _TABLE_CODE:
-        found = re.search(rf"^(?:void|casadi_int) casadi_{name}\(.*?^\}}$", source, re.DOTALL | re.MULTILINE)
+        found = re.search(
+            rf"^(?:void|casadi_int) casadi_{name}\(.*?^\}}$", source, re.DOTALL | re.MULTILINE
+        )
         if found is None:  # other code than is known here: it does not compile as lanes
             return source
         code.append(found[0])
     for part in code[1:-1]:
         source = source.replace(part, "")
-    scalar = "\n".join(["namespace scalar {", *(part.replace("casadi_real", "double") for part in code), "}", _text("tables.hpp")])
+    scalar = "\n".join(
+        [
+            "namespace scalar {",
+            *(part.replace("casadi_real", "double") for part in code),
+            "}",
+            _text("tables.hpp"),
+        ]
+    )
     return source.replace(code[-1], scalar)
 
 

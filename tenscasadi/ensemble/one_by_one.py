@@ -33,7 +33,9 @@ class OneByOne:
         """Fill the results of a request."""
         with np.errstate(all="ignore"):
             for first in range(0, q["motions"], _BLOCK):
-                _Block(self, q, np.arange(first, min(first + _BLOCK, q["motions"])), self._sizes).roll()
+                _Block(
+                    self, q, np.arange(first, min(first + _BLOCK, q["motions"])), self._sizes
+                ).roll()
 
     def has(self, name: str) -> bool:
         """Tell whether there is such a Function."""
@@ -52,7 +54,13 @@ class OneByOne:
 class _Block:
     """Some motions on their way."""
 
-    def __init__(self, engine: OneByOne, q: Mapping[str, Any], motions: NDArray[np.intp], sizes: Mapping[str, int]) -> None:
+    def __init__(
+        self,
+        engine: OneByOne,
+        q: Mapping[str, Any],
+        motions: NDArray[np.intp],
+        sizes: Mapping[str, int],
+    ) -> None:
         self.engine, self.q, self.motions, self.sizes = engine, q, motions, sizes
         n, nx = len(motions), sizes["NX"]
         self.z = np.zeros((n, nx + sizes["WORK"]))
@@ -66,7 +74,11 @@ class _Block:
         q, sizes = self.q, self.sizes
         step, row, total = 0, 0, int(q["count"].sum())
         for interval in range(q["intervals"]):
-            if interval == 0 or q.get("gains") is not None or q["row"][interval] != q["row"][interval - 1]:
+            if (
+                interval == 0
+                or q.get("gains") is not None
+                or q["row"][interval] != q["row"][interval - 1]
+            ):
                 self._hold(interval)
             if interval == 0:
                 self._look(0)
@@ -106,7 +118,11 @@ class _Block:
 
     def _hold(self, interval: int) -> None:
         q, nx = self.q, self.sizes["NX"]
-        before = self.engine.evaluate("motion_energy", self._x, self.w) if self.sizes["JUMPS"] and interval else None
+        before = (
+            self.engine.evaluate("motion_energy", self._x, self.w)
+            if self.sizes["JUMPS"] and interval
+            else None
+        )
         own, shared = self.motions, np.zeros(len(self.z), dtype=int)
         self.w = q["inputs"][own if q["input_stride"] else shared, q["row"][interval]]
         if q["parameters"].shape[1]:
@@ -121,7 +137,9 @@ class _Block:
             self.z[:, nx] += (self.engine.evaluate("motion_energy", self._x, self.w) - before)[:, 0]
 
     def _advance(self, length: float, step: int) -> None:
-        self.z = self.engine.evaluate("motion_step", self.z, self.w, np.full((len(self.z), 1), length)).copy()
+        self.z = self.engine.evaluate(
+            "motion_step", self.z, self.w, np.full((len(self.z), 1), length)
+        ).copy()
         if self.q["correct_every"] and step % self.q["correct_every"] == 0:
             self.z[:, : self.sizes["NX"]] = self.engine.evaluate("motion_project", self._x, self.w)
 
@@ -148,9 +166,14 @@ class _Block:
             energy = self.measure[:, 2:5].sum(axis=1)
             if step == 0:
                 self.energy = energy
-            error = np.abs(energy - self.energy - (self.z[:, sizes["NX"]] if sizes["WORK"] else 0.0))
+            error = np.abs(
+                energy - self.energy - (self.z[:, sizes["NX"]] if sizes["WORK"] else 0.0)
+            )
             kinetic, elastic, gravity = self.measure[:, 2:5].T
-            now = np.stack([bars, self.measure[:, 1], error, kinetic, elastic, elastic, gravity, gravity], axis=1)
+            now = np.stack(
+                [bars, self.measure[:, 1], error, kinetic, elastic, elastic, gravity, gravity],
+                axis=1,
+            )
             if step == 0:
                 self.worst = np.where(fine[:, None], now, np.nan)
             lower = [4, 6]
@@ -164,8 +187,12 @@ class _Block:
         lost = (self.status != FINISHED)[:, None]
         self.q["saved"][self.motions, row] = np.where(lost, np.nan, self._x)
         if self.sizes["M"]:
-            supplied = self.z[:, self.sizes["NX"] :] if self.sizes["WORK"] else np.zeros((len(self.z), 1))
-            self.q["measured"][self.motions, row] = np.where(lost, np.nan, np.hstack([self.measure, supplied]))
+            supplied = (
+                self.z[:, self.sizes["NX"] :] if self.sizes["WORK"] else np.zeros((len(self.z), 1))
+            )
+            self.q["measured"][self.motions, row] = np.where(
+                lost, np.nan, np.hstack([self.measure, supplied])
+            )
         return row + 1
 
 

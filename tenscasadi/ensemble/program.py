@@ -23,21 +23,38 @@ class Program(NamedTuple):
 
 
 def write_program(
-    model: Model, scheme: Scheme, correction: Correction | None, stage: ca.Function | None, final: ca.Function | None, measured: bool
+    model: Model,
+    scheme: Scheme,
+    correction: Correction | None,
+    stage: ca.Function | None,
+    final: ca.Function | None,
+    measured: bool,
 ) -> Program:
     """Write the Functions of a kernel; arguments and errors as of `build_kernel`."""
     check_scheme(scheme)
     if scheme.adaptive or scheme.implicit:
-        raise ValueError(f"scheme is {scheme}: motions side by side take the same steps, give a scheme of fixed explicit ones such as RungeKutta4()")
+        raise ValueError(
+            f"scheme is {scheme}: motions side by side take the same steps, give a scheme of fixed explicit ones such as RungeKutta4()"
+        )
     power = model.stacked(model.power) if measured and model.power is not None else None
     jumps = measured and model.nu > 0
     tableau = _tableau(scheme)
-    move = scheme.advance(model, power) if tableau is None else _at_once(equations(model, power), model, power)
-    step = _with_account("motion_step" if tableau is None else "motion_ode", move, model.nx, jumps and power is None)
+    move = (
+        scheme.advance(model, power)
+        if tableau is None
+        else _at_once(equations(model, power), model, power)
+    )
+    step = _with_account(
+        "motion_step" if tableau is None else "motion_ode", move, model.nx, jumps and power is None
+    )
     functions = {step.name(): step}
     nw = max([step.size1_in(1), *(cost.size1_in(1) for cost in (stage, final) if cost is not None)])
     project = None if correction is None else held_correction(model, correction)
-    for name, function in (("motion_project", project), ("motion_stage", stage), ("motion_final", final)):
+    for name, function in (
+        ("motion_project", project),
+        ("motion_stage", stage),
+        ("motion_final", final),
+    ):
         if function is not None:
             functions[name] = function
     if measured:
@@ -45,8 +62,17 @@ def write_program(
         if jumps:
             functions["motion_energy"] = model.stacked(model.energy_function)
     given = {name: _renamed(name, _widened(function, nw)) for name, function in functions.items()}
-    sizes = {"NX": model.nx, "NW": nw, "NU": model.nu, "WORK": int(power is not None or jumps), "JUMPS": int(jumps), "M": 5 * measured}
-    return Program(given, sizes, tableau, 0 if project is None or correction is None else correction.every)
+    sizes = {
+        "NX": model.nx,
+        "NW": nw,
+        "NU": model.nu,
+        "WORK": int(power is not None or jumps),
+        "JUMPS": int(jumps),
+        "M": 5 * measured,
+    }
+    return Program(
+        given, sizes, tableau, 0 if project is None or correction is None else correction.every
+    )
 
 
 def _at_once(ode: ca.Function, model: Model, power: ca.Function | None) -> ca.Function:
@@ -62,7 +88,10 @@ def _tableau(scheme: Scheme) -> Tableau | None:
     """Return the tableau of a scheme that steps as it says, None for others."""
     if not isinstance(scheme, ExplicitRungeKutta):
         return None
-    own = type(scheme).advance is not ExplicitRungeKutta.advance or type(scheme).step is not ExplicitRungeKutta.step
+    own = (
+        type(scheme).advance is not ExplicitRungeKutta.advance
+        or type(scheme).step is not ExplicitRungeKutta.step
+    )
     return None if own else scheme.tableau
 
 
@@ -72,7 +101,11 @@ def _with_account(name: str, function: ca.Function, nx: int, account: bool) -> c
         return _renamed(name, function)
     inputs: list[Any] = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
     z, others = type(inputs[0]).sym("z", nx + 1), inputs[1:]
-    return ca.Function(name, [z, *others], [ca.vertcat(function(z[:nx], *others), z[nx] if name == "motion_step" else 0)])
+    return ca.Function(
+        name,
+        [z, *others],
+        [ca.vertcat(function(z[:nx], *others), z[nx] if name == "motion_step" else 0)],
+    )
 
 
 def _measure(observe: ca.Function) -> ca.Function:
@@ -80,7 +113,11 @@ def _measure(observe: ca.Function) -> ca.Function:
     kind: Any = ca.SX if observe.is_a("SXFunction") else ca.MX
     x, w = kind.sym("x", observe.size1_in(0)), kind.sym("w", observe.size1_in(1))
     found = dict(zip(observe.name_out(), observe.call([x, w]), strict=True))
-    return ca.Function("measure", [x, w], [ca.vertcat(*(found[name] for name in ("bar_length_error", "joint_error", "energy")))])
+    return ca.Function(
+        "measure",
+        [x, w],
+        [ca.vertcat(*(found[name] for name in ("bar_length_error", "joint_error", "energy")))],
+    )
 
 
 def _widened(function: ca.Function, nw: int) -> ca.Function:
@@ -90,7 +127,9 @@ def _widened(function: ca.Function, nw: int) -> ca.Function:
     inputs: list[Any] = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
     x, own, *others = inputs
     w = type(own).sym("w", nw)
-    return ca.Function("widened", [x, w, *others], function.call([x, w[: own.shape[0]], *others], True, False))
+    return ca.Function(
+        "widened", [x, w, *others], function.call([x, w[: own.shape[0]], *others], True, False)
+    )
 
 
 def _renamed(name: str, function: ca.Function) -> ca.Function:

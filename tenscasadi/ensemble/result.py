@@ -41,7 +41,8 @@ class Rollouts(Viewable, ReadOnlyArrays):
     energy : ndarray, shape (n, T)
         Total energy, J; where the control changes at that time, under the one before.
     energy_error : ndarray, shape (n,)
-        Largest energy gained or lost beyond the work of all forces and of changes of the control, J: an error of the numerics.
+        Largest energy gained or lost beyond the work of all forces and of changes of the control,
+        J: an error of the numerics.
     place : ndarray of int, shape (N, 3)
         Entry of the state that holds each coordinate of a node, -1 where it is given.
     given : ndarray, shape (T, N, 3)
@@ -65,7 +66,8 @@ class Rollouts(Viewable, ReadOnlyArrays):
     pinned : ndarray of int
         Nodes that are pinned or roll; empty in older files.
     turn : ndarray, shape (N, 3, 3)
-        Directions, as columns, along which each node has these coordinates; empty where all have x, y, z.
+        Directions, as columns, along which each node has these coordinates; empty where all have x,
+        y, z.
 
     See Also
     --------
@@ -97,8 +99,12 @@ class Rollouts(Viewable, ReadOnlyArrays):
     note: Annotated[str, "", "U"]
     threads: Annotated[int, "", "i"]
     interrupted: Annotated[bool, "", "b"] = False
-    bars: Annotated[Indices, "β2", "i"] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
-    strings: Annotated[Indices, "α2", "i"] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
+    bars: Annotated[Indices, "β2", "i"] = field(
+        default_factory=lambda: np.zeros((0, 2), dtype=np.intp)
+    )
+    strings: Annotated[Indices, "α2", "i"] = field(
+        default_factory=lambda: np.zeros((0, 2), dtype=np.intp)
+    )
     pinned: Annotated[Indices, "p", "i"] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     turn: Annotated[Array, "r33", "f"] = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
@@ -148,16 +154,22 @@ class Rollouts(Viewable, ReadOnlyArrays):
         rate = f" ({total / self.seconds:,.0f} steps/s)" if self.seconds > 0 else ""
         way = f"{self.lanes} lanes" if self.lanes else "one by one"
         lines = [
-            f"{good} of {n} motions succeeded; the errors below are theirs" + (", interrupted" if self.interrupted else ""),
+            f"{good} of {n} motions succeeded; the errors below are theirs"
+            + (", interrupted" if self.interrupted else ""),
             f"time          {self.time[0]:g} … {self.time[-1]:g} s, {self.steps} steps of {self.step:g} s each, {len(self.time)} rows kept",
-            f"wall time     {self.seconds:.3g} s{rate}, {way}, {self.threads} threads" + (f"; {self.note}" if self.note else ""),
+            f"wall time     {self.seconds:.3g} s{rate}, {way}, {self.threads} threads"
+            + (f"; {self.note}" if self.note else ""),
             f"energy        largest error {_largest(self.energy_error[self.success], 'J')}",
             f"bar lengths   largest relative error {_largest(self.bar_length_error[self.success])}",
             f"joints        largest gap {_largest(self.joint_error[self.success], 'm')}",
         ]
         ends = Counter(self.message[~self.success].tolist()).most_common()
         lines += [f"{count:<13} {message}" for message, count in ends[:_TOLD]]
-        lines += [f"{sum(count for _, count in ends[_TOLD:]):<13} for other reasons"] if len(ends) > _TOLD else []
+        lines += (
+            [f"{sum(count for _, count in ends[_TOLD:]):<13} for other reasons"]
+            if len(ends) > _TOLD
+            else []
+        )
         return "\n".join(lines)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -178,7 +190,11 @@ class Rollouts(Viewable, ReadOnlyArrays):
         OSError
             The file cannot be written.
         """
-        return archive.save(path, _FORMAT, {entry.name: np.asarray(getattr(self, entry.name)) for entry in fields(self)})
+        return archive.save(
+            path,
+            _FORMAT,
+            {entry.name: np.asarray(getattr(self, entry.name)) for entry in fields(self)},
+        )
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Rollouts:
@@ -199,9 +215,12 @@ class Rollouts(Viewable, ReadOnlyArrays):
         FileNotFoundError
             There is no such file.
         ValueError
-            The file cannot be read, holds no rollouts, or such as no run can have; the message names the file and the field.
+            The file cannot be read, holds no rollouts, or such as no run can have; the message
+            names the file and the field.
         """
-        return archive.load(path, _FORMAT, "file of rollouts", _from_arrays, Rollouts.__dataclass_fields__)
+        return archive.load(
+            path, _FORMAT, "file of rollouts", _from_arrays, Rollouts.__dataclass_fields__
+        )
 
 
 def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -> Array:
@@ -213,10 +232,16 @@ def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -
     return np.einsum("kij,mtkj->mtki", rollouts.turn[nodes], found) if len(rollouts.turn) else found
 
 
-_SHAPES = {name: hint.__metadata__ for name, hint in get_type_hints(Rollouts, include_extras=True).items()}
+_SHAPES = {
+    name: hint.__metadata__ for name, hint in get_type_hints(Rollouts, include_extras=True).items()
+}
 
 
-_LATER: dict[str, Any] = {entry.name: entry.default_factory for entry in fields(Rollouts) if entry.default_factory is not MISSING}
+_LATER: dict[str, Any] = {
+    entry.name: entry.default_factory
+    for entry in fields(Rollouts)
+    if entry.default_factory is not MISSING
+}
 
 
 def _from_arrays(content: dict[str, Any]) -> Rollouts:
@@ -224,7 +249,9 @@ def _from_arrays(content: dict[str, Any]) -> Rollouts:
     given |= {name: make() for name, make in _LATER.items() if name not in given}
     _check(given)
     _check_values(given)
-    return Rollouts(**{name: value.item() if value.ndim == 0 else value for name, value in given.items()})
+    return Rollouts(
+        **{name: value.item() if value.ndim == 0 else value for name, value in given.items()}
+    )
 
 
 def _check(content: dict[str, Any]) -> None:
@@ -234,8 +261,13 @@ def _check(content: dict[str, Any]) -> None:
         value = np.asarray(content[name])
         if value.dtype.kind != kind:
             raise ValueError(f"field {name!r} holds values of type {value.dtype}")
-        if value.ndim != len(letters) or any(sizes.setdefault(letter, size) != size for letter, size in zip(letters, value.shape, strict=True)):
-            raise ValueError(f"field {name!r} has shape {value.shape}, which does not fit the others")
+        if value.ndim != len(letters) or any(
+            sizes.setdefault(letter, size) != size
+            for letter, size in zip(letters, value.shape, strict=True)
+        ):
+            raise ValueError(
+                f"field {name!r} has shape {value.shape}, which does not fit the others"
+            )
     if sizes["T"] < 1:
         raise ValueError("field 'time' is empty")
     place = np.asarray(content["place"])
@@ -256,7 +288,9 @@ def _check_values(content: dict[str, Any]) -> None:
         raise ValueError("field 'time' does not increase")
     for name, least in {"step": 0.0, "steps": 0, "seconds": 0.0, "lanes": 0, "threads": 0}.items():
         if not least <= content[name] < np.inf:
-            raise ValueError(f"field {name!r} is {content[name]:g}: it must be at least {least:g}, and finite")
+            raise ValueError(
+                f"field {name!r} is {content[name]:g}: it must be at least {least:g}, and finite"
+            )
     good = np.asarray(content["success"])
     for name in ("states", "energy", "energy_error", "bar_length_error", "joint_error"):
         if not np.all(np.isfinite(content[name][good])):

@@ -13,7 +13,15 @@ import numpy as np
 from tqdm import tqdm
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.ensemble.inputs import controls_at, count_motions, gather_intervals, lay_steps, read_controls, read_parameters, read_starts
+from tenscasadi.ensemble.inputs import (
+    controls_at,
+    count_motions,
+    gather_intervals,
+    lay_steps,
+    read_controls,
+    read_parameters,
+    read_starts,
+)
 from tenscasadi.ensemble.judge import Run, judge
 from tenscasadi.ensemble.kernel import Kernel, build_kernel
 from tenscasadi.ensemble.request import KINETIC, MEASURED, STOPPED, SUPPLIED
@@ -54,17 +62,21 @@ def rollouts(
     states : array_like, shape (n, nx) or (nx,), optional
         State at the start of each motion, or of all. Default: `model.initial_state`.
     controls : array_like or Feedback, optional
-        Control: (nu,) is constant and the same for all, (n, nu) is constant, (n, K, nu) is constant on each of K equal parts of [0, t_end];
-        (1, K, nu) is the same for all. A `Feedback` decides by the state of each motion. Default: `model.initial_control`.
+        Control: (nu,) is constant and the same for all, (n, nu) is constant, (n, K, nu) is constant
+        on each of K equal parts of [0, t_end]; (1, K, nu) is the same for all. A `Feedback` decides
+        by the state of each motion. Default: `model.initial_control`.
     parameters : array_like, shape (n, np) or (np,), or mapping of str to array_like, optional
-        Values of the model's parameters in each motion, or in all; or those of some by name, (n, k) or as `ParameterLayout.values` takes
-        them. Others are nominal. One compiled code serves all values.
+        Values of the model's parameters in each motion, or in all; or those of some by name, (n, k)
+        or as `ParameterLayout.values` takes them. Others are nominal. One compiled code serves all
+        values.
     scheme : Scheme
-        Scheme of fixed, explicit steps: `RungeKutta4`, `Rattle`, `DormandPrince54()` or `DormandPrince853()` without `rtol`.
+        Scheme of fixed, explicit steps: `RungeKutta4`, `Rattle`, `DormandPrince54()` or
+        `DormandPrince853()` without `rtol`.
     correction : Projection or BarLengthCorrection, optional
         Correction applied after every `correction.every`-th step. Default: none.
     save_every : int, optional
-        Steps from one kept row to the next; the first and the last state are always kept. Default: only these two.
+        Steps from one kept row to the next; the first and the last state are always kept. Default:
+        only these two.
     threads : int, optional
         Threads that share the motions. Default: one for each processor that this process may use.
     progress : bool
@@ -73,8 +85,8 @@ def rollouts(
     Returns
     -------
     Rollouts
-        The motions at the kept times, each with its errors and how it ended. One that diverges fails alone. Ctrl-C ends all that
-        have not arrived, and keeps those that have.
+        The motions at the kept times, each with its errors and how it ended. One that diverges
+        fails alone. Ctrl-C ends all that have not arrived, and keeps those that have.
 
     Raises
     ------
@@ -87,9 +99,11 @@ def rollouts(
 
     Notes
     -----
-    The steps are compiled once for a model, with several motions side by side in the lanes of each instruction: 8 with AVX-512, 4 with
-    AVX, else 2. Each comes out as `simulate` computes it, to the last bit, whatever runs beside it. Code that branches on
-    numbers, such as splines, runs one motion at a time. Without a compiler of C++ CasADi computes the same numbers, more slowly, and `lanes` is 0.
+    The steps are compiled once for a model, with several motions side by side in the lanes of each
+    instruction: 8 with AVX-512, 4 with AVX, else 2. Each comes out as `simulate` computes it, to
+    the last bit, whatever runs beside it. Code that branches on numbers, such as splines, runs one
+    motion at a time. Without a compiler of C++ CasADi computes the same numbers, more slowly, and
+    `lanes` is 0.
 
     Examples
     --------
@@ -107,7 +121,12 @@ def rollouts(
     instance("model", model, Model, "a tenscasadi.Model")
     check_scheme(scheme)
     if correction is not None:
-        instance("correction", correction, (Projection, BarLengthCorrection), "Projection(every), BarLengthCorrection(weight) or None")
+        instance(
+            "correction",
+            correction,
+            (Projection, BarLengthCorrection),
+            "Projection(every), BarLengthCorrection(weight) or None",
+        )
     flag("progress", progress)
     p = read_parameters(model, parameters)
     starts = read_starts(model, states, p)
@@ -115,13 +134,18 @@ def rollouts(
     n = count_motions(states=len(starts), controls=len(plan.controls), parameters=len(p))
     inputs = lay_steps(model, starts, t_end, step, plan)
     every = inputs.steps if save_every is None else whole_number("save_every", save_every, 1)
-    workers = min(_processors() if threads is None else whole_number("threads", threads, 1, 1024), max(n, 1))
+    workers = min(
+        _processors() if threads is None else whole_number("threads", threads, 1, 1024), max(n, 1)
+    )
     _check_memory(n, 1 - (-inputs.steps // every), model.nx)
     kept = np.append(np.arange(0, inputs.steps, every), inputs.steps)
     kernel = _kernel(model, scheme, correction)
     intervals, feedback = gather_intervals(model, inputs, plan)
     began = clock.perf_counter()
-    with tqdm(total=n * inputs.steps, unit=" steps", unit_scale=True, disable=not progress) as bar, np.errstate(all="ignore"):
+    with (
+        tqdm(total=n * inputs.steps, unit=" steps", unit_scale=True, disable=not progress) as bar,
+        np.errstate(all="ignore"),
+    ):
         result = kernel.run(
             starts,
             plan.controls,
@@ -203,7 +227,9 @@ def _record(run: Run, kernel: Kernel, threads: int, seconds: float) -> Rollouts:
     if model.scene.has_clock and len(run.starts):
         clocks = model.split(run.starts)[2]
         model.split(probes)[2][:] = run.time[:, None] + clocks[np.argmax(np.isfinite(clocks))]
-    local = model.mechanism.local(model.nodes(probes).reshape(len(probes), place.size)).reshape(-1, *place.shape)
+    local = model.mechanism.local(model.nodes(probes).reshape(len(probes), place.size)).reshape(
+        -1, *place.shape
+    )
     given = np.where(place >= 0, np.nan, local)
     worst = result.worst
     return Rollouts(

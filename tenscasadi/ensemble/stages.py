@@ -10,7 +10,11 @@ _STAGE = "  if (arg1[0] = {at}, arg1[1] = arg[1], res1[0] = k{i}, motion_ode(arg
 
 def write_step(tableau: Tableau) -> str:
     """Write `motion_step` (z, w, h) -> z_next, which calls `motion_ode` (z, w) -> zdot, to the rounding of `runge_kutta.build_step`."""
-    lines = ["  const lanes *x = arg[0], h = *arg[2], *arg1[SIZE_ARG];", "  lanes *end = res[0], *res1[SIZE_RES];", "  enum { NZ = NX + WORK };"]
+    lines = [
+        "  const lanes *x = arg[0], h = *arg[2], *arg1[SIZE_ARG];",
+        "  lanes *end = res[0], *res1[SIZE_RES];",
+        "  enum { NZ = NX + WORK };",
+    ]
     stages = sorted(needed_stages(tableau))
     lines += [f"  lanes *k{i} = w + {place} * NZ;" for place, i in enumerate(stages)]
     lines += [f"  lanes *y = w + {len(stages)} * NZ, *rest = y + NZ;"]
@@ -30,8 +34,13 @@ def work_size(tableau: Tableau, size: int) -> int:
 
 def _pass(target: str, weights: tuple[float, ...]) -> str:
     """Write target = x + h Σ weight · slope, its terms in the order of `runge_kutta`."""
-    used = {weight: " + ".join(f"k{k}[i]" for k in stages) for weight, stages in equal_weights(weights).items()}
-    factors = "".join(f"const lanes c{j} = lanes({weight!r}) * h; " for j, weight in enumerate(used))
+    used = {
+        weight: " + ".join(f"k{k}[i]" for k in stages)
+        for weight, stages in equal_weights(weights).items()
+    }
+    factors = "".join(
+        f"const lanes c{j} = lanes({weight!r}) * h; " for j, weight in enumerate(used)
+    )
     terms = [f"c{j} * ({slopes})" for j, slopes in enumerate(used.values())]
     if len(used) > SEVERAL:
         terms = ["(" + " + ".join(["lanes(0.0)", *terms]) + ")"]

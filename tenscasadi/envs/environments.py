@@ -35,7 +35,8 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
 
     Notes
     -----
-    Actions are (α,) from −1 to 1, observations (k,) in single precision. `info` tells whether the episode ``diverged``.
+    Actions are (α,) from −1 to 1, observations (k,) in single precision. `info` tells whether the
+    episode ``diverged``.
 
     Examples
     --------
@@ -57,7 +58,9 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
         self._episodes = Episodes(task, 1)
         self.observation_space, self.action_space = _spaces(self._episodes)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode.
 
         Parameters
@@ -98,7 +101,10 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
             Whether it ``diverged``.
         """
         now, lost = self._episodes.step(_clipped("action", action, (self.task.model.nu,))[None])
-        reward, over = float(self._episodes.rewards(now, lost)[0]), bool(self._episodes.ended(now, lost)[0])
+        reward, over = (
+            float(self._episodes.rewards(now, lost)[0]),
+            bool(self._episodes.ended(now, lost)[0]),
+        )
         late = bool(self._episodes.decided[0] >= self.task.decisions)
         return self._episodes.observe()[0], reward, over, late, {"diverged": bool(lost[0])}
 
@@ -121,7 +127,8 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
 
     Notes
     -----
-    An episode that is over begins anew in the next step, whose action it does not use (`AutoresetMode.NEXT_STEP`).
+    An episode that is over begins anew in the next step, whose action it does not use
+    (`AutoresetMode.NEXT_STEP`).
 
     Examples
     --------
@@ -144,11 +151,14 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         self._episodes = Episodes(task, num_envs, whole_number("threads", threads, 1, 1024))
         self.single_observation_space, self.single_action_space = _spaces(self._episodes)
         self.observation_space, self.action_space = (
-            batch_space(space, num_envs) for space in (self.single_observation_space, self.single_action_space)
+            batch_space(space, num_envs)
+            for space in (self.single_observation_space, self.single_action_space)
         )
         self._over = np.ones(num_envs, dtype=bool)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin all episodes, or some of them.
 
         Parameters
@@ -190,7 +200,9 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         info : dict
             Which of them ``diverged``.
         """
-        now, lost = self._episodes.step(_clipped("actions", actions, (self.num_envs, self.task.model.nu)))
+        now, lost = self._episodes.step(
+            _clipped("actions", actions, (self.num_envs, self.task.model.nu))
+        )
         begun = self._over
         rewards = np.where(begun, 0.0, self._episodes.rewards(now, lost))
         over = self._episodes.ended(now, lost) & ~begun
@@ -206,14 +218,18 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
             return np.ones(self.num_envs, dtype=bool)
         mask = np.asarray(options["reset_mask"])
         if mask.dtype != bool or mask.shape != (self.num_envs,):
-            raise ValueError(f"options['reset_mask'] is {mask.dtype} of shape {mask.shape}: give bool of shape ({self.num_envs},)")
+            raise ValueError(
+                f"options['reset_mask'] is {mask.dtype} of shape {mask.shape}: give bool of shape ({self.num_envs},)"
+            )
         return mask
 
 
 def _spaces(episodes: Episodes) -> tuple[Any, Any]:
     """Return the spaces of observations and actions of one episode."""
     size, count = episodes.observe().shape[1], episodes.task.model.nu
-    return gymnasium.spaces.Box(-FARTHEST, FARTHEST, (size,), np.float32), gymnasium.spaces.Box(-1.0, 1.0, (count,), np.float32)
+    return gymnasium.spaces.Box(-FARTHEST, FARTHEST, (size,), np.float32), gymnasium.spaces.Box(
+        -1.0, 1.0, (count,), np.float32
+    )
 
 
 def _clipped(field: str, given: Any, shape: tuple[int, ...]) -> Any:

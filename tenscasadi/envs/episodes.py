@@ -22,16 +22,25 @@ FARTHEST = 1e6  # m, m/s: what is seen is kept within, as spaces need limits
 class Episodes:
     """`count` episodes of a task.
 
-    Attributes: states (n, nx), control (n, nu), parameters (n, np), decided (n,): how many decisions each has had.
+    Attributes: states (n, nx), control (n, nu), parameters (n, np), decided (n,): how many
+    decisions each has had.
     """
 
     def __init__(self, task: Task, count: int, threads: int = 1) -> None:
         self.task, self.threads = task, threads
         model = task.model
         self._first, self._start = np.array(task.state, dtype=float), pair("Task.start", task.start)
-        self.states, self.control = np.tile(self._first, (count, 1)), np.tile(model.initial_control, (count, 1))
-        self.parameters, self.decided = np.repeat(model.parameters.nominal[None], count, axis=0), np.zeros(count, dtype=int)
-        correction = task.correction and replace(task.correction, every=min(task.correction.every, task.steps))  # each period counts anew
+        self.states, self.control = (
+            np.tile(self._first, (count, 1)),
+            np.tile(model.initial_control, (count, 1)),
+        )
+        self.parameters, self.decided = (
+            np.repeat(model.parameters.nominal[None], count, axis=0),
+            np.zeros(count, dtype=int),
+        )
+        correction = task.correction and replace(
+            task.correction, every=min(task.correction.every, task.steps)
+        )  # each period counts anew
         self._kernel = build_kernel(model, RungeKutta4(), correction)
         self._project = ArrayFunction(projection(model, 10))
         self._spread = task.spread
@@ -43,7 +52,9 @@ class Episodes:
         task, model = self.task, self.task.model
         self.control = self.control.copy()
         for k in which:
-            self.parameters[k] = p = model.parameters.nominal + self._spread * rng.uniform(-1, 1, model.np)
+            self.parameters[k] = p = model.parameters.nominal + self._spread * rng.uniform(
+                -1, 1, model.np
+            )
             x = self._first.copy()
             if any(self._start):
                 q, v, _ = model.split(x)
@@ -55,22 +66,42 @@ class Episodes:
         self.decided[which] = 0
         nodes, velocities = self._places(self.states[which])
         if self._broken(nodes).any():
-            raise ValueError(f"Task.start is {task.start}: bars cannot be put right from so far off, give a smaller spread")
-        self.nodes, self.velocities = self.nodes.copy(), self.velocities.copy()  # those of a Transition stay as they are
+            raise ValueError(
+                f"Task.start is {task.start}: bars cannot be put right from so far off, give a smaller spread"
+            )
+        self.nodes, self.velocities = (
+            self.nodes.copy(),
+            self.velocities.copy(),
+        )  # those of a Transition stay as they are
         self.nodes[which], self.velocities[which] = nodes, velocities
 
     def step(self, action: Array) -> tuple[Transition, Array]:
         """Move all episodes by one period under actions (n, α) from −1 to 1; also returns which of them diverged (n,)."""
         task = self.task
         inputs = self._inputs(action)
-        rolled = self._kernel(self.states, inputs, task.period / task.steps, task.steps // inputs.shape[1], threads=self.threads)
+        rolled = self._kernel(
+            self.states,
+            inputs,
+            task.period / task.steps,
+            task.steps // inputs.shape[1],
+            threads=self.threads,
+        )
         before = self.nodes, self.velocities
         after = self._places(rolled.states)
         lost = (rolled.status != 0) | self._broken(after[0])
         self.states = np.where(lost[:, None], self.states, rolled.states)
-        self.nodes, self.velocities = (np.where(lost[:, None, None], *places) for places in zip(before, after, strict=True))
+        self.nodes, self.velocities = (
+            np.where(lost[:, None, None], *places) for places in zip(before, after, strict=True)
+        )
         self.decided = self.decided + 1
-        now = (self.nodes, self.velocities, *before, self.control, action, self.decided * task.period)
+        now = (
+            self.nodes,
+            self.velocities,
+            *before,
+            self.control,
+            action,
+            self.decided * task.period,
+        )
         return Transition(*map(_read_only, now)), lost
 
     def observe(self) -> Any:
@@ -80,11 +111,17 @@ class Episodes:
             cure = "give a function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns (n, k)"
             see = task.observation
             places = tuple(map(_read_only, (self.nodes, self.velocities, self.control)))
-            given = call_user_function("Task.observation", lambda places: see(*places), places, cure)
+            given = call_user_function(
+                "Task.observation", lambda places: see(*places), places, cure
+            )
             seen = finite_array("what Task.observation gives", given, (n, self._width))
             self._width = seen.shape[1]  # as in the space of observations
         else:
-            rows = [self.nodes.reshape(n, -1), self.velocities.reshape(n, -1), *([self.control] if task.winds else [])]
+            rows = [
+                self.nodes.reshape(n, -1),
+                self.velocities.reshape(n, -1),
+                *([self.control] if task.winds else []),
+            ]
             seen = np.concatenate(rows, axis=1)
         return np.clip(seen, -FARTHEST, FARTHEST).astype(np.float32)
 
@@ -101,14 +138,20 @@ class Episodes:
     def _places(self, states: Array) -> tuple[Array, Array]:
         """Return nodes and velocities (n, N, 3) of the scene's structure."""
         count = len(self.task.model.scene.structure.nodes)
-        return self.task.model.nodes(states)[:, :count], self.task.model.velocities(states)[:, :count]
+        return self.task.model.nodes(states)[:, :count], self.task.model.velocities(states)[
+            :, :count
+        ]
 
     def _broken(self, nodes: Array) -> Any:
         """Return in which episodes (n,) a bar is off its length as no motion can be that is still one."""
         structure = self.task.model.scene.structure
         ends, own = nodes[:, structure.bars], structure.nodes[structure.bars]
         lengths = np.linalg.norm(own[:, 1] - own[:, 0], axis=1)
-        return np.any(np.abs(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2) - lengths) > BROKEN_BARS * lengths, axis=1)
+        return np.any(
+            np.abs(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2) - lengths)
+            > BROKEN_BARS * lengths,
+            axis=1,
+        )
 
     def _inputs(self, action: Array) -> Array:
         """Return the inputs (n, intervals, nw) of one period: rest lengths run on from step to step."""
@@ -140,6 +183,11 @@ def _read_only(array: Array) -> Array:
 
 def _per_episode(name: str, function: Callable[[Transition], Any], now: Transition) -> Array:
     """Return what a function of the task says of each episode (n,). Raises TypeError, ValueError."""
-    given = call_user_function(f"Task.{name}", function, now, "give a function of a Transition that returns one number for each episode")
+    given = call_user_function(
+        f"Task.{name}",
+        function,
+        now,
+        "give a function of a Transition that returns one number for each episode",
+    )
     values = given.astype(float) if isinstance(given, np.ndarray) and given.dtype == bool else given
     return finite_array(f"what Task.{name} gives", values, (len(now.time),))

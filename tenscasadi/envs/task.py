@@ -13,7 +13,18 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.simulation.diagnosis import off_constraints
-from tenscasadi.util.validate import Array, finite_array, instance, nesting, nonnegative, per_item, positive_number, shown, text, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    instance,
+    nesting,
+    nonnegative,
+    per_item,
+    positive_number,
+    shown,
+    text,
+    whole_number,
+)
 
 CORRECTION = Projection(10)
 MOST_STEPS = 1_000_000  # of a period: a second or so
@@ -61,8 +72,8 @@ class Task:
     Parameters
     ----------
     model : Model
-        The model. Under ``control=ForceDensity()`` actions are force densities, under ``RestLength()`` rates of rest lengths; they run from
-        −1 to 1 in either case.
+        The model. Under ``control=ForceDensity()`` actions are force densities, under
+        ``RestLength()`` rates of rest lengths; they run from −1 to 1 in either case.
     reward : callable
         Function of a `Transition` of n episodes that returns rewards (n,).
     lower, upper : array_like, scalar or shape (α,)
@@ -78,16 +89,21 @@ class Task:
     state : array_like, shape (nx,), optional
         The start. Default: the model's initial state.
     start : float or (float, float)
-        Spread of the start: of nodes, m, and of velocities, m/s. Bars and joints are then put right.
+        Spread of the start: of nodes, m, and of velocities, m/s. Bars and joints are then put
+        right.
     parameters : mapping of str to float, optional
-        Relative spreads of the model's parameters by name, at least 0 and less than 1: each episode has its own values (domain randomisation).
+        Relative spreads of the model's parameters by name, at least 0 and less than 1: each episode
+        has its own values (domain randomisation).
     observation : callable, optional
-        Function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns what is seen (n, k), which is kept within ±1e6.
-        Default: all of it, under force densities without the control.
+        Function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns what is
+        seen (n, k), which is kept within ±1e6. Default: all of it, under force densities without
+        the control.
     terminated : callable, optional
-        Function of a `Transition` that tells which episodes end (n,). Default: none but those that diverge.
+        Function of a `Transition` that tells which episodes end (n,). Default: none but those that
+        diverge.
     correction : Projection or BarLengthCorrection, optional
-        Applied after every `correction.every`-th step of a period, after its last one where it has fewer; None: none.
+        Applied after every `correction.every`-th step of a period, after its last one where it has
+        fewer; None: none.
 
     Raises
     ------
@@ -96,8 +112,8 @@ class Task:
 
     Notes
     -----
-    All draws are uniform within ± their spread. An episode that diverges, or whose bars are off by more than 10 % of their length, is
-    terminated with the reward 0 and its last state.
+    All draws are uniform within ± their spread. An episode that diverges, or whose bars are off by
+    more than 10 % of their length, is terminated with the reward 0 and its last state.
 
     Examples
     --------
@@ -128,32 +144,53 @@ class Task:
         model, own = self.model, self.__dict__
         instance("Task.model", model, Model, "a tenscasadi.Model")
         if not isinstance(model.scene.control, (ForceDensity, RestLength)) or not model.nu:
-            raise ValueError(f"Task.model has the control {model.scene.control}: give Scene(..., control=ForceDensity() or RestLength())")
+            raise ValueError(
+                f"Task.model has the control {model.scene.control}: give Scene(..., control=ForceDensity() or RestLength())"
+            )
         for name in ("reward", "observation", "terminated"):
-            if not callable(getattr(self, name)) and (name == "reward" or getattr(self, name) is not None):
+            if not callable(getattr(self, name)) and (
+                name == "reward" or getattr(self, name) is not None
+            ):
                 raise TypeError(f"Task.{name} is {shown(getattr(self, name))}: give a function")
         for name in ("lower", "upper"):
-            own[name] = nonnegative(f"Task.{name}", per_item(f"Task.{name}", getattr(self, name), model.nu), "string", strict=self.winds)
+            own[name] = nonnegative(
+                f"Task.{name}",
+                per_item(f"Task.{name}", getattr(self, name), model.nu),
+                "string",
+                strict=self.winds,
+            )
         crossed = np.less_equal(*reversed(self.limits))
         if np.any(crossed):
             k = int(np.argmax(crossed))
             raise ValueError(f"Task.lower of string {k} is not below upper: give lower < upper")
         if self.winds != (self.speed is not None):
-            raise ValueError(f"Task.speed is {shown(self.speed)}: give the greatest rate, m/s, for RestLength(), and None for ForceDensity()")
+            raise ValueError(
+                f"Task.speed is {shown(self.speed)}: give the greatest rate, m/s, for RestLength(), and None for ForceDensity()"
+            )
         if self.speed is not None:
-            own["speed"] = nonnegative("Task.speed", per_item("Task.speed", self.speed, model.nu), "string")
+            own["speed"] = nonnegative(
+                "Task.speed", per_item("Task.speed", self.speed, model.nu), "string"
+            )
         own["period"] = positive_number("Task.period", self.period)
         whole_number("Task.steps", self.steps, 1, MOST_STEPS)
         own["duration"] = positive_number("Task.duration", self.duration)
         if self.duration < self.period:
-            raise ValueError(f"Task.duration is {self.duration:g}, shorter than the period of {self.period:g} s: give a longer one")
-        own["state"] = model.initial_state if self.state is None else finite_array("Task.state", self.state, (model.nx,))
+            raise ValueError(
+                f"Task.duration is {self.duration:g}, shorter than the period of {self.period:g} s: give a longer one"
+            )
+        own["state"] = (
+            model.initial_state
+            if self.state is None
+            else finite_array("Task.state", self.state, (model.nx,))
+        )
         if off := off_constraints(model, own["state"], ROUNDED):
             raise ValueError(f"Task.state is {off}")
         own["start"] = pair("Task.start", self.start)
         own["parameters"] = _spreads(model, self.parameters)
         if self.correction is not None and not hasattr(self.correction, "every"):
-            raise TypeError(f"Task.correction is {shown(self.correction)}: give Projection(every), BarLengthCorrection(weight) or None")
+            raise TypeError(
+                f"Task.correction is {shown(self.correction)}: give Projection(every), BarLengthCorrection(weight) or None"
+            )
 
     @property
     def winds(self) -> bool:
@@ -185,12 +222,16 @@ def pair(field: str, value: Any) -> tuple[float, float]:
     if nesting(value) == 0:
         return positive_number(field, value, zero=True), 0.0
     place, speed = finite_array(field, value, (2,))
-    return positive_number(f"{field}[0]", place, zero=True), positive_number(f"{field}[1]", speed, zero=True)
+    return positive_number(f"{field}[0]", place, zero=True), positive_number(
+        f"{field}[1]", speed, zero=True
+    )
 
 
 def _spreads(model: Model, given: Any) -> dict[str, float]:
     if not isinstance(given, Mapping):
-        raise TypeError(f"Task.parameters is {shown(given)}: give spreads by name, such as {{'bar_mass': 0.1}}")
+        raise TypeError(
+            f"Task.parameters is {shown(given)}: give spreads by name, such as {{'bar_mass': 0.1}}"
+        )
     known = ", ".join(model.parameters.places) or "none"
     found = {}
     for name, value in given.items():
@@ -201,5 +242,7 @@ def _spreads(model: Model, given: Any) -> dict[str, float]:
             )
         found[name] = positive_number(f"Task.parameters[{shown(name)}]", value, zero=True)
         if found[name] >= 1:
-            raise ValueError(f"Task.parameters[{shown(name)}] is {value:g}: give a spread relative to the value, less than 1")
+            raise ValueError(
+                f"Task.parameters[{shown(name)}] is {value:g}: give a spread relative to the value, less than 1"
+            )
     return found

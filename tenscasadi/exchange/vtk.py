@@ -17,13 +17,20 @@ from tenscasadi.util.whole_file import whole_file
 _BAR, _STRING = 0, 1
 
 
-def export_vtk(trajectory: Trajectory, path: str | os.PathLike[str], *, model: Model | None = None, every: int = 1) -> Path:
+def export_vtk(
+    trajectory: Trajectory,
+    path: str | os.PathLike[str],
+    *,
+    model: Model | None = None,
+    every: int = 1,
+) -> Path:
     """Write a motion for ParaView, with what its nodes and members carry.
 
-    The .pvd file names the frames, one .vtu file for each saved time, in a folder of its name beside it: open the .pvd. Each frame holds
-    bars and strings as lines, with ``kind`` (0 for bars, 1 for strings), ``number``, ``length`` (m), ``force_density`` (N/m) and
-    ``tension`` (N, negative where a member pushes), and nodes with ``number``, ``velocity`` (m/s) and ``pinned``.
-    It takes ``pip install 'tenscasadi[exchange]'``.
+    The .pvd file names the frames, one .vtu file for each saved time, in a folder of its name
+    beside it: open the .pvd. Each frame holds bars and strings as lines, with ``kind`` (0 for bars,
+    1 for strings), ``number``, ``length`` (m), ``force_density`` (N/m) and ``tension`` (N, negative
+    where a member pushes), and nodes with ``number``, ``velocity`` (m/s) and ``pinned``. It takes
+    ``pip install 'tenscasadi[exchange]'``.
 
     Parameters
     ----------
@@ -69,11 +76,24 @@ def export_vtk(trajectory: Trajectory, path: str | os.PathLike[str], *, model: M
         raise ImportError("export_vtk needs meshio: pip install 'tenscasadi[exchange]'") from error
     folder = target.with_suffix("")
     folder.mkdir(exist_ok=True)
-    names = [f"{folder.name}/{target.stem}_{k:0{len(str(len(rows)))}d}.vtu" for k in range(len(rows))]
+    names = [
+        f"{folder.name}/{target.stem}_{k:0{len(str(len(rows)))}d}.vtu" for k in range(len(rows))
+    ]
     for name, row in zip(names, rows, strict=True):
         meshio.vtu.write(target.parent / name, _frame(meshio, trajectory, row, pushes[row]))
-    frames = [f'    <DataSet timestep="{float(trajectory.time[row])!r}" file="{html.escape(name)}"/>' for name, row in zip(names, rows, strict=True)]
-    lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>", *frames, "  </Collection>", "</VTKFile>", ""]
+    frames = [
+        f'    <DataSet timestep="{float(trajectory.time[row])!r}" file="{html.escape(name)}"/>'
+        for name, row in zip(names, rows, strict=True)
+    ]
+    lines = [
+        '<?xml version="1.0"?>',
+        '<VTKFile type="Collection" version="0.1">',
+        "  <Collection>",
+        *frames,
+        "  </Collection>",
+        "</VTKFile>",
+        "",
+    ]
     with whole_file(target) as file:
         file.write("\n".join(lines).encode())
     return target
@@ -85,10 +105,18 @@ def _bar_force_density(run: Trajectory, model: Model | None) -> Array:
         return np.full((len(run.time), len(run.bars)), np.nan)
     instance("model", model, Model, "a Model or None")
     sizes = (model.nx, model.nu, len(model.parameters.nominal))
-    if sizes != (run.states.shape[1], run.control.shape[1], len(run.parameters)) or not np.array_equal(model.structure.bars, run.bars):
-        raise ValueError("model is not that of the trajectory: its states, controls, parameters or bars are others")
+    if sizes != (
+        run.states.shape[1],
+        run.control.shape[1],
+        len(run.parameters),
+    ) or not np.array_equal(model.structure.bars, run.bars):
+        raise ValueError(
+            "model is not that of the trajectory: its states, controls, parameters or bars are others"
+        )
     held = np.hstack([run.control, np.tile(run.parameters, (len(run.time), 1))])
-    lam = model.stacked(model.multiplier_function).map(len(run.time))(run.states.T, held.T if held.size else np.zeros((0, len(run.time))))[0]
+    lam = model.stacked(model.multiplier_function).map(len(run.time))(
+        run.states.T, held.T if held.size else np.zeros((0, len(run.time)))
+    )[0]
     return np.asarray(-lam.full().T.reshape(len(run.time), -1))
 
 
@@ -96,7 +124,10 @@ def _frame(meshio: Any, run: Trajectory, row: int, bar_force_density: Array) -> 
     """Return the mesh of one saved time."""
     nodes, pinned = run.nodes[row], np.zeros(run.nodes.shape[1])
     pinned[run.pinned] = 1
-    lengths = [np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1) for pairs in (run.bars, run.strings)]
+    lengths = [
+        np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
+        for pairs in (run.bars, run.strings)
+    ]
     values = {
         "kind": [np.full(len(run.bars), float(_BAR)), np.full(len(run.strings), float(_STRING))],
         "number": [np.arange(float(len(run.bars))), np.arange(float(len(run.strings)))],
@@ -108,6 +139,10 @@ def _frame(meshio: Any, run: Trajectory, row: int, bar_force_density: Array) -> 
     return meshio.Mesh(
         np.array(nodes),
         [("line", np.array((run.bars, run.strings)[k])) for k in present],
-        point_data={"number": np.arange(float(len(nodes))), "velocity": np.array(run.velocities[row]), "pinned": pinned},
+        point_data={
+            "number": np.arange(float(len(nodes))),
+            "velocity": np.array(run.velocities[row]),
+            "pinned": pinned,
+        },
         cell_data={name: [np.array(parts[k]) for k in present] for name, parts in values.items()},
     )

@@ -27,7 +27,13 @@ class ListOf(Form):
 
     def write(self, value: Any) -> Any:
         """Return the values, one alone without a list where it may be."""
-        values = list(value) if isinstance(value, (Sequence, np.ndarray)) else [value] if self.single else list(value)
+        values = (
+            list(value)
+            if isinstance(value, (Sequence, np.ndarray))
+            else [value]
+            if self.single
+            else list(value)
+        )
         written = [self.form.write(entry) for entry in values]
         return written[0] if self.single and len(written) == 1 else written
 
@@ -89,7 +95,11 @@ class TableOf(Form):
         """Return an object."""
         one = self.form.schema(kinds)
         if self.words:
-            return {"type": "object", "properties": dict.fromkeys(self.words, one), "additionalProperties": False}
+            return {
+                "type": "object",
+                "properties": dict.fromkeys(self.words, one),
+                "additionalProperties": False,
+            }
         return {"type": "object", "additionalProperties": one}
 
 

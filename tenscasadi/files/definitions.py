@@ -21,7 +21,8 @@ _NOTHING = inspect.Parameter.empty
 class Definition:
     """A kind of value: what makes it, from which fields of which forms.
 
-    Defaults, and which fields are needed, are those of the call; what fields mean is told by its docstring.
+    Defaults, and which fields are needed, are those of the call; what fields mean is told by its
+    docstring.
     """
 
     build: Callable[..., Any]
@@ -35,7 +36,9 @@ class Definition:
     def read(self, item: Item, names: Names, tag: str | None = None) -> Any:
         """Return the value that a table tells; `tag`: its key that tells the kind, if any. Raises SceneFileError."""
         if self.short and not isinstance(item.value, dict):
-            return self.make(item, {self.short: item}, {self.short: self.fields[self.short].read(item, names)})
+            return self.make(
+                item, {self.short: item}, {self.short: self.fields[self.short].read(item, names)}
+            )
         table = item.table(f"a table with {', '.join(self.fields) or tag}")
         if tag is not None:
             table.pop(tag, None)
@@ -52,7 +55,9 @@ class Definition:
         """Return what the call makes of fields; what it refuses is told with the place of the field. Raises SceneFileError."""
         for name in self.needed:
             if name not in given:
-                raise item.error(f"{self.kind} has no {name}: give {name}, {self.texts.get(name, 'which it needs')}")
+                raise item.error(
+                    f"{self.kind} has no {name}: give {name}, {self.texts.get(name, 'which it needs')}"
+                )
         return call(self.build, item, table, given)
 
     def write(self, value: Any, tag: str = "") -> dict[str, Any]:
@@ -66,7 +71,11 @@ class Definition:
             except NotWritten as error:
                 raise NotWritten(f"{self.kind}.{name}: {error}") from None
             default = self.defaults.get(name)
-            if name == self.short or default is None or repr(self.fields[name].write(default)) != repr(told):  # −0.0 is not 0.0
+            if (
+                name == self.short
+                or default is None
+                or repr(self.fields[name].write(default)) != repr(told)
+            ):  # −0.0 is not 0.0
                 written[name] = told
         return written
 
@@ -76,12 +85,20 @@ class Definition:
         name = self.kind if package == __package__.partition(".")[0] else f"{package}.{self.kind}"
         if name not in kinds:
             kinds[name] = {}  # a kind may hold its like
-            fields = {field: {**form.schema(kinds), **self._notes(field)} for field, form in self.fields.items()}
+            fields = {
+                field: {**form.schema(kinds), **self._notes(field)}
+                for field, form in self.fields.items()
+            }
             needed = [*([tag] if tagged else []), *self.needed]
-            table: Schema = {"type": "object", "properties": {**({tag: {"const": self.kind}} if tag else {}), **fields}}
+            table: Schema = {
+                "type": "object",
+                "properties": {**({tag: {"const": self.kind}} if tag else {}), **fields},
+            }
             table |= {"additionalProperties": False, **({"required": needed} if needed else {})}
             text = {"description": summary(self.build)} if summary(self.build) else {}
-            kinds[name] = text | ({"anyOf": [table, self.fields[self.short].schema(kinds)]} if self.short else table)
+            kinds[name] = text | (
+                {"anyOf": [table, self.fields[self.short].schema(kinds)]} if self.short else table
+            )
         return {"$ref": f"#/$defs/{name}"}
 
     def _notes(self, field: str) -> Schema:
@@ -94,21 +111,37 @@ class Definition:
     def defaults(self) -> Mapping[str, Any]:
         """Defaults of the fields that need not be given."""
         parameters = inspect.signature(self.build).parameters
-        made = {own.name: own.default_factory() for own in dataclass_fields(self.build) if callable(own.default_factory)}
-        found = {name: made.get(name, parameters[name].default) for name in self.fields if name in parameters}
-        return MappingProxyType({name: default for name, default in found.items() if default is not _NOTHING})
+        made = {
+            own.name: own.default_factory()
+            for own in dataclass_fields(self.build)
+            if callable(own.default_factory)
+        }
+        found = {
+            name: made.get(name, parameters[name].default)
+            for name in self.fields
+            if name in parameters
+        }
+        return MappingProxyType(
+            {name: default for name, default in found.items() if default is not _NOTHING}
+        )
 
     @cached_property
     def needed(self) -> tuple[str, ...]:
         """Fields without a default."""
         parameters = inspect.signature(self.build).parameters
-        return tuple(name for name in self.fields if name in parameters and parameters[name].default is _NOTHING)
+        return tuple(
+            name
+            for name in self.fields
+            if name in parameters and parameters[name].default is _NOTHING
+        )
 
     @cached_property
     def texts(self) -> Mapping[str, str]:
         """The meaning of each field, from the docstring."""
         told = [parameter_texts(source) for source in (*self.more, self.build)]
-        return MappingProxyType({name: text for texts in told for name, text in texts.items() if name in self.fields})
+        return MappingProxyType(
+            {name: text for texts in told for name, text in texts.items() if name in self.fields}
+        )
 
 
 def define(
@@ -124,7 +157,15 @@ def define(
     """Define a kind of value: by default `build` is its class, whose name is the kind, and its attributes are the fields."""
     own = made or (build if isinstance(build, type) else None)
     attributes = take or (lambda value: {name: getattr(value, name) for name in fields})
-    return Definition(build, MappingProxyType(dict(fields)), kind or getattr(build, "__name__", ""), own, short, attributes, more)
+    return Definition(
+        build,
+        MappingProxyType(dict(fields)),
+        kind or getattr(build, "__name__", ""),
+        own,
+        short,
+        attributes,
+        more,
+    )
 
 
 @dataclass(frozen=True)
@@ -147,7 +188,11 @@ class Kind(Form):
             return self._find(tag, tag.text("the name of a kind")).read(item, names, self.tag)
         if len(self.definitions) > 1 and not (self.implied and isinstance(item.value, dict)):
             wanted = f"a table with {self.tag} = one of {', '.join(self._kinds)}"
-            raise item.error(f"has no {self.tag}: give {wanted}" if isinstance(item.value, dict) else f"is {shown(item.value)}: give {wanted}")
+            raise item.error(
+                f"has no {self.tag}: give {wanted}"
+                if isinstance(item.value, dict)
+                else f"is {shown(item.value)}: give {wanted}"
+            )
         return self.definitions[0].read(item, names, self.tag)
 
     def write(self, value: Any) -> Any:
@@ -158,12 +203,17 @@ class Kind(Form):
                 if self._short and set(tagged) == {self._short}:
                     return tagged[self._short]
                 return definition.kind if set(tagged) <= {self.tag} else tagged
-        raise NotWritten(f"{shown(value)} is none of {', '.join(self._kinds)}: files hold these only")
+        raise NotWritten(
+            f"{shown(value)} is none of {', '.join(self._kinds)}: files hold these only"
+        )
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return all kinds, and their words."""
         several = len(self.definitions) > 1
-        options = [definition.schema(kinds, self.tag, several and not (self.implied and k == 0)) for k, definition in enumerate(self.definitions)]
+        options = [
+            definition.schema(kinds, self.tag, several and not (self.implied and k == 0))
+            for k, definition in enumerate(self.definitions)
+        ]
         words = [definition.kind for definition in self.definitions if not definition.needed]
         return {"anyOf": [*options, *([{"enum": words}] if words else [])]}
 
@@ -182,7 +232,9 @@ class Kind(Form):
         raise item.error(f"is {shown(name)}: {nearest(name, self._kinds)}")
 
 
-def call(build: Callable[..., Any], item: Item, table: Mapping[str, Item], given: Mapping[str, Any]) -> Any:
+def call(
+    build: Callable[..., Any], item: Item, table: Mapping[str, Item], given: Mapping[str, Any]
+) -> Any:
     """Return build(**given); a TypeError or ValueError becomes the error of the field that it names first. Raises SceneFileError."""
     try:
         return build(**given)
@@ -190,7 +242,11 @@ def call(build: Callable[..., Any], item: Item, table: Mapping[str, Item], given
         raise
     except (TypeError, ValueError) as error:
         text = str(error)
-        places = {name: found.start() for name in table if (found := re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text))}
+        places = {
+            name: found.start()
+            for name in table
+            if (found := re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text))
+        }
         where = table[min(places, key=lambda name: places[name])] if places else item
         raise where.error(text) from error
 
@@ -207,7 +263,11 @@ def summary(build: Callable[..., Any]) -> str:
 
 def parameter_texts(build: Callable[..., Any]) -> dict[str, str]:
     """Return what a numpydoc docstring says of each parameter, in one line each."""
-    section = re.search(r"^Parameters\n-+\n(.*?)(?=^\S[^\n]*\n---|\Z)", inspect.getdoc(build) or "", re.MULTILINE | re.DOTALL)
+    section = re.search(
+        r"^Parameters\n-+\n(.*?)(?=^\S[^\n]*\n---|\Z)",
+        inspect.getdoc(build) or "",
+        re.MULTILINE | re.DOTALL,
+    )
     texts: dict[str, str] = {}
     names: list[str] = []
     for line in section[1].splitlines() if section else []:

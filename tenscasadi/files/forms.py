@@ -40,18 +40,29 @@ class Names:
         if isinstance(word, str) and word.isascii() and word.isdigit() and len(word) < 10:  # a key
             word = int(word)
         if isinstance(word, str):
-            raise item.error(f"names {which} {shown(word)}, which is not there: {nearest(word, named) if named else f'give an index of a {which}'}")
+            raise item.error(
+                f"names {which} {shown(word)}, which is not there: {nearest(word, named) if named else f'give an index of a {which}'}"
+            )
         if isinstance(word, bool) or not isinstance(word, int):
             raise item.error(f"is {shown(word)}: give the name or index of a {which}")
         if not 0 <= word < count:
-            raise item.error(f"names {which} {shown(word)}: " + (f"{which} indices run from 0 to {count - 1}" if count else f"there are no {which}s"))
+            raise item.error(
+                f"names {which} {shown(word)}: "
+                + (
+                    f"{which} indices run from 0 to {count - 1}"
+                    if count
+                    else f"there are no {which}s"
+                )
+            )
         return [word]
 
     def one(self, which: Which, word: Any, item: Item) -> int:
         """Return the index that an index or a name stands for. Raises SceneFileError, also where it is a group of several."""
         found = self.find(which, word, item)
         if len(found) != 1:
-            raise item.error(f"is {shown(word)}, a group of {len(found)} {which}s: give the index of one")
+            raise item.error(
+                f"is {shown(word)}, a group of {len(found)} {which}s: give the index of one"
+            )
         return found[0]
 
 
@@ -85,7 +96,11 @@ class Numbers(Form):
             depth += 1
             sizes.append(len(value))
             value = value[0] if value else None
-        if not any(len(shape) == depth and all(want is None or want == got for want, got in zip(shape, sizes, strict=True)) for shape in self.shapes):
+        if not any(
+            len(shape) == depth
+            and all(want is None or want == got for want, got in zip(shape, sizes, strict=True))
+            for shape in self.shapes
+        ):
             raise item.error(f"is {shown(item.value)}: give {self.wanted}")
         return self._read(item, sizes)
 
@@ -111,7 +126,11 @@ class Numbers(Form):
         for shape in self.shapes:
             option = dict(_NUMBER)
             for size in reversed(shape):
-                option = {"type": "array", "items": option, **({} if size is None else {"minItems": size, "maxItems": size})}
+                option = {
+                    "type": "array",
+                    "items": option,
+                    **({} if size is None else {"minItems": size, "maxItems": size}),
+                }
             options.append(option)
         return options[0] if len(options) == 1 else {"anyOf": options}
 
@@ -125,7 +144,11 @@ def _in_words(shape: tuple[int | None, ...]) -> str:
     if not shape:
         return "a number"
     size = "" if shape[0] is None else f"{shape[0]} "
-    return f"a list of {size}numbers" if len(shape) == 1 else f"a list of {size}rows, each {_in_words(shape[1:])}"
+    return (
+        f"a list of {size}numbers"
+        if len(shape) == 1
+        else f"a list of {size}rows, each {_in_words(shape[1:])}"
+    )
 
 
 NUMBER = Numbers()
@@ -209,7 +232,10 @@ class Coordinates(Form):
         entries = item.entries(wanted)
         if len(entries) != 3:
             raise item.error(f"is {shown(item.value)}: give {wanted}")
-        return tuple(None if entry.value == FREE else entry.number(f"a number, or '{FREE}'") for entry in entries)
+        return tuple(
+            None if entry.value == FREE else entry.number(f"a number, or '{FREE}'")
+            for entry in entries
+        )
 
     def write(self, value: Any) -> list[Any]:
         """Return three numbers or "free"."""

@@ -16,7 +16,10 @@ TIME = "t"
 
 CONSTANTS = MappingProxyType({"pi": math.pi, "deg": math.pi / 180.0})
 
-_TOKEN = re.compile(r"\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([^\W\d]\w*)|(\*\*|[-+*/(),]))", re.ASCII)
+_TOKEN = re.compile(
+    r"\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([^\W\d]\w*)|(\*\*|[-+*/(),]))",
+    re.ASCII,
+)
 
 _WORD = re.compile(r"(?<![\w.])[A-Za-z_]\w*", re.ASCII)
 
@@ -35,8 +38,14 @@ def _sign(value: float) -> float:
 
 FUNCTIONS = MappingProxyType(
     {
-        **{name: _Function(getattr(math, name), getattr(ca, name)) for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log")},
-        **{name: _Function(getattr(math, name), getattr(ca, name)) for name in ("sinh", "cosh", "tanh", "floor", "ceil")},
+        **{
+            name: _Function(getattr(math, name), getattr(ca, name))
+            for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log")
+        },
+        **{
+            name: _Function(getattr(math, name), getattr(ca, name))
+            for name in ("sinh", "cosh", "tanh", "floor", "ceil")
+        },
         "abs": _Function(abs, ca.fabs),
         "sign": _Function(_sign, ca.sign),
         "atan2": _Function(math.atan2, ca.atan2, 2),
@@ -47,7 +56,9 @@ FUNCTIONS = MappingProxyType(
 )
 RESERVED = frozenset({TIME, *CONSTANTS, *FUNCTIONS})
 
-_Step = tuple[str, Any]  # ("number", value), ("name", word) or (operator or function, number of operands)
+_Step = tuple[
+    str, Any
+]  # ("number", value), ("name", word) or (operator or function, number of operands)
 
 
 class FormulaError(ValueError):
@@ -123,7 +134,9 @@ class _Parser:
             if found is None:
                 rest = self._text[at:].lstrip()
                 cure = ", give ** for powers" if rest[0] == "^" else ""
-                raise FormulaError(f"{self._text!r} has {rest[0]!r}, which no formula has{cure}: give arithmetic such as 'height / 2 * cos(30 deg)'")
+                raise FormulaError(
+                    f"{self._text!r} has {rest[0]!r}, which no formula has{cure}: give arithmetic such as 'height / 2 * cos(30 deg)'"
+                )
             at = found.end()
             kind = ("number", "name", "mark")[(found.lastindex or 1) - 1]
             yield kind, found[found.lastindex or 1]
@@ -138,7 +151,9 @@ class _Parser:
         return ""
 
     def _fail(self, fault: str) -> NoReturn:
-        raise FormulaError(f"{self._text!r} is no formula, {fault}: give arithmetic such as 'height / 2 * cos(30 deg)'")
+        raise FormulaError(
+            f"{self._text!r} is no formula, {fault}: give arithmetic such as 'height / 2 * cos(30 deg)'"
+        )
 
     def _emit(self, what: str, of: Any) -> None:
         self._steps.append((what, of))
@@ -223,15 +238,24 @@ def _run(steps: tuple[_Step, ...], names: Mapping[str, Any], apply: Callable[...
 
 def _declared(word: str, names: Mapping[str, Any]) -> Any:
     if word not in names:
-        raise FormulaError(f"{word!r} is not declared: give it in [numbers]" + (f", where there are {', '.join(list(names)[:20])}" if names else ""))
+        raise FormulaError(
+            f"{word!r} is not declared: give it in [numbers]"
+            + (f", where there are {', '.join(list(names)[:20])}" if names else "")
+        )
     return names[word]
 
 
 def _of_numbers(what: str, *values: float) -> float:
     try:
-        return float(_OPERATORS[what](*values) if what in _OPERATORS else FUNCTIONS[what].number(*values))
+        return float(
+            _OPERATORS[what](*values) if what in _OPERATORS else FUNCTIONS[what].number(*values)
+        )
     except (ArithmeticError, ValueError) as error:
-        shown = f"{what}({', '.join(f'{value:g}' for value in values)})" if what not in _OPERATORS else f" {what} ".join(f"{v:g}" for v in values)
+        shown = (
+            f"{what}({', '.join(f'{value:g}' for value in values)})"
+            if what not in _OPERATORS
+            else f" {what} ".join(f"{v:g}" for v in values)
+        )
         raise FormulaError(f"{shown} has no value ({error}): change the numbers") from None
 
 

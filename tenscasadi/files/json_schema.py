@@ -33,9 +33,20 @@ def scene_schema(more: Mapping[str, Definition] = MappingProxyType({})) -> dict[
     kinds: Schemas = {}
     sections: dict[str, Schema] = {
         "structure": STRUCTURE.schema(kinds),
-        **{name: own.schema(kinds, tag="") for name, own in {"scene": SCENE, "start": START, "simulation": SIMULATION, **more}.items()},
+        **{
+            name: own.schema(kinds, tag="")
+            for name, own in {
+                "scene": SCENE,
+                "start": START,
+                "simulation": SIMULATION,
+                **more,
+            }.items()
+        },
     }
-    tables = {name: {"description": _TEXTS[name], **sections.get(name, {"type": "object"})} for name in SECTIONS}
+    tables = {
+        name: {"description": _TEXTS[name], **sections.get(name, {"type": "object"})}
+        for name in SECTIONS
+    }
     numbers = TableOf(NUMBER).schema(kinds)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

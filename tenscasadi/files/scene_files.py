@@ -18,13 +18,15 @@ if TYPE_CHECKING:
 
 HEAD: Mapping[str, Any] = {"format": FORMAT, "units": "SI"}
 
-# The tables of definitions are loaded by the functions that use them: who reads no scene file does not wait for them.
+# The tables of definitions are loaded by the functions that use them: who reads no scene file does
+# not wait for them.
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
     """Read the structure and the scene of a scene file.
 
-    Nothing in the file is run, and no file is opened but those that it includes from its own folder.
+    Nothing in the file is run, and no file is opened but those that it includes from its own
+    folder.
 
     Parameters
     ----------
@@ -120,8 +122,8 @@ def save_scene(scene: Scene | Simulation, path: str | os.PathLike[str]) -> Path:
     TypeError
         If `scene` is neither.
     ValueError
-        If a part of it cannot be written, by its name: functions of time in Python, structures that `Structure.subdivide` or
-        `Structure.from_matrices` made, schemes of your own.
+        If a part of it cannot be written, by its name: functions of time in Python, structures that
+        `Structure.subdivide` or `Structure.from_matrices` made, schemes of your own.
     OSError
         If the file cannot be written.
 
@@ -152,15 +154,23 @@ def read_scene(document: Document) -> tuple[Scene, Names]:
 
     item = document.section("structure")
     if item is None:
-        raise document.root.error('it has no [structure]: give one with nodes, or with shape = "prism"')
+        raise document.root.error(
+            'it has no [structure]: give one with nodes, or with shape = "prism"'
+        )
     structure, names = STRUCTURE.read(item, Names())
     given = document.section("scene")
     table: dict[str, Item] = {} if given is None else given.table()
     fields = SCENE.read_fields(table, names)
     segments = fields.get("segments", 1)
-    if (sum(segments) if isinstance(segments, list) else segments * len(structure.strings)) > MOST_ENTRIES:
-        raise table["segments"].error(f"is {shown(segments)}: give less, all strings together may have {MOST_ENTRIES} segments")
-    return call(Scene, item if given is None else given, table, {"structure": structure, **fields}), names
+    if (
+        sum(segments) if isinstance(segments, list) else segments * len(structure.strings)
+    ) > MOST_ENTRIES:
+        raise table["segments"].error(
+            f"is {shown(segments)}: give less, all strings together may have {MOST_ENTRIES} segments"
+        )
+    return call(
+        Scene, item if given is None else given, table, {"structure": structure, **fields}
+    ), names
 
 
 def write_scene(scene: Scene | Simulation) -> dict[str, Any]:

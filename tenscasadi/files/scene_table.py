@@ -11,7 +11,19 @@ import numpy as np
 from tenscasadi.files.containers import ListOf, MapOf
 from tenscasadi.files.definitions import Kind, define
 from tenscasadi.files.document import Item, nearest
-from tenscasadi.files.forms import NUMBER, VECTOR, Form, Index, Indices, Names, Numbers, Schema, Schemas, Wholes, Word
+from tenscasadi.files.forms import (
+    NUMBER,
+    VECTOR,
+    Form,
+    Index,
+    Indices,
+    Names,
+    Numbers,
+    Schema,
+    Schemas,
+    Wholes,
+    Word,
+)
 from tenscasadi.files.time_formula import OverTime, TimeFormula
 from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
@@ -40,9 +52,14 @@ class NodalForces(Form):
         count = names.counts["node"]
         if any(isinstance(row, TimeFormula) for row in rows.values()):
             entries = tuple(
-                rows[node].entries if isinstance(rows.get(node), TimeFormula) else tuple(rows.get(node, (0.0,) * 3)) for node in range(count)
+                rows[node].entries
+                if isinstance(rows.get(node), TimeFormula)
+                else tuple(rows.get(node, (0.0,) * 3))
+                for node in range(count)
             )
-            if any(len(row) != 3 or any(isinstance(entry, list) for entry in row) for row in entries):
+            if any(
+                len(row) != 3 or any(isinstance(entry, list) for entry in row) for row in entries
+            ):
                 raise item.error("has tables beside formulas of t: give one of them")
             return TimeFormula(entries, tuple(item.document.numbers.items()))
         shapes = {np.shape(row) for row in rows.values()} or {(3,)}
@@ -60,12 +77,21 @@ class NodalForces(Form):
         if callable(value):
             return written
         array = np.asarray(value)
-        some = [node for node in range(array.shape[-2]) if array[..., node, :].any() or np.signbit(array[..., node, :]).any()]
+        some = [
+            node
+            for node in range(array.shape[-2])
+            if array[..., node, :].any() or np.signbit(array[..., node, :]).any()
+        ]
         return {str(node): array[..., node, :].tolist() for node in some}
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return rows or a table."""
-        return {"anyOf": [OverTime((None, 3)).schema(kinds), MapOf("node", OverTime((3,))).schema(kinds)]}
+        return {
+            "anyOf": [
+                OverTime((None, 3)).schema(kinds),
+                MapOf("node", OverTime((3,))).schema(kinds),
+            ]
+        }
 
 
 @dataclass(frozen=True)
@@ -108,11 +134,19 @@ class StringLaws(Form):
         """Return a law, or a table of the strings that have another than `Clip()`."""
         if not isinstance(value, tuple):
             return self.law.write(value)
-        return {str(string): self.law.write(law) for string, law in enumerate(value) if law != Clip()}
+        return {
+            str(string): self.law.write(law) for string, law in enumerate(value) if law != Clip()
+        }
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return all three."""
-        return {"anyOf": [self.law.schema(kinds), ListOf(self.law).schema(kinds), MapOf("string", self.law).schema(kinds)]}
+        return {
+            "anyOf": [
+                self.law.schema(kinds),
+                ListOf(self.law).schema(kinds),
+                MapOf("string", self.law).schema(kinds),
+            ]
+        }
 
 
 @dataclass(frozen=True)
@@ -125,7 +159,9 @@ class ParameterGroups(Form):
         for name, entry in item.table().items():
             which: Any = QUANTITIES[name].item if name in QUANTITIES else None
             if which not in GROUPED:
-                raise entry.error(f"has no groups: {nearest(name, [known for known, quantity in QUANTITIES.items() if quantity.item in GROUPED])}")
+                raise entry.error(
+                    f"has no groups: {nearest(name, [known for known, quantity in QUANTITIES.items() if quantity.item in GROUPED])}"
+                )
             if entry.value == "all":
                 found[name] = "all"
             elif which == "ground":
@@ -136,15 +172,24 @@ class ParameterGroups(Form):
 
     def write(self, value: Any) -> dict[str, Any]:
         """Return groups of indices by quantity."""
-        return {name: "all" if groups == ((),) else [list(group) for group in groups] for name, groups in value}
+        return {
+            name: "all" if groups == ((),) else [list(group) for group in groups]
+            for name, groups in value
+        }
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return a table of the quantities that have groups."""
         groups = {"anyOf": [{"const": "all"}, ListOf(Indices("node")).schema(kinds)]}
-        return {"type": "object", "properties": {n: groups for n, q in QUANTITIES.items() if q.item in GROUPED}, "additionalProperties": False}
+        return {
+            "type": "object",
+            "properties": {n: groups for n, q in QUANTITIES.items() if q.item in GROUPED},
+            "additionalProperties": False,
+        }
 
 
-def _parameters(names: Iterable[str] = (), scale: Iterable[str] = (), groups: Mapping[str, Any] | None = None) -> Parameters:
+def _parameters(
+    names: Iterable[str] = (), scale: Iterable[str] = (), groups: Mapping[str, Any] | None = None
+) -> Parameters:
     """Quantities of a scene that stay open in its equations: a run is given their values.
 
     Parameters
@@ -160,21 +205,56 @@ def _parameters(names: Iterable[str] = (), scale: Iterable[str] = (), groups: Ma
 
 
 _QUANTITIES = ListOf(Word(tuple(QUANTITIES)))
-LAW = Kind((define(Clip, {"damping": Word(("clamped", "unclamped"))}), define(Smooth, {"width": NUMBER}), define(Linear)))
+LAW = Kind(
+    (
+        define(Clip, {"damping": Word(("clamped", "unclamped"))}),
+        define(Smooth, {"width": NUMBER}),
+        define(Linear),
+    )
+)
 CONTROL = Kind((define(ForceDensity), define(RestLength)))
-GRAVITY = Kind((define(Gravity, {"acceleration": OverTime((3,)), **_OVER_TIME}, short="acceleration"),))
+GRAVITY = Kind(
+    (define(Gravity, {"acceleration": OverTime((3,)), **_OVER_TIME}, short="acceleration"),)
+)
 SURFACE = Kind(
     (
         define(Ground, {**_SURFACE, "height": NUMBER, "normal": VECTOR}),
-        define(Terrain, {"heights": Numbers(((None, None),)), "lower": Numbers(((2,),)), "upper": Numbers(((2,),)), **_SURFACE}),
+        define(
+            Terrain,
+            {
+                "heights": Numbers(((None, None),)),
+                "lower": Numbers(((2,),)),
+                "upper": Numbers(((2,),)),
+                **_SURFACE,
+            },
+        ),
     ),
     implied=True,
 )
-PRESSURE = Kind((define(Pressure, {"faces": ListOf(Indices("node")), "difference": OverTime(()), **_OVER_TIME}),))
-FORCES = Kind((define(NodalForce, {"values": NodalForces(), **_OVER_TIME, "bars": MapOf("node", Index("bar"))}),))
+PRESSURE = Kind(
+    (
+        define(
+            Pressure, {"faces": ListOf(Indices("node")), "difference": OverTime(()), **_OVER_TIME}
+        ),
+    )
+)
+FORCES = Kind(
+    (
+        define(
+            NodalForce, {"values": NodalForces(), **_OVER_TIME, "bars": MapOf("node", Index("bar"))}
+        ),
+    )
+)
 SUPPORTS = Kind((define(SupportMotion, {"positions": MapOf("node", Motion()), "breaks": _TIMES}),))
 PARAMETERS = Kind(
-    (define(_parameters, {"names": _QUANTITIES, "scale": _QUANTITIES, "groups": ParameterGroups()}, kind="Parameters", made=Parameters),)
+    (
+        define(
+            _parameters,
+            {"names": _QUANTITIES, "scale": _QUANTITIES, "groups": ParameterGroups()},
+            kind="Parameters",
+            made=Parameters,
+        ),
+    )
 )
 SCENE = define(
     Scene,

@@ -12,13 +12,26 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection, projection
+from tenscasadi.integrators.stabilization import (
+    BarLengthCorrection,
+    Correction,
+    Projection,
+    projection,
+)
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.simulate import lay_run, simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
 from tenscasadi.util.compile import Compiled
-from tenscasadi.util.validate import Array, choice, finite_array, flag, instance, positive_number, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    choice,
+    finite_array,
+    flag,
+    instance,
+    positive_number,
+    whole_number,
+)
 
 MOST_KEPT = 2.5e8  # numbers in the rows of states that a run keeps: 2 GB
 
@@ -46,8 +59,8 @@ class Simulation:
     bar_length : {"current", "constant"}
         The square that the bars' multipliers divide by, see `Model`.
     nodes : array_like, shape (n, 3), optional
-        Positions at the start, m; by default those of the structure. Nodes inside strings that are cut into segments lie on a line, unless
-        they are given, too.
+        Positions at the start, m; by default those of the structure. Nodes inside strings that are
+        cut into segments lie on a line, unless they are given, too.
     velocities : array_like, shape (n, 3), optional
         Velocities at the start, m/s; by default at rest.
     project : bool
@@ -103,7 +116,10 @@ class Simulation:
         check_scheme(self.scheme, "Simulation.scheme")
         if self.correction is not None:
             instance(
-                "Simulation.correction", self.correction, (Projection, BarLengthCorrection), "Projection(every), BarLengthCorrection(weight) or None"
+                "Simulation.correction",
+                self.correction,
+                (Projection, BarLengthCorrection),
+                "Projection(every), BarLengthCorrection(weight) or None",
             )
         if self.save_every is not None:
             own["save_every"] = whole_number("Simulation.save_every", self.save_every, 1)
@@ -117,9 +133,16 @@ class Simulation:
             if getattr(self, name) is not None:
                 own[name] = self._rows(name)
                 if self.state is not None:
-                    raise ValueError(f"Simulation.{name} is given beside Simulation.state, which says the same: leave one of them out")
+                    raise ValueError(
+                        f"Simulation.{name} is given beside Simulation.state, which says the same: leave one of them out"
+                    )
         if self.parameters is not None:
-            instance("Simulation.parameters", self.parameters, Mapping, 'a mapping such as {"stiffness": 120.0}')
+            instance(
+                "Simulation.parameters",
+                self.parameters,
+                Mapping,
+                'a mapping such as {"stiffness": 120.0}',
+            )
             own["parameters"] = dict(self.parameters)
         for name, value in own.items():
             object.__setattr__(self, name, value)
@@ -136,7 +159,9 @@ class Simulation:
         state = self.model.start_at(p) if self.state is None else self.state
         if self.nodes is not None or self.velocities is not None:
             nodes = self.model.structure.nodes if self.nodes is None else self._modelled(self.nodes)
-            state = self.model.state(nodes, None if self.velocities is None else self._modelled(self.velocities))
+            state = self.model.state(
+                nodes, None if self.velocities is None else self._modelled(self.velocities)
+            )
         if self.project:
             state = projection(self.model)(state, *([p] if self.model.np else [])).full().ravel()
         return np.array(state)
@@ -144,13 +169,21 @@ class Simulation:
     def check(self) -> None:
         """Build the model, and raise TypeError or ValueError unless start, control and parameters fit it."""
         if len(self.start) != self.model.nx:
-            raise ValueError(f"state has {len(self.start)} entries: give the {self.model.nx} of the model, or nodes and velocities")
+            raise ValueError(
+                f"state has {len(self.start)} entries: give the {self.model.nx} of the model, or nodes and velocities"
+            )
         p = self.model.parameters.values(self.parameters)
-        inputs = lay_run(self.model, self.start, self.t_end, self.step, self.scheme, self.control, p)
-        inputs.sample(0, 1)  # calls a function of time, whose result nothing else checks before the run
+        inputs = lay_run(
+            self.model, self.start, self.t_end, self.step, self.scheme, self.control, p
+        )
+        inputs.sample(
+            0, 1
+        )  # calls a function of time, whose result nothing else checks before the run
         steps = inputs.steps
         if self.save_every is not None and steps / self.save_every * self.model.nx > MOST_KEPT:
-            raise ValueError(f"save_every is {self.save_every}: {steps} steps would keep more than {MOST_KEPT:g} numbers, give more")
+            raise ValueError(
+                f"save_every is {self.save_every}: {steps} steps would keep more than {MOST_KEPT:g} numbers, give more"
+            )
 
     def run(self, progress: bool = False, compiled: Compiled = None) -> Trajectory:
         """Simulate.
@@ -172,7 +205,12 @@ class Simulation:
             self.t_end,
             self.step,
             self.scheme,
-            state=None if self.state is None and self.nodes is None and self.velocities is None and not self.project else self.start,
+            state=None
+            if self.state is None
+            and self.nodes is None
+            and self.velocities is None
+            and not self.project
+            else self.start,
             control=self.control,
             correction=self.correction,
             save_every=self.save_every,
@@ -187,7 +225,9 @@ class Simulation:
         rows = finite_array(f"Simulation.{name}", getattr(self, name), (None, 3))
         counts = {len(self.scene.structure.nodes), len(self.scene.modelled.nodes)}
         if len(rows) not in counts:
-            raise ValueError(f"Simulation.{name} has {len(rows)} rows: give one for each of the {' or '.join(map(str, sorted(counts)))} nodes")
+            raise ValueError(
+                f"Simulation.{name} has {len(rows)} rows: give one for each of the {' or '.join(map(str, sorted(counts)))} nodes"
+            )
         return rows
 
     def _modelled(self, rows: Array) -> Array:
@@ -195,5 +235,8 @@ class Simulation:
         structure = self.scene.structure
         if len(rows) == len(self.scene.modelled.nodes):
             return rows
-        shares = [segment_shares(count, self.scene.fractions) for count in segment_counts(self.scene.segments, len(structure.strings))]
+        shares = [
+            segment_shares(count, self.scene.fractions)
+            for count in segment_counts(self.scene.segments, len(structure.strings))
+        ]
         return cut_strings(rows, structure.strings, structure.string_mass, shares, lumped=False)[0]

@@ -11,7 +11,18 @@ import numpy as np
 from tenscasadi.files.containers import Either, MapOf, TableOf
 from tenscasadi.files.definitions import Kind, call, define
 from tenscasadi.files.document import Document
-from tenscasadi.files.forms import NUMBER, PER_ITEM, VECTOR, WHOLE, Flag, Form, Index, Names, Numbers, Word
+from tenscasadi.files.forms import (
+    NUMBER,
+    PER_ITEM,
+    VECTOR,
+    WHOLE,
+    Flag,
+    Form,
+    Index,
+    Names,
+    Numbers,
+    Word,
+)
 from tenscasadi.files.simulation import Simulation
 from tenscasadi.files.time_formula import OverTime
 from tenscasadi.integrators.collocation import Collocation
@@ -34,12 +45,25 @@ SCHEME = Kind(
         define(DormandPrince54, _EMBEDDED),
         define(DormandPrince853, _EMBEDDED),
         define(Rattle, {"order": WHOLE, "iterations": WHOLE}),
-        define(Collocation, {"degree": WHOLE, "points": Word(("gauss", "radau")), "tolerance": NUMBER, "iterations": WHOLE}),
+        define(
+            Collocation,
+            {
+                "degree": WHOLE,
+                "points": Word(("gauss", "radau")),
+                "tolerance": NUMBER,
+                "iterations": WHOLE,
+            },
+        ),
         define(Cvodes, _SUNDIALS),
         define(Idas, _SUNDIALS),
     )
 )
-CORRECTION = Kind((define(Projection, {"every": WHOLE, "iterations": WHOLE}), define(BarLengthCorrection, {"weight": NUMBER, "every": WHOLE})))
+CORRECTION = Kind(
+    (
+        define(Projection, {"every": WHOLE, "iterations": WHOLE}),
+        define(BarLengthCorrection, {"weight": NUMBER, "every": WHOLE}),
+    )
+)
 SIMULATION = define(
     Simulation,
     {
@@ -64,9 +88,11 @@ class Start:
     Parameters
     ----------
     nodes : array_like, shape (n, 3), or mapping of int to array_like, shape (3,)
-        Positions at the start, m; nodes that a table does not name are where the structure has them.
+        Positions at the start, m; nodes that a table does not name are where the structure has
+        them.
     velocities : array_like, shape (n, 3), or mapping of int to array_like, shape (3,)
-        Velocities at the start, m/s, beside `velocity` and `spin`; nodes that a table does not name have none.
+        Velocities at the start, m/s, beside `velocity` and `spin`; nodes that a table does not name
+        have none.
     velocity : sequence of float, shape (3,)
         Velocity of the whole structure, m/s.
     spin : sequence of float, shape (3,)
@@ -89,26 +115,45 @@ class Start:
 
     def __post_init__(self) -> None:
         if self.about is not None and self.spin is None:
-            raise ValueError("about is given without spin: give spin = [x, y, z], too, or leave it out")
+            raise ValueError(
+                "about is given without spin: give spin = [x, y, z], too, or leave it out"
+            )
         if self.state is not None:
             for name in ("nodes", "velocities", "velocity", "spin"):
                 if getattr(self, name) is not None:
-                    raise ValueError(f"{name} stands beside state, which says it all: leave one of them out")
+                    raise ValueError(
+                        f"{name} stands beside state, which says it all: leave one of them out"
+                    )
 
     def options(self, scene: Scene) -> dict[str, Any]:
         """Return what `Simulation` has in place of these."""
         rest = scene.structure.nodes
         nodes = None if self.nodes is None else self._rows(self.nodes, rest)
-        velocities = None if self.velocities is None else self._rows(self.velocities, np.zeros_like(rest))
+        velocities = (
+            None if self.velocities is None else self._rows(self.velocities, np.zeros_like(rest))
+        )
         if self.velocity is not None or self.spin is not None:
-            velocities = (0.0 if velocities is None else velocities) + self._rigid(rest if nodes is None else nodes)
-        return {"nodes": nodes, "velocities": velocities, "project": self.project, "state": self.state}
+            velocities = (0.0 if velocities is None else velocities) + self._rigid(
+                rest if nodes is None else nodes
+            )
+        return {
+            "nodes": nodes,
+            "velocities": velocities,
+            "project": self.project,
+            "state": self.state,
+        }
 
     def _rigid(self, nodes: Array) -> Array:
         moved = np.zeros_like(nodes) + (0.0 if self.velocity is None else np.asarray(self.velocity))
         if self.spin is None:
             return moved
-        middle = nodes.mean(axis=0) if self.about is None else nodes[self.about] if isinstance(self.about, int) else np.asarray(self.about)
+        middle = (
+            nodes.mean(axis=0)
+            if self.about is None
+            else nodes[self.about]
+            if isinstance(self.about, int)
+            else np.asarray(self.about)
+        )
         return np.asarray(moved + np.cross(self.spin, nodes - middle))
 
     @staticmethod
@@ -136,11 +181,15 @@ START = define(
 )
 
 
-def read_simulation(document: Document, scene: Scene, names: Names, t_end: float | None = None) -> Simulation:
+def read_simulation(
+    document: Document, scene: Scene, names: Names, t_end: float | None = None
+) -> Simulation:
     """Return the simulation of [start] and [simulation]; `t_end`, s, is told where the file need not. Raises SceneFileError."""
     told = document.section("simulation")
     if told is None and t_end is None:
-        raise document.root.error("it has no [simulation]: give one with t_end, the end of the run in s")
+        raise document.root.error(
+            "it has no [simulation]: give one with t_end, the end of the run in s"
+        )
     item, table = (document.root, {}) if told is None else (told, told.table())
     options = SIMULATION.read_fields(table, names)
     first = document.section("start")
@@ -159,6 +208,8 @@ def read_simulation(document: Document, scene: Scene, names: Names, t_end: float
 
 def write_simulation(simulation: Simulation) -> dict[str, Any]:
     """Return the tables [start] and [simulation]. Raises NotWritten."""
-    start = {name: getattr(simulation, name) for name in ("nodes", "velocities", "project", "state")}
+    start = {
+        name: getattr(simulation, name) for name in ("nodes", "velocities", "project", "state")
+    }
     tables = {"start": START.write(Start(**start)), "simulation": SIMULATION.write(simulation)}
     return {name: table for name, table in tables.items() if table}

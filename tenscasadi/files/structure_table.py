@@ -14,7 +14,21 @@ from tenscasadi.dynamics.serialize import structure_to_arrays
 from tenscasadi.files.containers import Either, ListOf, MapOf, TableOf
 from tenscasadi.files.definitions import Definition, Kind, call, define
 from tenscasadi.files.document import Item, nearest
-from tenscasadi.files.forms import NUMBER, PER_ITEM, VECTOR, WHOLE, Form, Indices, Names, NotWritten, Numbers, Schema, Schemas, Which, Word
+from tenscasadi.files.forms import (
+    NUMBER,
+    PER_ITEM,
+    VECTOR,
+    WHOLE,
+    Form,
+    Indices,
+    Names,
+    NotWritten,
+    Numbers,
+    Schema,
+    Schemas,
+    Which,
+    Word,
+)
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.validate import Array
@@ -51,14 +65,24 @@ class PerPart(Form):
 
 
 def _common(values: Any) -> Any:
-    return values[0] if isinstance(values, list) and values and len(set(map(repr, values))) == 1 else values
+    return (
+        values[0]
+        if isinstance(values, list) and values and len(set(map(repr, values))) == 1
+        else values
+    )
 
 
 _PAIRS = ListOf(Indices("node"))
-_DEFAULTS = {name: parameter.default for name, parameter in inspect.signature(Structure).parameters.items()}
-_BARS: Mapping[str, Form] = {name: PerPart("bar", _DEFAULTS[name]) for name in ("bar_mass", "bar_radius")}
+_DEFAULTS = {
+    name: parameter.default for name, parameter in inspect.signature(Structure).parameters.items()
+}
+_BARS: Mapping[str, Form] = {
+    name: PerPart("bar", _DEFAULTS[name]) for name in ("bar_mass", "bar_radius")
+}
 _STRINGS: Mapping[str, Form] = {
-    **{name: PerPart("string", _DEFAULTS[name]) for name in ("stiffness", "damping", "string_mass")},
+    **{
+        name: PerPart("string", _DEFAULTS[name]) for name in ("stiffness", "damping", "string_mass")
+    },
     "rest_length": PerPart("string", np.nan),
     "force_density": PerPart("string", np.nan),  # read only: it becomes rest lengths
 }
@@ -91,7 +115,9 @@ class Turn:
             raise ValueError("axis is (0, 0, 0): give a direction")
         x, y, z = np.asarray(self.axis) / size
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        return np.asarray(np.eye(3) + np.sin(self.angle) * cross + (1 - np.cos(self.angle)) * cross @ cross)
+        return np.asarray(
+            np.eye(3) + np.sin(self.angle) * cross + (1 - np.cos(self.angle)) * cross @ cross
+        )
 
 
 _TURN = Kind((define(Turn, {"axis": VECTOR, "angle": NUMBER}),))
@@ -99,7 +125,9 @@ _PLACED: Mapping[str, Form] = {"turn": _TURN, "move": VECTOR}
 _OPTIONS: Mapping[str, Form] = {**_BARS, **_STRINGS, **_NODES, **_PLACED}
 
 
-_Groups = Mapping[str, tuple[list[list[int]], dict[str, Any]]]  # members and properties of each group
+_Groups = Mapping[
+    str, tuple[list[list[int]], dict[str, Any]]
+]  # members and properties of each group
 
 
 def _finish(
@@ -117,19 +145,31 @@ def _finish(
     Parameters
     ----------
     force_density : array_like, shape (α,)
-        Force density with which strings start, N/m, below their stiffness: it sets their rest lengths.
+        Force density with which strings start, N/m, below their stiffness: it sets their rest
+        lengths.
     turn : table
         Rotation of all nodes about an axis through the origin.
     move : sequence of float, shape (3,)
         Displacement of all nodes after that, m.
     """
     count = len(structure.strings)
-    lengths, pulls = (_per_string(name, value, count, table) for name, value in (("rest_length", rest_length), ("force_density", force_density)))
+    lengths, pulls = (
+        _per_string(name, value, count, table)
+        for name, value in (("rest_length", rest_length), ("force_density", force_density))
+    )
     both = ~np.isnan(lengths) & ~np.isnan(pulls)
     if both.any():
-        raise item.error(f"gives string {int(np.argmax(both))} rest_length and force_density, which say the same: leave one of them out")
+        raise item.error(
+            f"gives string {int(np.argmax(both))} rest_length and force_density, which say the same: leave one of them out"
+        )
     if not np.isnan(pulls).all():
-        structure = _build(item, table, groups, {"force_density": np.where(np.isnan(pulls), 0.0, pulls)}, structure.prestressed)
+        structure = _build(
+            item,
+            table,
+            groups,
+            {"force_density": np.where(np.isnan(pulls), 0.0, pulls)},
+            structure.prestressed,
+        )
     if not np.isnan(lengths).all():
         rest_lengths = np.where(np.isnan(lengths), structure.rest_length, lengths)
         structure = _build(item, table, groups, {"rest_length": rest_lengths}, structure.replace)
@@ -143,7 +183,10 @@ def _shape(build: Callable[..., Structure], own: Mapping[str, Form]) -> Definiti
 SHAPES = (
     _shape(shapes.pendulum, {"length": NUMBER, "angle": NUMBER}),
     _shape(shapes.double_pendulum, {"lengths": Numbers(((2,),)), "angles": Numbers(((2,),))}),
-    _shape(shapes.prism, {"bars": WHOLE, "radius": NUMBER, "height": NUMBER, "twist": NUMBER, "prestress": NUMBER}),
+    _shape(
+        shapes.prism,
+        {"bars": WHOLE, "radius": NUMBER, "height": NUMBER, "twist": NUMBER, "prestress": NUMBER},
+    ),
     _shape(shapes.d_bar, {"bar_length": NUMBER, "angle": NUMBER, "prestress": NUMBER}),
     _shape(shapes.t_bar, {"length": NUMBER, "width": NUMBER, "prestress": NUMBER}),
     _shape(shapes.six_bar_ball, {"bar_length": NUMBER, "prestress": NUMBER}),
@@ -171,14 +214,20 @@ class Members(Form):
             table = group.table(f"a table with members and properties of the {self.which}s")
             for key, entry in table.items():
                 if key not in {"members", *self.properties}:
-                    raise entry.error(f"is no property of {self.which}s: {nearest(key, ('members', *self.properties))}")
+                    raise entry.error(
+                        f"is no property of {self.which}s: {nearest(key, ('members', *self.properties))}"
+                    )
             if "members" not in table:
-                raise group.error('has no members: give pairs of nodes, such as members = [["foot", "top"]]')
+                raise group.error(
+                    'has no members: give pairs of nodes, such as members = [["foot", "top"]]'
+                )
             pairs = _PAIRS.read(table.pop("members"), names)
             found = {key: PER_ITEM.read(entry, names) for key, entry in table.items()}
             for key, value in found.items():
                 if isinstance(value, list) and len(value) != len(pairs):
-                    raise table[key].error(f"has {len(value)} entries: give one number, or one for each of the {len(pairs)} members")
+                    raise table[key].error(
+                        f"has {len(value)} entries: give one number, or one for each of the {len(pairs)} members"
+                    )
             groups[name] = (pairs, found)
         return groups
 
@@ -189,15 +238,27 @@ class Members(Form):
     def schema(self, kinds: Schemas) -> Schema:
         """Return pairs or groups."""
         pairs = _PAIRS.schema(kinds)
-        properties = {"members": pairs, **{name: PER_ITEM.schema(kinds) for name in self.properties}}
-        group = {"type": "object", "properties": properties, "required": ["members"], "additionalProperties": False}
-        return {"anyOf": [pairs, {"type": "object", "additionalProperties": {"anyOf": [pairs, group]}}]}
+        properties = {
+            "members": pairs,
+            **{name: PER_ITEM.schema(kinds) for name in self.properties},
+        }
+        group = {
+            "type": "object",
+            "properties": properties,
+            "required": ["members"],
+            "additionalProperties": False,
+        }
+        return {
+            "anyOf": [pairs, {"type": "object", "additionalProperties": {"anyOf": [pairs, group]}}]
+        }
 
 
 def _refuse_digits(name: str, entry: Item, what: str) -> None:
     """Raise SceneFileError where a name could be taken for the index of another node or member."""
     if name.isascii() and name.isdigit():
-        raise entry.error(f"is the name of {what}, and an index, too: give a name with letters, such as 'n{name[:9]}'")
+        raise entry.error(
+            f"is the name of {what}, and an index, too: give a name with letters, such as 'n{name[:9]}'"
+        )
 
 
 class _NodesForm(Form):
@@ -210,7 +271,9 @@ class _NodesForm(Form):
             for k, (name, entry) in enumerate(table.items()):
                 if name != str(k):
                     _refuse_digits(name, entry, f"node {k}")
-            return [VECTOR.read(entry, names) for entry in table.values()], {name: [k] for k, name in enumerate(table)}
+            return [VECTOR.read(entry, names) for entry in table.values()], {
+                name: [k] for k, name in enumerate(table)
+            }
         if not item.entries():
             raise item.error("is empty: give at least one node")
         return _POINTS.read(item, names), {}
@@ -226,7 +289,11 @@ class _NodesForm(Form):
 
 def _pins(structure: Structure) -> Any:
     """Return the nodes that are pinned, with axes where some are pinned along some only."""
-    return list(structure.pinned) if all(axes == "xyz" for axes in structure.pinned.values()) else structure.pinned
+    return (
+        list(structure.pinned)
+        if all(axes == "xyz" for axes in structure.pinned.values())
+        else structure.pinned
+    )
 
 
 FROM_NODES = define(
@@ -238,7 +305,9 @@ FROM_NODES = define(
         **_OPTIONS,
     },
     kind="nodes",
-    take=lambda structure: {name: getattr(structure, name) for name in PARAMETERS} | {"pinned": _pins(structure)},
+    take=lambda structure: (
+        {name: getattr(structure, name) for name in PARAMETERS} | {"pinned": _pins(structure)}
+    ),
     more=(_finish,),
 )
 
@@ -257,14 +326,21 @@ class StructureForm(Form):
             raise table["nodes"].error("stands beside shape: give one of them")
         for definition in SHAPES:
             if definition.kind == name:
-                return _read_shape(definition, item, {key: entry for key, entry in table.items() if key != "shape"})
-        raise table["shape"].error(f"is {name!r}: {nearest(name, [definition.kind for definition in SHAPES])}")
+                return _read_shape(
+                    definition, item, {key: entry for key, entry in table.items() if key != "shape"}
+                )
+        raise table["shape"].error(
+            f"is {name!r}: {nearest(name, [definition.kind for definition in SHAPES])}"
+        )
 
     def write(self, value: Any) -> dict[str, Any]:
         """Return nodes, bars and strings. Raises NotWritten where `subdivide` or `from_matrices` made the structure."""
         plain = Structure(**{name: getattr(value, name) for name in PARAMETERS})
         other = structure_to_arrays(plain)
-        if any(not np.array_equal(array, other[name]) for name, array in structure_to_arrays(value).items()):
+        if any(
+            not np.array_equal(array, other[name])
+            for name, array in structure_to_arrays(value).items()
+        ):
             raise NotWritten(
                 "Structure: it has columns or segments that `from_matrices` or `subdivide` made, which files do not hold: "
                 "give Scene(segments=...) in place of subdivide, or keep it in Python"
@@ -277,29 +353,48 @@ class StructureForm(Form):
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return all shapes, and nodes."""
-        return {"anyOf": [*(shape.schema(kinds, "shape", tagged=True) for shape in SHAPES), FROM_NODES.schema(kinds, "shape")]}
+        return {
+            "anyOf": [
+                *(shape.schema(kinds, "shape", tagged=True) for shape in SHAPES),
+                FROM_NODES.schema(kinds, "shape"),
+            ]
+        }
 
 
 STRUCTURE = StructureForm()
 
 
-def _read_shape(definition: Definition, item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
+def _read_shape(
+    definition: Definition, item: Item, table: dict[str, Item]
+) -> tuple[Structure, Names]:
     own = {name: entry for name, entry in table.items() if name not in _OPTIONS}
     arguments = definition.read_fields(own, Names())
-    bare = definition.make(item, table, {name: value for name, value in arguments.items() if name != "prestress"})
+    bare = definition.make(
+        item, table, {name: value for name, value in arguments.items() if name != "prestress"}
+    )
     names = _names_of(definition, bare, arguments)
-    options = definition.read_fields({name: entry for name, entry in table.items() if name in _OPTIONS}, names)
+    options = definition.read_fields(
+        {name: entry for name, entry in table.items() if name in _OPTIONS}, names
+    )
     for name in ("force_density", "rest_length"):
         if name in options and "prestress" in arguments:
-            raise table[name].error("stands beside prestress, which says the same: leave one of them out")
-    later = {name: options.pop(name, None) for name in ("force_density", "rest_length", "turn", "move")}
+            raise table[name].error(
+                "stands beside prestress, which says the same: leave one of them out"
+            )
+    later = {
+        name: options.pop(name, None) for name in ("force_density", "rest_length", "turn", "move")
+    }
     structure = definition.make(item, table, arguments | options)
     return _finish(structure, item, table, {}, **later), names
 
 
 def _names_of(definition: Definition, structure: Structure, arguments: Mapping[str, Any]) -> Names:
     """Return what parts of a shape are called: rings of prisms and membranes, and the strings between them."""
-    counts: dict[Which, int] = {"node": len(structure.nodes), "bar": len(structure.bars), "string": len(structure.strings)}
+    counts: dict[Which, int] = {
+        "node": len(structure.nodes),
+        "bar": len(structure.bars),
+        "string": len(structure.strings),
+    }
     if definition.kind == "prism":
         p = len(structure.bars)
         ends = {"bottom": range(p), "top": range(p, 2 * p)}
@@ -307,19 +402,36 @@ def _names_of(definition: Definition, structure: Structure, arguments: Mapping[s
     if definition.kind == "membrane":
         p, q = (arguments.get(name, definition.defaults[name]) for name in ("p", "q"))
         ends = {"bottom": range(p), "top": range(p * (q - 1), p * q)}
-        return Names(counts, {"node": ends, "string": {**ends, "rings": range(p, p * (q - 1)), "helices": range(p * q, counts["string"])}})
+        return Names(
+            counts,
+            {
+                "node": ends,
+                "string": {
+                    **ends,
+                    "rings": range(p, p * (q - 1)),
+                    "helices": range(p * q, counts["string"]),
+                },
+            },
+        )
     return Names(counts)
 
 
 def _read_nodes(item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
     for name, entry in table.items():
         if name not in FROM_NODES.fields:
-            raise entry.error(f"is no field of a structure: {nearest(name, (*FROM_NODES.fields, 'shape'))}")
+            raise entry.error(
+                f"is no field of a structure: {nearest(name, (*FROM_NODES.fields, 'shape'))}"
+            )
     if "nodes" not in table:
-        raise item.error('has neither nodes nor shape: give nodes = [[0, 0, 0], [0, 0, 1]], or shape = "prism"')
+        raise item.error(
+            'has neither nodes nor shape: give nodes = [[0, 0, 0], [0, 0, 1]], or shape = "prism"'
+        )
     nodes, node_names = FROM_NODES.fields["nodes"].read(table["nodes"], Names())
     names = Names({"node": len(nodes)}, {"node": node_names})
-    groups = {part: FROM_NODES.fields[part].read(table[part], names) if part in table else {} for part in ("bars", "strings")}
+    groups = {
+        part: FROM_NODES.fields[part].read(table[part], names) if part in table else {}
+        for part in ("bars", "strings")
+    }
     names = _count(names, groups)
     rest = {name: entry for name, entry in table.items() if name not in ("nodes", *groups)}
     given: dict[str, Any] = FROM_NODES.read_fields(rest, names)
@@ -328,13 +440,24 @@ def _read_nodes(item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
             value = _gathered(name, groups[part], given.get(name), table)
             if value is not None:
                 given[name] = value
-    later = {name: given.pop(name, None) for name in ("force_density", "rest_length", "turn", "move")}
-    members = {part: [pair for pairs, _ in found.values() for pair in pairs] for part, found in groups.items()}
+    later = {
+        name: given.pop(name, None) for name in ("force_density", "rest_length", "turn", "move")
+    }
+    members = {
+        part: [pair for pairs, _ in found.values() for pair in pairs]
+        for part, found in groups.items()
+    }
     structure = _build(item, table, groups, {"nodes": nodes, **members, **given})
     return _finish(structure, item, table, groups, **later), names
 
 
-def _build(item: Item, table: Mapping[str, Item], groups: Mapping[str, _Groups], given: Mapping[str, Any], build: Any = Structure) -> Structure:
+def _build(
+    item: Item,
+    table: Mapping[str, Item],
+    groups: Mapping[str, _Groups],
+    given: Mapping[str, Any],
+    build: Any = Structure,
+) -> Structure:
     """Return build(**given); what is wrong with a member is told with the place of its group. Raises SceneFileError."""
     try:
         return build(**given)  # type: ignore[no-any-return]
@@ -353,26 +476,43 @@ def _gathered(name: str, groups: _Groups, common: Any, table: Mapping[str, Item]
     if not any(name in properties for _, properties in groups.values()):
         return common
     if isinstance(common, list):
-        raise table[name].error("is a list, and groups say it, too: give one number for the members of groups that do not")
-    fallback: Any = {"rest_length": np.nan, "force_density": np.nan}.get(name, FROM_NODES.defaults.get(name)) if common is None else common
-    values = [np.broadcast_to(properties.get(name, fallback), (len(pairs),)) for pairs, properties in groups.values()]
+        raise table[name].error(
+            "is a list, and groups say it, too: give one number for the members of groups that do not"
+        )
+    fallback: Any = (
+        {"rest_length": np.nan, "force_density": np.nan}.get(name, FROM_NODES.defaults.get(name))
+        if common is None
+        else common
+    )
+    values = [
+        np.broadcast_to(properties.get(name, fallback), (len(pairs),))
+        for pairs, properties in groups.values()
+    ]
     return np.concatenate(values)
 
 
 def _per_string(name: str, value: Any, count: int, table: Mapping[str, Item]) -> Array:
     if isinstance(value, list) and len(value) != count:
-        raise table[name].error(f"has {len(value)} entries: give one number, or one for each of the {count} strings")
+        raise table[name].error(
+            f"has {len(value)} entries: give one number, or one for each of the {count} strings"
+        )
     return np.array(np.broadcast_to(np.nan if value is None else value, (count,)), dtype=float)
 
 
-def _place(structure: Structure, turn: Turn | None, move: Any, item: Item, table: Mapping[str, Item]) -> Structure:
+def _place(
+    structure: Structure, turn: Turn | None, move: Any, item: Item, table: Mapping[str, Item]
+) -> Structure:
     """Return the structure turned, then moved."""
     nodes = structure.nodes
     if turn is not None:
         nodes = nodes @ call(turn.matrix, table["turn"], {}, {}).T
     if move is not None:
         nodes = nodes + np.asarray(move)
-    return structure if nodes is structure.nodes else call(structure.replace, item, table, {"nodes": nodes})
+    return (
+        structure
+        if nodes is structure.nodes
+        else call(structure.replace, item, table, {"nodes": nodes})
+    )
 
 
 def _count(names: Names, groups: Mapping[str, _Groups]) -> Names:
@@ -382,5 +522,6 @@ def _count(names: Names, groups: Mapping[str, _Groups]) -> Names:
         for name, (pairs, _) in groups[part].items():
             found[name] = list(range(first, first + len(pairs)))
             first += len(pairs)
-        counts[which], named[which] = first, {name: indices for name, indices in found.items() if name}  # type: ignore[index]
+        counts[which] = first  # type: ignore[index]
+        named[which] = {name: indices for name, indices in found.items() if name}  # type: ignore[index]
     return replace(names, counts=counts, named=named)

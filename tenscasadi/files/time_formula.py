@@ -21,7 +21,9 @@ class TimeFormula:
 
     def __post_init__(self) -> None:
         used = _names(self.entries)
-        object.__setattr__(self, "numbers", tuple((name, value) for name, value in self.numbers if name in used))
+        object.__setattr__(
+            self, "numbers", tuple((name, value) for name, value in self.numbers if name in used)
+        )
 
     def __call__(self, time: Any) -> Any:
         """Return the values at a time: nested lists of numbers, or of CasADi expressions where the time is one."""
@@ -65,8 +67,12 @@ class OverTime(Form):
         while isinstance(value, list):
             sizes.append(len(value))
             value = value[0] if value else None
-        if len(sizes) != len(self.shape) or any(want is not None and want != got for want, got in zip(self.shape, sizes, strict=True)):
-            raise item.error(f"is {shown(item.value)}: give {constant.wanted}, also formulas of the time t")
+        if len(sizes) != len(self.shape) or any(
+            want is not None and want != got for want, got in zip(self.shape, sizes, strict=True)
+        ):
+            raise item.error(
+                f"is {shown(item.value)}: give {constant.wanted}, also formulas of the time t"
+            )
         return TimeFormula(_texts(item, sizes), tuple(item.document.numbers.items()))
 
     def write(self, value: Any) -> Any:
@@ -74,7 +80,9 @@ class OverTime(Form):
         if isinstance(value, TimeFormula):
             return _checked(value.plain())
         if callable(value):
-            raise NotWritten("a function of time in Python: give a table at times, or keep the scene in Python")
+            raise NotWritten(
+                "a function of time in Python: give a table at times, or keep the scene in Python"
+            )
         return Numbers().write(value)
 
     def schema(self, kinds: Schemas) -> Schema:
@@ -104,12 +112,16 @@ def _texts(item: Item, sizes: list[int]) -> Any:
     """Return nested tuples of formulas and numbers."""
     if sizes:
         if len(item.entries()) != sizes[0]:
-            raise item.error(f"has {len(item.value)} entries: give {sizes[0]}, as the first row has")
+            raise item.error(
+                f"has {len(item.value)} entries: give {sizes[0]}, as the first row has"
+            )
         return tuple(_texts(entry, sizes[1:]) for entry in item.entries())
     if isinstance(item.value, str) and item.formula().varies:
         unknown = item.formula().names - item.document.numbers.keys() - TimeFormula.KNOWN
         if unknown:
             word = min(unknown)
-            raise item.error(f"{word!r} is not declared: {nearest(word, item.document.numbers)} in [numbers]")
+            raise item.error(
+                f"{word!r} is not declared: {nearest(word, item.document.numbers)} in [numbers]"
+            )
         return item.value
     return item.number()

@@ -8,10 +8,14 @@ from contextlib import suppress
 Key = tuple[str | int, ...]
 
 DEEPEST = 12  # lists and tables inside each other, and words of a dotted key
-MOST_PLACES = 1_000_000  # keys, words of dotted keys, entries of lists: what a text of 2 bytes each would cost the parser is more than half a minute
+# keys, words of dotted keys, entries of lists: what a text of 2 bytes each would cost the parser is
+# more than half a minute
+MOST_PLACES = 1_000_000
 
 _BLANK = re.compile(r"[ \t]*")
-_SPACE = re.compile(r"(?:[ \t\r\n]+|#[^\n]*){1,1000}")  # a match remembers each turn: without a limit it takes 100 bytes of memory a byte
+_SPACE = re.compile(
+    r"(?:[ \t\r\n]+|#[^\n]*){1,1000}"
+)  # a match remembers each turn: without a limit it takes 100 bytes of memory a byte
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _PLAIN = re.compile(r"[^,\]}\n#]*")
 _TEXTS = [  # the longer quotes first
@@ -95,7 +99,11 @@ class _Scanner:
         words: list[str] = []
         while True:
             self._skip(_BLANK)
-            found = _BARE.match(self.text, self.at) or _TEXTS[2].match(self.text, self.at) or _TEXTS[3].match(self.text, self.at)
+            found = (
+                _BARE.match(self.text, self.at)
+                or _TEXTS[2].match(self.text, self.at)
+                or _TEXTS[3].match(self.text, self.at)
+            )
             if found is None:
                 raise _Malformed
             words.append(found[found.lastindex or 0])
@@ -164,8 +172,14 @@ class _Scanner:
     def _tell(self, key: Key) -> None:
         self._left -= 1
         if self._left < 0:
-            raise TooMuch(f"more than {MOST_PLACES} keys and entries of lists, with those of includes: give fewer", self._here())
+            raise TooMuch(
+                f"more than {MOST_PLACES} keys and entries of lists, with those of includes: give fewer",
+                self._here(),
+            )
         self.lines.setdefault(key, self._here())
 
     def _too_deep(self) -> TooMuch:
-        return TooMuch(f"more than {DEEPEST} lists, tables or words of a dotted key lie inside each other: write it flatter", self._here())
+        return TooMuch(
+            f"more than {DEEPEST} lists, tables or words of a dotted key lie inside each other: write it flatter",
+            self._here(),
+        )

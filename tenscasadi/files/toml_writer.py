@@ -31,13 +31,19 @@ def _table(data: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
             yield from (f"{_key(name)} = [", *(f"    {_inline(entry)}," for entry in value), "]")
     for name, value in later.items():
         own = (*path, name)
-        for entry, double in [(value, False)] if isinstance(value, Mapping) else [(entry, True) for entry in value]:
+        for entry, double in (
+            [(value, False)] if isinstance(value, Mapping) else [(entry, True) for entry in value]
+        ):
             head = ".".join(map(_key, own))
             yield from ("", f"[[{head}]]" if double else f"[{head}]", *_table(entry, own))
 
 
 def _tables(value: Any) -> bool:
-    return isinstance(value, Mapping) or (isinstance(value, list) and bool(value) and all(isinstance(entry, Mapping) for entry in value))
+    return isinstance(value, Mapping) or (
+        isinstance(value, list)
+        and bool(value)
+        and all(isinstance(entry, Mapping) for entry in value)
+    )
 
 
 def _inline(value: Any) -> str:
@@ -48,9 +54,19 @@ def _inline(value: Any) -> str:
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(name)} = {_inline(entry)}" for name, entry in value.items()) + " }" if value else "{}"
+        return (
+            "{ "
+            + ", ".join(f"{_key(name)} = {_inline(entry)}" for name, entry in value.items())
+            + " }"
+            if value
+            else "{}"
+        )
     return "[" + ", ".join(map(_inline, value)) + "]"
 
 
 def _key(name: str) -> str:
-    return name if _BARE.fullmatch(name) else json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return (
+        name
+        if _BARE.fullmatch(name)
+        else json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
+    )

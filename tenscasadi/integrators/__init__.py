@@ -8,4 +8,14 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 
-__all__ = ["BarLengthCorrection", "Collocation", "Cvodes", "DormandPrince54", "DormandPrince853", "Idas", "Projection", "Rattle", "RungeKutta4"]
+__all__ = [
+    "BarLengthCorrection",
+    "Collocation",
+    "Cvodes",
+    "DormandPrince54",
+    "DormandPrince853",
+    "Idas",
+    "Projection",
+    "Rattle",
+    "RungeKutta4",
+]

@@ -7,15 +7,27 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import build_held_ode, build_hidden, build_potential, build_root, build_switching
+from tenscasadi.integrators.events import (
+    build_held_ode,
+    build_hidden,
+    build_potential,
+    build_root,
+    build_switching,
+)
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta, build_trial
 from tenscasadi.integrators.scheme import equations
 from tenscasadi.integrators.stabilization import Correction, correct
 
 ATTEMPTS = 64  # a call: those that are not needed cost next to nothing
 _BLOCK = 8
-_LARGEST, _SMALLEST, _SAFETY = 8.0, 0.2, 0.9  # change of the step from one attempt to the next: Hairer, Nørsett, Wanner I, (II.4.13)
-_EVENT_SHARE = 0.1  # of the tolerance that a step may lose by ending after an event instead of at it
+_LARGEST, _SMALLEST, _SAFETY = (
+    8.0,
+    0.2,
+    0.9,
+)  # change of the step from one attempt to the next: Hairer, Nørsett, Wanner I, (II.4.13)
+_EVENT_SHARE = (
+    0.1  # of the tolerance that a step may lose by ending after an event instead of at it
+)
 _SHORTEST = 1e-9  # of the largest step: events that are over after less are not looked for
 _HALVING = 6  # trials of a bracket after which it is halved, whatever the interpolation says
 
@@ -54,7 +66,9 @@ class Events(NamedTuple):
     jump: Any  # of the slope in these changes, relative to the tolerance
 
 
-def build_attempts(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
+def build_attempts(
+    model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool
+) -> ca.Function:
     """Return `ATTEMPTS` attempts: Function "attempts" (z, memory, u, limits) -> (z, memory), with `Memory` and `Limits` as columns.
 
     Attempts after the one that reaches `memory.rest` = 0 do nothing.
@@ -64,7 +78,13 @@ def build_attempts(model: Model, scheme: EmbeddedRungeKutta, correction: Correct
     idle = ca.Function("idle", arguments, arguments[:2], attempt.name_in(), attempt.name_out())
     choice = ca.Function.if_else("choice", attempt, idle)
     memory = arguments[1]
-    guarded = ca.Function("guarded", arguments, list(choice(memory[0] > 0, *arguments)), attempt.name_in(), attempt.name_out())
+    guarded = ca.Function(
+        "guarded",
+        arguments,
+        list(choice(memory[0] > 0, *arguments)),
+        attempt.name_in(),
+        attempt.name_out(),
+    )
     return _repeated("attempts", _repeated("block", guarded, _BLOCK), ATTEMPTS // _BLOCK)
 
 
@@ -80,24 +100,35 @@ def _symbols(function: ca.Function) -> list[ca.MX]:
     return [ca.MX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())]
 
 
-def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool) -> ca.Function:
+def _attempt(
+    model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool
+) -> ca.Function:
     """One trial of a step and what follows from it."""
     z, u = ca.MX.sym("z", model.nx + power), ca.MX.sym("u", model.nw)
-    packed, limits = ca.MX.sym("memory", len(Memory._fields)), ca.MX.sym("limits", len(Limits._fields))
+    packed, limits = (
+        ca.MX.sym("memory", len(Memory._fields)),
+        ca.MX.sym("limits", len(Limits._fields)),
+    )
     m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), Limits(*ca.vertsplit(limits))
     gaps = build_switching(model)
     x = z[: model.nx]
     trial = ca.if_else(m.high > 0, m.aim, ca.if_else(m.step >= m.rest, m.rest, m.step))
 
     if gaps is None:
-        ode = equations(model, model.stacked(model.power) if power and model.power is not None else None)
+        ode = equations(
+            model, model.stacked(model.power) if power and model.power is not None else None
+        )
         mode = ca.MX(0, 1)
     else:
         ode, mode = build_held_ode(model, power), gaps(x, u) > 0
-    after, errors, slope, end_slope = build_trial(scheme.tableau, ode)(z, ca.vertcat(u, mode), trial)
+    after, errors, slope, end_slope = build_trial(scheme.tableau, ode)(
+        z, ca.vertcat(u, mode), trial
+    )
     if gaps is not None and power:
         stored = build_potential(model)
-        after = ca.vertcat(after[: model.nx], after[model.nx :] + stored(after[: model.nx], u) - stored(x, u))
+        after = ca.vertcat(
+            after[: model.nx], after[model.nx :] + stored(after[: model.nx], u) - stored(x, u)
+        )
     project = None if correction is None else correction.step(model)
     if project is not None:
         after = ca.vertcat(correct(model, project, after[: model.nx], u), after[model.nx :])
@@ -111,7 +142,13 @@ def _attempt(model: Model, scheme: EmbeddedRungeKutta, correction: Correction | 
         events = _find_events(model, gaps, ode, m, path, after, scale, longest)
     again, memory = _decide(m, trial, error, events, scheme.order, longest)
     outputs = [ca.if_else(again, z, after), memory]
-    return ca.Function("attempt", [z, packed, u, limits], outputs, ["z", "memory", "u", "limits"], ["z_next", "memory_next"])
+    return ca.Function(
+        "attempt",
+        [z, packed, u, limits],
+        outputs,
+        ["z", "memory", "u", "limits"],
+        ["z_next", "memory_next"],
+    )
 
 
 def _norm(errors: list[Any]) -> Any:
@@ -123,38 +160,72 @@ def _norm(errors: list[Any]) -> Any:
     return squared[0] / ca.sqrt(n * (squared[0] + 0.01 * squared[1]) + 1e-300)
 
 
-def _find_events(model: Model, gaps: ca.Function, ode: ca.Function, m: Memory, path: tuple[Any, ...], after: Any, scale: Any, longest: Any) -> Events:
+def _find_events(
+    model: Model,
+    gaps: ca.Function,
+    ode: ca.Function,
+    m: Memory,
+    path: tuple[Any, ...],
+    after: Any,
+    scale: Any,
+    longest: Any,
+) -> Events:
     """Find the events of a trial; path: see `build_root`; after: z at its end; scale: of errors."""
     _, _, end, _, u, trial, mode = path
     mode_after = gaps(end, u) > 0
     changed = ca.sum1(mode_after != mode)
-    jump = _jump(ode, scale.shape[0])(after, ca.vertcat(u, mode), ca.vertcat(u, mode_after), scale, changed)
+    jump = _jump(ode, scale.shape[0])(
+        after, ca.vertcat(u, mode), ca.vertcat(u, mode_after), scale, changed
+    )
     bracket = ca.if_else(changed > 0, m.low, trial), ca.if_else(changed > 0, trial, m.high)
     root = build_root(gaps, model)(*path, *bracket, ca.logic_or(changed > 0, m.high > 0))
     negligible = ca.logic_or((trial - root) * jump <= _EVENT_SHARE, trial - root <= 1e-15 * longest)
-    return Events(changed, ca.logic_and(changed > 0, negligible), build_hidden(gaps, model)(*path), root, jump)
+    return Events(
+        changed, ca.logic_and(changed > 0, negligible), build_hidden(gaps, model)(*path), root, jump
+    )
 
 
-def _decide(m: Memory, trial: Any, error: Any, events: Events, order: int, longest: Any) -> tuple[Any, Any]:
+def _decide(
+    m: Memory, trial: Any, error: Any, events: Events, order: int, longest: Any
+) -> tuple[Any, Any]:
     """Tell whether to try again, and the memory for the next attempt."""
     growth = ca.fmin(_LARGEST, ca.fmax(_SMALLEST, _SAFETY * ca.fmax(error, 1e-300) ** (-1 / order)))
     passed, bracketed, zero = error <= 1, m.high > 0, ca.MX(0)  # passed: not for NaN
     crossing = ca.logic_and(events.changed > 0, ca.logic_not(events.located))
     early = ca.logic_and(bracketed, ca.logic_and(events.changed == 0, trial < m.high))
-    unseen = ca.logic_and(events.hidden > 0, ca.logic_and(events.changed == 0, trial > _SHORTEST * longest))
+    unseen = ca.logic_and(
+        events.hidden > 0, ca.logic_and(events.changed == 0, trial > _SHORTEST * longest)
+    )
     suspect = ca.logic_and(unseen, ca.logic_not(bracketed))
 
-    rejected = m._replace(step=trial * growth, low=zero, high=zero, trials=zero, rejected=m.rejected + 1)
+    rejected = m._replace(
+        step=trial * growth, low=zero, high=zero, trials=zero, rejected=m.rejected + 1
+    )
     inspected = m._replace(step=trial * events.hidden, located=m.located + 1)
     allowed = _EVENT_SHARE / ca.fmax(events.jump, 1e-300)
     shortened = _aimed(m._replace(high=trial, allowed=allowed, located=m.located + 1), events.root)
     lengthened = _aimed(m._replace(low=trial, located=m.located + 1), events.root)
-    grown = ca.fmin(longest, ca.if_else(trial < m.step, ca.fmax(m.step, trial * growth), trial * growth))
+    grown = ca.fmin(
+        longest, ca.if_else(trial < m.step, ca.fmax(m.step, trial * growth), trial * growth)
+    )
     met = m.events + events.changed
-    taken = m._replace(rest=m.rest - trial, step=grown, low=zero, high=zero, trials=zero, accepted=m.accepted + 1, events=met)
+    taken = m._replace(
+        rest=m.rest - trial,
+        step=grown,
+        low=zero,
+        high=zero,
+        trials=zero,
+        accepted=m.accepted + 1,
+        events=met,
+    )
 
     memory = ca.vertcat(*taken)
-    for condition, outcome in ((early, lengthened), (crossing, shortened), (suspect, inspected), (ca.logic_not(passed), rejected)):
+    for condition, outcome in (
+        (early, lengthened),
+        (crossing, shortened),
+        (suspect, inspected),
+        (ca.logic_not(passed), rejected),
+    ):
         memory = ca.if_else(condition, ca.vertcat(*outcome), memory)
     again = ca.logic_or(ca.logic_not(passed), ca.logic_or(suspect, ca.logic_or(crossing, early)))
     return again, memory
@@ -169,10 +240,16 @@ def _aimed(m: Memory, root: Any) -> Memory:
 
 def _jump(ode: ca.Function, moving: int) -> ca.Function:
     """(z, w, w_after, scale, changed) -> norm of the change of slope where the mode has changed, else 0 at no cost."""
-    z, w, after = ca.MX.sym("z", ode.sparsity_in(0)), ca.MX.sym("w", ode.sparsity_in(1)), ca.MX.sym("after", ode.sparsity_in(1))
+    z, w, after = (
+        ca.MX.sym("z", ode.sparsity_in(0)),
+        ca.MX.sym("w", ode.sparsity_in(1)),
+        ca.MX.sym("after", ode.sparsity_in(1)),
+    )
     scale = ca.MX.sym("scale", moving)
     arguments = [z, w, after, scale]
-    difference = ca.Function("difference", arguments, [_norm([(ode(z, after) - ode(z, w))[:moving] / scale])])
+    difference = ca.Function(
+        "difference", arguments, [_norm([(ode(z, after) - ode(z, w))[:moving] / scale])]
+    )
     nothing = ca.Function("nothing", arguments, [ca.MX(0)])
     changed = ca.MX.sym("changed")
     choice = ca.Function.if_else("jump_choice", difference, nothing)

@@ -15,8 +15,13 @@ from tenscasadi.integrators.stage_iteration import solve_stages, stage_states
 from tenscasadi.util.validate import Array, choice, instance, positive_number, whole_number
 
 _SWEPT_DEGREE = 4  # degree up to which sweeps converge fast
-_LAST_MOVE, _ROUNDING = 100.0, 1e-9  # what the last sweep may have moved: times the tolerance, or relative to the state
-_RESIDUAL = 1e-5  # of the state: what the equations may be off by after Newton's method; stiff forces magnify what is left of its last step
+_LAST_MOVE, _ROUNDING = (
+    100.0,
+    1e-9,
+)  # what the last sweep may have moved: times the tolerance, or relative to the state
+# of the state: what the equations may be off by after Newton's method; stiff forces magnify what is
+# left of its last step
+_RESIDUAL = 1e-5
 _HALVINGS = 10  # of a step with slack or contact whose equations are not solved
 _TOLERANCE = 1e-10  # m and m/s
 
@@ -25,8 +30,9 @@ _TOLERANCE = 1e-10  # m and m/s
 class Collocation:
     """Collocation: implicit Runge-Kutta methods at Gauss's or Radau's points, for stiff strings and large steps.
 
-    A polynomial satisfies the equations of motion at `degree` points of each step. No step is too large for stability. Where a step passes
-    the end of a string's slack or a contact the order is lost, as with all fixed steps.
+    A polynomial satisfies the equations of motion at `degree` points of each step. No step is too
+    large for stability. Where a step passes the end of a string's slack or a contact the order is
+    lost, as with all fixed steps.
 
     Parameters
     ----------
@@ -38,7 +44,8 @@ class Collocation:
     tolerance : float
         Iterations end when they move no state by more than this, m and m/s.
     iterations : int
-        Largest number of iterations. Where the equations do not hold then, the next state is NaN, which ends a run with a message.
+        Largest number of iterations. Where the equations do not hold then, the next state is NaN,
+        which ends a run with a message.
 
     Raises
     ------
@@ -47,11 +54,12 @@ class Collocation:
 
     Notes
     -----
-    Steps of a model up to degree 4 are found stage by stage (triangular iteration), which takes 15 to 20 iterations with stiff strings and
-    fails where bars turn by more than about a radian in a step. Friction is met with its secant while nodes still slow down, and with
-    its slope then. Where strings can go slack or nodes meet the ground, a step that is not found is taken in two halves, and these likewise,
-    down to a 1024th: impacts with friction need that. Steps of other equations and degrees are found by Newton's method for all stages at
-    once.
+    Steps of a model up to degree 4 are found stage by stage (triangular iteration), which takes 15
+    to 20 iterations with stiff strings and fails where bars turn by more than about a radian in a
+    step. Friction is met with its secant while nodes still slow down, and with its slope then.
+    Where strings can go slack or nodes meet the ground, a step that is not found is taken in two
+    halves, and these likewise, down to a 1024th: impacts with friction need that. Steps of other
+    equations and degrees are found by Newton's method for all stages at once.
 
     References
     ----------
@@ -78,7 +86,9 @@ class Collocation:
         if whole_number("Collocation.degree", self.degree, 1) > 9:
             raise ValueError(f"Collocation.degree is {self.degree}: give 1 to 9")
         choice("Collocation.points", self.points, "gauss", "radau")
-        object.__setattr__(self, "tolerance", positive_number("Collocation.tolerance", self.tolerance))
+        object.__setattr__(
+            self, "tolerance", positive_number("Collocation.tolerance", self.tolerance)
+        )
         whole_number("Collocation.iterations", self.iterations, 1)
 
     @property
@@ -89,9 +99,13 @@ class Collocation:
     @property
     def coefficients(self) -> tuple[Array, Array]:
         """A (s, s) and b (s,) of the Runge-Kutta method: integrals of Lagrange's polynomials, (IV.5.6)."""
-        c = np.array(ca.collocation_points(self.degree, "legendre" if self.points == "gauss" else "radau"))
+        c = np.array(
+            ca.collocation_points(self.degree, "legendre" if self.points == "gauss" else "radau")
+        )
         powers = np.arange(self.degree)
-        inverse = np.linalg.inv(c[:, None] ** powers).T  # row j: the coefficients of the polynomial that is 1 at point j
+        inverse = np.linalg.inv(
+            c[:, None] ** powers
+        ).T  # row j: the coefficients of the polynomial that is 1 at point j
         A = (c[:, None] ** (powers + 1) / (powers + 1)) @ inverse.T
         return A, inverse @ (1 / (powers + 1))
 
@@ -121,29 +135,54 @@ class Collocation:
     def _close(self, step: ca.Function, name: str) -> ca.Function:
         """Return the Function (x, u, h) of a Function (x, u, h, tolerance)."""
         symbols = [ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3)]
-        return ca.Function("step", symbols, [step(*symbols, self.tolerance)], [name, "u", "h"], [f"{name}_next"])
+        return ca.Function(
+            "step", symbols, [step(*symbols, self.tolerance)], [name, "u", "h"], [f"{name}_next"]
+        )
 
     def _newton(self, ode: ca.Function) -> ca.Function:
         """Return (x, u, h, tolerance) → x_next, by Newton's method for all stages at once."""
         A, b = self.coefficients
         nx, s = ode.size1_in(0), self.degree
-        x, u, h, Z = ca.MX.sym("x", nx), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("h"), ca.MX.sym("Z", nx * s)
+        x, u, h, Z = (
+            ca.MX.sym("x", nx),
+            ca.MX.sym("u", ode.size1_in(1)),
+            ca.MX.sym("h"),
+            ca.MX.sym("Z", nx * s),
+        )
         tolerance = ca.MX.sym("tolerance")
         scale = tolerance / _TOLERANCE  # of the unknowns: the solver's own tolerance is a constant
         columns = ca.horzsplit(ca.reshape(scale * Z, nx, s))
         slopes = ca.horzcat(*(ode(x + column, u) for column in columns))
-        residual = scale * Z - h * ca.vec(ca.mtimes(slopes, ca.DM(A.T)))  # in increments of the state, (IV.8.2): well scaled however stiff
+        residual = scale * Z - h * ca.vec(
+            ca.mtimes(slopes, ca.DM(A.T))
+        )  # in increments of the state, (IV.8.2): well scaled however stiff
         inputs = ca.vertcat(x, u, h, tolerance)
         problem: Any = {"x": Z, "p": inputs, "g": residual}
-        options: Any = {"linear_solver": "qr", "abstol": 1e-300, "abstolStep": _TOLERANCE, "max_iter": self.iterations, "error_on_fail": False}
+        options: Any = {
+            "linear_solver": "qr",
+            "abstol": 1e-300,
+            "abstolStep": _TOLERANCE,
+            "max_iter": self.iterations,
+            "error_on_fail": False,
+        }
         solve = ca.rootfinder("stages", "fast_newton", problem, options)
         guess = h * ca.vec(ca.mtimes(ode(x, u), ca.DM(A.sum(axis=1)).T))
         found = solve(guess / scale, inputs)
-        left = ca.Function("left", [Z, x, u, h, tolerance], [ca.norm_inf(residual)])(found, x, u, h, tolerance)
+        left = ca.Function("left", [Z, x, u, h, tolerance], [ca.norm_inf(residual)])(
+            found, x, u, h, tolerance
+        )
         found = scale * found
-        solved = left <= _RESIDUAL * (ca.norm_inf(x) + ca.norm_inf(found))  # generated code does not tell
+        solved = left <= _RESIDUAL * (
+            ca.norm_inf(x) + ca.norm_inf(found)
+        )  # generated code does not tell
         after = x + ca.mtimes(ca.reshape(found, nx, s), ca.DM(np.linalg.solve(A.T, b)))  # (IV.8.2b)
-        return ca.Function("newton", [x, u, h, tolerance], [ca.if_else(solved, after, np.nan)], ["x", "u", "h", "tolerance"], ["x_next"])
+        return ca.Function(
+            "newton",
+            [x, u, h, tolerance],
+            [ca.if_else(solved, after, np.nan)],
+            ["x", "u", "h", "tolerance"],
+            ["x_next"],
+        )
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
         """Build one step of a model with its control held: that of `step(model.ode)`, found in a fraction of the time.
@@ -158,8 +197,9 @@ class Collocation:
         Returns
         -------
         casadi.Function
-            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x (nx,); with `power` it holds one entry
-            more, the work done, J. Below the control, u holds the parameters, if there are any.
+            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x
+            (nx,); with `power` it holds one entry more, the work done, J. Below the control, u
+            holds the parameters, if there are any.
 
         Raises
         ------
@@ -204,12 +244,22 @@ class Collocation:
         x = z[:nx]
         _, v, clock = model.split(x)
         k, change = solve_stages(model, A, self.iterations)(x, u, h, tolerance)
-        moved = ca.vertcat(h * v + h**2 * ca.mtimes(k, ca.DM(A.T @ b)), h * ca.mtimes(k, ca.DM(b)), ca.DM.ones(clock.shape[0]) * h)
+        moved = ca.vertcat(
+            h * v + h**2 * ca.mtimes(k, ca.DM(A.T @ b)),
+            h * ca.mtimes(k, ca.DM(b)),
+            ca.DM.ones(clock.shape[0]) * h,
+        )
         if power is not None:
             watts = [power(state, u) for state in stage_states(model, A, x, k, h)]
             moved = ca.vertcat(moved, h * ca.mtimes(ca.horzcat(*watts), ca.DM(b)))
         solved = change <= ca.fmax(_LAST_MOVE * tolerance, _ROUNDING * ca.norm_inf(x))
-        return ca.Function("swept", [z, u, h, tolerance], [ca.if_else(solved, z + moved, np.nan)], ["z", "u", "h", "tolerance"], ["z_next"])
+        return ca.Function(
+            "swept",
+            [z, u, h, tolerance],
+            [ca.if_else(solved, z + moved, np.nan)],
+            ["z", "u", "h", "tolerance"],
+            ["z_next"],
+        )
 
     def amplification(self, z: Complex) -> Complex:
         """Compute the factor by which one step multiplies y when y' = λ y.
@@ -227,14 +277,19 @@ class Collocation:
         A, b = self.coefficients
         z = np.asarray(z, dtype=complex)[..., None, None]
         one = np.eye(self.degree)
-        return np.asarray(np.linalg.det(one - z * A + z * np.tile(b, (self.degree, 1))) / np.linalg.det(one - z * A), dtype=complex)
+        return np.asarray(
+            np.linalg.det(one - z * A + z * np.tile(b, (self.degree, 1)))
+            / np.linalg.det(one - z * A),
+            dtype=complex,
+        )
 
 
 def _halve_unsolved(whole: ca.Function) -> ca.Function:
     """Return a step (z, u, h, tolerance) → z_next that is taken in two halves where `whole` gives no finite state, and these likewise.
 
-    Near an impact the modes of strings and contacts, or sliding and sticking, may change in turns from iteration to iteration; in a short
-    enough step the forces hardly change, and the iterations of each converge. Other steps cost as much as before.
+    Near an impact the modes of strings and contacts, or sliding and sticking, may change in turns
+    from iteration to iteration; in a short enough step the forces hardly change, and the iterations
+    of each converge. Other steps cost as much as before.
     """
     symbols = [ca.MX.sym(whole.name_in(i), whole.size1_in(i)) for i in range(4)]
     z, u, h, tolerance = symbols
@@ -245,7 +300,9 @@ def _halve_unsolved(whole: ca.Function) -> ca.Function:
         middle = step(z, u, h / 2, tolerance)
         halves = ca.Function("halves", [*symbols, after], [step(middle, u, h / 2, tolerance)])
         found = whole(*symbols)
-        good = ca.logic_or(ca.fabs(found[0]) < np.inf, ca.logic_not(ca.fabs(z[0]) < np.inf))  # after a failure nothing is tried
+        good = ca.logic_or(
+            ca.fabs(found[0]) < np.inf, ca.logic_not(ca.fabs(z[0]) < np.inf)
+        )  # after a failure nothing is tried
         chosen = ca.Function.if_else("whole_or_halves", kept, halves)(good, *symbols, found)
         step = ca.Function("step", symbols, [chosen], whole.name_in(), whole.name_out())
     return step

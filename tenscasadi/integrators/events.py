@@ -1,7 +1,8 @@
 """Events: strings that go slack or taut and nodes that meet or leave the ground, and the smooth motion between two events.
 
-A mode says of each string whether it pulls, and of each contact of a node with a ground whether it pushes (1 or 0). Within a mode all forces are
-smooth; where a switching function changes its sign, the mode changes.
+A mode says of each string whether it pulls, and of each contact of a node with a ground whether it
+pushes (1 or 0). Within a mode all forces are smooth; where a switching function changes its sign,
+the mode changes.
 """
 
 from __future__ import annotations
@@ -28,17 +29,25 @@ def build_switching(model: Model) -> ca.Function | None:
     x, u = model.symbols(not mech.large)
     N, V, _ = model.unpack(x)
     rows = [forces.string_gaps(scene, mech, N, V, u)] if strings else []
-    rows += [ground.switching(N[:, columns], V[:, columns]) for ground, columns, _ in forces.contacts(bind(scene, u)[0], mech)]
-    return ca.Function("switching", [x, u], ca.cse([ca.densify(ca.horzcat(*rows).T)]), ["x", "u"], ["g"])
+    rows += [
+        ground.switching(N[:, columns], V[:, columns])
+        for ground, columns, _ in forces.contacts(bind(scene, u)[0], mech)
+    ]
+    return ca.Function(
+        "switching", [x, u], ca.cse([ca.densify(ca.horzcat(*rows).T)]), ["x", "u"], ["g"]
+    )
 
 
 def build_held_ode(model: Model, work: bool = False) -> ca.Function:
     """Return (z, w) -> zdot: the motion in the mode of w = (u, mode (k,)), whatever the switching functions say; z is x.
 
-    With `work`, z has one entry more: the work of all forces, J. `potential` tells how much of it comes out of the model's energy: that
-    has kinks of its own, where a damped string lets go while it is still stretched, and would spoil the order as an integrand.
+    With `work`, z has one entry more: the work of all forces, J. `potential` tells how much of it
+    comes out of the model's energy: that has kinks of its own, where a damped string lets go while
+    it is still stretched, and would spoil the order as an integrand.
     """
-    kind: Any = ca.MX if model.mechanism.large else ca.SX  # no calls of staged functions: they would not know the mode
+    kind: Any = (
+        ca.MX if model.mechanism.large else ca.SX
+    )  # no calls of staged functions: they would not know the mode
     z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nw + sum(count_switches(model)))
     N, V, time = model.unpack(z[: model.nx])
     u, mode = split_mode(model, w)
@@ -51,13 +60,17 @@ def build_held_ode(model: Model, work: bool = False) -> ca.Function:
         else:  # reactions of moved supports work too
             push = ca.mtimes(acceleration, sparse(mech.M))
         parts.append(ca.sum2(ca.sum1(push * V)))
-    return ca.Function("held", [z, w], ca.cse([ca.densify(ca.vertcat(*parts))]), ["z", "w"], ["zdot"])
+    return ca.Function(
+        "held", [z, w], ca.cse([ca.densify(ca.vertcat(*parts))]), ["z", "w"], ["zdot"]
+    )
 
 
 def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
     """Return u (nw,), the control and the parameters, and the mode in w = (u, mode (k,))."""
     nu, (strings, contacts) = model.nw, count_switches(model)
-    return w[:nu], forces.Mode(w[nu : nu + strings].T if strings else None, w[nu + strings :].T if contacts else None)
+    return w[:nu], forces.Mode(
+        w[nu : nu + strings].T if strings else None, w[nu + strings :].T if contacts else None
+    )
 
 
 def build_potential(model: Model) -> ca.Function:
@@ -80,7 +93,9 @@ def build_hidden(gaps: ca.Function, model: Model) -> ca.Function:
     x, slope, after, end, u, h, mode = path = _path(gaps, model)
     found = ca.MX(0)
     for t in (0.75, 0.5, 0.25):
-        found = ca.if_else(ca.sum1((gaps(hermite_cubic(x, slope, after, end, h, t), u) > 0) != mode) > 0, t, found)
+        found = ca.if_else(
+            ca.sum1((gaps(hermite_cubic(x, slope, after, end, h, t), u) > 0) != mode) > 0, t, found
+        )
     return ca.Function("hidden", path, [found])
 
 
@@ -89,15 +104,25 @@ def build_root(gaps: ca.Function, model: Model) -> ca.Function:
     x, slope, after, end, u, h, mode = path = _path(gaps, model)
     low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
     sign = 2 * mode - 1
-    value = ca.Function("value", [t, *path], [ca.mmin(sign * gaps(hermite_cubic(x, slope, after, end, h, t / h), u))])
+    value = ca.Function(
+        "value",
+        [t, *path],
+        [ca.mmin(sign * gaps(hermite_cubic(x, slope, after, end, h, t / h), u))],
+    )
     a, b, at_a, at_b = (ca.MX.sym(name) for name in ("a", "b", "at_a", "at_b"))
     middle = (a + b) / 2
     at_middle = value(middle, *path)
     new = middle + (middle - a) * at_middle / ca.sqrt(at_middle**2 - at_a * at_b + 1e-300)
     at_new = value(new, *path)
     before, half = at_new > 0, at_middle > 0
-    ends = [ca.if_else(before, new, ca.if_else(half, middle, a)), ca.if_else(before, ca.if_else(half, b, middle), new)]
-    ends += [ca.if_else(before, at_new, ca.if_else(half, at_middle, at_a)), ca.if_else(before, ca.if_else(half, at_b, at_middle), at_new)]
+    ends = [
+        ca.if_else(before, new, ca.if_else(half, middle, a)),
+        ca.if_else(before, ca.if_else(half, b, middle), new),
+    ]
+    ends += [
+        ca.if_else(before, at_new, ca.if_else(half, at_middle, at_a)),
+        ca.if_else(before, ca.if_else(half, at_b, at_middle), at_new),
+    ]
     ridders = ca.Function("ridders", [a, b, at_a, at_b, *path], ends)
     bracket = [low, high, value(low, *path), value(high, *path)]
     sure = ca.logic_and(bracket[2] > 0, bracket[3] < 0)
@@ -108,7 +133,11 @@ def build_root(gaps: ca.Function, model: Model) -> ca.Function:
     found = ca.Function("found", arguments, [ca.if_else(sure, bracket[1], outside)])
     nothing = ca.Function("nothing", arguments, [ca.MX(0)])
     wanted = ca.MX.sym("wanted")
-    return ca.Function("root", [*arguments, wanted], [ca.Function.if_else("root_choice", found, nothing)(wanted, *arguments)])
+    return ca.Function(
+        "root",
+        [*arguments, wanted],
+        [ca.Function.if_else("root_choice", found, nothing)(wanted, *arguments)],
+    )
 
 
 def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:

@@ -9,7 +9,13 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.constraint_forces import call_weighted, project_velocities, remove_residuals, residuals, stretch_bars
+from tenscasadi.dynamics.constraint_forces import (
+    call_weighted,
+    project_velocities,
+    remove_residuals,
+    residuals,
+    stretch_bars,
+)
 from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
@@ -17,8 +23,13 @@ from tenscasadi.integrators.scheme import Complex
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, Tableau
 from tenscasadi.util.validate import instance, shown, whole_number
 
-_OUTER = 1 / (4 - 4 ** (1 / 3))  # Suzuki's five steps of order 4: Hairer, Lubich, Wanner, Geometric Numerical Integration, (II.4.5)
-_FRACTIONS: dict[int, tuple[float, ...]] = {2: (1.0,), 4: (_OUTER, _OUTER, 1 - 4 * _OUTER, _OUTER, _OUTER)}
+_OUTER = (
+    1 / (4 - 4 ** (1 / 3))
+)  # Suzuki's five steps of order 4: Hairer, Lubich, Wanner, Geometric Numerical Integration, (II.4.5)
+_FRACTIONS: dict[int, tuple[float, ...]] = {
+    2: (1.0,),
+    4: (_OUTER, _OUTER, 1 - 4 * _OUTER, _OUTER, _OUTER),
+}
 _FINISH = 2  # iterations that leave nothing where those of the scheme do not converge
 _KICKS = {2: MIDPOINT, 4: CLASSICAL}
 
@@ -27,9 +38,11 @@ _KICKS = {2: MIDPOINT, 4: CLASSICAL}
 class Rattle:
     """Rattle: symplectic and reversible steps that keep bars and joints to rounding, of order 2 or 4.
 
-    A step drifts half its length without forces, kicks the velocities by the forces at its middle, and drifts again. Without damping and
-    friction the energy stays within a band that shrinks like step² (step⁴), however long the run. It is stable for step · ω_max < 2
-    (order 4: 2.72, for five times the work), with ω_max the fastest vibration, rad/s, and while no bar turns by 90° in half a step.
+    A step drifts half its length without forces, kicks the velocities by the forces at its middle,
+    and drifts again. Without damping and friction the energy stays within a band that shrinks like
+    step² (step⁴), however long the run. It is stable for step · ω_max < 2 (order 4: 2.72, for five
+    times the work), with ω_max the fastest vibration, rad/s, and while no bar turns by 90° in half
+    a step.
 
     Parameters
     ----------
@@ -45,20 +58,24 @@ class Rattle:
 
     Notes
     -----
-    Drifts are the step of [1]_ without forces: bars and joints hold to rounding after each, positions by impulses along the bars as they
-    were before, velocities by impulses along the bars as they are after. A bar that stands alone takes the root of a quadratic and a
-    division. Bars that meet take Newton's method with the matrix of the drift's start, whose error falls by about the angle that bars turn
-    in half a step each time, and a few iterations with that of its end, which matter where bars fold into a line. Moved supports are where
-    they belong after each drift.
+    Drifts are the step of [1]_ without forces: bars and joints hold to rounding after each,
+    positions by impulses along the bars as they were before, velocities by impulses along the bars
+    as they are after. A bar that stands alone takes the root of a quadratic and a division. Bars
+    that meet take Newton's method with the matrix of the drift's start, whose error falls by about
+    the angle that bars turn in half a step each time, and a few iterations with that of its end,
+    which matter where bars fold into a line. Moved supports are where they belong after each drift.
 
-    Kicks are the flow of V' = F(N, V) M⁻ on the tangent space at the middle of the step: exact, with one evaluation of the forces, where
-    no force depends on velocity [2]_. String damping and the ground's damping and friction are integrated within the kick by the explicit
-    midpoint rule (order 4: the classical Runge-Kutta method), two (four) evaluations. That keeps the order but is not symplectic.
+    Kicks are the flow of V' = F(N, V) M⁻ on the tangent space at the middle of the step: exact,
+    with one evaluation of the forces, where no force depends on velocity [2]_. String damping and
+    the ground's damping and friction are integrated within the kick by the explicit midpoint rule
+    (order 4: the classical Runge-Kutta method), two (four) evaluations. That keeps the order but is
+    not symplectic.
 
     References
     ----------
-    .. [1] H. C. Andersen, Rattle: a "velocity" version of the Shake algorithm, Journal of Computational Physics 52, 1983, 24-34.
-    .. [2] E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, sections VII.1, IX.3 and IX.5.
+    .. [1] H. C. Andersen, Rattle: a "velocity" version of the Shake algorithm, Journal of
+    Computational Physics 52, 1983, 24-34. .. [2] E. Hairer, C. Lubich, G. Wanner, Geometric
+    Numerical Integration, sections VII.1, IX.3 and IX.5.
 
     Examples
     --------
@@ -75,7 +92,11 @@ class Rattle:
     implicit: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.order, (int, np.integer)) or isinstance(self.order, bool) or self.order not in _FRACTIONS:
+        if (
+            not isinstance(self.order, (int, np.integer))
+            or isinstance(self.order, bool)
+            or self.order not in _FRACTIONS
+        ):
             raise ValueError(f"Rattle.order is {shown(self.order)}: give 2 or 4")
         whole_number("Rattle.iterations", self.iterations, 1)
 
@@ -114,8 +135,9 @@ class Rattle:
         Returns
         -------
         casadi.Function
-            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x (nx,); with `power` it holds one entry
-            more, the work done, J. Below the control, u holds the parameters, if there are any.
+            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x
+            (nx,); with `power` it holds one entry more, the work done, J. Below the control, u
+            holds the parameters, if there are any.
 
         Raises
         ------
@@ -141,7 +163,8 @@ class Rattle:
         Returns
         -------
         ndarray of complex
-            Largest |eigenvalue| of the step of q'' = −ω² q − c q', whose roots are λ and its conjugate (or 0, where λ is real), of the shape of z.
+            Largest |eigenvalue| of the step of q'' = −ω² q − c q', whose roots are λ and its
+            conjugate (or 0, where λ is real), of the shape of z.
         """
         z = np.asarray(z, dtype=complex)
         total = np.broadcast_to(np.eye(2), (*z.shape, 2, 2))
@@ -200,7 +223,9 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
         V = tangent(N, V + h * _weighted(kick.b, slopes), time)
     else:
         V = tangent(N, V + h * call_weighted(mech, acceleration, N, V, u, time)[0], time)
-    supplied = [] if power is None else [z[model.nx] + h * power(model.pack(N, (before + V) / 2, time), u)]
+    supplied = (
+        [] if power is None else [z[model.nx] + h * power(model.pack(N, (before + V) / 2, time), u)]
+    )
 
     N, V, time = drift(N, V, time)
     end = ca.vertcat(model.pack(N, tangent(N, V, time), time), *supplied)
@@ -228,13 +253,20 @@ def _constrained(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) ->
 def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
     """Return the same by Newton's method.
 
-    Where bars come to lie in a line, those impulses tell some of them no longer apart, and the iteration would diverge: it keeps the
-    best it had, and the rest is taken away by impulses along the bars as they are.
+    Where bars come to lie in a line, those impulses tell some of them no longer apart, and the
+    iteration would diverge: it keeps the best it had, and the rest is taken away by impulses along
+    the bars as they are.
     """
 
     def residual(N: Any) -> tuple[Any, Any, Any]:
         excess, gap = residuals(mech, N, mech.bar_vectors(N), D)
-        return excess, gap, ca.norm_inf(ca.vertcat((excess / ca.DM(mech.lengths).T).T, ca.vec(mech.along_held(gap))))
+        return (
+            excess,
+            gap,
+            ca.norm_inf(
+                ca.vertcat((excess / ca.DM(mech.lengths).T).T, ca.vec(mech.along_held(gap)))
+            ),
+        )
 
     moved = free
     excess, gap, size = residual(moved)
@@ -242,7 +274,10 @@ def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
         trial = remove_residuals(mech, moved, B, excess, gap)
         better = residual(trial)
         kept = better[2] < size
-        moved, excess, gap, size = (ca.if_else(kept, new, old) for new, old in zip((trial, *better), (moved, excess, gap, size), strict=True))
+        moved, excess, gap, size = (
+            ca.if_else(kept, new, old)
+            for new, old in zip((trial, *better), (moved, excess, gap, size), strict=True)
+        )
     for _ in range(_FINISH):
         moved = remove_residuals(mech, moved, mech.bar_vectors(moved), excess, gap)
         excess, gap, _ = residual(moved)

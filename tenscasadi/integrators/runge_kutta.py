@@ -11,8 +11,20 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import Complex, check_ode, check_relative_tolerance, equations, extent, stability_limit
-from tenscasadi.integrators.tableaux import CLASSICAL, DORMAND_PRINCE_54, DORMAND_PRINCE_853, Tableau
+from tenscasadi.integrators.scheme import (
+    Complex,
+    check_ode,
+    check_relative_tolerance,
+    equations,
+    extent,
+    stability_limit,
+)
+from tenscasadi.integrators.tableaux import (
+    CLASSICAL,
+    DORMAND_PRINCE_54,
+    DORMAND_PRINCE_853,
+    Tableau,
+)
 from tenscasadi.util.validate import instance, positive_number, shown, whole_number
 
 SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
@@ -65,8 +77,9 @@ class ExplicitRungeKutta:
         Returns
         -------
         casadi.Function
-            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x (nx,); with `power` it holds one entry
-            more, the work done, J. Below the control, u holds the parameters, if there are any.
+            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x
+            (nx,); with `power` it holds one entry more, the work done, J. Below the control, u
+            holds the parameters, if there are any.
 
         Raises
         ------
@@ -89,7 +102,9 @@ class ExplicitRungeKutta:
         ndarray of complex
             R(z), the method's stability polynomial, of the shape of z.
         """
-        return np.asarray(np.polynomial.polynomial.polyval(z, self.tableau.stability_polynomial()), dtype=complex)
+        return np.asarray(
+            np.polynomial.polynomial.polyval(z, self.tableau.stability_polynomial()), dtype=complex
+        )
 
     @property
     def imaginary_limit(self) -> float:
@@ -106,7 +121,8 @@ class ExplicitRungeKutta:
 class RungeKutta4(ExplicitRungeKutta):
     """Classical explicit Runge-Kutta method of order 4.
 
-    A step takes four evaluations of the equations of motion. It is stable for step · ω_max < 2.83, with ω_max the fastest vibration, rad/s.
+    A step takes four evaluations of the equations of motion. It is stable for step · ω_max < 2.83,
+    with ω_max the fastest vibration, rad/s.
 
     See Also
     --------
@@ -114,7 +130,8 @@ class RungeKutta4(ExplicitRungeKutta):
 
     References
     ----------
-    .. [1] E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, Table II.1.2.
+    .. [1] E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, Table
+    II.1.2.
 
     Examples
     --------
@@ -145,7 +162,9 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
             object.__setattr__(self, "rtol", check_relative_tolerance(f"{name}.rtol", self.rtol))
         if self.atol is not None:
             if self.rtol is None:
-                raise ValueError(f"{name}.atol is {shown(self.atol)}, but rtol is None: give both for control of the error, or neither")
+                raise ValueError(
+                    f"{name}.atol is {shown(self.atol)}, but rtol is None: give both for control of the error, or neither"
+                )
             object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol, zero=True))
         whole_number(f"{name}.max_attempts", self.max_attempts, 1)
 
@@ -157,7 +176,9 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
     def tolerances(self, model: Model) -> tuple[float, float]:
         """Return rtol and atol for a model: atol in m and m/s. Raises TypeError, ValueError for fixed steps."""
         if self.rtol is None:
-            raise ValueError(f"{type(self).__name__}.rtol is None: give a tolerance for control of the error")
+            raise ValueError(
+                f"{type(self).__name__}.rtol is None: give a tolerance for control of the error"
+            )
         return self.rtol, extent(model) * self.rtol if self.atol is None else self.atol
 
 
@@ -165,17 +186,19 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
 class DormandPrince54(EmbeddedRungeKutta):
     """Dormand and Prince's explicit Runge-Kutta method of order 5.
 
-    A step takes six evaluations of the equations of motion. Fixed steps are stable for step · ω_max < 1 (vibrations at ω_max, rad/s) and
-    step · rate < 3.3 (overdamped motion).
+    A step takes six evaluations of the equations of motion. Fixed steps are stable for step · ω_max
+    < 1 (vibrations at ω_max, rad/s) and step · rate < 3.3 (overdamped motion).
 
     Parameters
     ----------
     rtol : float, optional
-        Largest error of a step relative to each entry of the state, 1e-15 ≤ rtol < 1; None: fixed steps without control of the error.
+        Largest error of a step relative to each entry of the state, 1e-15 ≤ rtol < 1; None: fixed
+        steps without control of the error.
     atol : float, optional
         Error that is allowed in addition, m and m/s; None: `rtol` times the structure's extent.
     max_attempts : int
-        Attempts, accepted or not, between two times of the grid that `simulate` lays, before the run is given up.
+        Attempts, accepted or not, between two times of the grid that `simulate` lays, before the
+        run is given up.
 
     Raises
     ------
@@ -188,13 +211,15 @@ class DormandPrince54(EmbeddedRungeKutta):
 
     Notes
     -----
-    With `rtol` the scheme chooses its steps. Errors are root mean squares over all coordinates and velocities. After many steps the motion
-    is off by more than one step's error, by a factor that depends on the motion. Steps end where strings go slack or taut and where nodes
-    meet or leave the ground, so that the order is kept across such events.
+    With `rtol` the scheme chooses its steps. Errors are root mean squares over all coordinates and
+    velocities. After many steps the motion is off by more than one step's error, by a factor that
+    depends on the motion. Steps end where strings go slack or taut and where nodes meet or leave
+    the ground, so that the order is kept across such events.
 
     References
     ----------
-    .. [1] E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, Table II.5.2 and section II.4.
+    .. [1] E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, Table
+    II.5.2 and section II.4.
 
     Examples
     --------
@@ -213,17 +238,19 @@ class DormandPrince54(EmbeddedRungeKutta):
 class DormandPrince853(EmbeddedRungeKutta):
     """Dormand and Prince's explicit Runge-Kutta method of order 8, with the error estimate of DOP853.
 
-    A step takes twelve evaluations of the equations of motion. Fixed steps are stable for step · ω_max < 5.96, with ω_max the fastest
-    vibration, rad/s.
+    A step takes twelve evaluations of the equations of motion. Fixed steps are stable for step ·
+    ω_max < 5.96, with ω_max the fastest vibration, rad/s.
 
     Parameters
     ----------
     rtol : float, optional
-        Largest error of a step relative to each entry of the state, 1e-15 ≤ rtol < 1; None: fixed steps without control of the error.
+        Largest error of a step relative to each entry of the state, 1e-15 ≤ rtol < 1; None: fixed
+        steps without control of the error.
     atol : float, optional
         Error that is allowed in addition, m and m/s; None: `rtol` times the structure's extent.
     max_attempts : int
-        Attempts, accepted or not, between two times of the grid that `simulate` lays, before the run is given up.
+        Attempts, accepted or not, between two times of the grid that `simulate` lays, before the
+        run is given up.
 
     Raises
     ------
@@ -236,7 +263,8 @@ class DormandPrince853(EmbeddedRungeKutta):
 
     References
     ----------
-    .. [1] E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, section II.5.
+    .. [1] E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, section
+    II.5.
 
     Examples
     --------
@@ -255,7 +283,9 @@ def build_step(tableau: Tableau, ode: ca.Function) -> ca.Function:
     """Return one step of the method: Function "step" (x, u, h) -> x_next that calls `ode` once a stage that counts."""
     x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
     slopes = _slopes(tableau, ode, x, u, h, needed_stages(tableau))
-    return ca.Function("step", [x, u, h], [_advance(x, h, tableau.b, slopes)], ["x", "u", "h"], ["x_next"])
+    return ca.Function(
+        "step", [x, u, h], [_advance(x, h, tableau.b, slopes)], ["x", "u", "h"], ["x_next"]
+    )
 
 
 def build_trial(tableau: Tableau, ode: ca.Function) -> ca.Function:
@@ -269,11 +299,16 @@ def build_trial(tableau: Tableau, ode: ca.Function) -> ca.Function:
     after = _advance(x, h, tableau.b, slopes)
     same_as_last = tableau.a[-1] == tableau.b[:-1] and tableau.b[-1] == 0
     outputs = [after, ca.densify(errors), slopes[0], slopes[-1] if same_as_last else ode(after, u)]
-    return ca.Function("trial", [x, u, h], outputs, ["x", "u", "h"], ["x_next", "errors", "slope", "slope_next"])
+    return ca.Function(
+        "trial", [x, u, h], outputs, ["x", "u", "h"], ["x_next", "errors", "slope", "slope_next"]
+    )
 
 
-def _slopes(tableau: Tableau, ode: ca.Function, x: ca.MX, u: ca.MX, h: ca.MX, needed: set[int]) -> list[ca.MX]:
-    # Calls instead of inlined copies: code stays as small as ode's, and compiles and runs faster than one unrolled graph.
+def _slopes(
+    tableau: Tableau, ode: ca.Function, x: ca.MX, u: ca.MX, h: ca.MX, needed: set[int]
+) -> list[ca.MX]:
+    # Calls instead of inlined copies: code stays as small as ode's, and compiles and runs faster
+    # than one unrolled graph.
     slopes: list[ca.MX] = []
     for i, row in enumerate(tableau.a):
         slopes.append(ode(_advance(x, h, row, slopes), u) if i in needed else ca.MX(x.shape[0], 1))
@@ -291,7 +326,10 @@ def needed_stages(tableau: Tableau) -> set[int]:
 
 def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
     """Return x + h Σ weight · slope, with slopes of equal weight added first: each product is a pass over the state. Many are one product."""
-    used = {weight: reduce(add, (slopes[k] for k in equal)) for weight, equal in equal_weights(weights).items()}
+    used = {
+        weight: reduce(add, (slopes[k] for k in equal))
+        for weight, equal in equal_weights(weights).items()
+    }
     if len(used) > SEVERAL:
         return x + ca.mtimes(ca.horzcat(*used.values()), h * ca.DM(list(used)))
     for weight, slope in used.items():
@@ -301,4 +339,8 @@ def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]
 
 def equal_weights(weights: tuple[float, ...]) -> dict[float, list[int]]:
     """Return the stages of each weight that is not 0."""
-    return {weight: [k for k, own in enumerate(weights) if own == weight] for weight in weights if weight}
+    return {
+        weight: [k for k, own in enumerate(weights) if own == weight]
+        for weight in weights
+        if weight
+    }

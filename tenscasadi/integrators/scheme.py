@@ -34,7 +34,8 @@ class Scheme(Protocol):
         """Build one step of a model with u held: Function "step" (z, u, h) -> z_next, z = x.
 
         Where the model has parameters, u is the control and below it these, `model.nw` entries.
-        With `power` (x, u) -> W, z holds one entry more: the work that it has done, J. TypeError for anything but a Model.
+        With `power` (x, u) -> W, z holds one entry more: the work that it has done, J. TypeError
+        for anything but a Model.
         """
 
     def step(self, ode: ca.Function) -> ca.Function:
@@ -51,7 +52,9 @@ def check_relative_tolerance(field: str, value: Any) -> float:
     """Return `value` as a float, 1e-15 or more and less than 1. Raises TypeError, ValueError."""
     rtol = positive_number(field, value)
     if rtol < 1e-15 or rtol >= 1:
-        raise ValueError(f"{field} is {rtol:g}: give 1e-15 or more, which is rounding, and less than 1")
+        raise ValueError(
+            f"{field} is {rtol:g}: give 1e-15 or more, which is rounding, and less than 1"
+        )
     return rtol
 
 
@@ -64,7 +67,13 @@ def extent(model: Model) -> float:
 def add_work(ode: ca.Function, power: ca.Function) -> ca.Function:
     """Return (z, u) -> zdot: the ode with the work of `power` (x, u) -> W as one more state, so that a scheme integrates both alike."""
     x, u, work = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("work")
-    return ca.Function("ode_and_work", [ca.vertcat(x, work), u], [ca.vertcat(ode(x, u), power(x, u))], ["z", "u"], ["zdot"])
+    return ca.Function(
+        "ode_and_work",
+        [ca.vertcat(x, work), u],
+        [ca.vertcat(ode(x, u), power(x, u))],
+        ["z", "u"],
+        ["zdot"],
+    )
 
 
 def equations(model: Model, power: ca.Function | None) -> ca.Function:
@@ -76,27 +85,42 @@ def equations(model: Model, power: ca.Function | None) -> ca.Function:
 def check_ode(ode: ca.Function) -> None:
     """Raise TypeError or ValueError unless `ode` is a CasADi Function (x, u) -> xdot with columns x and xdot of one length."""
     instance("ode", ode, ca.Function, "a casadi.Function (x, u) -> xdot")
-    if ode.n_in() != 2 or ode.n_out() != 1 or ode.size_out(0) != ode.size_in(0) or ode.size2_in(0) != 1:
-        raise ValueError(f"ode is {ode}: give a casadi.Function (x, u) -> xdot with columns x and xdot of the same length")
+    if (
+        ode.n_in() != 2
+        or ode.n_out() != 1
+        or ode.size_out(0) != ode.size_in(0)
+        or ode.size2_in(0) != 1
+    ):
+        raise ValueError(
+            f"ode is {ode}: give a casadi.Function (x, u) -> xdot with columns x and xdot of the same length"
+        )
 
 
 def check_scheme(scheme: Any, field: str = "scheme") -> None:
     """Raise TypeError unless `scheme` is a scheme (and not, for instance, the class without parentheses)."""
     if isinstance(scheme, type) or not isinstance(scheme, Scheme):
         lacks = [name for name in _MEMBERS if not hasattr(scheme, name)]
-        why = "" if isinstance(scheme, type) or len(lacks) == len(_MEMBERS) else f" and lacks {', '.join(lacks)}"
-        raise TypeError(f"{field} is {shown(scheme)}{why}: give an integration scheme, such as RungeKutta4()")
+        why = (
+            ""
+            if isinstance(scheme, type) or len(lacks) == len(_MEMBERS)
+            else f" and lacks {', '.join(lacks)}"
+        )
+        raise TypeError(
+            f"{field} is {shown(scheme)}{why}: give an integration scheme, such as RungeKutta4()"
+        )
 
 
 def stability_limit(scheme: Scheme, direction: Complex, reach: float = 50.0) -> Array:
     """Return the largest r such that |R(s z)| ≤ 1 for 0 ≤ s ≤ r, along each `direction` z; infinite where that holds up to r |z| = `reach`.
 
-    `direction` is an array (k,) of non-zero complex numbers, for instance eigenvalues: r is then the largest stable step.
-    A direction that grows by itself (real part > 0) counts as one on the imaginary axis: growth of the motion is no instability of the scheme.
+    `direction` is an array (k,) of non-zero complex numbers, for instance eigenvalues: r is then
+    the largest stable step. A direction that grows by itself (real part > 0) counts as one on the
+    imaginary axis: growth of the motion is no instability of the scheme.
     """
     z = np.where(direction.real > 0, 1j * np.abs(direction), direction)
     unit = z / np.abs(z)
-    # The neutral tolerance admits rounding, and methods whose |R| exceeds one on the imaginary axis by less than any run would notice.
+    # The neutral tolerance admits rounding, and methods whose |R| exceeds one on the imaginary axis
+    # by less than any run would notice.
     grid = np.linspace(0, reach, 2001)
     unstable = np.abs(scheme.amplification(np.multiply.outer(unit, grid))) > 1 + 1e-9
     first = np.argmax(unstable, axis=1)

@@ -17,26 +17,41 @@ from tenscasadi.util.validate import finite_array, instance, positive_number
 
 DENSE = 400  # states up to which all eigenvalues are computed
 _QUICK = 100  # states up to which the Jacobian is built for a bound
-_PROBES = 4  # products with the Jacobian of a large model that give a first idea of its fastest rate
+_PROBES = (
+    4  # products with the Jacobian of a large model that give a first idea of its fastest rate
+)
 _PROBED = 3.0  # factor on that idea, which is too low
-_BOUNCE, _SLIP = 0.1, 0.25  # radians of a node that bounces on a ground in a step; share of a slip that friction stops in it
+_BOUNCE, _SLIP = (
+    0.1,
+    0.25,
+)  # radians of a node that bounces on a ground in a step; share of a slip that friction stops in it
 _ROUNDED = 1e-9  # growth of a mode in a step that may be rounding
-_HALF_DISC = np.append(1j * np.linspace(0, 1, 101), np.exp(1j * np.linspace(np.pi / 2, np.pi, 100)))  # edge of its upper half
+_HALF_DISC = np.append(
+    1j * np.linspace(0, 1, 101), np.exp(1j * np.linspace(np.pi / 2, np.pi, 100))
+)  # edge of its upper half
 
 
 def fastest_rate(model: Model, x: Any = None, u: Any = None, parameters: Any = None) -> float:
     """Compute ω_max, rad/s: the largest |eigenvalue| of ∂ode/∂x at state `x` (nx,) and control `u` (nu,); None: the model's initial ones.
 
-    Above 400 states it is found by Arnoldi's method to about 1 %. NaN where the linearisation is not finite. Raises TypeError, ValueError.
+    Above 400 states it is found by Arnoldi's method to about 1 %. NaN where the linearisation is
+    not finite. Raises TypeError, ValueError.
     """
     return float(np.abs(_rates(model, x, u, parameters)).max(initial=0.0))
 
 
-def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = RungeKutta4(), safety: float = 0.9, parameters: Any = None) -> float:
+def stable_step(
+    model: Model,
+    x: Any = None,
+    u: Any = None,
+    scheme: Scheme = RungeKutta4(),
+    safety: float = 0.9,
+    parameters: Any = None,
+) -> float:
     """Compute the largest step at which a scheme is stable for the motion linearised at a state.
 
-    A larger step makes vibrations grow until the run breaks down; a much smaller one is a matter of accuracy. Strings that go taut and bars
-    that spin faster later on change the limit.
+    A larger step makes vibrations grow until the run breaks down; a much smaller one is a matter of
+    accuracy. Strings that go taut and bars that spin faster later on change the limit.
 
     Parameters
     ----------
@@ -70,8 +85,8 @@ def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = Run
 
     Notes
     -----
-    The limit is where the amplification |R(step · λ)| passes 1 for an eigenvalue λ of ∂ode/∂x. Above 400 states the largest eigenvalues are
-    found by Arnoldi's method, to about 1 %.
+    The limit is where the amplification |R(step · λ)| passes 1 for an eigenvalue λ of ∂ode/∂x.
+    Above 400 states the largest eigenvalues are found by Arnoldi's method, to about 1 %.
 
     Examples
     --------
@@ -83,21 +98,28 @@ def stable_step(model: Model, x: Any = None, u: Any = None, scheme: Scheme = Run
     check_scheme(scheme)
     limit = positive_number("safety", safety) * step_limit(scheme, _rates(model, x, u, parameters))
     if np.isnan(limit):
-        warnings.warn("stable_step is NaN: the equations have no finite derivative at x, as where a bar has no length", UserWarning, stacklevel=2)
+        warnings.warn(
+            "stable_step is NaN: the equations have no finite derivative at x, as where a bar has no length",
+            UserWarning,
+            stacklevel=2,
+        )
     return limit
 
 
 def contact_rate(model: Model) -> float:
     """Compute how fast, rad/s, the lightest node bounces on the grounds of the scene, or is damped by them; 0 without one."""
     m = lightest_mass(model)
-    return max((max(float(np.sqrt(g.stiffness / m)), float(g.damping) / m) for g in model.scene.grounds), default=0.0)
+    return max(
+        (max(float(np.sqrt(g.stiffness / m)), float(g.damping) / m) for g in model.scene.grounds),
+        default=0.0,
+    )
 
 
 def contact_step(model: Model) -> float:
     """Compute the step, s, that follows what happens where nodes touch the grounds of the scene; infinite without one.
 
-    It resolves bouncing and damping, and how fast friction of a third of the weight stops a node that slips, up to a tenth of the step that
-    the former need.
+    It resolves bouncing and damping, and how fast friction of a third of the weight stops a node
+    that slips, up to a tenth of the step that the former need.
     """
     rate = contact_rate(model)
     if not rate:
@@ -105,24 +127,45 @@ def contact_step(model: Model) -> float:
     g = model.scene.gravity
     push = 0.0 if g is None else float(model.mechanism.M.sum()) * float(ca.norm_2(g.at(0.0))) / 3
     m = lightest_mass(model)
-    stop = max((float(one.friction) * push / (m * float(one.slip_speed)) for one in model.scene.grounds if one.friction is not None), default=0.0)
+    stop = max(
+        (
+            float(one.friction) * push / (m * float(one.slip_speed))
+            for one in model.scene.grounds
+            if one.friction is not None
+        ),
+        default=0.0,
+    )
     return float(min(_BOUNCE / rate, max(_SLIP / max(stop, 1e-300), _BOUNCE / (10 * rate))))
 
 
 def lightest_mass(model: Model) -> float:
     """Compute the least mass, kg, that a force on one free node moves, were it not for bars: 1/max diag M⁻¹."""
     mech = model.mechanism
-    if model.coordinates == "full":  # pinned nodes without mass are free there, and held by Ω: M⁻ has masses for them that do not matter
+    if (
+        model.coordinates == "full"
+    ):  # pinned nodes without mass are free there, and held by Ω: M⁻ has masses for them that do not matter
         return float(1 / mech.inverse[0].diagonal().max())
     return float(1 / np.linalg.inv(np.asarray(mech.free_mass.toarray())).diagonal().max())
 
 
-def log_growth(model: Model, scheme: Scheme, step: float, x: Any, u: Any, ignored: float, bound: float, parameters: Any = None) -> float:
+def log_growth(
+    model: Model,
+    scheme: Scheme,
+    step: float,
+    x: Any,
+    u: Any,
+    ignored: float,
+    bound: float,
+    parameters: Any = None,
+) -> float:
     """Compute log |R| of the mode of the motion linearised at a state that one step, s, of a scheme amplifies most; 0 where none grows.
 
-    Growth of the motion itself is none of the scheme. What the `rate_bound` leaves below `ignored` is returned as 0.
+    Growth of the motion itself is none of the scheme. What the `rate_bound` leaves below `ignored`
+    is returned as 0.
     """
-    if _largest_log(scheme, step * bound * _HALF_DISC) <= ignored:  # R is analytic: it is largest on the edge
+    if (
+        _largest_log(scheme, step * bound * _HALF_DISC) <= ignored
+    ):  # R is analytic: it is largest on the edge
         return 0.0
     rates = _rates(model, x, u, parameters)
     return _largest_log(scheme, step * np.where(rates.real > 0, 1j * np.abs(rates), rates))
@@ -167,7 +210,9 @@ def _jacobian(model: Model) -> ca.Function:
     key = ("linearisation",)
     if key not in model.functions:
         X, W = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
-        model.functions[key] = ca.Function("jacobian", [X, W], [ca.jacobian(model.stacked(model.ode)(X, W), X)])
+        model.functions[key] = ca.Function(
+            "jacobian", [X, W], [ca.jacobian(model.stacked(model.ode)(X, W), X)]
+        )
     function: ca.Function = model.functions[key]
     return function
 
@@ -177,7 +222,9 @@ def _directional(model: Model) -> ca.Function:
     key = ("linearisation along",)
     if key not in model.functions:
         X, W, V = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw), ca.MX.sym("v", model.nx)
-        model.functions[key] = ca.Function("along", [X, W, V], [ca.jtimes(model.stacked(model.ode)(X, W), X, V)])
+        model.functions[key] = ca.Function(
+            "along", [X, W, V], [ca.jtimes(model.stacked(model.ode)(X, W), X, V)]
+        )
     function: ca.Function = model.functions[key]
     return function
 
@@ -214,9 +261,13 @@ def _largest_eigenvalues(model: Model, state: ca.DM, control: ca.DM) -> Complex:
     start = np.random.default_rng(0).normal(size=model.nx)  # fixed: the same answer every time
     if not np.all(np.isfinite(along(state, control, start).full())):
         return np.array([complex(np.nan)])
-    operator = LinearOperator((model.nx, model.nx), matvec=lambda v: along(state, control, v).full().ravel(), dtype=float)
+    operator = LinearOperator(
+        (model.nx, model.nx), matvec=lambda v: along(state, control, v).full().ravel(), dtype=float
+    )
     try:
-        found = eigs(operator, k=6, which="LM", v0=start, tol=1e-3, ncv=40, return_eigenvectors=False)
+        found = eigs(
+            operator, k=6, which="LM", v0=start, tol=1e-3, ncv=40, return_eigenvectors=False
+        )
     except ArpackNoConvergence as error:
         found = error.eigenvalues
     except ArpackError:

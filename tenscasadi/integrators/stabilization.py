@@ -9,7 +9,12 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.dynamics.constraint_forces import project_velocities, remove_residuals, residuals, stretch_bars
+from tenscasadi.dynamics.constraint_forces import (
+    project_velocities,
+    remove_residuals,
+    residuals,
+    stretch_bars,
+)
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
@@ -21,15 +26,16 @@ from tenscasadi.util.validate import Array, instance, positive_number, whole_num
 class Projection:
     """Projection of a state onto all bars and joints at once, by the smallest movement in the sense of the mass matrix.
 
-    It keeps linear and angular momentum; energy is not kept exactly. Unlike `BarLengthCorrection` it also serves closed loops of bars and
-    string nodes.
+    It keeps linear and angular momentum; energy is not kept exactly. Unlike `BarLengthCorrection`
+    it also serves closed loops of bars and string nodes.
 
     Parameters
     ----------
     every : int
         Steps of a run from one correction to the next.
     iterations : int
-        Newton's iterations in position where bars meet; bars that stand alone need one, in closed form.
+        Newton's iterations in position where bars meet; bars that stand alone need one, in closed
+        form.
 
     Raises
     ------
@@ -42,7 +48,8 @@ class Projection:
 
     Notes
     -----
-    Positions follow from Newton's method on ½(bᵀb − l²) = 0 and N P = D, velocities from one linear solution of bᵀḃ = 0 and Ṅ P = Ḋ.
+    Positions follow from Newton's method on ½(bᵀb − l²) = 0 and N P = D, velocities from one linear
+    solution of bᵀḃ = 0 and Ṅ P = Ḋ.
 
     Examples
     --------
@@ -71,7 +78,8 @@ class Projection:
         Returns
         -------
         casadi.Function or None
-            Function (x) → x corrected, both (nx,), or (x, p) where the model has parameters; None where it has nothing to keep.
+            Function (x) → x corrected, both (nx,), or (x, p) where the model has parameters; None
+            where it has nothing to keep.
 
         Raises
         ------
@@ -86,8 +94,8 @@ class Projection:
 class BarLengthCorrection:
     """Correction of each bar's length and rate alone, then of joints: the paper's Appendix C.
 
-    In closed loops of bars joints stay open by about half of what the bars were wrong, for the existence condition, Eq. 143, does not hold:
-    prefer `Projection` there.
+    In closed loops of bars joints stay open by about half of what the bars were wrong, for the
+    existence condition, Eq. 143, does not hold: prefer `Projection` there.
 
     Parameters
     ----------
@@ -103,8 +111,9 @@ class BarLengthCorrection:
 
     Notes
     -----
-    A bar's vector moves by p and its rate by r such that q‖p‖² + ‖r‖² is least (Eq. 119). The largest root of Eq. 121 is found by Newton's
-    method from q l ‖b‖, which also serves bars that do not turn. Joints then close by moving centres of mass and string nodes (Eqs. 134-149).
+    A bar's vector moves by p and its rate by r such that q‖p‖² + ‖r‖² is least (Eq. 119). The
+    largest root of Eq. 121 is found by Newton's method from q l ‖b‖, which also serves bars that do
+    not turn. Joints then close by moving centres of mass and string nodes (Eqs. 134-149).
 
     Examples
     --------
@@ -119,7 +128,9 @@ class BarLengthCorrection:
     every: int = 1
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weight", positive_number("BarLengthCorrection.weight", self.weight))
+        object.__setattr__(
+            self, "weight", positive_number("BarLengthCorrection.weight", self.weight)
+        )
         whole_number("BarLengthCorrection.every", self.every, 1)
 
     def step(self, model: Model) -> ca.Function | None:
@@ -133,7 +144,8 @@ class BarLengthCorrection:
         Returns
         -------
         casadi.Function or None
-            Function (x) → x corrected, both (nx,), or (x, p) where the model has parameters; None where it has nothing to keep.
+            Function (x) → x corrected, both (nx,), or (x, p) where the model has parameters; None
+            where it has nothing to keep.
 
         Raises
         ------
@@ -146,7 +158,9 @@ class BarLengthCorrection:
         if not model.mechanism.constrained:
             return None
         if model.mechanism.system_size and not model.mechanism.joints:
-            raise ValueError('BarLengthCorrection moves bars one by one, these meet or are pinned: use Model(coordinates="full") or Projection')
+            raise ValueError(
+                'BarLengthCorrection moves bars one by one, these meet or are pinned: use Model(coordinates="full") or Projection'
+            )
         return _appendix_c(model, self.weight)
 
 
@@ -166,7 +180,8 @@ def projection(model: Model, iterations: int = 3) -> ca.Function:
     Returns
     -------
     casadi.Function
-        Function (x) → x projected, both (nx,), or (x, p) where the model has parameters: moved by as little as the mass matrix says.
+        Function (x) → x projected, both (nx,), or (x, p) where the model has parameters: moved by
+        as little as the mass matrix says.
 
     Raises
     ------
@@ -201,12 +216,18 @@ def _projection(model: Model, iterations: int) -> ca.Function:
     if mech.system_size:
         before = kind.sym("N", *N.shape)
         B = mech.bar_vectors(before)
-        nearer = ca.Function("nearer", [before, x, p], [remove_residuals(mech, before, B, *residuals(mech, before, B, D))])
+        nearer = ca.Function(
+            "nearer",
+            [before, x, p],
+            [remove_residuals(mech, before, B, *residuals(mech, before, B, D))],
+        )
         for _ in range(iterations):  # Newton's method
             N = nearer(N, x, p)
     elif mech.constrained:
         N = _rescale(mech, N)
-    return _correcting("project", x, p, model.pack(N, project_velocities(mech, N, V, Dd), time), "projected")
+    return _correcting(
+        "project", x, p, model.pack(N, project_velocities(mech, N, V, Dd), time), "projected"
+    )
 
 
 def _correcting(name: str, x: Any, p: Any, result: Any, what: str) -> ca.Function:
@@ -223,7 +244,9 @@ def held_correction(model: Model, correction: Correction) -> ca.Function | None:
     kind: Any = ca.SX if project.is_a("SXFunction") else ca.MX
     x, w = kind.sym("x", model.nx), kind.sym("w", model.nw)
     inputs = [x, w[model.nu :]] if model.np else [x]
-    return ca.Function(project.name(), [x, w], project.call(inputs, True, False), ["x", "w"], project.name_out())
+    return ca.Function(
+        project.name(), [x, w], project.call(inputs, True, False), ["x", "w"], project.name_out()
+    )
 
 
 def correct(model: Model, project: ca.Function, x: Any, w: Any) -> Any:
@@ -254,8 +277,9 @@ def _appendix_c(model: Model, weight: float) -> ca.Function:
 def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:
     """Return v (3×β) of Eq. 133 at the largest root x of Eq. 121, of unit length.
 
-    With c = q l and t = ‖ḃ‖² the condition vᵀv = 1 reads c² (‖b‖² (x + t)² − (bᵀḃ)² (2x + t)) = x² (x + t)². At the largest
-    root x ≥ 0; Newton starts above it, at c ‖b‖, and comes down to it, quadratically unless t vanishes, when the start is the root.
+    With c = q l and t = ‖ḃ‖² the condition vᵀv = 1 reads c² (‖b‖² (x + t)² − (bᵀḃ)² (2x + t)) = x²
+    (x + t)². At the largest root x ≥ 0; Newton starts above it, at c ‖b‖, and comes down to it,
+    quadratically unless t vanishes, when the start is the root.
     """
     c, squared, t, mixed = weight * lengths, ca.sum1(B * B), ca.sum1(Bd * Bd), ca.sum1(B * Bd)
     x = c * ca.sqrt(squared)
@@ -276,16 +300,28 @@ def _rejoined(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
     if not mech.joints:
         return Z
     strings = np.flatnonzero(np.asarray(ends.sum(axis=0)).ravel() == 0)
-    spread = sp.csr_array(sp.vstack([ends, sp.csr_array(sp.eye_array(Z.shape[1]))[strings]]))  # of centres and string nodes onto nodes
+    spread = sp.csr_array(
+        sp.vstack([ends, sp.csr_array(sp.eye_array(Z.shape[1]))[strings]])
+    )  # of centres and string nodes onto nodes
     gap = mech.along_held(target - ca.mtimes(Z, sparse(mech.P)))
-    return Z + ca.mtimes(ca.mtimes(gap, ca.DM(np.linalg.pinv((spread @ mech.P).toarray()))), sparse(spread))
+    return Z + ca.mtimes(
+        ca.mtimes(gap, ca.DM(np.linalg.pinv((spread @ mech.P).toarray()))), sparse(spread)
+    )
 
 
-def measure_correction(model: Model, scheme: Scheme, correction: Correction, states: Array, controls: Array, step: float) -> tuple[Array, Array]:
+def measure_correction(
+    model: Model,
+    scheme: Scheme,
+    correction: Correction,
+    states: Array,
+    controls: Array,
+    step: float,
+) -> tuple[Array, Array]:
     """Return the largest movement of a node, m, and the energy added, J, (T,) each: of the correction that follows `every` steps from each state.
 
-    states (T, nx) and controls (T, nw), with the parameters, are those of a trajectory, `step` its step, s. The steps are taken again without
-    correction and the correction's part is measured at their end.
+    states (T, nx) and controls (T, nw), with the parameters, are those of a trajectory, `step` its
+    step, s. The steps are taken again without correction and the correction's part is measured at
+    their end.
     """
     project = correction.step(model)
     if project is None:
@@ -293,11 +329,17 @@ def measure_correction(model: Model, scheme: Scheme, correction: Correction, sta
     advance, energy = scheme.advance(model), model.stacked(model.energy_function)
     x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nw)
     chained = advance if correction.every == 1 else advance.fold(correction.every)
-    before: Any = chained(x, ca.repmat(u, 1, correction.every), ca.DM.ones(1, correction.every) * step)
+    before: Any = chained(
+        x, ca.repmat(u, 1, correction.every), ca.DM.ones(1, correction.every) * step
+    )
     after = correct(model, project, before, u)
     shift = model.nodes(after) - model.nodes(before)
     distance = ca.sqrt(ca.mmax(ca.sum1(shift * shift)))
-    effect = ca.Function("effect", [x, u], [ca.vertcat(distance, energy(after, u) - energy(before, u))])
+    effect = ca.Function(
+        "effect", [x, u], [ca.vertcat(distance, energy(after, u) - energy(before, u))]
+    )
     with np.errstate(all="ignore"):
-        values = effect.map(len(states))(ca.DM(states.T), ca.DM(controls.T) if model.nw else ca.DM(0, len(states))).full()
+        values = effect.map(len(states))(
+            ca.DM(states.T), ca.DM(controls.T) if model.nw else ca.DM(0, len(states))
+        ).full()
     return values[0], values[1]

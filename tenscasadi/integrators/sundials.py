@@ -14,7 +14,13 @@ from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.forces import FREE
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_held_ode, count_switches, split_mode
-from tenscasadi.integrators.scheme import Complex, check_ode, check_relative_tolerance, equations, extent
+from tenscasadi.integrators.scheme import (
+    Complex,
+    check_ode,
+    check_relative_tolerance,
+    equations,
+    extent,
+)
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import flag, instance, positive_number, whole_number
 
@@ -23,9 +29,10 @@ from tenscasadi.util.validate import flag, instance, positive_number, whole_numb
 class Sundials:
     """Implicit multistep methods of variable order (1 to 5) and step, backward differentiation formulas, for stiff scenes.
 
-    Not compiled: most of the time goes by in SUNDIALS itself, and machine code of the equations and their Jacobian saves a quarter of it at
-    best. Events are not located unless `locate_events` asks for it: the control of the error finds them. (CasADi 3.8.2's
-    own events, experimental there, pass over crossings without a word.)
+    Not compiled: most of the time goes by in SUNDIALS itself, and machine code of the equations and
+    their Jacobian saves a quarter of it at best. Events are not located unless `locate_events` asks
+    for it: the control of the error finds them. (CasADi 3.8.2's own events, experimental there,
+    pass over crossings without a word.)
     """
 
     rtol: float = 1e-8
@@ -67,7 +74,9 @@ class Sundials:
         """
         check_ode(ode)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
-        return self._step({"x": x, "u": u, "ode": ode(x, u)}, self.rtol if self.atol is None else self.atol, None)
+        return self._step(
+            {"x": x, "u": u, "ode": ode(x, u)}, self.rtol if self.atol is None else self.atol, None
+        )
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
         """Build one step of a model with its control held.
@@ -82,8 +91,9 @@ class Sundials:
         Returns
         -------
         casadi.Function
-            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x (nx,); with `power` it holds one entry
-            more, the work done, J. Below the control, u holds the parameters, if there are any.
+            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x
+            (nx,); with `power` it holds one entry more, the work done, J. Below the control, u
+            holds the parameters, if there are any.
 
         Raises
         ------
@@ -91,27 +101,53 @@ class Sundials:
             If `model` is no Model.
         """
         instance("model", model, Model, "a tenscasadi.Model")
-        return self._step(self.equations(model, power), self.absolute(model), self.algebraic_start(model))
+        return self._step(
+            self.equations(model, power), self.absolute(model), self.algebraic_start(model)
+        )
 
     def advance_held(self, model: Model, work: ca.Function | None, parts: int) -> ca.Function:
         """Build a step in one mode: (z, w, h) → z (nz, parts) at equal times, with w = (u, mode); work: `build_held_ode` with work, or None."""
         shares = [(k + 1) / parts for k in range(parts)]
-        return self._step(self.equations(model, work, held=True), self.absolute(model), self.algebraic_start(model), shares)
+        return self._step(
+            self.equations(model, work, held=True),
+            self.absolute(model),
+            self.algebraic_start(model),
+            shares,
+        )
 
-    def _step(self, equations: dict[str, Any], atol: float, start: ca.Function | None, shares: Sequence[float] = (1.0,)) -> ca.Function:
+    def _step(
+        self,
+        equations: dict[str, Any],
+        atol: float,
+        start: ca.Function | None,
+        shares: Sequence[float] = (1.0,),
+    ) -> ca.Function:
         """Equations (x, u, and z where they are algebraic) over a step of any length h: in time t/h."""
         h, u = ca.MX.sym("h"), equations["u"]
-        scaled = {key: value for key, value in equations.items() if key != "u"} | {"p": ca.vertcat(u, h), "ode": h * equations["ode"]}
+        scaled = {key: value for key, value in equations.items() if key != "u"} | {
+            "p": ca.vertcat(u, h),
+            "ode": h * equations["ode"],
+        }
         integrate = self.integrator(scaled, list(shares), atol)
         x = ca.MX.sym("x", equations["x"].shape[0])
-        guess = {} if start is None else {"z0": start(x[: start.size1_in(0)], u[: start.size1_in(1)])}
-        return ca.Function("step", [x, u, h], [integrate(x0=x, p=ca.vertcat(u, h), **guess)["xf"]], ["x", "u", "h"], ["x_next"])
+        guess = (
+            {} if start is None else {"z0": start(x[: start.size1_in(0)], u[: start.size1_in(1)])}
+        )
+        return ca.Function(
+            "step",
+            [x, u, h],
+            [integrate(x0=x, p=ca.vertcat(u, h), **guess)["xf"]],
+            ["x", "u", "h"],
+            ["x_next"],
+        )
 
     def amplification(self, z: Complex) -> Complex:
         """Return 0, of the shape of z: the integrator keeps its steps stable by itself."""
         return np.zeros(np.shape(z), dtype=complex)
 
-    def equations(self, model: Model, power: ca.Function | None, held: bool = False) -> dict[str, Any]:
+    def equations(
+        self, model: Model, power: ca.Function | None, held: bool = False
+    ) -> dict[str, Any]:
         """Return x, u and ode for CasADi's integrator; held: see `advance_held`."""
         ode = (power or build_held_ode(model)) if held else equations(model, power)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
@@ -124,27 +160,38 @@ class Sundials:
     def integrator(self, equations: dict[str, Any], grid: list[float], atol: float) -> ca.Function:
         """Return CasADi's integrator from 0 to the times of `grid`, s. Raises ValueError where the multipliers are undetermined."""
         try:
-            return ca.integrator("integrate", self.plugin, equations, 0.0, grid, self._options(atol))
+            return ca.integrator(
+                "integrate", self.plugin, equations, 0.0, grid, self._options(atol)
+            )
         except RuntimeError as error:
             if "rank-deficient" not in str(error):
                 raise
-            raise ValueError(f"{type(self).__name__} cannot tell redundant constraints apart: use another scheme, such as Cvodes()") from None
+            raise ValueError(
+                f"{type(self).__name__} cannot tell redundant constraints apart: use another scheme, such as Cvodes()"
+            ) from None
 
     def absolute(self, model: Model) -> float:
         """Return the absolute tolerance, m and m/s: `atol`, or rtol times the structure's extent."""
         return self.rtol * extent(model) if self.atol is None else self.atol
 
     def _options(self, atol: float) -> dict[str, Any]:
-        return {"reltol": self.rtol, "abstol": atol, "max_num_steps": self.max_steps, "show_eval_warnings": False, "disable_internal_warnings": True}
+        return {
+            "reltol": self.rtol,
+            "abstol": atol,
+            "max_num_steps": self.max_steps,
+            "show_eval_warnings": False,
+            "disable_internal_warnings": True,
+        }
 
 
 @dataclass(frozen=True)
 class Cvodes(Sundials):
     """CVODES of SUNDIALS on a model's ordinary differential equation, with control of the error, for stiff scenes.
 
-    Backward differentiation formulas of order 1 to 5 with exact Jacobians. The integrator chooses its steps; it is not compiled.
-    A correction changes the states of the trajectory; the integrator itself goes on from a corrected one at every fiftieth time of the grid or
-    so, since each new start costs its order.
+    Backward differentiation formulas of order 1 to 5 with exact Jacobians. The integrator chooses
+    its steps; it is not compiled. A correction changes the states of the trajectory; the integrator
+    itself goes on from a corrected one at every fiftieth time of the grid or so, since each new
+    start costs its order.
 
     Parameters
     ----------
@@ -153,10 +200,12 @@ class Cvodes(Sundials):
     atol : float, optional
         Error that is allowed in addition, m and m/s; None: `rtol` times the structure's extent.
     max_steps : int
-        The integrator's own steps between two times of the grid that `simulate` lays, before the run is given up.
+        The integrator's own steps between two times of the grid that `simulate` lays, before the
+        run is given up.
     locate_events : bool
-        Whether `simulate` ends steps where strings go slack or taut and nodes meet or leave the ground, and starts again there, as
-        `DormandPrince853` with `rtol` does. Without, the control of the error finds that something has changed.
+        Whether `simulate` ends steps where strings go slack or taut and nodes meet or leave the
+        ground, and starts again there, as `DormandPrince853` with `rtol` does. Without, the control
+        of the error finds that something has changed.
 
     Raises
     ------
@@ -169,14 +218,17 @@ class Cvodes(Sundials):
 
     Notes
     -----
-    Located events, measured at rtol of 1e-4 to 1e-10 with 200 times of the grid (a ball that bounces, a string that goes slack and taut, a
-    damped one, a prism that falls on the ground with 48 events): errors 0.4 to 8.5 times smaller, 2 in the median, for 4 to 10 times the
-    time, since each event starts the integrator anew at order 1. A smaller `rtol` gains more for less, so they are off unless asked for; and
-    `DormandPrince853` with `rtol`, which locates events always, is more accurate than either for the same work.
+    Located events, measured at rtol of 1e-4 to 1e-10 with 200 times of the grid (a ball that
+    bounces, a string that goes slack and taut, a damped one, a prism that falls on the ground with
+    48 events): errors 0.4 to 8.5 times smaller, 2 in the median, for 4 to 10 times the time, since
+    each event starts the integrator anew at order 1. A smaller `rtol` gains more for less, so they
+    are off unless asked for; and `DormandPrince853` with `rtol`, which locates events always, is
+    more accurate than either for the same work.
 
     References
     ----------
-    .. [1] A. C. Hindmarsh et al., SUNDIALS: Suite of nonlinear and differential/algebraic equation solvers, ACM Transactions on Mathematical
+    .. [1] A. C. Hindmarsh et al., SUNDIALS: Suite of nonlinear and differential/algebraic equation
+    solvers, ACM Transactions on Mathematical
        Software 31, 2005, 363-396.
 
     Examples
@@ -194,9 +246,10 @@ class Cvodes(Sundials):
 class Idas(Sundials):
     """IDAS of SUNDIALS on the index-reduced multiplier form of a model, with control of the error, for stiff scenes.
 
-    Backward differentiation formulas of order 1 to 5 for accelerations with λ and Ω as unknowns, and the constraints' second derivatives
-    (Eqs. 85-87 before the multipliers are eliminated). The integrator chooses its steps; it is not compiled. Redundant constraints leave
-    the multipliers undetermined: such a run is refused.
+    Backward differentiation formulas of order 1 to 5 for accelerations with λ and Ω as unknowns,
+    and the constraints' second derivatives (Eqs. 85-87 before the multipliers are eliminated). The
+    integrator chooses its steps; it is not compiled. Redundant constraints leave the multipliers
+    undetermined: such a run is refused.
 
     Parameters
     ----------
@@ -205,10 +258,12 @@ class Idas(Sundials):
     atol : float, optional
         Error that is allowed in addition, m and m/s; None: `rtol` times the structure's extent.
     max_steps : int
-        The integrator's own steps between two times of the grid that `simulate` lays, before the run is given up.
+        The integrator's own steps between two times of the grid that `simulate` lays, before the
+        run is given up.
     locate_events : bool
-        Whether `simulate` ends steps where strings go slack or taut and nodes meet or leave the ground, and starts again there, as
-        `DormandPrince853` with `rtol` does. Without, the control of the error finds that something has changed.
+        Whether `simulate` ends steps where strings go slack or taut and nodes meet or leave the
+        ground, and starts again there, as `DormandPrince853` with `rtol` does. Without, the control
+        of the error finds that something has changed.
 
     Raises
     ------
@@ -221,11 +276,13 @@ class Idas(Sundials):
 
     Notes
     -----
-    Located events, measured as for `Cvodes`: errors 0.4 to 24 times smaller, 2 in the median, for 3 to 10 times the time.
+    Located events, measured as for `Cvodes`: errors 0.4 to 24 times smaller, 2 in the median, for 3
+    to 10 times the time.
 
     References
     ----------
-    .. [1] A. C. Hindmarsh et al., SUNDIALS: Suite of nonlinear and differential/algebraic equation solvers, ACM Transactions on Mathematical
+    .. [1] A. C. Hindmarsh et al., SUNDIALS: Suite of nonlinear and differential/algebraic equation
+    solvers, ACM Transactions on Mathematical
        Software 31, 2005, 363-396.
 
     Examples
@@ -239,11 +296,14 @@ class Idas(Sundials):
     plugin: ClassVar[str] = "idas"
 
     def _options(self, atol: float) -> dict[str, Any]:
-        # λ jumps with the damping of a contact: that is no error of the motion. And consistent starts are looked for within a time in which
-        # nothing moves: within a whole step IDACalcIC gives up where nodes are about to land.
+        # λ jumps with the damping of a contact: that is no error of the motion. And consistent
+        # starts are looked for within a time in which nothing moves: within a whole step IDACalcIC
+        # gives up where nodes are about to land.
         return super()._options(atol) | {"suppress_algebraic": True, "first_time": 1e-6}
 
-    def equations(self, model: Model, power: ca.Function | None, held: bool = False) -> dict[str, Any]:
+    def equations(
+        self, model: Model, power: ca.Function | None, held: bool = False
+    ) -> dict[str, Any]:
         """Return x, z, u, ode and alg for CasADi's integrator: Eqs. 85-87 before the multipliers are eliminated.
 
         Parameters
@@ -273,7 +333,10 @@ class Idas(Sundials):
                 f"{type(self).__name__} cannot tell redundant constraints apart, use another scheme, such as Cvodes(): {model.redundancy}"
             )
         kind: Any = ca.MX if mech.large else ca.SX
-        state, w = kind.sym("x", model.nx + (power is not None)), kind.sym("u", model.nw + held * sum(count_switches(model)))
+        state, w = (
+            kind.sym("x", model.nx + (power is not None)),
+            kind.sym("u", model.nw + held * sum(count_switches(model))),
+        )
         u, mode = split_mode(model, w) if held else (w, FREE)
         mech = model.weighted(u)
         z = kind.sym("z", mech.bars + 3 * mech.joints)
@@ -283,11 +346,19 @@ class Idas(Sundials):
         F, moved = applied_forces(model, N, V, u, time, mode, mech)
         A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + moved
         stretching = ca.sum1(Bd * Bd) + ca.sum1(B * mech.bar_vectors(A))  # Eq. 28
-        gaping = mech.along_held(ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2]) + Omega - mech.along_held(Omega)
-        xdot = [model.pack(V, A, 1)] + ([] if power is None else [power(state[: power.size1_in(0)], w)[-1]])
+        gaping = (
+            mech.along_held(ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2])
+            + Omega
+            - mech.along_held(Omega)
+        )
+        xdot = [model.pack(V, A, 1)] + (
+            [] if power is None else [power(state[: power.size1_in(0)], w)[-1]]
+        )
         rows = ca.densify(ca.vertcat(stretching.T, ca.vec(gaping)))
         equations = ca.Function("equations", [state, z, w], [ca.vertcat(*xdot), rows])
-        symbols = [ca.MX.sym(name, value.shape[0]) for name, value in (("x", state), ("z", z), ("u", w))]
+        symbols = [
+            ca.MX.sym(name, value.shape[0]) for name, value in (("x", state), ("z", z), ("u", w))
+        ]
         ode, alg = equations(*symbols)
         return {"x": symbols[0], "z": symbols[1], "u": symbols[2], "ode": ode, "alg": alg}
 

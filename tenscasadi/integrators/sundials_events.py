@@ -16,11 +16,15 @@ from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.util.casadi_tools import hermite_cubic
 from tenscasadi.util.validate import Array
 
-_EVENT_SHARE = 0.1  # of the tolerance that a step may lose by ending after an event instead of at it
+_EVENT_SHARE = (
+    0.1  # of the tolerance that a step may lose by ending after an event instead of at it
+)
 _SHORTEST = 1e-9  # of a grid step: events that are over after less are not looked for
 _HALVING = 6  # trials of a bracket after which it is halved, whatever the interpolation says
 _PARTS = 4  # of a piece, each of which is seen at its ends and half-way
-_SEEN = 1e-3  # of a switching function, by which an interpolation may be off and still tell its sign
+_SEEN = (
+    1e-3  # of a switching function, by which an interpolation may be off and still tell its sign
+)
 
 
 class _Piece(NamedTuple):
@@ -46,18 +50,35 @@ class EventSteps:
     pause: called before each piece is integrated; what it raises ends the steps.
     """
 
-    def __init__(self, scheme: Sundials, model: Model, gaps: ca.Function, power: bool, pause: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        scheme: Sundials,
+        model: Model,
+        gaps: ca.Function,
+        power: bool,
+        pause: Callable[[], None],
+    ) -> None:
         self._scheme, self._nx, self._gaps, self._pause = scheme, model.nx, gaps, pause
-        self._rtol, self._atol, self._moving = scheme.rtol, scheme.absolute(model), slice(0, 2 * model.nq)
+        self._rtol, self._atol, self._moving = (
+            scheme.rtol,
+            scheme.absolute(model),
+            slice(0, 2 * model.nq),
+        )
         work = build_held_ode(model, work=True) if power else None
         self._equations = scheme.equations(model, work, held=True)
         self._start, self._power = scheme.algebraic_start(model), power
         self._advance = scheme.advance_held(model, work, 2 * _PARTS)
         self._ode, self._potential = build_held_ode(model), build_potential(model)
-        self._look_at = _build_look(model, gaps, self._ode, 10.0 * (self._atol + self._rtol * extent(model)))
+        self._look_at = _build_look(
+            model, gaps, self._ode, 10.0 * (self._atol + self._rtol * extent(model))
+        )
         self._root = build_root(gaps, model)
-        self._integrators: dict[tuple[int, float], ca.Function] = {}  # by the number and length of the grid steps of a call
-        self._ahead: int | None = None  # grid steps to try at once, more the longer ago the last event is; None: all
+        self._integrators: dict[
+            tuple[int, float], ca.Function
+        ] = {}  # by the number and length of the grid steps of a call
+        self._ahead: int | None = (
+            None  # grid steps to try at once, more the longer ago the last event is; None: all
+        )
         self.events = self.trials = 0
 
     def __call__(self, z: Array, u: Array, lengths: Array) -> Array:
@@ -91,10 +112,14 @@ class EventSteps:
         self._pause()
         if (many, step) not in self._integrators:
             times = (np.arange(1, 2 * _PARTS * many + 1) * (step / 2 / _PARTS)).tolist()
-            self._integrators[many, step] = self._scheme.integrator(self._equations, times, self._atol)
+            self._integrators[many, step] = self._scheme.integrator(
+                self._equations, times, self._atol
+            )
         mode = self._mode(z, u)
         guess = {} if self._start is None else {"z0": self._start(z[: self._nx], u)}
-        rows = self._integrators[many, step](x0=z, u=np.concatenate([u, mode]), **guess)["xf"].full().T
+        rows = (
+            self._integrators[many, step](x0=z, u=np.concatenate([u, mode]), **guess)["xf"].full().T
+        )
         shares, seen = self._look(z, rows, u, mode, many * step)
         quiet = ((shares == 0).all(axis=0) & seen).reshape(many, _PARTS).all(axis=1)
         smooth = many if quiet.all() else int(np.argmin(quiet))
@@ -109,12 +134,20 @@ class EventSteps:
 
     def _piece(self, z: Array, u: Array, mode: Array, h: float) -> _Piece:
         self._pause()
-        return _Piece(z, u, mode, self._supplied(z, u, self._advance(z, np.concatenate([u, mode]), h).full().T), h)
+        return _Piece(
+            z,
+            u,
+            mode,
+            self._supplied(z, u, self._advance(z, np.concatenate([u, mode]), h).full().T),
+            h,
+        )
 
     def _supplied(self, z: Array, u: Array, rows: Array) -> Array:
         """Make the work of all forces the energy supplied: less what of it came out of the model's own energy."""
         if self._power:
-            rows[:, self._nx] += self._potential(rows[:, : self._nx].T, u).full().ravel() - float(self._potential(z[: self._nx], u))
+            rows[:, self._nx] += self._potential(rows[:, : self._nx].T, u).full().ravel() - float(
+                self._potential(z[: self._nx], u)
+            )
         return rows
 
     def _cross(self, z: Array, u: Array, step: float) -> Array:
@@ -138,15 +171,33 @@ class EventSteps:
             mode = after
             if rest <= 0:
                 return z
-        raise RuntimeError(f"{self._scheme.max_steps} pieces from event to event did not reach the end of a grid step of {step:g} s")
+        raise RuntimeError(
+            f"{self._scheme.max_steps} pieces from event to event did not reach the end of a grid step of {step:g} s"
+        )
 
     def _locate(self, high: _Piece, step: float) -> _Piece:
         """Return the piece that ends so shortly after the first event in `high` that nothing is lost."""
         low = 0.0
         for trial in count():
             jump = self._jump(high)
-            slopes = [self._ode(end[: self._nx], np.concatenate([high.u, high.mode])) for end in (high.z, high.after)]
-            root = float(self._root(high.z[: self._nx], slopes[0], high.after[: self._nx], slopes[1], high.u, high.h, high.mode, low, high.h, 1))
+            slopes = [
+                self._ode(end[: self._nx], np.concatenate([high.u, high.mode]))
+                for end in (high.z, high.after)
+            ]
+            root = float(
+                self._root(
+                    high.z[: self._nx],
+                    slopes[0],
+                    high.after[: self._nx],
+                    slopes[1],
+                    high.u,
+                    high.h,
+                    high.mode,
+                    low,
+                    high.h,
+                    1,
+                )
+            )
             if (high.h - root) * jump <= _EVENT_SHARE or high.h - low <= 1e-14 * step:
                 break
             aim = root + _EVENT_SHARE / jump / 2
@@ -163,7 +214,10 @@ class EventSteps:
     def _jump(self, piece: _Piece) -> float:
         """Return the change of the slope at the end of a piece, where the mode changes, relative to the tolerance."""
         moving, x = self._moving, piece.after[: self._nx]
-        slopes = [self._ode(x, np.concatenate([piece.u, mode])).full().ravel()[moving] for mode in (piece.mode, self._mode(x, piece.u))]
+        slopes = [
+            self._ode(x, np.concatenate([piece.u, mode])).full().ravel()[moving]
+            for mode in (piece.mode, self._mode(x, piece.u))
+        ]
         scale = self._atol + self._rtol * np.maximum(abs(piece.z[moving]), abs(x[moving]))
         return float(np.sqrt(np.mean(((slopes[1] - slopes[0]) / scale) ** 2)))
 
@@ -171,8 +225,9 @@ class EventSteps:
 def _build_look(model: Model, gaps: ca.Function, ode: ca.Function, floor: float) -> ca.Function:
     """Return (x before, half-way and after, u, h, mode) -> shares of a piece at which it is in another mode (4,), and whether it is seen well.
 
-    Shares are in the order of time, 0 where there is none; two are found by interpolation. What an interpolation has far from where the
-    motion goes half-way turns too often for that; `floor`, m, is what the states themselves may be off.
+    Shares are in the order of time, 0 where there is none; two are found by interpolation. What an
+    interpolation has far from where the motion goes half-way turns too often for that; `floor`, m,
+    is what the states themselves may be off.
     """
     before, middle, after = (ca.MX.sym(name, model.nx) for name in ("before", "middle", "after"))
     u, h, mode = ca.MX.sym("u", model.nw), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))
@@ -182,7 +237,11 @@ def _build_look(model: Model, gaps: ca.Function, ode: ca.Function, floor: float)
     second = hidden(middle, slopes[1], after, slopes[2], u, h / 2, mode)
     changed = [ca.sum1((gaps(x, u) > 0) != mode) > 0 for x in (middle, after)]
     between = gaps(hermite_cubic(before, slopes[0], after, slopes[2], h, 0.5), u)
-    largest = ca.fmax(ca.fabs(gaps(before, u)), ca.fmax(ca.fabs(gaps(middle, u)), ca.fabs(gaps(after, u))))
+    largest = ca.fmax(
+        ca.fabs(gaps(before, u)), ca.fmax(ca.fabs(gaps(middle, u)), ca.fabs(gaps(after, u)))
+    )
     seen = ca.mmax(ca.fabs(between - gaps(middle, u)) - _SEEN * largest) <= floor
-    times = ca.vertcat(first, changed[0] / 2, ca.if_else(second > 0, (1 + second) / 2, 0), changed[1])
+    times = ca.vertcat(
+        first, changed[0] / 2, ca.if_else(second > 0, (1 + second) / 2, 0), changed[1]
+    )
     return ca.Function("look", [before, middle, after, u, h, mode], [times, seen])

@@ -13,8 +13,9 @@ from tenscasadi.util.validate import Array, finite_array
 class Tableau:
     """Coefficients of an explicit Runge-Kutta method with s stages for an ode without explicit time.
 
-    `a` holds s rows, row i with the i weights of the earlier stages; `b` holds the s weights of the result; each row of `errors`
-    holds s weights of an estimate of the step's error (the result minus that of an embedded method), none for methods without.
+    `a` holds s rows, row i with the i weights of the earlier stages; `b` holds the s weights of the
+    result; each row of `errors` holds s weights of an estimate of the step's error (the result
+    minus that of an embedded method), none for methods without.
     """
 
     a: tuple[tuple[float, ...], ...]
@@ -24,7 +25,9 @@ class Tableau:
     def __post_init__(self) -> None:
         if len(self.a) != len(self.b) or any(len(row) != i for i, row in enumerate(self.a)):
             rows = [len(row) for row in self.a]
-            raise ValueError(f"a has rows of {rows} weights: give rows of {list(range(len(self.b)))} for {len(self.b)} stages (b)")
+            raise ValueError(
+                f"a has rows of {rows} weights: give rows of {list(range(len(self.b)))} for {len(self.b)} stages (b)"
+            )
         for i, row in enumerate((*self.a, self.b)):
             finite_array("b" if i == len(self.a) else f"a[{i}]", row, (len(row),))
         for i, row in enumerate(self.errors):
@@ -46,7 +49,8 @@ class Tableau:
         return np.array(coefficients)
 
 
-# The classical method: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, Table II.1.2.
+# The classical method: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, Table
+# II.1.2.
 CLASSICAL = Tableau(a=((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)), b=(1 / 6, 1 / 3, 1 / 3, 1 / 6))
 
 # The explicit midpoint rule, ibid. Table II.1.1 (Runge).
@@ -68,7 +72,8 @@ DORMAND_PRINCE_54 = Tableau(
     errors=((71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40),),
 )
 
-# Dormand and Prince, order 8, with estimates of orders 5 and 3 by Hairer and Wanner: DOP853, ibid. section II.5 and its program.
+# Dormand and Prince, order 8, with estimates of orders 5 and 3 by Hairer and Wanner: DOP853, ibid.
+# section II.5 and its program.
 _B8 = (
     0.054293734116568765,
     0.0,
@@ -83,7 +88,11 @@ _B8 = (
     0.20136540080403034,
     0.04471061572777259,
 )
-_B3 = {0: 0.24409448818897641, 8: 0.733846688281611857, 11: 0.0220588235294117647}  # of the method of order 3
+_B3 = {
+    0: 0.24409448818897641,
+    8: 0.733846688281611857,
+    11: 0.0220588235294117647,
+}  # of the method of order 3
 DORMAND_PRINCE_853 = Tableau(
     a=(
         (),
@@ -93,8 +102,25 @@ DORMAND_PRINCE_853 = Tableau(
         (0.2413651341592667, 0.0, -0.8845494793282861, 0.924834003261792),
         (0.037037037037037035, 0.0, 0.0, 0.17082860872947386, 0.12546768756682242),
         (0.037109375, 0.0, 0.0, 0.17025221101954405, 0.06021653898045596, -0.017578125),
-        (0.03709200011850479, 0.0, 0.0, 0.17038392571223998, 0.10726203044637328, -0.015319437748624402, 0.008273789163814023),
-        (0.6241109587160757, 0.0, 0.0, -3.3608926294469414, -0.868219346841726, 27.59209969944671, 20.154067550477894, -43.48988418106996),
+        (
+            0.03709200011850479,
+            0.0,
+            0.0,
+            0.17038392571223998,
+            0.10726203044637328,
+            -0.015319437748624402,
+            0.008273789163814023,
+        ),
+        (
+            0.6241109587160757,
+            0.0,
+            0.0,
+            -3.3608926294469414,
+            -0.868219346841726,
+            27.59209969944671,
+            20.154067550477894,
+            -43.48988418106996,
+        ),
         (
             0.47766253643826434,
             0.0,

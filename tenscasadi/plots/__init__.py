@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from tenscasadi.plots.diagrams import Convergence, work_precision
-from tenscasadi.plots.figures import ForceHistory, errors, force_densities, node_histories, structure, time_lapse
+from tenscasadi.plots.figures import (
+    ForceHistory,
+    errors,
+    force_densities,
+    node_histories,
+    structure,
+    time_lapse,
+)
 from tenscasadi.plots.robustness import ReplayErrors, robustness
 from tenscasadi.plots.rollouts import fan, histogram
 

@@ -10,12 +10,22 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from tenscasadi.plots.panels import FilePath, curve_colour, make_panels, name_curves, save_figure
-from tenscasadi.util.validate import file_path, instance, listed, positive_number, real_array, shown, text
+from tenscasadi.util.validate import (
+    file_path,
+    instance,
+    listed,
+    positive_number,
+    real_array,
+    shown,
+    text,
+)
 
 Points = Sequence[tuple[float, float]]
 _MARKERS = "osD^vPX"
 _DASHES = ("-", "--", ":", "-.")
-_NEAR = 100.0  # times the reference's error: where no curve comes as close, that error need not be seen
+_NEAR = (
+    100.0  # times the reference's error: where no curve comes as close, that error need not be seen
+)
 
 
 def work_precision(
@@ -29,8 +39,8 @@ def work_precision(
 ) -> Figure:
     """Draw a work-precision diagram: cost over position error, one curve for each way to compute.
 
-    Both axes are logarithmic, and more accurate lies to the right. Names that are alike up to the first comma are variants of one
-    scheme and share its colour.
+    Both axes are logarithmic, and more accurate lies to the right. Names that are alike up to the
+    first comma are variants of one scheme and share its colour.
 
     Parameters
     ----------
@@ -39,7 +49,8 @@ def work_precision(
     front : sequence of (float, float)
         Points that no other beats in both; they are underlaid in grey.
     reference_error : float, optional
-        Error of the reference, m. Smaller errors are drawn there, and shaded where a curve comes near.
+        Error of the reference, m. Smaller errors are drawn there, and shaded where a curve comes
+        near.
     title : str
         Title of the diagram.
     cost : str
@@ -61,12 +72,25 @@ def work_precision(
     """
     curves, front = _named_points(curves), _points("front", front)
     reference_error = _known_error(reference_error)
-    figure, (ax,) = make_panels(1, "largest position error at the end (m), more accurate to the right", title, (8.4, 4.8), margin=0.05)
+    figure, (ax,) = make_panels(
+        1,
+        "largest position error at the end (m), more accurate to the right",
+        title,
+        (8.4, 4.8),
+        margin=0.05,
+    )
     ax.set(xscale="log", yscale="log", ylabel=text("cost", cost))
     smallest = reference_error or 1e-16  # a run that hits the reference exactly is still drawn
     if front:
         drawn = [point for point in front if point[0] > smallest] or front
-        ax.plot(*zip(*drawn, strict=True), color="0.82", lw=7, solid_capstyle="round", solid_joinstyle="round", zorder=1)
+        ax.plot(
+            *zip(*drawn, strict=True),
+            color="0.82",
+            lw=7,
+            solid_capstyle="round",
+            solid_joinstyle="round",
+            zorder=1,
+        )
     heads = list(dict.fromkeys(name.partition(",")[0] for name in curves))
     seen: dict[str, int] = {}
     for name, points in curves.items():
@@ -74,9 +98,22 @@ def work_precision(
         variant = seen[head] = seen.get(head, -1) + 1
         if points:
             colour = curve_colour(heads.index(head) if len(heads) > 1 else variant)
-            style: dict[str, Any] = {"marker": _MARKERS[variant % len(_MARKERS)], "ls": _DASHES[variant % len(_DASHES)]}
-            ax.plot(*zip(*_resolved(points, smallest), strict=True), ms=4.5, lw=1.3, color=colour, label=name, zorder=2, **style)
-    if reference_error and any(error < _NEAR * reference_error for points in curves.values() for error, _ in points):
+            style: dict[str, Any] = {
+                "marker": _MARKERS[variant % len(_MARKERS)],
+                "ls": _DASHES[variant % len(_DASHES)],
+            }
+            ax.plot(
+                *zip(*_resolved(points, smallest), strict=True),
+                ms=4.5,
+                lw=1.3,
+                color=colour,
+                label=name,
+                zorder=2,
+                **style,
+            )
+    if reference_error and any(
+        error < _NEAR * reference_error for points in curves.values() for error, _ in points
+    ):
         ax.axvspan(reference_error / 5, reference_error, color="0.93", zorder=0, lw=0)
         ax.set_xlim(left=reference_error / 5)
     ax.invert_xaxis()
@@ -87,12 +124,19 @@ def work_precision(
 
 def _known_error(value: Any) -> float | None:
     """Return the error of a reference, None where it is infinite. Raises TypeError, ValueError."""
-    return None if value is None or (isinstance(value, float) and value == float("inf")) else positive_number("reference_error", value, zero=True)
+    return (
+        None
+        if value is None or (isinstance(value, float) and value == float("inf"))
+        else positive_number("reference_error", value, zero=True)
+    )
 
 
 def _named_points(curves: Any) -> dict[str, Points]:
     instance("curves", curves, Mapping, "points (error, cost) by name")
-    return {text("curves: name", name): _points(f"curves[{name!r}]", points) for name, points in curves.items()}
+    return {
+        text("curves: name", name): _points(f"curves[{name!r}]", points)
+        for name, points in curves.items()
+    }
 
 
 def _points(field: str, points: Any) -> Points:
@@ -109,7 +153,10 @@ def _points(field: str, points: Any) -> Points:
 def _resolved(points: Points, smallest: float) -> list[tuple[float, float]]:
     """Return the points in order of cost (errors may rise again: rounding); of those not above `smallest` only the cheapest, drawn there."""
     beyond = sorted((cost, smallest) for error, cost in points if error <= smallest)[:1]
-    return [*sorted((point for point in points if point[0] > smallest), key=lambda point: point[1]), *((error, cost) for cost, error in beyond)]
+    return [
+        *sorted((point for point in points if point[0] > smallest), key=lambda point: point[1]),
+        *((error, cost) for cost, error in beyond),
+    ]
 
 
 class Iteration(Protocol):
@@ -136,7 +183,8 @@ class Convergence:
     Parameters
     ----------
     path : path-like, optional
-        File that is written anew while the solver works, for a viewer that shows files as they change; None: no file.
+        File that is written anew while the solver works, for a viewer that shows files as they
+        change; None: no file.
     every : float
         Least wall time between two drawings, s.
 
@@ -164,7 +212,9 @@ class Convergence:
     def __call__(self, now: Iteration) -> None:
         """Take down an iteration, and draw all where it is time."""
         if not all(hasattr(now, name) for name in ("iteration", "objective", "infeasibility")):
-            raise TypeError(f"now is {shown(now)}: give an ocp.Progress, or what has iteration, objective and infeasibility")
+            raise TypeError(
+                f"now is {shown(now)}: give an ocp.Progress, or what has iteration, objective and infeasibility"
+            )
         self._told.append(now)
         if self._path is not None and time.monotonic() - self._drawn > self._every:
             save_figure(self.figure(), self._path)

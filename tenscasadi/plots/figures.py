@@ -15,12 +15,39 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from tenscasadi.plots.panels import MOST_NAMED, FilePath, curve_colour, curve_width, make_panels, name_curves, save_figure
-from tenscasadi.plots.scene3d import Canvas, Layer, check_drawable, cut_colours, members_of, tension_colours, tension_label, tension_scale
+from tenscasadi.plots.panels import (
+    MOST_NAMED,
+    FilePath,
+    curve_colour,
+    curve_width,
+    make_panels,
+    name_curves,
+    save_figure,
+)
+from tenscasadi.plots.scene3d import (
+    Canvas,
+    Layer,
+    check_drawable,
+    cut_colours,
+    members_of,
+    tension_colours,
+    tension_label,
+    tension_scale,
+)
 from tenscasadi.scene.ground import Grounds
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, flag, listed, node_index, per_item, positive_number, text, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    flag,
+    listed,
+    node_index,
+    per_item,
+    positive_number,
+    text,
+    whole_number,
+)
 
 _MOST_INSTANTS = 1000
 
@@ -57,14 +84,16 @@ def structure(
 ) -> Figure:
     """Draw a structure in 3-D, with one scale for all axes.
 
-    Bars are thick; strings are thin and coloured by tension, grey where they are slack and green where they push; pinned nodes are triangles.
+    Bars are thick; strings are thin and coloured by tension, grey where they are slack and green
+    where they push; pinned nodes are triangles.
 
     Parameters
     ----------
     what : Structure or Trajectory
         A structure, or a motion at one of its times.
     tension : array_like (α,), optional
-        Tensions of the strings, N; None: those of the structure's rest lengths, or of the trajectory.
+        Tensions of the strings, N; None: those of the structure's rest lengths, or of the
+        trajectory.
     time : float, optional
         Time of the trajectory, s: the kept row next to it is drawn; None: the end.
     labels : bool
@@ -102,7 +131,10 @@ def structure(
         nodes, pull = what.nodes[row], what.tension[row]
         title = title or f"t = {what.time[row]:.4g} s"
     else:
-        nodes, pull = what.nodes, what.stiffness * np.maximum(0.0, what.string_lengths - what.rest_length)  # γ s, Eq. 99
+        nodes, pull = (
+            what.nodes,
+            what.stiffness * np.maximum(0.0, what.string_lengths - what.rest_length),
+        )  # γ s, Eq. 99
     if tension is not None:
         pull = per_item("tension", tension, len(what.strings))
     figure = Figure(figsize=(6.4, 5.2))
@@ -120,7 +152,14 @@ def structure(
     return save_figure(figure, path)
 
 
-def time_lapse(trajectory: Trajectory, instants: int = 6, *, ground: Grounds = None, title: str = "", path: FilePath | None = None) -> Figure:
+def time_lapse(
+    trajectory: Trajectory,
+    instants: int = 6,
+    *,
+    ground: Grounds = None,
+    title: str = "",
+    path: FilePath | None = None,
+) -> Figure:
     """Draw a motion in one 3-D picture: the structure at several times, pale at the start and dark at the end.
 
     Parameters
@@ -158,7 +197,12 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, ground: Grounds = N
     check_drawable("trajectory", trajectory)
     count = whole_number("instants", instants, 2, _MOST_INSTANTS)
     text("title", title)
-    rows = np.unique([_nearest_row(trajectory, t) for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)])
+    rows = np.unique(
+        [
+            _nearest_row(trajectory, t)
+            for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)
+        ]
+    )
     figure = Figure(figsize=(7.0, 5.4))
     canvas = Canvas(figure, members_of(trajectory), trajectory.nodes[rows], ground)
     ramp = cut_colours("viridis_r", 0.05, 1.0)
@@ -166,7 +210,12 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, ground: Grounds = N
     colours = np.asarray(scale.to_rgba(np.arange(len(rows))))
     pale = 0.55 * colours + 0.45  # not transparent: nothing shines through
     widths = np.linspace(0.6, 1.0, len(rows))
-    canvas.draw(*(Layer(trajectory.nodes[row], colours[k], pale[k], widths[k]) for k, row in enumerate(rows)))
+    canvas.draw(
+        *(
+            Layer(trajectory.nodes[row], colours[k], pale[k], widths[k])
+            for k, row in enumerate(rows)
+        )
+    )
     bar = canvas.colour_bar(scale, "time (s)", ticks=np.arange(len(rows)))
     bar.ax.set_yticklabels([f"{t:.3g}" for t in trajectory.time[rows]])
     figure.suptitle(title)
@@ -174,7 +223,13 @@ def time_lapse(trajectory: Trajectory, instants: int = 6, *, ground: Grounds = N
     return save_figure(figure, path)
 
 
-def node_histories(trajectory: Trajectory, nodes: Sequence[int] | None = None, *, title: str = "", path: FilePath | None = None) -> Figure:
+def node_histories(
+    trajectory: Trajectory,
+    nodes: Sequence[int] | None = None,
+    *,
+    title: str = "",
+    path: FilePath | None = None,
+) -> Figure:
     """Draw the coordinates x, y and z of nodes over time.
 
     Parameters
@@ -211,12 +266,21 @@ def node_histories(trajectory: Trajectory, nodes: Sequence[int] | None = None, *
     chosen = (
         _furthest_nodes(trajectory)
         if nodes is None
-        else [node_index("nodes", node, trajectory.nodes.shape[1]) for node in listed("nodes", nodes, "[0, 3]")]
+        else [
+            node_index("nodes", node, trajectory.nodes.shape[1])
+            for node in listed("nodes", nodes, "[0, 3]")
+        ]
     )
     figure, axes = make_panels(3, "time (s)", title)
     for axis, (ax, name) in enumerate(zip(axes, "xyz", strict=True)):
         for k, node in enumerate(chosen):
-            ax.plot(trajectory.time, trajectory.nodes[:, node, axis], color=curve_colour(k), label=f"node {node}", lw=curve_width(k, len(chosen)))
+            ax.plot(
+                trajectory.time,
+                trajectory.nodes[:, node, axis],
+                color=curve_colour(k),
+                label=f"node {node}",
+                lw=curve_width(k, len(chosen)),
+            )
         ax.set_ylabel(f"{name} (m)")
         _widen(ax)
     name_curves(figure, axes[0], len(chosen))
@@ -274,18 +338,39 @@ def force_densities(
     gamma = finite_array("history.force_density", history.force_density, (None, None))
     rows, alpha = gamma.shape
     if rows not in (len(time), len(time) - 1):
-        raise ValueError(f"history.force_density has {rows} rows: give one for each of the {len(time)} times, or for each of the intervals between")
-    chosen = list(range(alpha)) if strings is None else [_check_string(index, alpha) for index in listed("strings", strings, "[0, 3]")]
+        raise ValueError(
+            f"history.force_density has {rows} rows: give one for each of the {len(time)} times, or for each of the intervals between"
+        )
+    chosen = (
+        list(range(alpha))
+        if strings is None
+        else [_check_string(index, alpha) for index in listed("strings", strings, "[0, 3]")]
+    )
     figure, (ax,) = make_panels(1, "time (s)", title)
     for k, i in enumerate(chosen):
         if rows == len(time):
-            ax.plot(time, gamma[:, i], color=curve_colour(k), label=f"string {i}", lw=curve_width(k, len(chosen)))
+            ax.plot(
+                time,
+                gamma[:, i],
+                color=curve_colour(k),
+                label=f"string {i}",
+                lw=curve_width(k, len(chosen)),
+            )
         else:
-            ax.stairs(gamma[:, i], time, baseline=None, color=curve_colour(k), label=f"string {i}", lw=curve_width(k, len(chosen)))
+            ax.stairs(
+                gamma[:, i],
+                time,
+                baseline=None,
+                color=curve_colour(k),
+                label=f"string {i}",
+                lw=curve_width(k, len(chosen)),
+            )
     for field, bound in (("lower", lower), ("upper", upper)):
         if bound is not None:
             per_item(field, _without_infinity(bound), alpha)
-            _draw_bound(ax, field, np.broadcast_to(np.asarray(bound, dtype=float), (alpha,)), chosen, gamma)
+            _draw_bound(
+                ax, field, np.broadcast_to(np.asarray(bound, dtype=float), (alpha,)), chosen, gamma
+            )
     ax.set_ylabel("force density (N/m)")
     _widen(ax)
     name_curves(figure, ax, len(chosen))
@@ -295,7 +380,8 @@ def force_densities(
 def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = None) -> Figure:
     """Draw the errors of bar lengths, joints and energy over time on a logarithmic scale.
 
-    Errors below 1e-18, and exact zeros, lie on the bottom edge. An error that was not computed has no curve.
+    Errors below 1e-18, and exact zeros, lie on the bottom edge. An error that was not computed has
+    no curve.
 
     Parameters
     ----------
@@ -328,7 +414,10 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
     check_drawable("trajectory", trajectory)
     curves: list[tuple[str, Any]] = [("energy (J)", np.abs(trajectory.energy_error))]
     if len(trajectory.bars):
-        curves += [("bar length, relative", trajectory.bar_length_error), ("joint gap (m)", trajectory.joint_error)]
+        curves += [
+            ("bar length, relative", trajectory.bar_length_error),
+            ("joint gap (m)", trajectory.joint_error),
+        ]
     known = np.concatenate([values[np.isfinite(values)] for _, values in curves])
     positive = known[known > 0]
     bottom = max(1e-18, 10.0 ** np.floor(np.log10(positive.min())) / 3) if positive.size else 1e-18
@@ -337,8 +426,18 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
     for k, (name, values) in enumerate(curves):
         drawn = np.maximum(values, bottom)  # NaN stays NaN
         largest = np.nanmax(values, initial=0.0)
-        note = ": not computed" if not np.isfinite(values).any() else "" if largest > bottom else ": below 1e-18" if largest > 0 else ": exactly 0"
-        ax.plot(trajectory.time, drawn, color=curve_colour(k), label=name + note, lw=1.3, clip_on=False)
+        note = (
+            ": not computed"
+            if not np.isfinite(values).any()
+            else ""
+            if largest > bottom
+            else ": below 1e-18"
+            if largest > 0
+            else ": exactly 0"
+        )
+        ax.plot(
+            trajectory.time, drawn, color=curve_colour(k), label=name + note, lw=1.3, clip_on=False
+        )
     ax.set_yscale("log")
     ax.set_ylim(bottom, top)
     ax.set_ylabel("error")
@@ -375,7 +474,10 @@ def _without_infinity(bound: ArrayLike) -> Any:
 
 def _draw_bound(ax: Axes, field: str, bound: Array, chosen: list[int], gamma: Array) -> None:
     """Draw dashed lines; a single black one where all strings have the same bound. One far off is only told: it would flatten the curves."""
-    low, high = float(gamma[:, chosen].min(initial=np.inf)), float(gamma[:, chosen].max(initial=-np.inf))
+    low, high = (
+        float(gamma[:, chosen].min(initial=np.inf)),
+        float(gamma[:, chosen].max(initial=-np.inf)),
+    )
     reach = max(high - low, 0.1 * abs(high))
     finite = [(k, float(bound[i])) for k, i in enumerate(chosen) if np.isfinite(bound[i])]
     common = len({value for _, value in finite}) == 1

@@ -27,7 +27,12 @@ def include_heights(grounds: Sequence[Surface], low: Array, high: Array) -> tupl
             heights = _heights(ground, *_grid(low, high))
             low, high = (
                 pick(corner, [*corner[:2], edge])
-                for pick, corner, edge in zip((np.minimum, np.maximum), (low, high), (heights.min(), heights.max()), strict=True)
+                for pick, corner, edge in zip(
+                    (np.minimum, np.maximum),
+                    (low, high),
+                    (heights.min(), heights.max()),
+                    strict=True,
+                )
             )
     return low, high
 
@@ -35,10 +40,21 @@ def include_heights(grounds: Sequence[Surface], low: Array, high: Array) -> tupl
 def draw_grounds(axes: Any, grounds: Sequence[Surface], low: Array, high: Array) -> None:
     """Add what of the grounds lies in the box between two corners, m, behind all else that the axes show."""
     for ground in grounds:
-        faces = _field_faces(ground, low, high) if isinstance(ground, Terrain) else _plane_faces(ground, low, high)
+        faces = (
+            _field_faces(ground, low, high)
+            if isinstance(ground, Terrain)
+            else _plane_faces(ground, low, high)
+        )
         if faces:
-            colours = [np.append(_COLOUR * (0.75 + 0.25 * abs(_normal(face) @ _LIGHT)), _OPACITY) for face in faces]
-            axes.add_collection3d(Poly3DCollection(faces, facecolors=colours, edgecolors="none", zorder=1, clip_on=False))
+            colours = [
+                np.append(_COLOUR * (0.75 + 0.25 * abs(_normal(face) @ _LIGHT)), _OPACITY)
+                for face in faces
+            ]
+            axes.add_collection3d(
+                Poly3DCollection(
+                    faces, facecolors=colours, edgecolors="none", zorder=1, clip_on=False
+                )
+            )
 
 
 def _plane_faces(ground: Any, low: Array, high: Array) -> Faces:
@@ -46,9 +62,19 @@ def _plane_faces(ground: Any, low: Array, high: Array) -> Faces:
     if not isinstance(ground, Ground):
         return []
     normal, centre = np.array(ground.normal), (low + high) / 2
-    foot, reach = centre + (ground.height - normal @ centre) * normal, 2 * float(np.linalg.norm(high - low))
+    foot, reach = (
+        centre + (ground.height - normal @ centre) * normal,
+        2 * float(np.linalg.norm(high - low)),
+    )
     across = null_space(normal[None]).T
-    face = foot + reach * np.array([across[0] + across[1], across[0] - across[1], -across[0] - across[1], across[1] - across[0]])
+    face = foot + reach * np.array(
+        [
+            across[0] + across[1],
+            across[0] - across[1],
+            -across[0] - across[1],
+            across[1] - across[0],
+        ]
+    )
     for axis in range(3):
         for sign, limit in ((1, low[axis]), (-1, high[axis])):
             face = _cut(face, sign * (face[:, axis] - limit))
@@ -69,7 +95,9 @@ def _cut(face: Array, inside: Array) -> Array:
 
 def _field_faces(ground: Terrain, low: Array, high: Array) -> Faces:
     x, y = _grid(low, high)
-    points = np.stack([*np.broadcast_arrays(x[:, None], y[None, :]), _heights(ground, x, y)], axis=2)
+    points = np.stack(
+        [*np.broadcast_arrays(x[:, None], y[None, :]), _heights(ground, x, y)], axis=2
+    )
     corners = np.stack([points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]], axis=2)
     return list(corners.reshape(-1, 4, 3))
 

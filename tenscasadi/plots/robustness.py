@@ -40,7 +40,12 @@ class ReplayErrors(Protocol):
         """Shares by name."""
 
 
-def robustness(what: ReplayErrors | Mapping[str, ReplayErrors], *, title: str = "", path: FilePath | None = None) -> Figure:
+def robustness(
+    what: ReplayErrors | Mapping[str, ReplayErrors],
+    *,
+    title: str = "",
+    path: FilePath | None = None,
+) -> Figure:
     """Draw the share of replays that end within an error, and what brings the errors about.
 
     Parameters
@@ -82,15 +87,33 @@ def robustness(what: ReplayErrors | Mapping[str, ReplayErrors], *, title: str = 
         ended = np.sort(one.worst_error[np.isfinite(one.worst_error)])
         shares = 100 * np.arange(1, len(ended) + 1) / len(one.worst_error)
         left.step(ended, shares, where="post", color=curve_colour(k), label=name or None)
-        left.axvline(one.tolerance, color=curve_colour(k) if len({other.tolerance for other in several.values()}) > 1 else "0.4", ls="--", lw=1.0)
+        left.axvline(
+            one.tolerance,
+            color=curve_colour(k)
+            if len({other.tolerance for other in several.values()}) > 1
+            else "0.4",
+            ls="--",
+            lw=1.0,
+        )
         met = 100 * float(np.mean(one.worst_error <= one.tolerance))
-        left.annotate(f"{met:.3g} %", (one.tolerance, met), xytext=(4, -10), textcoords="offset points", color=curve_colour(k), fontsize=9)
+        left.annotate(
+            f"{met:.3g} %",
+            (one.tolerance, met),
+            xytext=(4, -10),
+            textcoords="offset points",
+            color=curve_colour(k),
+            fontsize=9,
+        )
     _draw_importance(right, several)
     left.set_xscale("log")
     left.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     left.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     left.xaxis.set_minor_formatter(NullFormatter())
-    left.set(ylim=(0, 102), xlabel="error at the end (m); dashed: tolerance", ylabel="replays that end within it (%)")
+    left.set(
+        ylim=(0, 102),
+        xlabel="error at the end (m); dashed: tolerance",
+        ylabel="replays that end within it (%)",
+    )
     if len(several) > 1:
         left.legend(frameon=False, fontsize=9)
     figure.suptitle(text("title", title))
@@ -105,15 +128,29 @@ def _read(what: Any) -> dict[str, ReplayErrors]:
     for name, one in several.items():
         text("what: a name", name)
         if not all(hasattr(one, field) for field in ("worst_error", "tolerance", "importance")):
-            raise TypeError(f"what is {shown(one)}: give what plan.robustness(...) returns, or several of them by name")
+            raise TypeError(
+                f"what is {shown(one)}: give what plan.robustness(...) returns, or several of them by name"
+            )
     return several
 
 
 def _draw_importance(ax: Axes, several: Mapping[str, ReplayErrors]) -> None:
-    names: Sequence[str] = list(dict.fromkeys(name for one in several.values() for name in one.importance))
+    names: Sequence[str] = list(
+        dict.fromkeys(name for one in several.values() for name in one.importance)
+    )
     height = 0.8 / len(several)
     for k, one in enumerate(several.values()):
         places = np.arange(len(names)) + (k - (len(several) - 1) / 2) * height
-        ax.barh(places, [100 * np.nan_to_num(one.importance.get(name, 0.0)) for name in names], height, color=curve_colour(k))
-    ax.set(yticks=np.arange(len(names)), yticklabels=names, xlim=(0, 100), xlabel="share of the variance of the misses (%)")
+        ax.barh(
+            places,
+            [100 * np.nan_to_num(one.importance.get(name, 0.0)) for name in names],
+            height,
+            color=curve_colour(k),
+        )
+    ax.set(
+        yticks=np.arange(len(names)),
+        yticklabels=names,
+        xlim=(0, 100),
+        xlabel="share of the variance of the misses (%)",
+    )
     ax.invert_yaxis()

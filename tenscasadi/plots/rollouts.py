@@ -10,7 +10,15 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.plots.panels import FilePath, make_panels, save_figure
-from tenscasadi.util.validate import Array, finite_array, instance, real_array, shown, text, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    instance,
+    real_array,
+    shown,
+    text,
+    whole_number,
+)
 
 _SHARES = (0.05, 0.25)  # of the motions below a band, and above it
 _DRAWN = 200  # motions drawn one by one beneath the bands
@@ -36,7 +44,8 @@ def fan(
     axes : str
         Coordinates, one panel each, such as "z" or "xy".
     bands : array_like (k,)
-        Shares of the motions that lie below each band, and above it: 0.05 draws the band from the 5 % to the 95 % quantile.
+        Shares of the motions that lie below each band, and above it: 0.05 draws the band from the 5
+        % to the 95 % quantile.
     title : str
         Title of the figure; how many motions are drawn unless given.
     path : path-like, optional
@@ -70,7 +79,9 @@ def fan(
     if np.any((shares < 0) | (shares >= 0.5)):
         raise ValueError(f"bands is {shares}: give shares of 0 or more, less than 0.5")
     places = rollouts.path(node)[good]
-    figure, panels = make_panels(len(axes), "time (s)", text("title", title) or f"{len(places)} of {len(good)} motions")
+    figure, panels = make_panels(
+        len(axes), "time (s)", text("title", title) or f"{len(places)} of {len(good)} motions"
+    )
     for ax, axis in zip(panels, axes, strict=True):
         values = places[:, :, "xyz".index(axis)]
         drawn = values[np.linspace(0, len(values) - 1, min(len(values), _DRAWN)).astype(int)]
@@ -79,9 +90,23 @@ def fan(
             low, high = np.quantile(values, [share, 1 - share], axis=0)
             label = f"{share:.0%} … {1 - share:.0%}"
             ax.fill_between(
-                rollouts.time, low, high, color="C0", alpha=0.18 + 0.5 * (k + 1) / (len(shares) + 1), linewidth=0, zorder=2 + k, label=label
+                rollouts.time,
+                low,
+                high,
+                color="C0",
+                alpha=0.18 + 0.5 * (k + 1) / (len(shares) + 1),
+                linewidth=0,
+                zorder=2 + k,
+                label=label,
             )
-        ax.plot(rollouts.time, np.median(values, axis=0), color="C1", linewidth=1.6, zorder=9, label="median")
+        ax.plot(
+            rollouts.time,
+            np.median(values, axis=0),
+            color="C1",
+            linewidth=1.6,
+            zorder=9,
+            label="median",
+        )
         ax.set_ylabel(f"{axis} of node {node} (m)")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside right upper")
@@ -104,7 +129,8 @@ def histogram(
     rollouts : Rollouts
         Motions.
     outcome : array_like (n,)
-        What came out of each motion, such as a coordinate of `rollouts.final`; what failed may be NaN.
+        What came out of each motion, such as a coordinate of `rollouts.final`; what failed may be
+        NaN.
     label : str
         What it is, with its unit.
     bins : int, optional
@@ -138,18 +164,29 @@ def histogram(
     good = _succeeded(rollouts)
     values = real_array("outcome", outcome, f"an array of shape ({len(good)},)")
     if values.shape != good.shape:
-        raise ValueError(f"outcome has shape {values.shape}: give one number for each of the {len(good)} motions")
+        raise ValueError(
+            f"outcome has shape {values.shape}: give one number for each of the {len(good)} motions"
+        )
     values = finite_array("outcome", values[good], (None,))
     text("label", label)
     count: Any = "auto" if bins is None else whole_number("bins", bins, 1, 10_000)
-    figure, (ax,) = make_panels(1, label, text("title", title) or f"{len(values)} of {len(good)} motions")
+    figure, (ax,) = make_panels(
+        1, label, text("title", title) or f"{len(values)} of {len(good)} motions"
+    )
     ax.hist(values, bins=count if np.ptp(values) > _smallest(values) else 1, color="C0", alpha=0.75)
     for share, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
         place = float(np.quantile(values, share))
-        ax.axvline(place, color="C1", linestyle=style, label=f"{'median' if share == 0.5 else f'{share:.0%}'}: {place:.4g}")
+        ax.axvline(
+            place,
+            color="C1",
+            linestyle=style,
+            label=f"{'median' if share == 0.5 else f'{share:.0%}'}: {place:.4g}",
+        )
     ax.set_ylabel("motions")
     ax.set_axisbelow(True)
-    figure.legend(*ax.get_legend_handles_labels(), fontsize=8, frameon=False, loc="outside right upper")
+    figure.legend(
+        *ax.get_legend_handles_labels(), fontsize=8, frameon=False, loc="outside right upper"
+    )
     return save_figure(figure, path)
 
 

@@ -30,7 +30,8 @@ def with_fields(value: Value, **fields: Any) -> Value:
 def bind(scene: Any, w: Any) -> tuple[Any, Any]:
     """Return the scene with expressions of the parameters in w = (u, p) as its constants, and the control u; itself and w where it has none.
 
-    Strings' quantities are then rows (1×α, or 1×1) of the modelled strings. The scene that comes back has no parameters left.
+    Strings' quantities are then rows (1×α, or 1×1) of the modelled strings. The scene that comes
+    back has no parameters left.
     """
     if scene.parameters is None:
         return scene, w
@@ -40,15 +41,26 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
     items = layout.quantities
     s = scene.modelled
     own, fraction, parent = {}, s.string_fraction, s.string_parent
-    for name in items.keys() & {"stiffness", "damping", "rest_length"} - ({"rest_length"} if isinstance(scene.control, RestLength) else set()):
+    for name in items.keys() & {"stiffness", "damping", "rest_length"} - (
+        {"rest_length"} if isinstance(scene.control, RestLength) else set()
+    ):
         share = fraction if name == "rest_length" else 1 / fraction
-        onto_segments = sp.csr_array((share, (np.arange(len(parent)), parent)), shape=(len(parent), len(items[name].constant)))
+        onto_segments = sp.csr_array(
+            (share, (np.arange(len(parent)), parent)),
+            shape=(len(parent), len(items[name].constant)),
+        )
         own[name] = items[name].then(onto_segments).expression(p).T
     if own:
         changes["modelled"] = _with_attributes(s, own)
-    on_grounds = {name.removeprefix("ground_"): _column(affine, p) for name, affine in items.items() if name.startswith("ground_")}
+    on_grounds = {
+        name.removeprefix("ground_"): _column(affine, p)
+        for name, affine in items.items()
+        if name.startswith("ground_")
+    }
     if on_grounds:
-        changes["ground"] = tuple(_bind_ground(ground, k, on_grounds) for k, ground in enumerate(scene.grounds))
+        changes["ground"] = tuple(
+            _bind_ground(ground, k, on_grounds) for k, ground in enumerate(scene.grounds)
+        )
     for name in items.keys() & {"gravity", "pressure", "forces"}:
         values = _column(items[name], p)
         load = getattr(scene, name)
@@ -56,19 +68,32 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
             changes[name] = _Scaled(load, values)
         else:
             changes[name] = (
-                {"gravity": _Weight, "forces": _Pushes}[name](load, values) if name != "pressure" else with_fields(load, difference=values)
+                {"gravity": _Weight, "forces": _Pushes}[name](load, values)
+                if name != "pressure"
+                else with_fields(load, difference=values)
             )
     return with_fields(scene, **changes), w[:nu]
 
 
 def _bind_ground(ground: Any, k: int, values: dict[str, Any]) -> Any:
     """Return ground k with its entries of `values` (grounds×1); one that has been made frictionless stays so."""
-    return with_fields(ground, **{name: value[k] for name, value in values.items() if getattr(ground, name, None) is not None})
+    return with_fields(
+        ground,
+        **{
+            name: value[k]
+            for name, value in values.items()
+            if getattr(ground, name, None) is not None
+        },
+    )
 
 
 def _column(affine: Any, p: Any) -> Any:
     value = affine.expression(p)
-    return value if value.shape[0] == len(affine.constant) else ca.repmat(value, len(affine.constant), 1)
+    return (
+        value
+        if value.shape[0] == len(affine.constant)
+        else ca.repmat(value, len(affine.constant), 1)
+    )
 
 
 def _with_attributes(structure: Any, attributes: dict[str, Any]) -> Any:
@@ -125,23 +150,43 @@ def fix(scene: Any, p: Array) -> Any:
     if scene.parameters is None:
         return scene
     items = {name: affine.numbers(p) for name, affine in scene.layout.quantities.items()}
-    structure = {name: values for name, values in items.items() if QUANTITIES[name].part == "structure"}
-    changes: dict[str, Any] = {"parameters": None, "structure": scene.structure.replace(**structure)}
-    on_grounds = {name.removeprefix("ground_"): values for name, values in items.items() if name.startswith("ground_")}
+    structure = {
+        name: values for name, values in items.items() if QUANTITIES[name].part == "structure"
+    }
+    changes: dict[str, Any] = {
+        "parameters": None,
+        "structure": scene.structure.replace(**structure),
+    }
+    on_grounds = {
+        name.removeprefix("ground_"): values
+        for name, values in items.items()
+        if name.startswith("ground_")
+    }
     if on_grounds:
-        each = [{name: float(values[k]) for name, values in on_grounds.items()} for k in range(len(scene.grounds))]
+        each = [
+            {name: float(values[k]) for name, values in on_grounds.items()}
+            for k in range(len(scene.grounds))
+        ]
         changes["ground"] = tuple(
-            replace(ground, **values | ({} if values.get("friction", 1.0) else {"friction": None}))  # no friction at all is None
+            replace(
+                ground, **values | ({} if values.get("friction", 1.0) else {"friction": None})
+            )  # no friction at all is None
             for ground, values in zip(scene.grounds, each, strict=True)
         )
     for name in items.keys() & {"gravity", "pressure", "forces"}:
         load = getattr(scene, name)
         if name in scene.parameters.scale:
             factor = float(items[name][0])
-            changed = _ScaledFunction(load.quantity, factor) if load.is_function else factor * np.asarray(load.quantity)
+            changed = (
+                _ScaledFunction(load.quantity, factor)
+                if load.is_function
+                else factor * np.asarray(load.quantity)
+            )
             changes[name] = replace(load, **{load.quantity_name: changed})
         else:
-            changes[name] = replace(load, **{load.quantity_name: items[name].reshape(np.shape(load.quantity))})
+            changes[name] = replace(
+                load, **{load.quantity_name: items[name].reshape(np.shape(load.quantity))}
+            )
     return replace(scene, **changes)
 
 

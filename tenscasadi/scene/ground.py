@@ -13,7 +13,16 @@ import numpy as np
 
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, finite_array, listed, node_index, number, positive_number, shown, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    listed,
+    node_index,
+    number,
+    positive_number,
+    shown,
+    whole_number,
+)
 
 
 class Contact(NamedTuple):
@@ -80,7 +89,11 @@ class Surface(ABC):
         W = times(outward, push)
         if self.friction is not None:
             slip, share = slip_velocity(contact, V)
-            drag = self.friction * (push if share is None else push * share) / ca.sqrt(ca.sum1(slip * slip) + self.slip_speed**2)
+            drag = (
+                self.friction
+                * (push if share is None else push * share)
+                / ca.sqrt(ca.sum1(slip * slip) + self.slip_speed**2)
+            )
             W = W - slip * ca.repmat(drag, 3, 1)
         return W
 
@@ -126,7 +139,9 @@ class Surface(ABC):
         checked = {
             "stiffness": positive_number(f"{name}.stiffness", self.stiffness),
             "damping": positive_number(f"{name}.damping", self.damping, zero=True),
-            "friction": None if self.friction is None else positive_number(f"{name}.friction", self.friction),
+            "friction": None
+            if self.friction is None
+            else positive_number(f"{name}.friction", self.friction),
             "slip_speed": positive_number(f"{name}.slip_speed", self.slip_speed),
             "nodes": None if self.nodes is None else _distinct(f"{name}.nodes", self.nodes),
             **others,
@@ -164,7 +179,8 @@ def _distinct(field: str, nodes: Any) -> tuple[int, ...]:
 class Ground(Surface):
     """A plane that pushes on nodes below it, and never pulls (Sect. 7.4).
 
-    The plane is normalᵀx = height. A node at depth d that moves along the normal at speed v is pushed with k d − c v.
+    The plane is normalᵀx = height. A node at depth d that moves along the normal at speed v is
+    pushed with k d − c v.
 
     Parameters
     ----------
@@ -181,7 +197,8 @@ class Ground(Surface):
     slip_speed : float
         Speed v_s, m/s, over which friction is regularised.
     nodes : sequence of int, optional
-        Nodes of the structure that it acts on; by default on all, also those inside strings that are cut into segments.
+        Nodes of the structure that it acts on; by default on all, also those inside strings that
+        are cut into segments.
 
     See Also
     --------
@@ -189,8 +206,9 @@ class Ground(Surface):
 
     Notes
     -----
-    Friction is μ f v_t/√(v_t² + v_s²) for a push f and a tangential velocity v_t. A body that should stick therefore creeps, at
-    v_s r/√(1 − r²) where it needs the share r of the friction that there is.
+    Friction is μ f v_t/√(v_t² + v_s²) for a push f and a tangential velocity v_t. A body that
+    should stick therefore creeps, at v_s r/√(1 − r²) where it needs the share r of the friction
+    that there is.
 
     Examples
     --------
@@ -217,7 +235,9 @@ class Ground(Surface):
     def __post_init__(self) -> None:
         normal = finite_array("Ground.normal", self.normal, (3,))
         if not normal.any():
-            raise ValueError("Ground.normal is (0, 0, 0): give the direction away from the ground, such as (0, 0, 1)")
+            raise ValueError(
+                "Ground.normal is (0, 0, 0): give the direction away from the ground, such as (0, 0, 1)"
+            )
         size = float(np.linalg.norm(normal))
         if abs(size - 1) >= 1e-15:  # once normalised it stays as it is
             normal = normal / np.abs(normal).max()  # whose square neither vanishes nor overflows
@@ -246,8 +266,8 @@ class Ground(Surface):
 class Terrain(ReadOnlyArrays, Surface):
     """A height field z = h(x, y) that pushes on nodes below it, and never pulls.
 
-    Heights are bilinear between the points of a regular grid. A node at depth d that moves out of the ground at speed v is pushed with
-    k d − c v, and rubs along the surface where it is.
+    Heights are bilinear between the points of a regular grid. A node at depth d that moves out of
+    the ground at speed v is pushed with k d − c v, and rubs along the surface where it is.
 
     Parameters
     ----------
@@ -264,7 +284,8 @@ class Terrain(ReadOnlyArrays, Surface):
     slip_speed : float
         Speed v_s, m/s, over which friction is regularised, as that of `Ground`.
     nodes : sequence of int, optional
-        Nodes of the structure that it acts on; by default on all, also those inside strings that are cut into segments.
+        Nodes of the structure that it acts on; by default on all, also those inside strings that
+        are cut into segments.
 
     See Also
     --------
@@ -272,12 +293,15 @@ class Terrain(ReadOnlyArrays, Surface):
 
     Notes
     -----
-    Beyond the grid the ground goes on as it ends: its height is that of the nearest point of the grid's border.
+    Beyond the grid the ground goes on as it ends: its height is that of the nearest point of the
+    grid's border.
 
-    The depth is (h − z) cos θ, with the cosine of the slope bilinear between the grid's points, too (there from central differences):
-    exactly the distance to a plane, and elsewhere without jumps. The push is the gradient of the energy k d²/2, so that energy is kept.
-    From cell to cell the slope jumps, and the push its direction: a node that comes to lie in a groove between two cells chatters from one
-    to the other. Fixed steps pass over that; schemes that control their error need a tolerance above about 1e-8, or a finer grid.
+    The depth is (h − z) cos θ, with the cosine of the slope bilinear between the grid's points, too
+    (there from central differences): exactly the distance to a plane, and elsewhere without jumps.
+    The push is the gradient of the energy k d²/2, so that energy is kept. From cell to cell the
+    slope jumps, and the push its direction: a node that comes to lie in a groove between two cells
+    chatters from one to the other. Fixed steps pass over that; schemes that control their error
+    need a tolerance above about 1e-8, or a finer grid.
 
     Examples
     --------
@@ -303,11 +327,18 @@ class Terrain(ReadOnlyArrays, Surface):
     def __post_init__(self) -> None:
         heights = finite_array("Terrain.heights", self.heights, (None, None))
         if min(heights.shape) < 2:
-            raise ValueError(f"Terrain.heights has shape {heights.shape}: give two or more points along each axis")
-        corners = {name: tuple(finite_array(f"Terrain.{name}", getattr(self, name), (2,)).tolist()) for name in ("lower", "upper")}
+            raise ValueError(
+                f"Terrain.heights has shape {heights.shape}: give two or more points along each axis"
+            )
+        corners = {
+            name: tuple(finite_array(f"Terrain.{name}", getattr(self, name), (2,)).tolist())
+            for name in ("lower", "upper")
+        }
         for axis, (low, high) in enumerate(zip(*corners.values(), strict=True)):
             if not high - low >= 1e-9 * max(abs(low), abs(high), 1e-90):
-                raise ValueError(f"Terrain.lower is {low:g} and .upper {high:g} along {'xy'[axis]}: give lower < upper")
+                raise ValueError(
+                    f"Terrain.lower is {low:g} and .upper {high:g} along {'xy'[axis]}: give lower < upper"
+                )
         self._checked(heights=heights, **corners)
 
     @cached_property
@@ -330,15 +361,22 @@ class Terrain(ReadOnlyArrays, Surface):
         """
         N = N if isinstance(N, (ca.SX, ca.MX)) else ca.DM(N)
         cells, shares = [], []
-        for axis, (low, width, points) in enumerate(zip(self.lower, self.spacing, self.heights.shape, strict=True)):
+        for axis, (low, width, points) in enumerate(
+            zip(self.lower, self.spacing, self.heights.shape, strict=True)
+        ):
             place = (N[axis, :] - low) / float(width)
-            cell = ca.fmin(ca.fmax(ca.floor(place), -1), points - 1)  # −1 and points − 1: beyond the grid
+            cell = ca.fmin(
+                ca.fmax(ca.floor(place), -1), points - 1
+            )  # −1 and points − 1: beyond the grid
             cells.append(cell + 1)
             shares.append(place - cell)
         corners = self._corners(cells[0] + (self.heights.shape[0] + 2) * cells[1])  # 8×n
         height, cosine = (_bilinear(corners[4 * k : 4 * k + 4, :], *shares) for k in range(2))
         above = height[0] - N[2, :]
-        sides = [-(height[axis] * cosine[0] + above * cosine[axis]) / float(self.spacing[axis - 1]) for axis in (1, 2)]
+        sides = [
+            -(height[axis] * cosine[0] + above * cosine[axis]) / float(self.spacing[axis - 1])
+            for axis in (1, 2)
+        ]
         outward = ca.vertcat(*sides, cosine[0])
         return Contact(above * cosine[0], outward, ca.sqrt(ca.sum1(outward * outward)))
 
@@ -347,22 +385,48 @@ class Terrain(ReadOnlyArrays, Surface):
         """Function cell → heights and cosines of the slope at its corners (8): 00, 10, 01, 11 of each. The grid has a cell more on each side."""
         slopes = np.gradient(self.heights, *self.spacing)
         cosines = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        table = np.stack([np.pad(values, 1, mode="edge").ravel(order="F") for values in (self.heights, cosines)])
-        # A table that is looked up at its own points: generated code reads it where it is, a constant matrix it would copy at every call.
+        table = np.stack(
+            [np.pad(values, 1, mode="edge").ravel(order="F") for values in (self.heights, cosines)]
+        )
+        # A table that is looked up at its own points: generated code reads it where it is, a
+        # constant matrix it would copy at every call.
         points = ca.interpolant(
-            "points", "linear", [np.arange(table.shape[1], dtype=float).tolist()], table.ravel(order="F"), {"lookup_mode": ["exact"]}
+            "points",
+            "linear",
+            [np.arange(table.shape[1], dtype=float).tolist()],
+            table.ravel(order="F"),
+            {"lookup_mode": ["exact"]},
         )
         cell, rows = ca.MX.sym("cell"), self.heights.shape[0] + 2
         found = points(ca.horzcat(*(cell + offset for offset in (0, 1, rows, rows + 1)))).T
-        # Which cell it is does not change with a small step. The zeros are stored: of a derivative without entries CasADi's scalars make NaN.
-        still = ca.Function("jac_corners", [cell, ca.MX.sym("out", 8)], [ca.MX(ca.DM.zeros(8, 1))], ["cell", "out_corners"], ["jac_corners_cell"])
-        options: dict[str, Any] = {"never_inline": True, "custom_jacobian": still, "enable_forward": False, "enable_reverse": False}
-        return ca.Function("corners", [cell], [ca.vec(found)], ["cell"], ["corners"], options)  # scalar code calls it: it cannot look up itself
+        # Which cell it is does not change with a small step. The zeros are stored: of a derivative
+        # without entries CasADi's scalars make NaN.
+        still = ca.Function(
+            "jac_corners",
+            [cell, ca.MX.sym("out", 8)],
+            [ca.MX(ca.DM.zeros(8, 1))],
+            ["cell", "out_corners"],
+            ["jac_corners_cell"],
+        )
+        options: dict[str, Any] = {
+            "never_inline": True,
+            "custom_jacobian": still,
+            "enable_forward": False,
+            "enable_reverse": False,
+        }
+        return ca.Function(
+            "corners", [cell], [ca.vec(found)], ["cell"], ["corners"], options
+        )  # scalar code calls it: it cannot look up itself
 
 
 def _bilinear(corners: Any, s: Any, t: Any) -> tuple[Any, Any, Any]:
     """Return values (1×n) between corners (4×n) at shares s, t of a cell, and their derivatives by s and t."""
-    value, by_s, by_t, mixed = corners[0, :], corners[1, :] - corners[0, :], corners[2, :] - corners[0, :], 0
+    value, by_s, by_t, mixed = (
+        corners[0, :],
+        corners[1, :] - corners[0, :],
+        corners[2, :] - corners[0, :],
+        0,
+    )
     mixed = corners[3, :] - corners[2, :] - by_s
     return value + s * by_s + t * (by_t + s * mixed), by_s + t * mixed, by_t + s * mixed
 

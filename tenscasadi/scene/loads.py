@@ -19,22 +19,25 @@ from tenscasadi.util.validate import Array, Indices, listed, node_index, number,
 class Gravity(OverTime):
     """Uniform gravity, constant or over time.
 
-    A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time.
-    A table is linear between its times and constant before and after them.
+    A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
+    without ``if`` on the time. A table is linear between its times and constant before and after
+    them.
 
     Parameters
     ----------
     acceleration : sequence of float, shape (3,) or (K, 3), or callable
-        Acceleration of a free body, m/s²; a function of the time t, s, that returns it; or a table of it at `times`.
+        Acceleration of a free body, m/s²; a function of the time t, s, that returns it; or a table
+        of it at `times`.
     times : array_like, shape (K,), optional
         Increasing times of a table, s. Steps of a simulation end there.
     breaks : array_like, shape (B,), optional
-        Times at which a function of time jumps or has a kink, s, beside those that its comparisons, signs and roundings show. Steps of a
-        simulation end there.
+        Times at which a function of time jumps or has a kink, s, beside those that its comparisons,
+        signs and roundings show. Steps of a simulation end there.
 
     Notes
     -----
-    Gravity that changes over time has no potential energy: its work counts as supplied from outside.
+    Gravity that changes over time has no potential energy: its work counts as supplied from
+    outside.
 
     Examples
     --------
@@ -71,7 +74,11 @@ class Gravity(OverTime):
         """
         if self.times is not None:
             return self._table(time, 3)
-        return ca.vec(express("Gravity.acceleration", self.acceleration, time)) if callable(self.acceleration) else ca.DM(self.acceleration)
+        return (
+            ca.vec(express("Gravity.acceleration", self.acceleration, time))
+            if callable(self.acceleration)
+            else ca.DM(self.acceleration)
+        )
 
     def forces(self, node_weight: Array, time: Any = 0) -> Any:
         """Return the weights of nodes.
@@ -114,8 +121,9 @@ class Gravity(OverTime):
 class Pressure(OverTime):
     """A pressure across triangles, which follows them as they move, constant or over time.
 
-    Each node a, b, c of a face takes p/6 (b − a)×(c − a), towards the side from which a, b, c run counterclockwise: outwards, for
-    a closed surface under inner pressure. A function is called with a CasADi symbol, as for `NodalForce`.
+    Each node a, b, c of a face takes p/6 (b − a)×(c − a), towards the side from which a, b, c run
+    counterclockwise: outwards, for a closed surface under inner pressure. A function is called with
+    a CasADi symbol, as for `NodalForce`.
 
     Parameters
     ----------
@@ -126,8 +134,8 @@ class Pressure(OverTime):
     times : array_like, shape (K,), optional
         Increasing times of a table, s. Steps of a simulation end there.
     breaks : array_like, shape (B,), optional
-        Times at which a function of time jumps or has a kink, s, beside those that its comparisons, signs and roundings show. Steps of a
-        simulation end there.
+        Times at which a function of time jumps or has a kink, s, beside those that its comparisons,
+        signs and roundings show. Steps of a simulation end there.
 
     Examples
     --------
@@ -145,12 +153,17 @@ class Pressure(OverTime):
 
     def __post_init__(self) -> None:
         given = listed("Pressure.faces", self.faces, "[(0, 1, 2)] of triangles of node indices")
-        faces = tuple(listed(f"Pressure.faces[{k}]", face, "(0, 1, 2), three node indices") for k, face in enumerate(given))
+        faces = tuple(
+            listed(f"Pressure.faces[{k}]", face, "(0, 1, 2), three node indices")
+            for k, face in enumerate(given)
+        )
         for k, face in enumerate(faces):
             for node in face:
                 whole_number(f"Pressure.faces[{k}]", node, -(2**31))
             if len(face) != 3 or len(set(face)) != 3:
-                raise ValueError(f"Pressure.faces[{k}] is {face}: give three different node indices")
+                raise ValueError(
+                    f"Pressure.faces[{k}] is {face}: give three different node indices"
+                )
         object.__setattr__(self, "faces", faces)
         if not self.varies:
             object.__setattr__(self, "difference", number("Pressure.difference", self.difference))
@@ -186,7 +199,11 @@ class Pressure(OverTime):
         """
         if self.times is not None:
             return self._table(time, 1)
-        return express("Pressure.difference", self.difference, time) if callable(self.difference) else self.difference
+        return (
+            express("Pressure.difference", self.difference, time)
+            if callable(self.difference)
+            else self.difference
+        )
 
     def forces(self, N: Any, time: Any = 0) -> Any:
         """Return the forces on nodes.
@@ -214,8 +231,9 @@ class Pressure(OverTime):
 class NodalForce(OverTime, ReadOnlyArrays):
     """Forces on nodes, constant or over time.
 
-    A function is called once with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time.
-    A table is linear between its times and constant before and after them.
+    A function is called once with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
+    without ``if`` on the time. A table is linear between its times and constant before and after
+    them.
 
     Parameters
     ----------
@@ -224,11 +242,13 @@ class NodalForce(OverTime, ReadOnlyArrays):
     times : array_like, shape (K,), optional
         Increasing times of a table, s. Steps of a simulation end there.
     breaks : array_like, shape (B,), optional
-        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s. Steps of a simulation end there, and at all of
-        these that its expression shows, which are found without being given.
+        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s. Steps of
+        a simulation end there, and at all of these that its expression shows, which are found
+        without being given.
     bars : mapping of int to int, optional
-        Nodes of several bars, and the bar whose end takes the node's force; by default the one that is first in the columns of
-        `Structure.class_one`. The motion is the same, the forces in the joint (Ω of `Model.multipliers`) are not.
+        Nodes of several bars, and the bar whose end takes the node's force; by default the one that
+        is first in the columns of `Structure.class_one`. The motion is the same, the forces in the
+        joint (Ω of `Model.multipliers`) are not.
 
     Examples
     --------
@@ -249,7 +269,9 @@ class NodalForce(OverTime, ReadOnlyArrays):
         self._read((None, 3))
         if self.bars is not None:
             if not isinstance(self.bars, Mapping):
-                raise TypeError(f"NodalForce.bars is {shown(self.bars)}: give a mapping from nodes to bars, such as {{1: 0}}")
+                raise TypeError(
+                    f"NodalForce.bars is {shown(self.bars)}: give a mapping from nodes to bars, such as {{1: 0}}"
+                )
             object.__setattr__(self, "bars", dict(self.bars))
 
     def check(self, nodes: int, pairs: Indices | None = None) -> None:
@@ -267,11 +289,15 @@ class NodalForce(OverTime, ReadOnlyArrays):
             whole_number(f"NodalForce.bars[{node}]", bar, 0)
             ends = [] if pairs is None else np.flatnonzero((pairs == node).any(axis=1)).tolist()
             if pairs is not None and bar not in ends:
-                raise ValueError(f"NodalForce.bars[{node}] is {bar}, which is no bar of node {node}: give one of {ends}, or leave it out")
+                raise ValueError(
+                    f"NodalForce.bars[{node}] is {bar}, which is no bar of node {node}: give one of {ends}, or leave it out"
+                )
         if callable(self.values):
             self._check_function((nodes, 3))
         elif self.values.shape[-2] != nodes:
-            raise ValueError(f"NodalForce.values has {self.values.shape[-2]} rows: give one row for each of the {nodes} nodes")
+            raise ValueError(
+                f"NodalForce.values has {self.values.shape[-2]} rows: give one row for each of the {nodes} nodes"
+            )
 
     def forces(self, time: Any) -> Any:
         """Return the forces at a time.

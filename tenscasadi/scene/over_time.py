@@ -7,15 +7,25 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.time_functions import as_numbers, at_edges, check_over_run, express, find_breaks, interpolate, short_beside_steep, trace
+from tenscasadi.scene.time_functions import (
+    as_numbers,
+    at_edges,
+    check_over_run,
+    express,
+    find_breaks,
+    interpolate,
+    short_beside_steep,
+    trace,
+)
 from tenscasadi.util.validate import Array, finite_array
 
 
 class OverTime:
     """Base of loads with one quantity that is constant, a table over time, or a function of time.
 
-    A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time. A table is
-    linear between its times and constant before and after them.
+    A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
+    without ``if`` on the time. A table is linear between its times and constant before and after
+    them.
     """
 
     _quantity: ClassVar[str]  # name of the field that may change over time
@@ -52,12 +62,17 @@ class OverTime:
         name, value = type(self).__name__, self.quantity
         checked: dict[str, Any] = {"breaks": finite_array(f"{name}.breaks", self.breaks, (None,))}
         if len(checked["breaks"]) and not callable(value):
-            raise ValueError(f"{name}.breaks is {checked['breaks']}: give breaks of a function of time alone, a table has its times")
+            raise ValueError(
+                f"{name}.breaks is {checked['breaks']}: give breaks of a function of time alone, a table has its times"
+            )
         if self.times is not None:
             times = finite_array(f"{name}.times", self.times, (None,))
             if len(times) < 2 or np.any(np.diff(times) <= 0):
                 raise ValueError(f"{name}.times is {times}: give two or more increasing times")
-            checked |= {"times": times, self._quantity: finite_array(self.field, value, (len(times), *shape))}
+            checked |= {
+                "times": times,
+                self._quantity: finite_array(self.field, value, (len(times), *shape)),
+            }
         elif not callable(value):
             checked[self._quantity] = finite_array(self.field, value, shape)
         for field, array in checked.items():
@@ -65,14 +80,21 @@ class OverTime:
 
     def _check_function(self, shape: tuple[int, ...]) -> None:
         """Raise ValueError unless a function returns finite numbers of this shape at t = 0, and entries as many on a CasADi time."""
-        function, wanted = self.quantity, f"({', '.join(map(str, shape))})" if shape else "one number"
+        function, wanted = (
+            self.quantity,
+            f"({', '.join(map(str, shape))})" if shape else "one number",
+        )
         try:
             sample = function(0.0)
         except Exception as error:  # whatever the caller's function raises
-            raise ValueError(f"{self.field} raised {error!r} at t = 0: give a function of time that returns {wanted}") from error
+            raise ValueError(
+                f"{self.field} raised {error!r} at t = 0: give a function of time that returns {wanted}"
+            ) from error
         read_sample(f"{self.field}(0.0)", sample, shape)
         found = express(self.field, function, ca.MX.sym("t")).shape
-        if found not in ((shape,) if len(shape) == 2 else ((*shape, 1), (1, *shape)) if shape else ((1, 1),)):
+        if found not in (
+            (shape,) if len(shape) == 2 else ((*shape, 1), (1, *shape)) if shape else ((1, 1),)
+        ):
             raise ValueError(f"{self.field} returns shape {found} on a CasADi time: give {wanted}")
 
     def at(self, time: Any) -> Any:
@@ -124,7 +146,12 @@ class OverTime:
             return short_beside_steep(np.asarray(self.times))
         if not self.is_function:
             return np.empty(0)
-        return at_edges(np.concatenate([self.breaks, find_breaks(trace(self.at), first, last)]), first, last, steps)
+        return at_edges(
+            np.concatenate([self.breaks, find_breaks(trace(self.at), first, last)]),
+            first,
+            last,
+            steps,
+        )
 
 
 def read_sample(field: str, value: Any, shape: tuple[int, ...]) -> Array:

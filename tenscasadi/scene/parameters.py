@@ -42,20 +42,24 @@ Groups = tuple[tuple[str, tuple[tuple[int, ...], ...]], ...]
 class Parameters:
     """Quantities of a scene that stay open in its equations: a run is given their values, and one compiled code serves all of them.
 
-    What is not named stays constant and costs nothing. Strings and their masses are those of the structure, before they are cut into
-    segments.
+    What is not named stays constant and costs nothing. Strings and their masses are those of the
+    structure, before they are cut into segments.
 
     Parameters
     ----------
     *names : str
-        Quantities, in SI units, with an entry of p for each of their items: ``"stiffness"``, ``"damping"``, ``"rest_length"`` and
-        ``"string_mass"`` of strings, ``"bar_mass"`` of bars, ``"node_mass"`` of nodes, ``"gravity"`` (x, y, z), ``"ground_stiffness"``,
-        ``"ground_damping"`` and ``"ground_friction"``, ``"pressure"``, and constant nodal ``"forces"`` (x, y, z of each node).
+        Quantities, in SI units, with an entry of p for each of their items: ``"stiffness"``,
+        ``"damping"``, ``"rest_length"`` and ``"string_mass"`` of strings, ``"bar_mass"`` of bars,
+        ``"node_mass"`` of nodes, ``"gravity"`` (x, y, z), ``"ground_stiffness"``,
+        ``"ground_damping"`` and ``"ground_friction"``, ``"pressure"``, and constant nodal
+        ``"forces"`` (x, y, z of each node).
     scale : iterable of str
-        Quantities that are multiplied by an entry of p: a factor without dimension, 1 for the scene's own values.
+        Quantities that are multiplied by an entry of p: a factor without dimension, 1 for the
+        scene's own values.
     groups : mapping of str to sequence of sequence of int, or to "all", optional
-        For named quantities of strings, bars, nodes and grounds the groups of items that share an entry; items in no group stay constant.
-        "all": all items share one. A scale is shared by all unless there are groups.
+        For named quantities of strings, bars, nodes and grounds the groups of items that share an
+        entry; items in no group stay constant. "all": all items share one. A scale is shared by all
+        unless there are groups.
 
     Attributes
     ----------
@@ -89,26 +93,42 @@ class Parameters:
     scale: tuple[str, ...] = ()
     groups: Groups = field(default=())
 
-    def __init__(self, *names: str, scale: Iterable[str] = (), groups: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, *names: str, scale: Iterable[str] = (), groups: Mapping[str, Any] | None = None
+    ) -> None:
         example = '("stiffness", "damping")'
         scaled = tuple(listed("Parameters.scale", scale, example))
         given = [*names, *scaled]
         for k, name in enumerate(given):
             if not isinstance(name, str):
-                raise TypeError(f"Parameters got {shown(name)}: give names of quantities, such as {example}")
+                raise TypeError(
+                    f"Parameters got {shown(name)}: give names of quantities, such as {example}"
+                )
             if name not in QUANTITIES:
-                raise ValueError(f"Parameters got {shown(name)}: give some of {', '.join(QUANTITIES)}")
+                raise ValueError(
+                    f"Parameters got {shown(name)}: give some of {', '.join(QUANTITIES)}"
+                )
             if name in given[:k]:
-                raise ValueError(f"Parameters got {shown(name)} twice: name a quantity once, in SI units or under scale=")
+                raise ValueError(
+                    f"Parameters got {shown(name)} twice: name a quantity once, in SI units or under scale="
+                )
         if not given:
-            raise ValueError(f"Parameters is empty: name quantities, such as {example}, or give no Parameters")
+            raise ValueError(
+                f"Parameters is empty: name quantities, such as {example}, or give no Parameters"
+            )
         if groups is not None and not isinstance(groups, Mapping):
-            raise TypeError(f"Parameters.groups is {shown(groups)}: give a mapping such as {{'stiffness': [[0, 1, 2], [3, 4, 5]]}}")
+            raise TypeError(
+                f"Parameters.groups is {shown(groups)}: give a mapping such as {{'stiffness': [[0, 1, 2], [3, 4, 5]]}}"
+            )
         for name in groups or {}:
             if name not in given:
-                raise ValueError(f"Parameters.groups has {shown(name)}, which is no parameter: name it, too, or leave its groups out")
+                raise ValueError(
+                    f"Parameters.groups has {shown(name)}, which is no parameter: name it, too, or leave its groups out"
+                )
             if QUANTITIES[name].item not in GROUPED:
-                raise ValueError(f"Parameters.groups has {shown(name)}: groups are of strings, bars, nodes and grounds, leave them out")
+                raise ValueError(
+                    f"Parameters.groups has {shown(name)}: groups are of strings, bars, nodes and grounds, leave them out"
+                )
         read = tuple((name, _read_groups(name, value)) for name, value in (groups or {}).items())
         for attribute, value in {"names": tuple(names), "scale": scaled, "groups": read}.items():
             object.__setattr__(self, attribute, value)
@@ -121,16 +141,25 @@ def _read_groups(name: str, value: Any) -> tuple[tuple[int, ...], ...]:
     where = f"Parameters.groups[{shown(name)}]"
     if isinstance(value, str):
         if value != "all":
-            raise ValueError(f'{where} is {shown(value)}: give "all", or groups of indices such as [[0, 1], [2, 3]]')
+            raise ValueError(
+                f'{where} is {shown(value)}: give "all", or groups of indices such as [[0, 1], [2, 3]]'
+            )
         return ((),)
-    groups = tuple(tuple(listed(f"{where}[{g}]", group, "[0, 1, 2]")) for g, group in enumerate(listed(where, value, "[[0, 1], [2, 3]]")))
+    groups = tuple(
+        tuple(listed(f"{where}[{g}]", group, "[0, 1, 2]"))
+        for g, group in enumerate(listed(where, value, "[[0, 1], [2, 3]]"))
+    )
     if not groups or not all(groups):
-        raise ValueError(f"{where} is {shown(value)}: give at least one group, each with at least one index")
+        raise ValueError(
+            f"{where} is {shown(value)}: give at least one group, each with at least one index"
+        )
     seen: set[int] = set()
     for g, group in enumerate(groups):
         for index in group:
             whole_number(f"{where}[{g}]", index, 0)
             if index in seen:
-                raise ValueError(f"{where}[{g}] has index {index}, which is in a group already: leave one out")
+                raise ValueError(
+                    f"{where}[{g}] has index {index}, which is in a group already: leave one out"
+                )
             seen.add(int(index))
     return tuple(tuple(int(index) for index in group) for group in groups)

@@ -32,7 +32,8 @@ _JUMP = 1e-6  # share of the largest value: less is a slope
 class Resolution(NamedTuple):
     """How much a step may leave unseen of a function of time: the larger of two shares.
 
-    of_step: of how far the function's values in the step are apart. of_run: of the function's impulse, the integral of its size over the run.
+    of_step: of how far the function's values in the step are apart. of_run: of the function's
+    impulse, the integral of its size over the run.
     """
 
     of_step: float
@@ -55,13 +56,21 @@ def is_bounded(load: OverTime | SupportMotion) -> bool:
     return functions is None or functions.derivative is not None
 
 
-def find_pulses(load: OverTime | SupportMotion, ends: Callable[[Indices], Array], steps: int, least: float, resolution: Resolution) -> Pulses:
+def find_pulses(
+    load: OverTime | SupportMotion,
+    ends: Callable[[Indices], Array],
+    steps: int,
+    least: float,
+    resolution: Resolution,
+) -> Pulses:
     """Find where a load that is a function of time changes within steps so that they do not see it.
 
-    A step sees a cubic. What the fourth derivative leaves of the function, bounded by interval arithmetic over the whole of the step, is to
-    be small against how far its values at five places of this very step are apart: what is left out is then not much narrower than the
-    step. Or what is left out, or how much the function changes at all, is small as an impulse. Steps of which neither holds are halved
-    until one does, the worst first: so that the impulse of the whole is known before what is small against it is judged.
+    A step sees a cubic. What the fourth derivative leaves of the function, bounded by interval
+    arithmetic over the whole of the step, is to be small against how far its values at five places
+    of this very step are apart: what is left out is then not much narrower than the step. Or what
+    is left out, or how much the function changes at all, is small as an impulse. Steps of which
+    neither holds are halved until one does, the worst first: so that the impulse of the whole is
+    known before what is small against it is judged.
 
     Parameters
     ----------
@@ -89,12 +98,16 @@ def find_pulses(load: OverTime | SupportMotion, ends: Callable[[Indices], Array]
 
     def look(first: Indices, last: Indices, starts: Array, stops: Array) -> _Pieces:
         unseen, surely = functions.look(starts, stops, finest, resolution.of_step)
-        return _Pieces(first, last, starts, stops, np.where(stops - starts > least, unseen, 0.0), surely)
+        return _Pieces(
+            first, last, starts, stops, np.where(stops - starts > least, unseen, 0.0), surely
+        )
 
     pieces = look(edges[:-1], edges[1:], ends(edges[:-1]), ends(edges[1:]))
     cuts: list[Array] = [np.empty(0)]
     seen, made = len(pieces.first), 0
-    while (worst := pieces.unseen.max(initial=0.0)) > (enough := resolution.of_run * pieces.surely.sum()):
+    while (worst := pieces.unseen.max(initial=0.0)) > (
+        enough := resolution.of_run * pieces.surely.sum()
+    ):
         halved = pieces.unseen > max(enough, _WORST * worst)
         first, last, starts, stops = (values[halved] for values in pieces[:4])
         inside = last - first <= 1  # of one step, or less: its halves are cut
@@ -105,8 +118,18 @@ def find_pulses(load: OverTime | SupportMotion, ends: Callable[[Indices], Array]
         if seen > _MOST_PIECES or made > _MOST_CUTS + steps:
             return Pulses(np.empty(0), float(starts[0]))
         low, high = np.where(inside, first, middle), np.where(inside, last, middle)
-        halves = look(np.concatenate([first, low]), np.concatenate([high, last]), np.concatenate([starts, times]), np.concatenate([times, stops]))
-        pieces = _Pieces(*(np.concatenate([old[~halved], young]) for old, young in zip(pieces, halves, strict=True)))
+        halves = look(
+            np.concatenate([first, low]),
+            np.concatenate([high, last]),
+            np.concatenate([starts, times]),
+            np.concatenate([times, stops]),
+        )
+        pieces = _Pieces(
+            *(
+                np.concatenate([old[~halved], young])
+                for old, young in zip(pieces, halves, strict=True)
+            )
+        )
     return Pulses(np.unique(np.concatenate(cuts)), None)
 
 
@@ -117,18 +140,24 @@ class _Pieces(NamedTuple):
     last: Indices
     starts: Array
     stops: Array
-    unseen: Array  # impulse that a step may leave unseen, at most; 0 where that is little of what it sees
+    # impulse that a step may leave unseen, at most; 0 where that is little of what it sees
+    unseen: Array
     surely: Array  # impulse of the function's size, at least
 
 
-def find_jumps(load: OverTime | SupportMotion, times: Array, around: float, first: float, last: float) -> Flags:
+def find_jumps(
+    load: OverTime | SupportMotion, times: Array, around: float, first: float, last: float
+) -> Flags:
     """Return whether a load jumps within `around` s of each of `times` (k,) in a run from `first` to `last`, s; a kink is no jump."""
     functions = _derivatives(load)
     if functions is None:
         return np.zeros(len(times), dtype=bool)
     before, after = functions.samples(times - around), functions.samples(times + around)
     some = functions.samples(np.linspace(first, last, _GROUPS + 1))
-    return np.asarray(abs(after - before).max(axis=0) > _JUMP * max(abs(values).max(initial=0.0) for values in (some, before, after)))
+    return np.asarray(
+        abs(after - before).max(axis=0)
+        > _JUMP * max(abs(values).max(initial=0.0) for values in (some, before, after))
+    )
 
 
 def is_finite(load: OverTime | SupportMotion, time: float) -> bool:
@@ -146,12 +175,17 @@ class _Functions(NamedTuple):
 
     def samples(self, times: Array) -> Array:
         """Return the values (m, k) at times (k,), s."""
-        return np.asarray(self.value(times[None]).full()).reshape(-1, len(times), order="F") if len(times) else np.empty((1, 0))
+        return (
+            np.asarray(self.value(times[None]).full()).reshape(-1, len(times), order="F")
+            if len(times)
+            else np.empty((1, 0))
+        )
 
     def look(self, starts: Array, stops: Array, finest: float, share: float) -> tuple[Array, Array]:
         """Return the impulse that a step over each piece leaves unseen at most, and that of the function's size at least (k,).
 
-        share: of what the step sees: where less is left, nothing is. finest: distance of samples, s, where no bounds are known.
+        share: of what the step sees: where less is left, nothing is. finest: distance of samples,
+        s, where no bounds are known.
         """
         values = self._across(starts, stops, _PLACES)
         remainder, low, high = self._bounds(starts, stops, finest)
@@ -160,7 +194,9 @@ class _Functions(NamedTuple):
         visible = remainder <= share * np.ptp(values, axis=1).max(axis=0)
         size = np.maximum(np.maximum(low, -high), 0.0).max(axis=0)
         most = np.nan_to_num(unseen * (stops - starts), nan=_UNBOUNDED, posinf=_UNBOUNDED)
-        return np.where(visible, 0.0, most), np.where(np.isfinite(size), size, 0.0) * (stops - starts)
+        return np.where(visible, 0.0, most), np.where(np.isfinite(size), size, 0.0) * (
+            stops - starts
+        )
 
     def _across(self, starts: Array, stops: Array, places: Array) -> Array:
         """Return the values at `places`, from 0 to 1, of each piece: m × places × k."""
@@ -174,12 +210,20 @@ class _Functions(NamedTuple):
             places = np.linspace(0, 1, max(_FEWEST, int(2 * half.max() / finest)) + 1)
             values = self._across(starts, stops, places)
             powers = np.vander(2 * places - 1, _ORDER)
-            fitted = np.einsum("sp,mpk->msk", powers, np.einsum("ps,msk->mpk", np.linalg.pinv(powers), values))
+            fitted = np.einsum(
+                "sp,mpk->msk", powers, np.einsum("ps,msk->mpk", np.linalg.pinv(powers), values)
+            )
             return abs(values - fitted).max(axis=(0, 1)), values.min(axis=1), values.max(axis=1)
         times = starts + (stops - starts) * _PLACES[:, None]
-        parts = times[:-1].ravel(), times[1:].ravel()  # bounds of shorter intervals are closer, but for what switches between them
+        parts = (
+            times[:-1].ravel(),
+            times[1:].ravel(),
+        )  # bounds of shorter intervals are closer, but for what switches between them
         changes, slopes = bound(self.value, *parts), bound(self.derivative, *parts)
-        low, high, least, most = (values.reshape(-1, len(_PLACES) - 1, len(starts)) for values in (*changes[:2], *slopes[:2]))
+        low, high, least, most = (
+            values.reshape(-1, len(_PLACES) - 1, len(starts))
+            for values in (*changes[:2], *slopes[:2])
+        )
         reach = np.maximum(abs(least), abs(most)).max(axis=(0, 1))
         with np.errstate(over="ignore", invalid="ignore"):
             remainder = reach * half**self.order / factorial(self.order)
@@ -203,7 +247,9 @@ def _derivatives(load: OverTime | SupportMotion) -> _Functions | None:
     derivative, order = value, 0
     while order < _ORDER:
         try:
-            further = ca.Function("derivative", [t], [ca.densify(ca.cse(ca.jacobian(derivative(t), t)))])
+            further = ca.Function(
+                "derivative", [t], [ca.densify(ca.cse(ca.jacobian(derivative(t), t)))]
+            )
         except RuntimeError:  # of splines CasADi has few derivatives
             break
         if further.n_instructions() > _LONGEST:

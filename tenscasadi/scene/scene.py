@@ -32,7 +32,8 @@ class Scene(Viewable):
     structure : Structure
         The structure in its initial nodes.
     control : ForceDensity or RestLength, optional
-        What the input is; by default strings keep the structure's rest lengths and there is no input.
+        What the input is; by default strings keep the structure's rest lengths and there is no
+        input.
     segments : int or sequence of int, shape (α,)
         Number of pieces that each string is modelled by.
     ends : {"interior", "lumped"}
@@ -46,8 +47,9 @@ class Scene(Viewable):
     forces : NodalForce, optional
         Forces on nodes.
     slack : Clip, Smooth or Linear, or a sequence or mapping of them
-        Law of a string about its rest length: exact, smooth for optimisers, or one that pushes too. One for all strings, one for each, or
-        a mapping such as ``{3: tc.Linear()}``: strings that it does not name have `Clip()`. Strings driven by force density have none.
+        Law of a string about its rest length: exact, smooth for optimisers, or one that pushes too.
+        One for all strings, one for each, or a mapping such as ``{3: tc.Linear()}``: strings that
+        it does not name have `Clip()`. Strings driven by force density have none.
     supports : SupportMotion, optional
         Motion of pinned nodes.
     fractions : sequence of float, shape (segments,), optional
@@ -84,16 +86,28 @@ class Scene(Viewable):
 
     def __post_init__(self) -> None:
         instance("Scene.structure", self.structure, Structure, "a tenscasadi.Structure")
-        for name, kind in {"gravity": Gravity, "pressure": Pressure, "forces": NodalForce, "supports": SupportMotion}.items():
+        for name, kind in {
+            "gravity": Gravity,
+            "pressure": Pressure,
+            "forces": NodalForce,
+            "supports": SupportMotion,
+        }.items():
             value = getattr(self, name)
             if value is not None:
                 instance(f"Scene.{name}", value, kind, f"a tenscasadi.{kind.__name__} or None")
         if self.control is not None:
-            instance("Scene.control", self.control, (ForceDensity, RestLength), "ForceDensity(), RestLength() or None")
+            instance(
+                "Scene.control",
+                self.control,
+                (ForceDensity, RestLength),
+                "ForceDensity(), RestLength() or None",
+            )
         object.__setattr__(self, "slack", read_slack(self.slack, len(self.structure.strings)))
         if not isinstance(self.ground, Surface):
             grounds = checked_grounds(self.ground)
-            object.__setattr__(self, "ground", (grounds if len(grounds) != 1 else grounds[0]) or None)
+            object.__setattr__(
+                self, "ground", (grounds if len(grounds) != 1 else grounds[0]) or None
+            )
         for load in (*self.grounds, self.pressure):
             if load is not None:
                 load.check(len(self.structure.nodes))
@@ -102,7 +116,12 @@ class Scene(Viewable):
         if self.supports is not None:
             self.supports.check(self.structure)
         if self.parameters is not None:
-            instance("Scene.parameters", self.parameters, Parameters, 'tenscasadi.Parameters("stiffness") or None')
+            instance(
+                "Scene.parameters",
+                self.parameters,
+                Parameters,
+                'tenscasadi.Parameters("stiffness") or None',
+            )
         _ = self.modelled, self.layout  # now, so that a fault shows here
 
     @cached_property
@@ -118,10 +137,16 @@ class Scene(Viewable):
             return []
         if isinstance(self.slack, Slack):
             return [(self.slack, np.arange(count))]
-        whose = np.repeat(np.arange(len(self.structure.strings)), segment_counts(self.segments, len(self.structure.strings)))
+        whose = np.repeat(
+            np.arange(len(self.structure.strings)),
+            segment_counts(self.segments, len(self.structure.strings)),
+        )
         given = cast("tuple[Slack, ...]", self.slack)
         laws = [given[string] for string in whose]
-        return [(law, np.array([i for i, other in enumerate(laws) if other == law])) for law in dict.fromkeys(laws)]
+        return [
+            (law, np.array([i for i, other in enumerate(laws) if other == law]))
+            for law in dict.fromkeys(laws)
+        ]
 
     @property
     def switching_strings(self) -> Indices:
@@ -176,9 +201,17 @@ class Scene(Viewable):
     @property
     def over_time(self) -> list[Gravity | Pressure | NodalForce | SupportMotion]:
         """The parts that change over time."""
-        loads = [load for load in (self.gravity, self.pressure, self.forces) if load is not None and load.varies]
+        loads = [
+            load
+            for load in (self.gravity, self.pressure, self.forces)
+            if load is not None and load.varies
+        ]
         return [*loads, *([] if self.supports is None else [self.supports])]
 
     def _strings_with(self, property_of_law: str) -> Indices:
         none = np.zeros(0, dtype=np.intp)
-        return np.sort(np.concatenate([none, *(which for law, which in self.string_laws if getattr(law, property_of_law))]))
+        return np.sort(
+            np.concatenate(
+                [none, *(which for law, which in self.string_laws if getattr(law, property_of_law))]
+            )
+        )

@@ -51,13 +51,14 @@ class Clip:
     Parameters
     ----------
     damping : {"clamped", "unclamped"}
-        What damping may do to a taut string. "clamped": it never makes it push, the tension ends at zero. "unclamped": it acts in full
-        while the string is longer than at rest, so that one that shortens fast pushes, as in STEDY.
+        What damping may do to a taut string. "clamped": it never makes it push, the tension ends at
+        zero. "unclamped": it acts in full while the string is longer than at rest, so that one that
+        shortens fast pushes, as in STEDY.
 
     Notes
     -----
-    Unclamped damping jumps by c ds/dt where a string becomes taut or slack. It takes c (ds/dt)² out of the motion at any time while the
-    string is longer than at rest, clamped damping less.
+    Unclamped damping jumps by c ds/dt where a string becomes taut or slack. It takes c (ds/dt)² out
+    of the motion at any time while the string is longer than at rest, clamped damping less.
 
     Examples
     --------
@@ -82,7 +83,9 @@ class Clip:
         """Whether damping ends where the tension does."""
         return self.damping == "clamped"
 
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
+    def force_density(
+        self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
+    ) -> Any:
         """Return the force densities of strings, γ = k (s − ρ)/s + c sᵀṡ/s² where they are taut (Eq. 99).
 
         Parameters
@@ -96,9 +99,11 @@ class Clip:
         rate : casadi expression or None
             c sᵀṡ of each string, N·m; None when none is damped.
         unit : casadi expression
-            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to have finite derivatives.
+            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to
+            have finite derivatives.
         taut : casadi expression, optional
-            1 or 0 where strings are held to pull, or not to, whatever their length; by default as they are.
+            1 or 0 where strings are held to pull, or not to, whatever their length; by default as
+            they are.
 
         Returns
         -------
@@ -107,7 +112,9 @@ class Clip:
         """
         safe = squared + (1e-9 * unit) ** 2
         length = ca.sqrt(safe)
-        strain = (length - rest) / length if taut is None else 1 - rest / length  # whose derivatives are shorter
+        strain = (
+            (length - rest) / length if taut is None else 1 - rest / length
+        )  # whose derivatives are shorter
         gamma = stiffness * strain if rate is None else stiffness * strain + rate / safe
         if taut is None:
             taut = strain > 0 if rate is None or not self.clamps else (strain > 0) * (gamma > 0)
@@ -138,7 +145,9 @@ class Clip:
         stretch = length - rest
         if rate is None or not self.clamps:
             return stretch
-        return ca.fmin(stretch, (stiffness * stretch + rate / length) / (stiffness + (stiffness == 0)))
+        return ca.fmin(
+            stretch, (stiffness * stretch + rate / length) / (stiffness + (stiffness == 0))
+        )
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
         """Return the elastic energy of strings, ½ k (s − ρ)² where they are taut.
@@ -167,8 +176,8 @@ class Clip:
 class Smooth:
     """Slack as a smooth maximum, for optimisers: t = (t′ + √(t′² + (k w)²))/2 with the unclipped tension t′.
 
-    The tension is wrong by at most k w/2, at the rest length, and by k w²/(4 |s − ρ|) far from it. Damping fades over the same
-    width.
+    The tension is wrong by at most k w/2, at the rest length, and by k w²/(4 |s − ρ|) far from it.
+    Damping fades over the same width.
 
     Parameters
     ----------
@@ -191,7 +200,9 @@ class Smooth:
     def __post_init__(self) -> None:
         object.__setattr__(self, "width", positive_number("Smooth.width", self.width))
 
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
+    def force_density(
+        self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
+    ) -> Any:
         """Return the force densities of strings, t/s with the smooth tension t.
 
         Parameters
@@ -205,7 +216,8 @@ class Smooth:
         rate : casadi expression or None
             c sᵀṡ of each string, N·m; None when none is damped.
         unit : casadi expression
-            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to have finite derivatives.
+            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to
+            have finite derivatives.
         taut : None
             Not needed here: strings are both.
 
@@ -234,7 +246,8 @@ class Smooth:
         stiffness : casadi expression
             Stiffness k, N/m.
         unit : casadi expression
-            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to have finite derivatives.
+            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to
+            have finite derivatives.
 
         Returns
         -------
@@ -267,7 +280,9 @@ class Linear:
     clamps: ClassVar[bool] = False
     pushes: ClassVar[bool] = True
 
-    def force_density(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None) -> Any:
+    def force_density(
+        self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
+    ) -> Any:
         """Return the force densities of strings, γ = k (s − ρ)/s + c sᵀṡ/s², of either sign.
 
         Parameters
@@ -281,7 +296,8 @@ class Linear:
         rate : casadi expression or None
             c sᵀṡ of each string, N·m; None when none is damped.
         unit : casadi expression
-            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to have finite derivatives.
+            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to
+            have finite derivatives.
         taut : None
             Not needed here: these strings are never slack.
 
@@ -306,7 +322,8 @@ class Linear:
         stiffness : casadi expression
             Stiffness k, N/m.
         unit : casadi expression
-            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to have finite derivatives.
+            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to
+            have finite derivatives.
 
         Returns
         -------
@@ -322,7 +339,9 @@ Slack = Clip | Smooth | Linear
 
 def read_slack(given: Any, strings: int) -> Slack | tuple[Slack, ...]:
     """Return one law for all strings, or a law for each; of a mapping those that it does not name have `Clip()`. Raises TypeError, ValueError."""
-    example = "Clip(), Smooth(width), Linear(), or one of them for each string, such as {3: Linear()}"
+    example = (
+        "Clip(), Smooth(width), Linear(), or one of them for each string, such as {3: Linear()}"
+    )
     if isinstance(given, Slack):
         return given
     if isinstance(given, Mapping):
@@ -334,9 +353,16 @@ def read_slack(given: Any, strings: int) -> Slack | tuple[Slack, ...]:
             instance("Scene.slack", given, (Clip, Smooth, Linear), example)
         laws = list(listed("Scene.slack", given, example))
         if len(laws) != strings:
-            raise ValueError(f"Scene.slack has {len(laws)} entries: give one law, or one for each of {strings} strings")
+            raise ValueError(
+                f"Scene.slack has {len(laws)} entries: give one law, or one for each of {strings} strings"
+            )
     for string, law in enumerate(laws):
-        instance(f"Scene.slack[{string}]", law, (Clip, Smooth, Linear), "Clip(), Smooth(width) or Linear()")
+        instance(
+            f"Scene.slack[{string}]",
+            law,
+            (Clip, Smooth, Linear),
+            "Clip(), Smooth(width) or Linear()",
+        )
     return cast(Slack, laws[0]) if laws and len(set(laws)) == 1 else tuple(laws) if laws else Clip()
 
 
@@ -355,7 +381,8 @@ def rest_length(force_density: Array, length: Array, stiffness: Array) -> Array:
     Returns
     -------
     ndarray
-        ρ, m: not positive where γ ≥ k, as no rest length reaches that, and NaN where k = 0, unless γ = 0.
+        ρ, m: not positive where γ ≥ k, as no rest length reaches that, and NaN where k = 0, unless
+        γ = 0.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(force_density == 0, length, length * (1 - force_density / stiffness))

@@ -9,30 +9,42 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.time_functions import CURE, at_edges, check_over_run, express, find_breaks, probe_times
+from tenscasadi.scene.time_functions import (
+    CURE,
+    at_edges,
+    check_over_run,
+    express,
+    find_breaks,
+    probe_times,
+)
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, node_index, shown
 
 _AROUND = 1e-9  # of the latest time: how far before and after a switch both sides are compared
 _JUMP = 1e-9  # of the largest value: more is a jump
 _STEEP = 100.0  # times what the largest rate makes of it: more is a jump
-_JUMPS = {"the position (m)": "give a continuous motion", "the velocity (m/s)": "round the corner off"}
+_JUMPS = {
+    "the position (m)": "give a continuous motion",
+    "the velocity (m/s)": "round the corner off",
+}
 
 
 @dataclass(frozen=True, eq=False)
 class SupportMotion:
     """Motion of pinned nodes, such as a shaking base or a driven hinge.
 
-    Each function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics, without ``if`` on the time.
-    Velocity and acceleration are its exact derivatives: over a run they have to be finite, and position and velocity may not jump.
+    Each function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
+    without ``if`` on the time. Velocity and acceleration are its exact derivatives: over a run they
+    have to be finite, and position and velocity may not jump.
 
     Parameters
     ----------
     positions : mapping of int to callable
-        For each moved node a function of the time, s, that returns (x, y, z), m; at t = 0 where the structure has the node.
+        For each moved node a function of the time, s, that returns (x, y, z), m; at t = 0 where the
+        structure has the node.
     breaks : array_like, shape (B,), optional
-        Times at which an acceleration jumps or begins or ends a pulse, s, beside those that comparisons, signs and roundings show. Steps of
-        a simulation end there.
+        Times at which an acceleration jumps or begins or ends a pulse, s, beside those that
+        comparisons, signs and roundings show. Steps of a simulation end there.
 
     Examples
     --------
@@ -48,12 +60,18 @@ class SupportMotion:
 
     def __post_init__(self) -> None:
         if not isinstance(self.positions, Mapping) or not self.positions:
-            raise TypeError(f"SupportMotion.positions is {shown(self.positions)}: give a mapping of nodes to functions of time")
+            raise TypeError(
+                f"SupportMotion.positions is {shown(self.positions)}: give a mapping of nodes to functions of time"
+            )
         for node, function in self.positions.items():
             if not callable(function):
-                raise TypeError(f"SupportMotion.positions[{shown(node)}] is {shown(function)}: give a function of time that returns (x, y, z)")
+                raise TypeError(
+                    f"SupportMotion.positions[{shown(node)}] is {shown(function)}: give a function of time that returns (x, y, z)"
+                )
         object.__setattr__(self, "positions", dict(self.positions))
-        object.__setattr__(self, "breaks", finite_array("SupportMotion.breaks", self.breaks, (None,)))
+        object.__setattr__(
+            self, "breaks", finite_array("SupportMotion.breaks", self.breaks, (None,))
+        )
 
     @property
     def field(self) -> str:
@@ -80,11 +98,15 @@ class SupportMotion:
         for node, place in zip(self.nodes, start, strict=True):
             name = f"SupportMotion.positions[{node}]"
             if structure.pinned.get(node) != "xyz":
-                raise ValueError(f"{name}: node {node} is not pinned along all axes, add it to Structure.pinned")
+                raise ValueError(
+                    f"{name}: node {node} is not pinned along all axes, add it to Structure.pinned"
+                )
             if not np.isfinite(place).all():
                 raise ValueError(f"{name}(0.0) is {place}: give finite numbers; {CURE}")
             if abs(place - structure.nodes[node]).max() > 1e-9 * size:
-                raise ValueError(f"{name}(0.0) is {place}: the structure has node {node} at {structure.nodes[node]}, start there")
+                raise ValueError(
+                    f"{name}(0.0) is {place}: the structure has node {node} at {structure.nodes[node]}, start there"
+                )
 
     def check_run(self, first: float, last: float) -> None:
         """Raise ValueError where a function of time or its rates are not finite in a run, jump, or are not those of symbols.
@@ -95,19 +117,31 @@ class SupportMotion:
             Times at which the run begins and ends, s.
         """
         for node, function in self.positions.items():
-            name, rates = f"SupportMotion.positions[{node}]", SupportMotion({node: function}).rates()
+            name, rates = (
+                f"SupportMotion.positions[{node}]",
+                SupportMotion({node: function}).rates(),
+            )
             check_over_run(name, function, rates, first, last)
-            sizes = [abs(values.full()).max() for values in rates.call([probe_times(first, last)[None]])]
+            sizes = [
+                abs(values.full()).max() for values in rates.call([probe_times(first, last)[None]])
+            ]
             around = _AROUND * max(abs(first), abs(last))
             for time in find_breaks(rates, first, last):
-                before, after = (rates(edge) for edge in (max(first, time - around), min(last, time + around)))
+                before, after = (
+                    rates(edge) for edge in (max(first, time - around), min(last, time + around))
+                )
                 for k, (what, cure) in enumerate(_JUMPS.items()):
                     jump, rate = (
                         abs((after[k] - before[k]).full()).max(),
-                        max(sizes[k + 1], *(abs(side[k + 1].full()).max() for side in (before, after))),
+                        max(
+                            sizes[k + 1],
+                            *(abs(side[k + 1].full()).max() for side in (before, after)),
+                        ),
                     )
                     if jump > max(_JUMP * sizes[k], _STEEP * around * rate):
-                        raise ValueError(f"{name}: {what} jumps by {jump:.3g} at t = {time:g} s, which bars and joints cannot follow: {cure}")
+                        raise ValueError(
+                            f"{name}: {what} jumps by {jump:.3g} at t = {time:g} s, which bars and joints cannot follow: {cure}"
+                        )
 
     def find_breaks(self, first: float, last: float, steps: int) -> Array:
         """Return the times at which steps have to end: just before and just after each at which an acceleration may jump.
@@ -124,7 +158,12 @@ class SupportMotion:
         ndarray
             Times, s, in order.
         """
-        return at_edges(np.concatenate([self.breaks, find_breaks(self.rates(), first, last)]), first, last, steps)
+        return at_edges(
+            np.concatenate([self.breaks, find_breaks(self.rates(), first, last)]),
+            first,
+            last,
+            steps,
+        )
 
     def accelerations(self) -> ca.Function:
         """Return the accelerations of the moved nodes.
@@ -143,16 +182,25 @@ class SupportMotion:
         Returns
         -------
         casadi.Function
-            t (s) → position (m), velocity (m/s), acceleration (m/s²), each (3, k) in the order of `nodes`.
+            t (s) → position (m), velocity (m/s), acceleration (m/s²), each (3, k) in the order of
+            `nodes`.
         """
         t = ca.SX.sym("t")
         columns = []
         for node, function in self.positions.items():
             column = express(f"SupportMotion.positions[{node}]", function, t)
             if column.shape not in ((3, 1), (1, 3)):
-                raise ValueError(f"SupportMotion.positions[{node}] returns shape {column.shape}: give (x, y, z)")
+                raise ValueError(
+                    f"SupportMotion.positions[{node}] returns shape {column.shape}: give (x, y, z)"
+                )
             columns.append(ca.vec(ca.SX(column)))
         p = ca.horzcat(*columns)
         v = ca.reshape(ca.jacobian(ca.vec(p), t), p.shape)
         a = ca.reshape(ca.jacobian(ca.vec(v), t), p.shape)
-        return ca.Function("supports", [t], [ca.densify(value) for value in (p, v, a)], ["t"], ["position", "velocity", "acceleration"])
+        return ca.Function(
+            "supports",
+            [t],
+            [ca.densify(value) for value in (p, v, a)],
+            ["t"],
+            ["position", "velocity", "acceleration"],
+        )

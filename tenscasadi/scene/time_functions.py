@@ -21,34 +21,62 @@ _ENTRIES = 2_000_000  # values looked at, at most
 CURE = "write it with NumPy's or CasADi's mathematics, without math, float() and if"
 _STEEP = 10.0  # times the median of a run: values above are looked at more closely
 _FINEST = 100  # roundings of the time: no closer
-_LAST, _GROWS = 4, 10.0  # what grows as much in so many looks, each on a tenth of the last, has no end
+_LAST, _GROWS = (
+    4,
+    10.0,
+)  # what grows as much in so many looks, each on a tenth of the last, has no end
 _FAR_LONGER = 100.0  # than the next piece of a table
-_ROUNDINGS = 4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
+_ROUNDINGS = (
+    4.0  # of the clock in a step: jumps are stepped over from as many before to as many after
+)
 _REFINEMENTS = 40  # halvings of a part of a run in which a condition may hold for a short time
 _BISECTIONS = 60  # from a part of a run to the last digit
-_COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  # they switch where both operands are equal
+_COMPARED = (
+    ca.OP_LT,
+    ca.OP_LE,
+    ca.OP_EQ,
+    ca.OP_NE,
+    ca.OP_FMIN,
+    ca.OP_FMAX,
+)  # they switch where both operands are equal
 _SIGNED = (ca.OP_SIGN, ca.OP_FABS)  # they switch where their operand is 0
 _ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL)  # they switch where their operand is whole
-_POSITIVE = (ca.OP_SQRT, ca.OP_LOG, ca.OP_POW, ca.OP_CONSTPOW)  # not defined below 0, but for whole exponents
+_POSITIVE = (
+    ca.OP_SQRT,
+    ca.OP_LOG,
+    ca.OP_POW,
+    ca.OP_CONSTPOW,
+)  # not defined below 0, but for whole exponents
 _WITHIN_ONE = (ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATANH)
-_REMAINDERS = {ca.OP_FMOD: ca.sin, ca.OP_REMAINDER: ca.cos}  # they switch where the quotient of their operands is whole, or half of odd
+_REMAINDERS = {
+    ca.OP_FMOD: ca.sin,
+    ca.OP_REMAINDER: ca.cos,
+}  # they switch where the quotient of their operands is whole, or half of odd
 
 
 def express(field: str, function: Callable[[Any], Any], time: Any) -> Any:
     """Return what a user's function makes of a CasADi time: a matrix, a vector or the rows of one. Raises ValueError naming `field`."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # CasADi's, about NumPy functions of its symbols
+        warnings.simplefilter(
+            "ignore", FutureWarning
+        )  # CasADi's, about NumPy functions of its symbols
         try:
             found = function(time)
         except Exception as error:  # whatever the caller's function raises
-            fault = re.sub(r"\S+:\d+: ", "", str(error))  # CasADi begins with its own files and lines
-            raise ValueError(f"{field} raised {type(error).__name__}({fault}) on a CasADi time: {CURE}") from error
+            fault = re.sub(
+                r"\S+:\d+: ", "", str(error)
+            )  # CasADi begins with its own files and lines
+            raise ValueError(
+                f"{field} raised {type(error).__name__}({fault}) on a CasADi time: {CURE}"
+            ) from error
         try:
             if isinstance(found, _CASADI):
                 return found
             return ca.vertcat(*map(_row, found)) if isinstance(found, Iterable) else ca.DM(found)
         except Exception as error:  # CasADi's own words list all that it could take
-            raise ValueError(f"{field} returns {shown(found)} on a CasADi time: give numbers and expressions of it; {CURE}") from error
+            raise ValueError(
+                f"{field} returns {shown(found)} on a CasADi time: give numbers and expressions of it; {CURE}"
+            ) from error
 
 
 def _row(entries: Any) -> Any:
@@ -63,7 +91,10 @@ def as_numbers(value: Any) -> Any:
         return float(value) if value.is_scalar() else value
     if isinstance(value, (list, tuple)):
         parts = [as_numbers(part) for part in value]
-        return [part.full().ravel() if isinstance(part, ca.DM) and part.is_vector() else part for part in parts]
+        return [
+            part.full().ravel() if isinstance(part, ca.DM) and part.is_vector() else part
+            for part in parts
+        ]
     return value
 
 
@@ -76,11 +107,15 @@ def find_breaks(function: ca.Function, first: float, last: float) -> Array:
     """Return the times in [first, last], s, where conditions, signs and roundings in a function of time switch, but for those in calls."""
     t = ca.SX.sym("t")
     values = expand(function, t)
-    found = [] if values is None else list(_switches(values))  # what cannot be expanded cannot be looked into
+    found = (
+        [] if values is None else list(_switches(values))
+    )  # what cannot be expanded cannot be looked into
     if not found:
         return np.empty(0)
     switches = ca.Function("switches", [t], [ca.densify(ca.vertcat(*found))])
-    beyond = last + _FINEST * np.spacing(max(abs(first), abs(last)))  # what switches at the end may do so a rounding later
+    beyond = last + _FINEST * np.spacing(
+        max(abs(first), abs(last))
+    )  # what switches at the end may do so a rounding later
     times = _refine(switches, np.append(probe_times(first, last), beyond))
     signs = np.sign(switches(times[None]).full())
     which, part = np.nonzero(signs[:, 1:] != signs[:, :-1])
@@ -106,7 +141,10 @@ def _refine(switches: ca.Function, times: Array) -> Array:
                 break
             middle = (low[hidden] + high[hidden]) / 2
             found.append(middle)
-            low, high = np.concatenate([low[hidden], middle]), np.concatenate([middle, high[hidden]])
+            low, high = (
+                np.concatenate([low[hidden], middle]),
+                np.concatenate([middle, high[hidden]]),
+            )
     except UnknownOperation:  # the times have to do
         pass
     return np.unique(np.concatenate(found))
@@ -132,7 +170,9 @@ def _switches(values: ca.SX) -> Iterator[ca.SX]:
         waiting.extend(parts)
         if parts and item.op() in _COMPARED:
             yield parts[0] - parts[1]
-        elif (parts and item.op() in _SIGNED) or (parts and item.op() in _POSITIVE and not (len(parts) == 2 and _is_whole(parts[1]))):
+        elif (parts and item.op() in _SIGNED) or (
+            parts and item.op() in _POSITIVE and not (len(parts) == 2 and _is_whole(parts[1]))
+        ):
             yield parts[0]
         elif parts and item.op() in _WITHIN_ONE:
             yield 1 - parts[0] ** 2
@@ -148,7 +188,9 @@ def _is_whole(exponent: ca.SX) -> bool:
     return bool(exponent.is_constant()) and float(exponent).is_integer()
 
 
-def check_over_run(field: str, function: Callable[[Any], Any], traced: ca.Function, first: float, last: float) -> None:
+def check_over_run(
+    field: str, function: Callable[[Any], Any], traced: ca.Function, first: float, last: float
+) -> None:
     """Raise ValueError, naming `field`, unless traced (t) -> value, rates … is finite in [first, last], s, and what `function` gives for numbers.
 
     `math` and `float` make a constant of a CasADi time: the latter shows it.
@@ -156,34 +198,55 @@ def check_over_run(field: str, function: Callable[[Any], Any], traced: ca.Functi
     times = probe_times(first, last)
     breaks = find_breaks(traced, first, last)
     some = times[:: max(1, traced.numel_out() * len(times) // _ENTRIES)]
-    some = np.unique(np.concatenate([some, breaks, np.nextafter(breaks, first), np.nextafter(breaks, last)]))
-    for k, kind in zip(range(traced.n_out()), ("", ": its velocity", ": its acceleration"), strict=False):
+    some = np.unique(
+        np.concatenate([some, breaks, np.nextafter(breaks, first), np.nextafter(breaks, last)])
+    )
+    for k, kind in zip(
+        range(traced.n_out()), ("", ": its velocity", ": its acceleration"), strict=False
+    ):
         values = _values(traced, k, some)
         bad = ~np.isfinite(values).all(axis=1)
         if bad.any():
-            raise ValueError(f"{field}{kind} is not finite at t = {some[bad.argmax()]:g} s: give finite values over the whole run; {CURE}")
+            raise ValueError(
+                f"{field}{kind} is not finite at t = {some[bad.argmax()]:g} s: give finite values over the whole run; {CURE}"
+            )
         for pole in _find_poles(traced, k, some, values):
-            raise ValueError(f"{field}{kind} grows beyond all bounds at t = {pole:.10g} s: give finite values over the whole run")
+            raise ValueError(
+                f"{field}{kind} grows beyond all bounds at t = {pole:.10g} s: give finite values over the whole run"
+            )
     for time in times[:: len(times) // _COMPARED_TIMES].tolist():
         try:
             number = np.asarray(as_numbers(function(time)), dtype=float).ravel()
-        except (TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError):  # a function of CasADi's symbols alone
+        except (
+            TypeError,
+            ValueError,
+            AttributeError,
+            ArithmeticError,
+            RuntimeError,
+        ):  # a function of CasADi's symbols alone
             return
         value = traced.call([time])[0].full().T.ravel()
-        if number.shape == value.shape and not np.allclose(number, value, rtol=1e-6, atol=1e-9 * max(1.0, abs(number).max(initial=0.0))):
-            raise ValueError(f"{field} is {number} for the number t = {time:g} and {value} for a CasADi time: give the same at each call; {CURE}")
+        if number.shape == value.shape and not np.allclose(
+            number, value, rtol=1e-6, atol=1e-9 * max(1.0, abs(number).max(initial=0.0))
+        ):
+            raise ValueError(
+                f"{field} is {number} for the number t = {time:g} and {value} for a CasADi time: give the same at each call; {CURE}"
+            )
 
 
 def _values(traced: ca.Function, output: int, times: Array) -> Array:
     """Return an output at times (K,) as (K, entries)."""
     values = traced.call([times[None]])[output].full()
-    return np.asarray(values.reshape(len(values), len(times), -1).transpose(1, 0, 2).reshape(len(times), -1))
+    return np.asarray(
+        values.reshape(len(values), len(times), -1).transpose(1, 0, 2).reshape(len(times), -1)
+    )
 
 
 def _find_poles(traced: ca.Function, output: int, times: Array, values: Array) -> Iterator[float]:
     """Yield times at which an output grows without end the closer one looks, between the `times` (K,) of its `values` (K, entries).
 
-    Looked at is where each entry is largest: what is finite there ceases to grow, narrow as a pulse may be.
+    Looked at is where each entry is largest: what is finite there ceases to grow, narrow as a pulse
+    may be.
     """
     sizes = np.abs(values)
     rows = sizes.argmax(axis=0)
@@ -222,8 +285,9 @@ def trace(function: Any) -> ca.Function:
 def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
     """Piecewise linear values (rows × m/rows, column by column) from a table (K, m), held constant outside its times: zeros cost nothing.
 
-    Only the two entries around a time have a share in the sum: pieces of CasADi's `pw_lin` go on beyond their ends and cancel there, which
-    leaves nothing of a steep pulse's neighbours but rounding.
+    Only the two entries around a time have a share in the sum: pieces of CasADi's `pw_lin` go on
+    beyond their ends and cancel there, which leaves nothing of a steep pulse's neighbours but
+    rounding.
     """
     t = ca.SX.sym("t")
     begun = [t >= float(at) for at in times]
@@ -232,7 +296,13 @@ def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
         within, part = begun[k] - begun[k + 1], (t - float(first)) / float(last - first)
         shares[k] += within * (1 - part)
         shares[k + 1] += within * part
-    entries = [sum((float(value) * share for value, share in zip(column, shares, strict=True) if value), ca.SX(0)) for column in table.T]
+    entries = [
+        sum(
+            (float(value) * share for value, share in zip(column, shares, strict=True) if value),
+            ca.SX(0),
+        )
+        for column in table.T
+    ]
     columns = [ca.vertcat(*entries[k : k + rows]) for k in range(0, len(entries), rows)]
     return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*columns)))])(time)
 
@@ -240,11 +310,14 @@ def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
 def short_beside_steep(times: Array) -> Array:
     """Return the times of a table, and more of them beside pieces far shorter than the next one, as far away as those are long.
 
-    A step that ends where a steep piece begins may see a rounding of the clock of it, and counts that for its whole length.
+    A step that ends where a steep piece begins may see a rounding of the clock of it, and counts
+    that for its whole length.
     """
     inner, before, after = times[1:-1], np.diff(times)[:-1], np.diff(times)[1:]
     late, early = after > _FAR_LONGER * before, before > _FAR_LONGER * after
-    return np.unique(np.concatenate([times, inner[late] + before[late], inner[early] - after[early]]))
+    return np.unique(
+        np.concatenate([times, inner[late] + before[late], inner[early] - after[early]])
+    )
 
 
 def at_edges(breaks: Array, first: float, last: float, steps: int) -> Array:

@@ -25,7 +25,8 @@ class ControlProfile:
     time : ndarray, shape (K + 1,)
         Nodes of the mesh, s, increasing from 0.
     values : ndarray, shape (K, nu) or (K + 1, nu)
-        The control in each interval, or at the nodes and linear between them: it is then held at its mean over each step.
+        The control in each interval, or at the nodes and linear between them: it is then held at
+        its mean over each step.
     steps : int
         Fewest steps of an interval; a run takes more where none may be longer than its `step`.
     """
@@ -39,9 +40,10 @@ class ControlProfile:
 class SampledControl:
     """The `steps` steps of a run to `t_end`, s, with the control held in each; `varies`: it may change from step to step.
 
-    ends (steps + 1,): where steps begin and end, s, None: all are equally long. unseen: which functions of time change too fast for them, as
-    messages tell it. early: s, by which the last step is shorter than these say, of which rounding leaves nothing to be seen. asks: whether
-    a function of the user's is called for it, which is asked once for each step.
+    ends (steps + 1,): where steps begin and end, s, None: all are equally long. unseen: which
+    functions of time change too fast for them, as messages tell it. early: s, by which the last
+    step is shorter than these say, of which rounding leaves nothing to be seen. asks: whether a
+    function of the user's is called for it, which is asked once for each step.
     """
 
     steps: int
@@ -85,28 +87,46 @@ class SampledControl:
         return np.where(rows == self.steps, self.t_end, rows * self.step)
 
 
-def sample_control(control: ControlInput | ControlProfile, default: Array, t_end: float, steps: int, positive: bool = False) -> SampledControl:
+def sample_control(
+    control: ControlInput | ControlProfile,
+    default: Array,
+    t_end: float,
+    steps: int,
+    positive: bool = False,
+) -> SampledControl:
     """Lay `control` (see `simulate`) over [0, t_end] s in at least `steps` equal steps, in more where the intervals of a table or mesh need it.
 
     `default` (nu,) is used for None; `positive`: these are lengths, greater than 0.
 
-    Raises TypeError, ValueError naming `control`; a function's results are checked when it is called.
+    Raises TypeError, ValueError naming `control`; a function's results are checked when it is
+    called.
     """
     nu = len(default)
     if isinstance(control, ControlProfile):
         return _sample_profile(control, nu, t_end, t_end / steps, positive)
     if callable(control):
-        return SampledControl(steps, t_end, nu > 0, _of_function(control, nu, t_end / steps, positive), asks=nu > 0)
+        return SampledControl(
+            steps, t_end, nu > 0, _of_function(control, nu, t_end / steps, positive), asks=nu > 0
+        )
     value = default
     if control is not None:
         table = _check_lengths("control", _array(control, nu), positive)
         intervals = len(table)
         if table.ndim == 2 and intervals > 1 and nu:
-            steps = intervals * -(-steps // intervals)  # so that the control changes between two steps
+            steps = intervals * -(
+                -steps // intervals
+            )  # so that the control changes between two steps
             # Integers only: a rounded time would put a change one step off.
-            return SampledControl(steps, t_end, True, lambda first, count: table[np.arange(first, first + count) * intervals // steps])
+            return SampledControl(
+                steps,
+                t_end,
+                True,
+                lambda first, count: table[np.arange(first, first + count) * intervals // steps],
+            )
         value = table.reshape(-1)
-    return SampledControl(steps, t_end, False, lambda first, count: np.broadcast_to(value, (count, nu)))
+    return SampledControl(
+        steps, t_end, False, lambda first, count: np.broadcast_to(value, (count, nu))
+    )
 
 
 def append_constants(inputs: SampledControl, values: Array) -> SampledControl:
@@ -114,7 +134,9 @@ def append_constants(inputs: SampledControl, values: Array) -> SampledControl:
 
     def sample(first: int, count: int) -> Array:
         control = inputs.sample(first, count)
-        return np.concatenate([control, np.broadcast_to(values, (len(control), len(values)))], axis=1)
+        return np.concatenate(
+            [control, np.broadcast_to(values, (len(control), len(values)))], axis=1
+        )
 
     return replace(inputs, sample=sample)
 
@@ -122,7 +144,8 @@ def append_constants(inputs: SampledControl, values: Array) -> SampledControl:
 def cut_steps(inputs: SampledControl, breaks: Array, near: float | None = None) -> SampledControl:
     """Cut the steps at `breaks`, s after the start; the control of a step is held in its parts.
 
-    near: distance, s, from an end of a step below which a break is there already; by default 1e-9 of the step.
+    near: distance, s, from an end of a step below which a break is there already; by default 1e-9
+    of the step.
     """
     inside = breaks[(breaks > 0) & (breaks < inputs.t_end)]
     if not len(inside):
@@ -139,19 +162,31 @@ def cut_steps(inputs: SampledControl, breaks: Array, near: float | None = None) 
 
     def sample(first: int, count: int) -> Array:
         owners = owner[first : first + count]
-        return inputs.sample(int(owners[0]), int(owners[-1] - owners[0]) + 1)[owners - owners[0]] if len(owners) else inputs.sample(0, 0)
+        return (
+            inputs.sample(int(owners[0]), int(owners[-1] - owners[0]) + 1)[owners - owners[0]]
+            if len(owners)
+            else inputs.sample(0, 0)
+        )
 
     return SampledControl(len(owner), inputs.t_end, inputs.varies, sample, cut, asks=inputs.asks)
 
 
-def _sample_profile(profile: ControlProfile, nu: int, t_end: float, longest: float, positive: bool) -> SampledControl:
+def _sample_profile(
+    profile: ControlProfile, nu: int, t_end: float, longest: float, positive: bool
+) -> SampledControl:
     """Cut each interval into equal steps of at most `longest` s."""
     nodes = finite_array("control.time", profile.time, (None,))
     count = len(nodes) - 1
     if count < 1 or nodes[0] != 0 or nodes[-1] != t_end or np.any(np.diff(nodes) <= 0):
-        raise ValueError(f"control.time is {nodes}: give times that increase from 0 to t_end = {t_end:g}")
+        raise ValueError(
+            f"control.time is {nodes}: give times that increase from 0 to t_end = {t_end:g}"
+        )
     linear = len(profile.values) == count + 1
-    values = _check_lengths("control.values", finite_array("control.values", profile.values, (count + linear, nu)), positive)
+    values = _check_lengths(
+        "control.values",
+        finite_array("control.values", profile.values, (count + linear, nu)),
+        positive,
+    )
     intervals = np.diff(nodes)
     cuts = np.maximum(profile.steps, np.ceil(intervals / longest - 1e-9)).astype(int)
     owner = np.repeat(np.arange(count), cuts)
@@ -161,7 +196,13 @@ def _sample_profile(profile: ControlProfile, nu: int, t_end: float, longest: flo
     if linear:
         middle = (share + 0.5 / cuts[owner])[:, None]
         held = (1 - middle) * held + middle * values[owner + 1]
-    return SampledControl(len(owner), t_end, count > 1 or linear, lambda first, count: held[first : first + count], ends)
+    return SampledControl(
+        len(owner),
+        t_end,
+        count > 1 or linear,
+        lambda first, count: held[first : first + count],
+        ends,
+    )
 
 
 def _array(control: Any, nu: int) -> Array:
@@ -174,7 +215,11 @@ def _array(control: Any, nu: int) -> Array:
     if len(shape) == 2 and shape[0] > 0 and shape[1] == nu:
         return finite_array("control", control, (None, nu))
     array = finite_array("control", control, (None,) * len(shape))
-    expected = f"({nu},), (intervals, {nu}) or a function of time that returns ({nu},)" if nu else "(0,) or None, as this scene has no control"
+    expected = (
+        f"({nu},), (intervals, {nu}) or a function of time that returns ({nu},)"
+        if nu
+        else "(0,) or None, as this scene has no control"
+    )
     raise ValueError(f"control has shape {array.shape}: give an array of shape {expected}")
 
 
@@ -183,17 +228,23 @@ def _check_lengths(field: str, values: Array, positive: bool) -> Array:
     bad = np.argwhere(values < SMALLEST)
     if positive and len(bad):
         place = tuple(int(i) for i in bad[0])
-        raise ValueError(f"{field}[{', '.join(map(str, place))}] is {values[place]:g}: rest lengths (RestLength) must be greater than 0")
+        raise ValueError(
+            f"{field}[{', '.join(map(str, place))}] is {values[place]:g}: rest lengths (RestLength) must be greater than 0"
+        )
     return values
 
 
-def _of_function(function: Callable[[float], ArrayLike], nu: int, step: float, positive: bool) -> Callable[[int, int], Array]:
+def _of_function(
+    function: Callable[[float], ArrayLike], nu: int, step: float, positive: bool
+) -> Callable[[int, int], Array]:
     def sample(first: int, count: int) -> Array:
         values = np.empty((count, nu))
         for k in range(count):
             time = (first + k) * step
             field = f"control({time:g})"
-            given = call_user_function(field, function, time, f"give a function of time, s, that returns ({nu},)")
+            given = call_user_function(
+                field, function, time, f"give a function of time, s, that returns ({nu},)"
+            )
             values[k] = _check_lengths(field, finite_array(field, given, (nu,)), positive)
         return values
 

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
 from tenscasadi.integrators.scheme import Scheme, extent, stability_limit
-from tenscasadi.integrators.stability import DENSE, fastest_damped, fastest_rate, log_growth, rate_bound, stable_step
+from tenscasadi.integrators.stability import (
+    DENSE,
+    fastest_damped,
+    fastest_rate,
+    log_growth,
+    rate_bound,
+    stable_step,
+)
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, Single
@@ -21,14 +28,22 @@ BEYOND = 1e12  # entries of a state above this are not physical in any unit
 DRIFTED_BARS = 0.01  # relative length error at which the message speaks of it
 LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
 LOST_TRUST = 0.5  # and at which the run is another motion
-_ROUNDING = {False: 1e-9, True: 1e-5}  # of the energies, what a run may lose by rounding, in double and in single precision
+_ROUNDING = {
+    False: 1e-9,
+    True: 1e-5,
+}  # of the energies, what a run may lose by rounding, in double and in single precision
 OFF = 1e-6  # of lengths and speeds: what a start may be off its bars and joints by without a word
 WRONG_START = 0.2  # of lengths and speeds: a start that is off by more is another structure's
-SPOKEN_GROWTH = float(np.log(1.5))  # of a mode that the steps should not amplify: what the message speaks of
+SPOKEN_GROWTH = float(
+    np.log(1.5)
+)  # of a mode that the steps should not amplify: what the message speaks of
 LOST_GROWTH = float(np.log(10.0))  # and what takes the trust out of the run
-_COARSE = 0.5  # of the step that damping leaves stable: longer ones follow damped strings badly that go slack
+# of the step that damping leaves stable: longer ones follow damped strings badly that go slack
+_COARSE = 0.5
 _MOST_LOOKS = 8  # sets of taut strings at which a run is linearised
-_EPSILON = 64 * float(np.finfo(float).eps)  # of the largest entry of a state: what rounding may change differences of entries by
+_EPSILON = 64 * float(
+    np.finfo(float).eps
+)  # of the largest entry of a state: what rounding may change differences of entries by
 
 
 def first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
@@ -36,7 +51,8 @@ def first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
     faults = {
         "the state is not finite": ~np.all(np.isfinite(states), axis=1),
         "the state is beyond any physical size": np.any(np.abs(states) > BEYOND, axis=1),
-        f"a bar is off by more than {BROKEN_BARS:.0%} of its length": bar_length_error > BROKEN_BARS + bar_length_error[0],
+        f"a bar is off by more than {BROKEN_BARS:.0%} of its length": bar_length_error
+        > BROKEN_BARS + bar_length_error[0],
     }
     bad = np.any(list(faults.values()), axis=0)
     bad[0] = False  # the start is the caller's
@@ -63,15 +79,25 @@ def explain_divergence(model: Model, scheme: Scheme, run: Trajectory, last: int)
                 f"(fastest rate ω_max = {fastest_rate(model, x, u, run.parameters):.4g} rad/s): try step={0.9 * limits[-1]:.2g}"
             )
     limit = min(limits)
-    stable = f"is below the stability limit {limit:.3g} s of the linearised motion" if np.isfinite(limit) else f"is stable, as any of {name}"
-    unsolved = "" if isinstance(scheme, ExplicitRungeKutta) else ", equations of a step that have no solution"
+    stable = (
+        f"is below the stability limit {limit:.3g} s of the linearised motion"
+        if np.isfinite(limit)
+        else f"is stable, as any of {name}"
+    )
+    unsolved = (
+        ""
+        if isinstance(scheme, ExplicitRungeKutta)
+        else ", equations of a step that have no solution"
+    )
     return (
         f"the step {step:g} s {stable}, so accuracy was lost elsewhere "
         f"(fast rotation, impact, bars drifting from their length{unsolved}): try step={step / 5:.2g} or correction=Projection()"
     )
 
 
-def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Compiled) -> tuple[str, bool]:
+def describe_doubts(
+    model: Model, scheme: Scheme, run: Trajectory, compiled: Compiled
+) -> tuple[str, bool]:
     """Say what is not to be trusted in a run that finished, each after a semicolon, with the cure; tell whether the rest may be.
 
     Its start, its bars, or its energy, as when a correction hides what the step destroys.
@@ -82,13 +108,24 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
     looks = [] if scheme.adaptive or scheme.implicit or not model.nx else _looks(model, run)
     growth, limit, when = _find_growth(model, scheme, run, looks)
     drift = float(run.bar_length_error.max())
-    found = [f"bars are off by up to {drift:.2g} of their length (correction=Projection() holds them)"] if drift > DRIFTED_BARS else []
+    found = (
+        [f"bars are off by up to {drift:.2g} of their length (correction=Projection() holds them)"]
+        if drift > DRIFTED_BARS
+        else []
+    )
     parts = run.energy_parts
     scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
-    rounding = _ROUNDING[isinstance(compiled, Single)] * float(np.abs(parts).max() + run.tension.sum(axis=1).max() * np.ptp(run.nodes))
+    rounding = _ROUNDING[isinstance(compiled, Single)] * float(
+        np.abs(parts).max() + run.tension.sum(axis=1).max() * np.ptp(run.nodes)
+    )
     s = model.structure
-    masses = (model.parameters.item_values(name, run.parameters, getattr(s, name)) for name in ("bar_mass", "node_mass"))
-    crossing = float(sum(mass.sum() for mass in masses)) * (extent(model) / float(run.time[-1])) ** 2  # of a run by which all cross their own size
+    masses = (
+        model.parameters.item_values(name, run.parameters, getattr(s, name))
+        for name in ("bar_mass", "node_mass")
+    )
+    crossing = (
+        float(sum(mass.sum() for mass in masses)) * (extent(model) / float(run.time[-1])) ** 2
+    )  # of a run by which all cross their own size
     rounding += _EPSILON * crossing
     largest = float(np.abs(run.energy_error).max())
     trusted = not largest > max(LOST_TRUST * scale, rounding)  # NaN: not known
@@ -97,26 +134,45 @@ def describe_doubts(model: Model, scheme: Scheme, run: Trajectory, compiled: Com
     if run.step > limit:
         cure = f"try step={0.9 * limit:.2g}"
         text = f"the step {run.step:g} s is above the stability limit {limit:.3g} s of {type(scheme).__name__} at t = {when:g} s: {cure}"
-        told = "".join(f"; {part}" for part in found) + f": the step is above the stability limit, {cure}" if found else f"; {text}"
+        told = (
+            "".join(f"; {part}" for part in found)
+            + f": the step is above the stability limit, {cure}"
+            if found
+            else f"; {text}"
+        )
         # Friction is bounded, so is what its slope at rest amplifies: it only chatters.
         rubs = any(ground.friction is not None for ground in model.scene.grounds)
         return told, rubs or (trusted and growth <= LOST_GROWTH)
     coarse = _find_coarse_damping(model, scheme, run, looks)
-    return "".join(f"; {text}" for text in found) + (f": {_finer(model, scheme, run)}" if found else "") + coarse, trusted
+    return "".join(f"; {text}" for text in found) + (
+        f": {_finer(model, scheme, run)}" if found else ""
+    ) + coarse, trusted
 
 
 def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory, looks: list[_Look]) -> str:
     """Say that steps are too long to follow damped strings that go slack, though they are stable, and the cure; "" where they are not."""
     clamped = model.scene.clamped_strings
     damped = clamped[_string_values(model, run, "damping")[clamped] > 0]
-    if not looks or not np.any(run.tension[:, damped] == 0) or not np.any(run.tension[:, damped] > 0):
+    if (
+        not looks
+        or not np.any(run.tension[:, damped] == 0)
+        or not np.any(run.tension[:, damped] > 0)
+    ):
         return ""
     stable = float(stability_limit(scheme, np.array([-1.0 + 0.0j]))[0])  # step times rate
     worst = (0.0, 0)
     for look in looks:
         for x, row, bound in zip(look.states, look.rows, look.bounds, strict=True):
             if run.step * bound > _COARSE * stable:
-                worst = max(worst, (run.step / stable * fastest_damped(model, x, run.control[row], run.parameters), row))
+                worst = max(
+                    worst,
+                    (
+                        run.step
+                        / stable
+                        * fastest_damped(model, x, run.control[row], run.parameters),
+                        row,
+                    ),
+                )
     share, row = worst
     if share <= _COARSE:
         return ""
@@ -126,9 +182,14 @@ def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory, looks: l
     )
 
 
-def _find_growth(model: Model, scheme: Scheme, run: Trajectory, looks: list[_Look]) -> tuple[float, float, float]:
+def _find_growth(
+    model: Model, scheme: Scheme, run: Trajectory, looks: list[_Look]
+) -> tuple[float, float, float]:
     """Find by how much the steps of a run amplified a mode that they should not: its log, the stability limit, s, and a time, s, of it."""
-    steps, ends = max(1.0, float(run.time[-1]) / run.step), (0, len(run.time) - 1)  # there, the limit is told however little it does
+    steps, ends = (
+        max(1.0, float(run.time[-1]) / run.step),
+        (0, len(run.time) - 1),
+    )  # there, the limit is told however little it does
     total, worst = 0.0, (0.0, run.states[0], 0)
     for states, share, rows, bounds in looks:
         least = [0.0 if row in ends else SPOKEN_GROWTH / steps for row in rows]
@@ -141,7 +202,13 @@ def _find_growth(model: Model, scheme: Scheme, run: Trajectory, looks: list[_Loo
         worst = max(worst, (logs[k], states[k], rows[k]), key=lambda item: item[0])
     if not worst[0]:
         return total, np.inf, 0.0
-    return total, stable_step(model, worst[1], run.control[worst[2]], scheme, safety=1.0, parameters=run.parameters), float(run.time[worst[2]])
+    return (
+        total,
+        stable_step(
+            model, worst[1], run.control[worst[2]], scheme, safety=1.0, parameters=run.parameters
+        ),
+        float(run.time[worst[2]]),
+    )
 
 
 class _Look(NamedTuple):
@@ -156,8 +223,9 @@ class _Look(NamedTuple):
 def _looks(model: Model, run: Trajectory) -> list[_Look]:
     """Choose where to linearise.
 
-    One group for each set of taut strings, the stiffest and most damped first, with the start, the end and the largest force density in
-    theirs. A string may be taut within a step alone, and be thrown slack by it: so also the states that the velocities lead to in a step.
+    One group for each set of taut strings, the stiffest and most damped first, with the start, the
+    end and the largest force density in theirs. A string may be taut within a step alone, and be
+    thrown slack by it: so also the states that the velocities lead to in a step.
     """
     ahead = run.states.copy()
     q, v, _ = model.split(ahead)
@@ -165,19 +233,28 @@ def _looks(model: Model, run: Trajectory) -> list[_Look]:
     taut = np.vstack([run.tension != 0, _stretched(model, run, ahead)])
     taut[:, model.scene.pushing_strings] = True  # they act at any length
     count, last = len(run.time), len(run.time) - 1
-    _, first, kind = np.unique(np.packbits(taut, axis=1), axis=0, return_index=True, return_inverse=True)
+    _, first, kind = np.unique(
+        np.packbits(taut, axis=1), axis=0, return_index=True, return_inverse=True
+    )
     kind = kind.ravel()
     rates = [_string_values(model, run, name) for name in ("stiffness", "damping")]
     danger = taut[first] @ sum(part / (part.max(initial=0.0) or 1.0) for part in rates)
-    chosen = set(np.argsort(-danger, kind="stable")[: _MOST_LOOKS if model.nx <= DENSE else 1].tolist()) | {int(kind[0]), int(kind[last])}
+    chosen = set(
+        np.argsort(-danger, kind="stable")[: _MOST_LOOKS if model.nx <= DENSE else 1].tolist()
+    ) | {int(kind[0]), int(kind[last])}
     strongest = int(run.force_density.max(axis=1, initial=0.0).argmax())
     groups = []
     for k in sorted(chosen):
-        where = dict.fromkeys([int(first[k]), *(row for row in (0, last, strongest) if kind[row] == k)])
+        where = dict.fromkeys(
+            [int(first[k]), *(row for row in (0, last, strongest) if kind[row] == k)]
+        )
         own = int(np.count_nonzero(kind[:count] == k))  # 0: taut within steps only
         states = [run.states[i] if i < count else ahead[i - count] for i in where]
         rows = [i % count for i in where]
-        bounds = [rate_bound(model, x, run.control[row], run.parameters) for x, row in zip(states, rows, strict=True)]
+        bounds = [
+            rate_bound(model, x, run.control[row], run.parameters)
+            for x, row in zip(states, rows, strict=True)
+        ]
         groups.append(_Look(states, own / count if own else 0.0, rows, bounds))
     return groups
 
@@ -187,9 +264,15 @@ def _stretched(model: Model, run: Trajectory, states: Array) -> NDArray[np.bool_
     s, scene = model.structure, model.scene
     if isinstance(scene.control, ForceDensity):
         return np.asarray(run.tension != 0)
-    rest = run.control[:, s.string_parent] * s.string_fraction if isinstance(scene.control, RestLength) else _string_values(model, run, "rest_length")
+    rest = (
+        run.control[:, s.string_parent] * s.string_fraction
+        if isinstance(scene.control, RestLength)
+        else _string_values(model, run, "rest_length")
+    )
     ends = model.nodes(states)
-    return np.asarray(np.linalg.norm(ends[:, s.strings[:, 1]] - ends[:, s.strings[:, 0]], axis=2) > rest)
+    return np.asarray(
+        np.linalg.norm(ends[:, s.strings[:, 1]] - ends[:, s.strings[:, 0]], axis=2) > rest
+    )
 
 
 def _string_values(model: Model, run: Trajectory, name: str) -> Array:
@@ -207,7 +290,11 @@ def _finer(model: Model, scheme: Scheme, run: Trajectory) -> str:
     if scheme.adaptive:
         return f"try a smaller {type(scheme).__name__}(rtol)"
     limit = stable_step(model, x, u, scheme, safety=1.0, parameters=run.parameters)
-    return f"the step is above the stability limit, try step={0.9 * limit:.2g}" if step > limit else "try a smaller step"
+    return (
+        f"the step is above the stability limit, try step={0.9 * limit:.2g}"
+        if step > limit
+        else "try a smaller step"
+    )
 
 
 def off_constraints(model: Model, state: Array, tolerance: float) -> str:
@@ -234,8 +321,9 @@ def constraint_violation(model: Model, state: Array) -> float:
     Returns
     -------
     float
-        The largest of four shares: errors of length of the bar's length, gaps of joints of the longest bar, rates of both of the largest
-        speed between the ends of a bar, which counts as the longest bar per second at least.
+        The largest of four shares: errors of length of the bar's length, gaps of joints of the
+        longest bar, rates of both of the largest speed between the ends of a bar, which counts as
+        the longest bar per second at least.
     """
     constraints = model.constraints(state)
     q, v, _ = model.split(state)
@@ -245,5 +333,8 @@ def constraint_violation(model: Model, state: Array) -> float:
     speed = max(size, float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(initial=0.0)))
     scales = (lengths, speed, size, speed)  # in the order of the constraints
     largest = [np.abs(part).max(initial=0.0) for part in (q, v)] * 2
-    shares = [np.maximum(np.abs(r) - _EPSILON * x, 0.0) / scale for r, x, scale in zip(constraints, largest, scales, strict=True)]
+    shares = [
+        np.maximum(np.abs(r) - _EPSILON * x, 0.0) / scale
+        for r, x, scale in zip(constraints, largest, scales, strict=True)
+    ]
     return float(np.concatenate(shares).max(initial=0.0))

@@ -19,7 +19,13 @@ from tenscasadi.util.validate import Array, file_path, instance
 from tenscasadi.util.whole_file import write_files
 
 
-def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), precision: Single | None = None, parameters: Any = None) -> list[Path]:
+def export_c(
+    model: Model,
+    folder: str | Path,
+    scheme: Scheme = RungeKutta4(),
+    precision: Single | None = None,
+    parameters: Any = None,
+) -> list[Path]:
     """Write a model as C code that needs nothing but the C library.
 
     Parameters
@@ -33,12 +39,14 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
     precision : Single, optional
         `Single()` writes code that computes in float. Default: double.
     parameters : array_like, shape (np,), or mapping, optional
-        Values of the model's parameters in `start.h`, see `ParameterLayout.values`; nominal if None. The functions take any.
+        Values of the model's parameters in `start.h`, see `ParameterLayout.values`; nominal if
+        None. The functions take any.
 
     Returns
     -------
     list of Path
-        The files `tensegrity.c`, `tensegrity.h`, `start.h` (sizes, initial state and control) and `main.c`.
+        The files `tensegrity.c`, `tensegrity.h`, `start.h` (sizes, initial state and control) and
+        `main.c`.
 
     Raises
     ------
@@ -49,17 +57,20 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
 
     Notes
     -----
-    `tensegrity.c` holds four functions in CasADi's calling convention, ``int name(const casadi_real** arg, casadi_real** res,
-    casadi_int* iw, casadi_real* w, int mem)``:
+    `tensegrity.c` holds four functions in CasADi's calling convention, ``int name(const
+    casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)``:
 
     - `ode` (x, u) -> xdot;
     - `ode_jacobian` (x, u) -> its dense derivatives by x and by u, column by column;
-    - `step` (x, u, h) -> x after one step of `scheme` of h s, followed by the projection onto bars and joints;
+    - `step` (x, u, h) -> x after one step of `scheme` of h s, followed by the projection onto bars
+    and joints;
     - `observe` (x, u) -> the outputs of `Model.observe`.
 
-    Where the model has parameters p, each takes them after u, and `ode_jacobian` ends with the derivatives by p.
+    Where the model has parameters p, each takes them after u, and `ode_jacobian` ends with the
+    derivatives by p.
 
-    `main.c` integrates from the model's initial state: ``cc -O2 tensegrity.c main.c -lm -o run && ./run t_end step rows``.
+    `main.c` integrates from the model's initial state: ``cc -O2 tensegrity.c main.c -lm -o run &&
+    ./run t_end step rows``.
 
     Examples
     --------
@@ -72,7 +83,9 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
     instance("precision", precision, (Single, type(None)), "Single() for float, or None for double")
     check_scheme(scheme)
     if scheme.adaptive:
-        raise ValueError(f"scheme is {scheme}, which chooses its steps: give one of fixed steps for C, such as RungeKutta4()")
+        raise ValueError(
+            f"scheme is {scheme}, which chooses its steps: give one of fixed steps for C, such as RungeKutta4()"
+        )
     if precision is not None:
         check_single(scheme)
     p = model.parameters.values(parameters)
@@ -81,23 +94,41 @@ def export_c(model: Model, folder: str | Path, scheme: Scheme = RungeKutta4(), p
     generator = ca.CodeGenerator("tensegrity.c", {"with_header": True, "casadi_real": real})
     for function in (model.ode, _jacobian(model), _step(model, scheme), model.observe):
         generator.add(function)
-    return write_files(target, {**generated(generator, "tensegrity"), "start.h": _start(model, p), "main.c": _MAIN})
+    return write_files(
+        target, {**generated(generator, "tensegrity"), "start.h": _start(model, p), "main.c": _MAIN}
+    )
 
 
 def _jacobian(model: Model) -> ca.Function:
     """Write dense derivatives: one directional derivative in C, looped over the directions, so that code and compile time stay small."""
     given = _inputs(model)
-    symbols, seeds = list(given.values()), [ca.MX.sym(f"d{name}", symbol.shape[0]) for name, symbol in given.items()]
-    slope = model.ode.forward(1)(*symbols, ca.MX(model.nx, 1), *seeds)  # the input behind the others, xdot, is not needed
-    used = [k for k, symbol in enumerate(symbols) if symbol.numel()]  # an empty input of a loop makes C that compilers warn of
-    directional = ca.Function("directional", [side[k] for side in (symbols, seeds) for k in used], [ca.densify(slope)])
+    symbols, seeds = (
+        list(given.values()),
+        [ca.MX.sym(f"d{name}", symbol.shape[0]) for name, symbol in given.items()],
+    )
+    slope = model.ode.forward(1)(
+        *symbols, ca.MX(model.nx, 1), *seeds
+    )  # the input behind the others, xdot, is not needed
+    used = [
+        k for k, symbol in enumerate(symbols) if symbol.numel()
+    ]  # an empty input of a loop makes C that compilers warn of
+    directional = ca.Function(
+        "directional", [side[k] for side in (symbols, seeds) for k in used], [ca.densify(slope)]
+    )
     blocks: list[Any] = []
     for j, own in enumerate(symbols):
         size = own.shape[0]
-        along = [ca.DM.eye(size) if k == j else ca.DM.zeros(symbol.shape[0], size) for k, symbol in enumerate(symbols)]
-        inputs = [ca.repmat(symbols[k], 1, size) for k in used] + [ca.densify(along[k]) for k in used]
+        along = [
+            ca.DM.eye(size) if k == j else ca.DM.zeros(symbol.shape[0], size)
+            for k, symbol in enumerate(symbols)
+        ]
+        inputs = [ca.repmat(symbols[k], 1, size) for k in used] + [
+            ca.densify(along[k]) for k in used
+        ]
         blocks.append(directional.map(size)(*inputs) if size else ca.MX(model.nx, 0))
-    return ca.Function("ode_jacobian", symbols, blocks, list(given), [f"xdot_{name}" for name in given])
+    return ca.Function(
+        "ode_jacobian", symbols, blocks, list(given), [f"xdot_{name}" for name in given]
+    )
 
 
 def _inputs(model: Model) -> dict[str, ca.MX]:
@@ -112,7 +143,13 @@ def _step(model: Model, scheme: Scheme) -> ca.Function:
     w: Any = ca.vertcat(*held)
     after: Any = scheme.advance(model)(x, w, h)
     project = Projection().step(model)
-    return ca.Function("step", [x, *held, h], [after if project is None else correct(model, project, after, w)], [*given, "h"], ["x_next"])
+    return ca.Function(
+        "step",
+        [x, *held, h],
+        [after if project is None else correct(model, project, after, w)],
+        [*given, "h"],
+        ["x_next"],
+    )
 
 
 def _start(model: Model, p: Array) -> str:
@@ -125,7 +162,10 @@ def _start(model: Model, p: Array) -> str:
         f"static const casadi_real u_start[{max(model.nu, 1)}] = {_literal(model.control_at(p))};",
     ]
     if model.np:
-        names = "; ".join(f"{name}, {unit}" for name, unit in zip(model.parameters.names, model.parameters.units, strict=True))
+        names = "; ".join(
+            f"{name}, {unit}"
+            for name, unit in zip(model.parameters.names, model.parameters.units, strict=True)
+        )
         lines.append(f"/* Parameters: {names.replace('²', '^2').replace('·', ' ')} */")
         lines.append(f"#define NP {model.np}")
         lines.append(f"static const casadi_real p_start[NP] = {_literal(p)};")
@@ -133,7 +173,11 @@ def _start(model: Model, p: Array) -> str:
 
 
 def _literal(values: Array) -> str:
-    return "{" + ", ".join(repr(float(value)) for value in (values if values.size else np.zeros(1))) + "}"
+    return (
+        "{"
+        + ", ".join(repr(float(value)) for value in (values if values.size else np.zeros(1)))
+        + "}"
+    )
 
 
 _MAIN = """/* Integrates the model from its initial state and prints time, node coordinates, energy and bar length error as CSV. */

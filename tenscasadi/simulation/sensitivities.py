@@ -17,18 +17,34 @@ from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl
 from tenscasadi.simulation.simulate import lay_run, simulate
-from tenscasadi.simulation.tangent_loop import CHUNK, Steps, choose_width, gradient_function, tangent_function
+from tenscasadi.simulation.tangent_loop import (
+    CHUNK,
+    Steps,
+    choose_width,
+    gradient_function,
+    tangent_function,
+)
 from tenscasadi.simulation.tangent_passes import Task, pull, push
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.compile import CompileError, compile_function
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, Indices, call_user_function, choice, finite_array, instance, shown
+from tenscasadi.util.validate import (
+    Array,
+    Indices,
+    call_user_function,
+    choice,
+    finite_array,
+    instance,
+    shown,
+)
 
 By = Literal["state", "control", "parameters"]
 Mode = Literal["forward", "adjoint"]
 Output = ca.Function | Callable[[Any, Any], Any] | None
-_SAME = 1e-6  # of the largest entry of a state: a run that ends farther from where these steps end was made by other steps
+# of the largest entry of a state: a run that ends farther from where these steps end was made by
+# other steps
+_SAME = 1e-6
 _ADJOINT = 2.0  # cost of a gradient in tangents
 
 
@@ -41,7 +57,8 @@ class Sensitivities(ReadOnlyArrays):
     value : ndarray, shape (m,)
         The output.
     jacobian : ndarray, shape (m, nx), (m, K, nu) or (m, np)
-        Its derivatives by the start, by the control in each of K intervals, or by the parameters; NaN where the run did not reach its end.
+        Its derivatives by the start, by the control in each of K intervals, or by the parameters;
+        NaN where the run did not reach its end.
     state : ndarray, shape (nx,)
         State at the end of the run.
     mode : {"forward", "adjoint"}
@@ -104,25 +121,29 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
     model : Model
         The model.
     start : array_like, shape (nx,), or Trajectory, optional
-        State at the start, or a run of `simulate`, which gives start, end, step, control and parameters. Default: `model.initial_state`.
+        State at the start, or a run of `simulate`, which gives start, end, step, control and
+        parameters. Default: `model.initial_state`.
     t_end : float, optional
         End of the run, s; needed where `start` is no trajectory.
     step : float, optional
         Largest step, s, as for `simulate`. Default: 1 ms.
     scheme : Scheme, optional
-        Integration scheme with steps of fixed size, such as `RungeKutta4` (default), `Rattle` or `Collocation`; of a trajectory: its own.
+        Integration scheme with steps of fixed size, such as `RungeKutta4` (default), `Rattle` or
+        `Collocation`; of a trajectory: its own.
     control : array_like or callable, optional
         Control, as for `simulate`.
     correction : Projection or BarLengthCorrection, optional
         Correction after every `correction.every`-th step; of a trajectory: its own.
     of : casadi.Function or callable, optional
-        Output (m,): a Function (x), (x, u) or (x, u, p), or a function of CasADi columns x (nx) and u (nu), and p (np) where the model has
-        parameters, that returns an expression. Default: the state.
+        Output (m,): a Function (x), (x, u) or (x, u, p), or a function of CasADi columns x (nx) and
+        u (nu), and p (np) where the model has parameters, that returns an expression. Default: the
+        state.
     over : {"end", "run"}
         "end": the output at the end of the run. "run": its integral over time, by the scheme; m is 1.
     by : {"state", "control", "parameters"}
-        Inputs. "state": the start. "control": the control in each interval of a table, in each step where it is a function of time.
-        "parameters": those of the model; start and control stay as they are.
+        Inputs. "state": the start. "control": the control in each interval of a table, in each step
+        where it is a function of time. "parameters": those of the model; start and control stay as
+        they are.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters, as for `simulate`. Default: nominal.
     mode : {"forward", "adjoint"}, optional
@@ -133,12 +154,14 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
     Returns
     -------
     Sensitivities
-        Value and derivatives. A run that diverges gives NaN; `success` is False then, and `message` says why.
+        Value and derivatives. A run that diverges gives NaN; `success` is False then, and `message`
+        says why.
 
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or a trajectory was made by other steps than are asked for; the message names it.
+        An argument is wrong, or a trajectory was made by other steps than are asked for; the
+        message names it.
     CompileError
         Machine code was asked for and cannot be made.
 
@@ -148,26 +171,32 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
 
     Notes
     -----
-    These are derivatives of the steps that are taken, correct to rounding: a finite difference of the same run comes to them. Where a string
-    goes slack within a step, or a node meets the ground, they are those of the side on which each stage of the step lies; the instant of the
-    event is not resolved, so that they jump when the steps are laid differently, and near impacts may be far from the derivative of the motion.
-    `Smooth` strings and smaller steps bring both together. Derivatives of chaotic motions grow without bound.
+    These are derivatives of the steps that are taken, correct to rounding: a finite difference of
+    the same run comes to them. Where a string goes slack within a step, or a node meets the ground,
+    they are those of the side on which each stage of the step lies; the instant of the event is not
+    resolved, so that they jump when the steps are laid differently, and near impacts may be far
+    from the derivative of the motion. `Smooth` strings and smaller steps bring both together.
+    Derivatives of chaotic motions grow without bound.
 
-    By the start they are in all directions of the state, also in those that stretch bars: a change that is possible keeps the constraints.
-    The steps stay where they are laid, also by a clock, which would move those that loads cut.
+    By the start they are in all directions of the state, also in those that stretch bars: a change
+    that is possible keeps the constraints. The steps stay where they are laid, also by a clock,
+    which would move those that loads cut.
 
-    Steps run as machine code, 256 a call. States are kept between calls only, and those within are computed again on the way back, so that
-    memory hardly grows with the steps. A tangent costs two runs of `RungeKutta4`, two to five of `Rattle`; a gradient three to six, for all
-    inputs at once.
-    `Collocation` is differentiated as the solution of its equations, by a solver that takes several times as long as the scheme's own.
+    Steps run as machine code, 256 a call. States are kept between calls only, and those within are
+    computed again on the way back, so that memory hardly grows with the steps. A tangent costs two
+    runs of `RungeKutta4`, two to five of `Rattle`; a gradient three to six, for all inputs at once.
+    `Collocation` is differentiated as the solution of its equations, by a solver that takes several
+    times as long as the scheme's own.
 
     References
     ----------
-    .. [1] E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, section I.14.
+    .. [1] E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, section
+    I.14.
 
     Examples
     --------
-    A pendulum of 1 m is released at 45°. How does a push along its arc, (1, 0, 1) m/s, change where its end is after a second?
+    A pendulum of 1 m is released at 45°. How does a push along its arc, (1, 0, 1) m/s, change where
+    its end is after a second?
 
     >>> import tenscasadi as tc
     >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
@@ -187,16 +216,32 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
         model, state=request.start, control=request.control, t_end=request.t_end, step=request.step,
         save_every=CHUNK, energy_balance=False, compiled=compiled, parameters=request.parameters, **common,
     )  # fmt: skip
-    grid = lay_run(model, request.start, request.t_end, request.step, scheme, request.control, request.parameters)
+    grid = lay_run(
+        model,
+        request.start,
+        request.t_end,
+        request.step,
+        scheme,
+        request.control,
+        request.parameters,
+    )
     steps = Steps(model, scheme, correction, output if over == "run" else None)
-    owner = _owners(request.control, grid) if by == "control" else np.zeros(grid.steps, dtype=np.intp)
-    entries = {"state": None, "control": slice(0, model.nu), "parameters": slice(model.nu, model.nw)}[by]
+    owner = (
+        _owners(request.control, grid) if by == "control" else np.zeros(grid.steps, dtype=np.intp)
+    )
+    entries = {
+        "state": None,
+        "control": slice(0, model.nu),
+        "parameters": slice(model.nu, model.nw),
+    }[by]
     task = Task(steps, run.states, grid, owner, entries)
     rows, columns = output.size1_out(0), int(np.prod(task.shape))
     chosen = mode or ("forward" if columns <= _ADJOINT * rows else "adjoint")
     if run.time[-1] < request.t_end * (1 - 1e-9):
         unknown = np.full(rows, np.nan), np.full((rows, *task.shape), np.nan)
-        found = Sensitivities(*unknown, run.states[-1].copy(), chosen, False, run.message, 0.0, False)
+        found = Sensitivities(
+            *unknown, run.states[-1].copy(), chosen, False, run.message, 0.0, False
+        )
     else:
         _compare(request, run)
         found = _differentiate(task, output, run, chosen, compiled)
@@ -225,17 +270,38 @@ def _read(model: Any, start: Any, t_end: Any, step: Any, control: Any, parameter
         p = model.parameters.values(parameters)
         state = model.start_at(p) if start is None else finite_array("start", start, (model.nx,))
         return _Request(np.array(state), t_end, step, control, p, None)
-    for name, value in {"t_end": t_end, "step": step, "control": control, "parameters": parameters}.items():
+    for name, value in {
+        "t_end": t_end,
+        "step": step,
+        "control": control,
+        "parameters": parameters,
+    }.items():
         if value is not None:
-            raise ValueError(f"{name} is {shown(value)}, and start is a trajectory, which tells it: leave one out")
-    if not len(start.time) > 1 or start.states.shape[1] != model.nx or start.control.shape[1] != model.nu or len(start.parameters) != model.np:
-        raise ValueError(f"start is {start!r}, with states of {start.states.shape[1]}: give a run of this model, with states of {model.nx}")
+            raise ValueError(
+                f"{name} is {shown(value)}, and start is a trajectory, which tells it: leave one out"
+            )
+    if (
+        not len(start.time) > 1
+        or start.states.shape[1] != model.nx
+        or start.control.shape[1] != model.nu
+        or len(start.parameters) != model.np
+    ):
+        raise ValueError(
+            f"start is {start!r}, with states of {start.states.shape[1]}: give a run of this model, with states of {model.nx}"
+        )
     if not start.success:
         raise ValueError(f"start is a run that failed ({start.message}): give one that succeeded")
     held = start.control[:-1]
     constant = not held.size or bool(np.all(held == held[0]))
     given: Any = held[0] if constant else ControlProfile(np.asarray(start.time), held)
-    return _Request(np.array(start.states[0]), float(start.time[-1]), float(start.step), given, np.array(start.parameters), start.states[-1])
+    return _Request(
+        np.array(start.states[0]),
+        float(start.time[-1]),
+        float(start.step),
+        given,
+        np.array(start.parameters),
+        start.states[-1],
+    )
 
 
 def _check(model: Model, scheme: Any, over: Any, by: Any, mode: Any, compiled: Any) -> None:
@@ -244,13 +310,21 @@ def _check(model: Model, scheme: Any, over: Any, by: Any, mode: Any, compiled: A
     if mode is not None:
         choice("mode", mode, "forward", "adjoint")
     if compiled is not None:
-        instance("compiled", compiled, bool, "True, False or None: derivatives are of double precision")
+        instance(
+            "compiled", compiled, bool, "True, False or None: derivatives are of double precision"
+        )
     if getattr(scheme, "adaptive", False) or isinstance(scheme, Sundials):
-        raise ValueError(f"scheme is {shown(scheme)}, which chooses its steps: give one with fixed steps, such as RungeKutta4() or Rattle()")
+        raise ValueError(
+            f"scheme is {shown(scheme)}, which chooses its steps: give one with fixed steps, such as RungeKutta4() or Rattle()"
+        )
     if by == "control" and not model.nu:
-        raise ValueError('by is "control", and the scene has none: give Scene(control=ForceDensity()) or RestLength(), or by="state"')
+        raise ValueError(
+            'by is "control", and the scene has none: give Scene(control=ForceDensity()) or RestLength(), or by="state"'
+        )
     if by == "parameters" and not model.np:
-        raise ValueError('by is "parameters", and the scene has none: give Scene(parameters=Parameters(...)), or by="state"')
+        raise ValueError(
+            'by is "parameters", and the scene has none: give Scene(parameters=Parameters(...)), or by="state"'
+        )
 
 
 def _output(model: Model, of: Any) -> ca.Function:
@@ -259,12 +333,18 @@ def _output(model: Model, of: Any) -> ca.Function:
     x, w = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
     arguments = [x, w[: model.nu], w[model.nu :]][: len(sizes)]
     wanted = (
-        f"give a casadi.Function of {' and '.join(map(str, sizes))} entries or the first of them, or a function that returns an expression of them"
+        f"give a casadi.Function of {' and '.join(map(str, sizes))} entries or the first of them, "
+        "or a function that returns an expression of them"
     )
     if of is None:
         value: Any = x
     elif isinstance(of, ca.Function):
-        if of.n_out() != 1 or not of.n_in() or [of.size_in(k) for k in range(of.n_in())] != [(size, 1) for size in sizes[: of.n_in()]]:
+        if (
+            of.n_out() != 1
+            or not of.n_in()
+            or [of.size_in(k) for k in range(of.n_in())]
+            != [(size, 1) for size in sizes[: of.n_in()]]
+        ):
             raise ValueError(f"of is {of}: {wanted}")
         value = of(*arguments[: of.n_in()])
     elif callable(of):
@@ -283,7 +363,9 @@ def _owners(control: Any, grid: SampledControl) -> Indices:
     middle = (ends[:-1] + ends[1:]) / 2
     if isinstance(control, ControlProfile):
         if len(control.values) == len(control.time):
-            raise ValueError("control.values is linear between its times: give one row for each interval, or a table")
+            raise ValueError(
+                "control.values is linear between its times: give one row for each interval, or a table"
+            )
         return np.searchsorted(control.time, middle) - 1
     if callable(control):
         return np.arange(grid.steps)
@@ -305,11 +387,15 @@ def _compare(request: _Request, run: Trajectory) -> None:
 # --- passes over the run ---
 
 
-def _differentiate(task: Task, output: ca.Function, run: Trajectory, mode: Mode, compiled: bool | None) -> Sensitivities:
+def _differentiate(
+    task: Task, output: ca.Function, run: Trajectory, mode: Mode, compiled: bool | None
+) -> Sensitivities:
     steps, model = task.steps, task.steps.model
     symbols = output.mx_in()
     slopes = [ca.densify(ca.jacobian(output(*symbols), symbol)) for symbol in symbols]
-    at_end = ca.Function("at_end", symbols, [output(*symbols), *slopes])(run.states[-1], np.append(run.control[-1], run.parameters))
+    at_end = ca.Function("at_end", symbols, [output(*symbols), *slopes])(
+        run.states[-1], np.append(run.control[-1], run.parameters)
+    )
     value, by_z, by_w = (np.asarray(result.full()) for result in at_end)
     if steps.running is not None:  # the output is the last entry of z
         by_z, by_w = np.eye(1, steps.size, model.nx), np.zeros_like(by_w)
@@ -330,10 +416,21 @@ def _differentiate(task: Task, output: ca.Function, run: Trajectory, mode: Mode,
     elif not same:
         message += f"; the steps that were differentiated end {found.apart:.2g} from those of the run: try a smaller step"
     value = value.ravel() if steps.running is None else np.array([found.integral])
-    return Sensitivities(value, jacobian, run.states[-1].copy(), mode, run.success and finite and same, message, seconds, is_code)
+    return Sensitivities(
+        value,
+        jacobian,
+        run.states[-1].copy(),
+        mode,
+        run.success and finite and same,
+        message,
+        seconds,
+        is_code,
+    )
 
 
-def _loop(task: Task, forward: bool, width: int, compiled: bool | None) -> tuple[ca.Function, bool, str]:
+def _loop(
+    task: Task, forward: bool, width: int, compiled: bool | None
+) -> tuple[ca.Function, bool, str]:
     """Return the Function of a pass, once for each model; tell whether it is machine code, and why not."""
     steps, held = task.steps, task.entries is None
     known, key = steps.model.functions, ("derivatives", *steps[1:], forward, width, held, compiled)

@@ -22,12 +22,23 @@ from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.integrators.sundials_events import EventSteps
 from tenscasadi.simulation.control_input import SampledControl
 from tenscasadi.simulation.time_loop import chunk_function, chunk_steps
-from tenscasadi.util.compile import Compiled, CompileError, CompileTimeout, Single, compile_function, find_compiler
+from tenscasadi.util.compile import (
+    Compiled,
+    CompileError,
+    CompileTimeout,
+    Single,
+    compile_function,
+    find_compiler,
+)
 from tenscasadi.util.validate import Array
 
 _SINGLE = 1e-6  # some ten times the rounding of float, as 1e-15 is of double
-_SUNDIALS_STEPS = 50  # grid steps a call, if corrections leave it: each call starts anew, at low order
-_LOOSE = 1e-5  # rtol above which a motion that takes no end of steps is more likely one that has broken down than one that is hard to follow
+_SUNDIALS_STEPS = (
+    50  # grid steps a call, if corrections leave it: each call starts anew, at low order
+)
+# rtol above which a motion that takes no end of steps is more likely one that has broken down than
+# one that is hard to follow
+_LOOSE = 1e-5
 _REST, _STEP = Memory._fields.index("rest"), Memory._fields.index("step")
 _STUCK = 1e-13  # of the grid's spacing: a step as short as this makes no headway
 
@@ -52,7 +63,8 @@ class Stepper(Protocol):
     """Object that advances z (nz,), the state and one entry for the energy supplied where that is asked for, `steps` grid steps a call."""
 
     steps: int
-    deadline: float  # by the clock `time.perf_counter`, s: a call that is made in pieces raises OutOfTime then
+    # by the clock `time.perf_counter`, s: a call that is made in pieces raises OutOfTime then
+    deadline: float
 
     def hold(self, controls: Array, lengths: Array) -> None:
         """Set the lengths (steps,), s, of the grid steps of the next calls, and the controls (steps + 1, nu) of these and of the one after."""
@@ -75,7 +87,8 @@ class Built(NamedTuple):
 class Task(NamedTuple):
     """Run to make: `power` and `jumps` ask for the energy supplied by forces outside `model.energy` and by changes of the control.
 
-    chunk: steps of a call in machine code, a multiple of `correction.every`; None: what suits runs of any length.
+    chunk: steps of a call in machine code, a multiple of `correction.every`; None: what suits runs
+    of any length.
     """
 
     model: Model
@@ -91,7 +104,9 @@ def check_single(scheme: Scheme) -> None:
     for name in ("rtol", "tolerance"):
         asked = getattr(scheme, name, None)
         if asked is not None and asked < _SINGLE:
-            raise ValueError(f"{type(scheme).__name__}.{name} is {asked:g}: give {_SINGLE:g} or more in single precision, less is rounding")
+            raise ValueError(
+                f"{type(scheme).__name__}.{name} is {asked:g}: give {_SINGLE:g} or more in single precision, less is rounding"
+            )
 
 
 def make_stepper(task: Task, inputs: SampledControl, compiled: Compiled) -> Built:
@@ -99,17 +114,23 @@ def make_stepper(task: Task, inputs: SampledControl, compiled: Compiled) -> Buil
     scheme, every = task.scheme, 1 if task.correction is None else task.correction.every
     if isinstance(scheme, Sundials):
         if compiled:
-            raise CompileError(f"{type(scheme).__name__} is an integrator of SUNDIALS, which makes no C code: give compiled=None or another scheme")
+            raise CompileError(
+                f"{type(scheme).__name__} is an integrator of SUNDIALS, which makes no C code: give compiled=None or another scheme"
+            )
         return Built(SundialsStepper(task, scheme, inputs.longest), False, "")
     if scheme.adaptive and every != 1:
-        raise ValueError(f"correction.every is {every}: {type(scheme).__name__} with rtol corrects after each of its own steps, give every=1")
+        raise ValueError(
+            f"correction.every is {every}: {type(scheme).__name__} with rtol corrects after each of its own steps, give every=1"
+        )
     function, is_code, note = _build_function(task, every, inputs.steps, compiled)
     if isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive:
         return Built(AdaptiveStepper(task, scheme, function, inputs.longest), is_code, note)
     return Built(LoopStepper(function, scheme), is_code, note)
 
 
-def _build_function(task: Task, every: int, steps: int, compiled: Compiled) -> tuple[ca.Function, bool, str]:
+def _build_function(
+    task: Task, every: int, steps: int, compiled: Compiled
+) -> tuple[ca.Function, bool, str]:
     """Build the Function that takes `steps` steps, some at a time; tell whether it is machine code, and why not."""
     chunk, single = task.chunk or chunk_steps(task.model, every), isinstance(compiled, Single)
     if single:
@@ -117,16 +138,30 @@ def _build_function(task: Task, every: int, steps: int, compiled: Compiled) -> t
     note = ""
     if compiled is not False:
         try:
-            function = _write_function(task, every if task.scheme.implicit else chunk)  # Newton's method takes longer than a call
-            return compile_function(function, single=single), True, "; in single precision" if single else ""
+            function = _write_function(
+                task, every if task.scheme.implicit else chunk
+            )  # Newton's method takes longer than a call
+            return (
+                compile_function(function, single=single),
+                True,
+                "; in single precision" if single else "",
+            )
         except CompileError as error:
             if compiled:
                 raise
             found = find_compiler()
             refused = found and not isinstance(error, CompileTimeout)
-            note = "; not compiled: " + (f"{found[0]} failed, compiled=True shows why" if found and refused else str(error))
-    longest = 1 if task.scheme.implicit else chunk // every  # many iterations in the virtual machine would let Ctrl-C wait
-    return _write_function(task, every * min(longest, -(-steps // every))), False, note  # nothing is reused: no longer than the run
+            note = "; not compiled: " + (
+                f"{found[0]} failed, compiled=True shows why" if found and refused else str(error)
+            )
+    longest = (
+        1 if task.scheme.implicit else chunk // every
+    )  # many iterations in the virtual machine would let Ctrl-C wait
+    return (
+        _write_function(task, every * min(longest, -(-steps // every))),
+        False,
+        note,
+    )  # nothing is reused: no longer than the run
 
 
 def _write_function(task: Task, steps: int) -> ca.Function:
@@ -159,8 +194,16 @@ class LoopStepper:
         self._out = np.zeros((self.steps, len(self._z)))
         self._buffer: Any
         self._buffer, self._trigger = function.buffer()
-        self._tolerance = np.full(self.steps, scheme.tolerance if isinstance(scheme, Collocation) else np.nan)
-        inputs = {"z": self._z, "h": self._h, "u": self._u[:-1], "u_next": self._u[1:], "tolerance": self._tolerance}
+        self._tolerance = np.full(
+            self.steps, scheme.tolerance if isinstance(scheme, Collocation) else np.nan
+        )
+        inputs = {
+            "z": self._z,
+            "h": self._h,
+            "u": self._u[:-1],
+            "u_next": self._u[1:],
+            "tolerance": self._tolerance,
+        }
         for i, values in enumerate(inputs[name] for name in function.name_in()):
             if values.size:
                 self._buffer.set_arg(i, values.reshape(-1).data)
@@ -189,11 +232,16 @@ class AdaptiveStepper:
     steps = 1
     deadline = np.inf
 
-    def __init__(self, task: Task, scheme: EmbeddedRungeKutta, function: ca.Function, step: float) -> None:
+    def __init__(
+        self, task: Task, scheme: EmbeddedRungeKutta, function: ca.Function, step: float
+    ) -> None:
         self._scheme, self._step, self._calls = scheme, step, 0
         self._nx, self._nz = task.model.nx, function.size1_in(0)
         self._energy = task.model.stacked(task.model.energy_function) if task.jumps else None
-        self._z, self._out = np.zeros(self._nz), np.zeros((1, task.model.nx + (task.power or task.jumps)))
+        self._z, self._out = (
+            np.zeros(self._nz),
+            np.zeros((1, task.model.nx + (task.power or task.jumps))),
+        )
         self._memory = np.zeros(len(Memory._fields))
         self._memory[_STEP] = step
         self._u, self._next_u = np.zeros(task.model.nw), np.zeros(task.model.nw)
@@ -221,7 +269,9 @@ class AdaptiveStepper:
             self._trigger()
             self._z[:], self._memory[:] = self._after
             if self._buffer.ret() or not np.all(np.isfinite(self._memory)):
-                raise StepFailure("the state is not finite, whatever the step: give a start that can move")
+                raise StepFailure(
+                    "the state is not finite, whatever the step: give a start that can move"
+                )
             if self._memory[_REST] <= 0:
                 break
             if time.perf_counter() > self.deadline:
@@ -241,7 +291,9 @@ class AdaptiveStepper:
         self._out[0, : self._nx], self._out[0, self._nx :] = self._z[: self._nx], supplied
         if self._energy is not None and np.any(self._u != self._next_u):
             x = self._z[: self._nx]
-            self._out[0, self._nx] += float(self._energy(x, self._next_u)) - float(self._energy(x, self._u))
+            self._out[0, self._nx] += float(self._energy(x, self._next_u)) - float(
+                self._energy(x, self._u)
+            )
         return self._out
 
     def report(self, taken: int, step: float) -> Report:
@@ -256,7 +308,8 @@ class AdaptiveStepper:
 class SundialsStepper:
     """`steps` grid steps a call of CasADi's integrator on a grid of output times.
 
-    What is corrected is what it returns: a start from a corrected state would cost its order, so that only each call makes one.
+    What is corrected is what it returns: a start from a corrected state would cost its order, so
+    that only each call makes one.
     """
 
     deadline = np.inf
@@ -264,21 +317,31 @@ class SundialsStepper:
     def __init__(self, task: Task, scheme: Sundials, step: float) -> None:
         model, correction = task.model, task.correction
         if model.nx == 0:
-            raise ValueError(f"{type(scheme).__name__} needs something that can move: this scene has no free node")
+            raise ValueError(
+                f"{type(scheme).__name__} needs something that can move: this scene has no free node"
+            )
         power = model.stacked(model.power) if task.power and model.power is not None else None
         self._every = 1 if correction is None else correction.every
         self.steps = self._every * max(1, _SUNDIALS_STEPS // self._every)
         self._model, self._scheme = model, scheme
         self._project = None if correction is None else correction.step(model)
         self._energy = model.stacked(model.energy_function) if task.jumps else None
-        self._extra = task.jumps and power is None  # an entry for the energy supplied that the integrator does not know
-        self._integrators: dict[int, ca.Function] = {}  # by the steps of a call: none goes on past the end of the run
+        self._extra = (
+            task.jumps and power is None
+        )  # an entry for the energy supplied that the integrator does not know
+        self._integrators: dict[
+            int, ca.Function
+        ] = {}  # by the steps of a call: none goes on past the end of the run
         self._equations = scheme.equations(model, power)
         self._start = scheme.algebraic_start(model)
         self._advance = scheme.advance(model, power)
         self._step = step
         gaps = build_switching(model) if scheme.locate_events else None
-        self._events = None if gaps is None else EventSteps(scheme, model, gaps, power is not None, self._pause)
+        self._events = (
+            None
+            if gaps is None
+            else EventSteps(scheme, model, gaps, power is not None, self._pause)
+        )
 
     def hold(self, controls: Array, lengths: Array) -> None:
         """See `Stepper.hold`."""
@@ -290,13 +353,19 @@ class SundialsStepper:
         start = z[: len(z) - self._extra]
         try:
             if (u[:count] == u[0]).all() and (lengths == self._step).all():
-                rows = self._run(start, u[:count]) if self._events is None else self._events(start, u[0], lengths)
+                rows = (
+                    self._run(start, u[:count])
+                    if self._events is None
+                    else self._events(start, u[0], lengths)
+                )
                 self._correct(rows[self._every - 1 :: self._every])
             else:  # CVODES steps over a change of the control: each grid step starts anew
                 parts = [start]
                 for k, (control, length) in enumerate(zip(u[:count], lengths, strict=True), 1):
                     if self._events is None:
-                        parts.append(np.asarray(self._advance(parts[-1], control, length).full()).ravel())
+                        parts.append(
+                            np.asarray(self._advance(parts[-1], control, length).full()).ravel()
+                        )
                     else:
                         parts.append(self._events(parts[-1], control, lengths[k - 1 : k])[0])
                     if k % self._every == 0:
@@ -304,16 +373,26 @@ class SundialsStepper:
                 rows = np.array(parts[1:])
         except RuntimeError as error:
             found = re.search(r'(\w+) returned "(\w+)"', str(error))
-            words = f"{found[1]} returned {found[2]}" if found else str(error).strip().splitlines()[-1]
+            words = (
+                f"{found[1]} returned {found[2]}" if found else str(error).strip().splitlines()[-1]
+            )
             rtol = self._scheme.rtol
-            cure = "a smaller rtol or step" if rtol > _LOOSE else "a larger rtol, a smaller step or a larger max_steps"
-            raise StepFailure(f"{type(self._scheme).__name__} gave up, {words}: rtol is {rtol:g}, try {cure}") from None
+            cure = (
+                "a smaller rtol or step"
+                if rtol > _LOOSE
+                else "a larger rtol, a smaller step or a larger max_steps"
+            )
+            raise StepFailure(
+                f"{type(self._scheme).__name__} gave up, {words}: rtol is {rtol:g}, try {cure}"
+            ) from None
         if self._extra:
             rows = np.hstack([rows, np.full((count, 1), z[-1])])
         if self._energy is not None:
             changed = np.flatnonzero(np.any(u[1:] != u[:-1], axis=1))
             for k in changed.tolist():
-                rows[k:, nx] += float(self._energy(rows[k, :nx], u[k + 1])) - float(self._energy(rows[k, :nx], u[k]))
+                rows[k:, nx] += float(self._energy(rows[k, :nx], u[k + 1])) - float(
+                    self._energy(rows[k, :nx], u[k])
+                )
         return rows
 
     def _correct(self, rows: Array) -> None:
@@ -321,21 +400,37 @@ class SundialsStepper:
         if self._project is not None:
             nx = self._model.nx
             p = self._controls[0, self._model.nu :]
-            rows[:, :nx] = self._project(rows[:, :nx].T, *([np.tile(p[:, None], len(rows))] if len(p) else [])).full().T
+            rows[:, :nx] = (
+                self._project(rows[:, :nx].T, *([np.tile(p[:, None], len(rows))] if len(p) else []))
+                .full()
+                .T
+            )
 
     def _run(self, start: Array, controls: Array) -> Array:
         steps = len(controls)
         if steps not in self._integrators:
             grid = (np.arange(1, steps + 1) * self._step).tolist()
-            self._integrators[steps] = self._scheme.integrator(self._equations, grid, self._scheme.absolute(self._model))
-        guess = {} if self._start is None else {"z0": self._start(start[: self._model.nx], controls[0])}
+            self._integrators[steps] = self._scheme.integrator(
+                self._equations, grid, self._scheme.absolute(self._model)
+            )
+        guess = (
+            {} if self._start is None else {"z0": self._start(start[: self._model.nx], controls[0])}
+        )
         return np.array(self._integrators[steps](x0=start, u=controls.T, **guess)["xf"].full()).T
 
     def report(self, taken: int, step: float) -> Report:
         """See `Stepper.report`."""
         events = self._events.events if self._events else 0
-        located = f", {self._events.trials} trials to locate {events} events" if self._events and events else ""
-        return Report(f"{taken} times {step:g} s apart, by {type(self._scheme).__name__}{located}", step, taken)
+        located = (
+            f", {self._events.trials} trials to locate {events} events"
+            if self._events and events
+            else ""
+        )
+        return Report(
+            f"{taken} times {step:g} s apart, by {type(self._scheme).__name__}{located}",
+            step,
+            taken,
+        )
 
     def _pause(self) -> None:
         if time.perf_counter() > self.deadline:

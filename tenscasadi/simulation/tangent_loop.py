@@ -15,7 +15,8 @@ from tenscasadi.integrators.scheme import Scheme, equations
 from tenscasadi.integrators.stabilization import Correction, correct
 
 CHUNK = 256  # steps a call: what memory holds between the states that are kept
-_LONG = 3000  # instructions of a right-hand side times directions: what the C compiler takes seconds for
+# instructions of a right-hand side times directions: what the C compiler takes seconds for
+_LONG = 3000
 _WIDEST = 8
 
 
@@ -35,21 +36,30 @@ class Steps(NamedTuple):
 
 def choose_width(model: Model, directions: int) -> int:
     """Choose how many directions go through the loop at once: they share what does not depend on them, and the compiler's time grows with them."""
-    return int(np.clip(_LONG // max(count_instructions(model.ode), 1), 1, min(_WIDEST, max(directions, 1))))
+    return int(
+        np.clip(_LONG // max(count_instructions(model.ode), 1), 1, min(_WIDEST, max(directions, 1)))
+    )
 
 
 def tangent_function(steps: Steps, width: int, held: bool) -> ca.Function:
     """Chain CHUNK steps with `width` tangents: Function "tangent" (y, v (·, CHUNK), grid (2, CHUNK)) → y at the end.
 
-    y = [z; vec S] with tangents S (nz, width). v = [w], and where `held` is False vec W with its tangents W (nw, width).
-    w: control, and below it parameters.
-    grid: the length of each step, s, and 1 where a correction follows, else 0. Steps without length change nothing.
+    y = [z; vec S] with tangents S (nz, width). v = [w], and where `held` is False vec W with its
+    tangents W (nw, width). w: control, and below it parameters.
+    grid: the length of each step, s, and 1 where a correction follows, else 0. Steps without length
+    change nothing.
     """
     nz, nw = steps.size, steps.model.nw
-    y, v, grid = ca.MX.sym("y", nz * (1 + width)), ca.MX.sym("v", nw * (1 if held else 1 + width)), ca.MX.sym("grid", 2)
+    y, v, grid = (
+        ca.MX.sym("y", nz * (1 + width)),
+        ca.MX.sym("v", nw * (1 if held else 1 + width)),
+        ca.MX.sym("grid", 2),
+    )
     S, w = ca.reshape(y[nz:], nz, width), v[:nw]
     W = ca.MX(nw, width) if held else ca.reshape(v[nw:], nw, width)
-    if isinstance(steps.scheme, ExplicitRungeKutta):  # on the variational equation the method gives the derivative of its own step
+    if isinstance(
+        steps.scheme, ExplicitRungeKutta
+    ):  # on the variational equation the method gives the derivative of its own step
         end = steps.scheme.step(_variational(steps, width, held))(y, v, grid[0])
         z, S = end[:nz], ca.reshape(end[nz:], nz, width)
     else:
@@ -64,21 +74,36 @@ def tangent_function(steps: Steps, width: int, held: bool) -> ca.Function:
 def gradient_function(steps: Steps, width: int) -> ca.Function:
     """Pull `width` gradients back through CHUNK steps.
 
-    Function "gradient" (z, vec L, w (nw, CHUNK), grid (2, CHUNK)) → z at the end, vec L at the start, gradients (nw · width, CHUNK) by w.
+    Function "gradient" (z, vec L, w (nw, CHUNK), grid (2, CHUNK)) → z at the end, vec L at the
+    start, gradients (nw · width, CHUNK) by w.
 
-    L (nz, width) holds gradients by z at the end, then at the start. grid as for `tangent_function`. The states between are computed again.
+    L (nz, width) holds gradients by z at the end, then at the start. grid as for
+    `tangent_function`. The states between are computed again.
     """
     nz, nw = steps.size, steps.model.nw
     one = _step(steps)
-    z, w, grid, L = ca.MX.sym("z", nz), ca.MX.sym("w", nw), ca.MX.sym("grid", 2), ca.MX.sym("L", nz * width)
+    z, w, grid, L = (
+        ca.MX.sym("z", nz),
+        ca.MX.sym("w", nw),
+        ca.MX.sym("grid", 2),
+        ca.MX.sym("L", nz * width),
+    )
     pulled = one.reverse(width)(z, w, grid, ca.MX(nz, 1), ca.reshape(L, nz, width))
-    back = ca.Function("back", [L, z, w, grid], [ca.vec(ca.densify(pulled[0])), ca.vec(ca.densify(pulled[1]))])
+    back = ca.Function(
+        "back", [L, z, w, grid], [ca.vec(ca.densify(pulled[0])), ca.vec(ca.densify(pulled[1]))]
+    )
     ws, grids = ca.MX.sym("w", nw, CHUNK), ca.MX.sym("grid", 2, CHUNK)
     after = one.mapaccum(CHUNK)(z, ws, grids)
     before = ca.horzcat(z, after[:, :-1])
     all_L, by_w = back.mapaccum(CHUNK)(L, *(_reversed(columns) for columns in (before, ws, grids)))
     outputs = [after[:, -1], all_L[:, -1], ca.densify(_reversed(by_w))]
-    return ca.Function("gradient", [z, L, ws, grids], outputs, ["z", "L", "w", "grid"], ["z_end", "L_start", "by_w"])
+    return ca.Function(
+        "gradient",
+        [z, L, ws, grids],
+        outputs,
+        ["z", "L", "w", "grid"],
+        ["z_end", "L_start", "by_w"],
+    )
 
 
 def _reversed(columns: Any) -> Any:
@@ -97,7 +122,8 @@ def _step(steps: Steps) -> ca.Function:
 def _plain(steps: Steps) -> ca.Function:
     """Write one step without correction: Function (z, w, h) → z_next."""
     if not isinstance(steps.scheme, ExplicitRungeKutta) and steps.scheme.implicit:
-        # by Newton's method for all stages at once: CasADi differentiates what it solves, and not its iterations
+        # by Newton's method for all stages at once: CasADi differentiates what it solves, and not
+        # its iterations
         return steps.scheme.step(equations(steps.model, steps.running))
     return steps.scheme.advance(steps.model, steps.running)
 
@@ -107,9 +133,18 @@ def _corrected(steps: Steps) -> ca.Function | None:
     project = None if steps.correction is None else steps.correction.step(steps.model)
     if steps.correction is None or project is None:
         return None
-    z, w, flag, nx = ca.MX.sym("z", steps.size), ca.MX.sym("w", steps.model.nw), ca.MX.sym("flag"), steps.model.nx
+    z, w, flag, nx = (
+        ca.MX.sym("z", steps.size),
+        ca.MX.sym("w", steps.model.nw),
+        ca.MX.sym("flag"),
+        steps.model.nx,
+    )
     after = ca.vertcat(correct(steps.model, project, z[:nx], w), z[nx:])
-    return ca.Function("correct", [z, w, flag], [after if steps.correction.every == 1 else ca.if_else(flag > 0, after, z)])
+    return ca.Function(
+        "correct",
+        [z, w, flag],
+        [after if steps.correction.every == 1 else ca.if_else(flag > 0, after, z)],
+    )
 
 
 def _pushed(function: ca.Function, inputs: list[Any], tangents: list[Any]) -> tuple[Any, Any]:
@@ -125,9 +160,17 @@ def _variational(steps: Steps, width: int, held: bool) -> ca.Function:
         ode = ode if steps.model.mechanism.large else ode.expand()
     scalar = ode.is_a("SXFunction")
     kind: Any = ca.SX if scalar else ca.MX
-    at, y, v = kind.sym("at", nz + nw), kind.sym("y", nz * (1 + width)), kind.sym("v", nw * (1 if held else 1 + width))
-    along = ca.vertcat(ca.reshape(y[nz:], nz, width), kind(nw, width) if held else ca.reshape(v[nw:], nw, width))
+    at, y, v = (
+        kind.sym("at", nz + nw),
+        kind.sym("y", nz * (1 + width)),
+        kind.sym("v", nw * (1 if held else 1 + width)),
+    )
+    along = ca.vertcat(
+        ca.reshape(y[nz:], nz, width), kind(nw, width) if held else ca.reshape(v[nw:], nw, width)
+    )
     rate = ode(at[:nz], at[nz:])
     rates = ca.vertcat(rate, ca.vec(ca.densify(ca.jtimes(rate, at, along))))
     here = ca.substitute(rates, at, ca.vertcat(y[:nz], v[:nw]))
-    return ca.Function("variational", [y, v], ca.cse([here]) if scalar else [here], ["y", "v"], ["ydot"])
+    return ca.Function(
+        "variational", [y, v], ca.cse([here]) if scalar else [here], ["y", "v"], ["ydot"]
+    )

@@ -15,7 +15,8 @@ from tenscasadi.util.validate import Array, Indices
 class Task(NamedTuple):
     """Derivatives to compute: of steps between `states` (C, nx) that are CHUNK steps apart, under the held inputs w of `grid`.
 
-    entries: those of w, in each of the intervals that `owner` (steps,) tells of each step; None: by the first state.
+    entries: those of w, in each of the intervals that `owner` (steps,) tells of each step; None: by
+    the first state.
     """
 
     steps: Steps
@@ -50,13 +51,21 @@ class _Chunk(NamedTuple):
 
 
 def _chunk(task: Task, number: int) -> _Chunk:
-    first, every = number * CHUNK, 1 if task.steps.correction is None else task.steps.correction.every
+    first, every = (
+        number * CHUNK,
+        1 if task.steps.correction is None else task.steps.correction.every,
+    )
     places = np.arange(first, first + CHUNK)
     lengths = np.where(places < task.grid.steps, task.grid.lengths(first, CHUNK), 0.0)
     z = np.zeros(task.steps.size)
     z[: task.steps.model.nx] = task.states[number]
     owner = task.owner[first : first + CHUNK]
-    return _Chunk(z, task.grid.window(first, CHUNK), np.column_stack([lengths, (places + 1) % every == 0]), owner)
+    return _Chunk(
+        z,
+        task.grid.window(first, CHUNK),
+        np.column_stack([lengths, (places + 1) % every == 0]),
+        owner,
+    )
 
 
 def push(task: Task, tangent: ArrayFunction, width: int, by_z: Array) -> Found:
@@ -71,7 +80,11 @@ def push(task: Task, tangent: ArrayFunction, width: int, by_z: Array) -> Found:
             first = int(np.searchsorted(task.owner, begin // task.shape[1])) // CHUNK
         for number in range(first, len(task.states) - 1):
             chunk = _chunk(task, number)
-            (end,) = tangent(np.concatenate([chunk.z, S.ravel()]), _with_tangents(task, chunk, inputs, width), chunk.grid)
+            (end,) = tangent(
+                np.concatenate([chunk.z, S.ravel()]),
+                _with_tangents(task, chunk, inputs, width),
+                chunk.grid,
+            )
             S = end[0, nz:].reshape(width, nz)
             if begin == 0:
                 found = _follow(task, number, end[0, :nz], found)
@@ -116,4 +129,7 @@ def _follow(task: Task, number: int, end: Array, found: Found) -> Found:
     """Add up what a chunk that ends in z integrates, and compare its end with the run's."""
     nx = task.steps.model.nx
     apart = float(np.abs(end[:nx] - task.states[number + 1]).max(initial=0.0))
-    return found._replace(integral=found.integral + float(end[-1]) if end.size > nx else 0.0, apart=max(found.apart, apart))
+    return found._replace(
+        integral=found.integral + float(end[-1]) if end.size > nx else 0.0,
+        apart=max(found.apart, apart),
+    )

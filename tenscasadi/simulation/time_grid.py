@@ -17,7 +17,10 @@ from tenscasadi.scene.time_functions import clock_error
 from tenscasadi.simulation.control_input import SampledControl, cut_steps
 from tenscasadi.util.validate import Array, Indices
 
-_RESOLUTION = {False: Resolution(0.1, 1e-6), True: Resolution(0.05, 1e-9)}  # of a step without and with control of the error
+_RESOLUTION = {
+    False: Resolution(0.1, 1e-6),
+    True: Resolution(0.05, 1e-9),
+}  # of a step without and with control of the error
 _NARROWEST = 3.0  # errors of the clock to both sides of a jump: what lies between is stepped over
 
 
@@ -34,7 +37,12 @@ def resolving(resolution: Resolution) -> Iterator[None]:
         _asked.reset(before)
 
 
-def cut_at_changes(changing: Sequence[OverTime | SupportMotion], inputs: SampledControl, first: float, adaptive: bool) -> SampledControl:
+def cut_at_changes(
+    changing: Sequence[OverTime | SupportMotion],
+    inputs: SampledControl,
+    first: float,
+    adaptive: bool,
+) -> SampledControl:
     """Cut the steps of a run at the times of tables, at jumps, and in pulses that a step would not see.
 
     Parameters
@@ -67,17 +75,29 @@ def cut_at_changes(changing: Sequence[OverTime | SupportMotion], inputs: Sampled
     breaks = [load.find_breaks(first, last, steps) for load in changing]
     inputs = cut_steps(inputs, np.concatenate(breaks) - first)
     # A step that ends at a jump is cut just before it, too: its last stage is to see nothing of it.
-    jumps = [times[find_jumps(load, times, 2 * error, first, last)] for load, times in zip(changing, breaks, strict=True)]
+    jumps = [
+        times[find_jumps(load, times, 2 * error, first, last)]
+        for load, times in zip(changing, breaks, strict=True)
+    ]
     inputs = cut_steps(inputs, np.concatenate(jumps) - first, error / 2)
-    cuts, unseen = _find_cuts(changing, lambda rows: first + inputs.times(rows), inputs.steps, error, resolution)
+    cuts, unseen = _find_cuts(
+        changing, lambda rows: first + inputs.times(rows), inputs.steps, error, resolution
+    )
     inputs = replace(cut_steps(inputs, cuts - first), unseen=unseen)
     if all(is_finite(load, last + error) for load in changing):
         return inputs
-    # What is finite up to the end alone is not to be asked for a time beyond it, where rounding may take the clock.
+    # What is finite up to the end alone is not to be asked for a time beyond it, where rounding may
+    # take the clock.
     return replace(inputs, ends=inputs.times(np.arange(inputs.steps + 1)), early=error)
 
 
-def unseen_changes(changing: Sequence[OverTime | SupportMotion], first: float, last: float, steps: int, resolution: Resolution) -> str:
+def unseen_changes(
+    changing: Sequence[OverTime | SupportMotion],
+    first: float,
+    last: float,
+    steps: int,
+    resolution: Resolution,
+) -> str:
     """Say what changes too fast for equal steps from `first` to `last`, s, and the cuts in them; "" where there is nothing."""
 
     def ends(rows: Indices) -> Array:
@@ -87,7 +107,11 @@ def unseen_changes(changing: Sequence[OverTime | SupportMotion], first: float, l
 
 
 def _find_cuts(
-    changing: Sequence[OverTime | SupportMotion], ends: Callable[[Indices], Array], steps: int, error: float, resolution: Resolution
+    changing: Sequence[OverTime | SupportMotion],
+    ends: Callable[[Indices], Array],
+    steps: int,
+    error: float,
+    resolution: Resolution,
 ) -> tuple[Array, str]:
     cuts, unseen = [np.empty(0)], ""
     for load in changing:

@@ -46,14 +46,16 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     energy_parts : ndarray, shape (T, 3)
         Kinetic, elastic and gravitational energy, J.
     energy_error : ndarray, shape (T,)
-        Energy gained beyond the work of all forces and of changes of the control, J: an error of the numerics. NaN where it was not computed.
+        Energy gained beyond the work of all forces and of changes of the control, J: an error of
+        the numerics. NaN where it was not computed.
     bar_length_error : ndarray, shape (T,)
         Largest relative error of a bar's length.
     joint_error : ndarray, shape (T,)
         Largest gap of a joint, m.
     correction_shift : ndarray, shape (T,)
-        Distance by which the correction after the step that starts here moves a node, m. It is 0 without correction, and NaN for schemes
-        that take their own steps, because the length of their last step is not kept.
+        Distance by which the correction after the step that starts here moves a node, m. It is 0
+        without correction, and NaN for schemes that take their own steps, because the length of
+        their last step is not kept.
     correction_energy : ndarray, shape (T,)
         Energy that this correction adds, J; 0 and NaN as above.
     states : ndarray, shape (T, nx)
@@ -67,8 +69,8 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     pinned : ndarray of int
         Nodes that are pinned or roll.
     success : bool
-        Whether the run reached its end, and can be trusted: False, too, where its start was far off its bars and joints, or where
-        its steps, above the stability limit, made vibrations grow.
+        Whether the run reached its end, and can be trusted: False, too, where its start was far off
+        its bars and joints, or where its steps, above the stability limit, made vibrations grow.
     message : str
         How the run ended, and which of its results are not to be trusted.
     step : float
@@ -78,7 +80,8 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     compiled : bool
         Whether the loop ran as machine code.
     attempts : int
-        Number of steps computed, with those that the control of the error rejected or took to locate events; 0 where they were not counted.
+        Number of steps computed, with those that the control of the error rejected or took to
+        locate events; 0 where they were not counted.
     interrupted : bool
         Whether the run was interrupted from the keyboard.
     parameters : ndarray, shape (np,)
@@ -98,7 +101,8 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     (11, 6, 3)
     """
 
-    # the shape by the letters of the docstring, and NumPy's letter of the numbers (i: also small integers)
+    # the shape by the letters of the docstring, and NumPy's letter of the numbers (i: also small
+    # integers)
     time: Annotated[Array, "T", "f"]
     nodes: Annotated[Array, "Tn3", "f"]
     velocities: Annotated[Array, "Tn3", "f"]
@@ -143,7 +147,9 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
         steps = round((self.time[-1] - self.time[0]) / self.step)
         rate = f" ({steps / self.seconds:,.0f} steps/s)" if self.seconds > 0 else ""
         tried = f" by {self.attempts} attempts" if self.attempts > steps else ""
-        way = ("compiled" if self.compiled else "not compiled") + (", interrupted" if self.interrupted else "")
+        way = ("compiled" if self.compiled else "not compiled") + (
+            ", interrupted" if self.interrupted else ""
+        )
         lines = [
             f"{self.message}",
             f"time          {self.time[0]:g} … {self.time[-1]:g} s, {steps} steps of {self.step:g} s{tried}, {len(self.time)} rows kept",
@@ -157,7 +163,9 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
                 f"correction    moves a node by {_largest(self.correction_shift, 'm')} and adds {_largest(self.correction_energy, 'J')} at most"
             )
         elif np.any(np.isnan(self.correction_shift)):
-            lines.append("correction    what it does is not measured for schemes that take their own steps")
+            lines.append(
+                "correction    what it does is not measured for schemes that take their own steps"
+            )
         if self.tension.size:
             lines.append(f"tension       {self.tension.min():.4g} … {self.tension.max():.4g} N")
         return "\n".join(lines)
@@ -205,7 +213,13 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
             **numbered("string {} force density (N/m)", self.force_density),
             **numbered("string {} tension (N)", self.tension),
             "energy (J)": self.energy,
-            **dict(zip(("kinetic energy (J)", "elastic energy (J)", "gravitational energy (J)"), self.energy_parts.T, strict=True)),
+            **dict(
+                zip(
+                    ("kinetic energy (J)", "elastic energy (J)", "gravitational energy (J)"),
+                    self.energy_parts.T,
+                    strict=True,
+                )
+            ),
             "energy error (J)": self.energy_error,
             "bar length error": self.bar_length_error,
             "joint error (m)": self.joint_error,
@@ -231,10 +245,12 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
         FileNotFoundError
             There is no such file.
         ValueError
-            The file cannot be read, holds no trajectory, or one that no run can have (see `from_arrays`); the message names the file
-            and the field.
+            The file cannot be read, holds no trajectory, or one that no run can have (see
+            `from_arrays`); the message names the file and the field.
         """
-        return archive.load(path, _FORMAT, "trajectory", Trajectory.from_arrays, Trajectory.__dataclass_fields__)
+        return archive.load(
+            path, _FORMAT, "trajectory", Trajectory.from_arrays, Trajectory.__dataclass_fields__
+        )
 
     @staticmethod
     def from_arrays(content: dict[str, Any]) -> Trajectory:
@@ -253,8 +269,9 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
         Raises
         ------
         ValueError
-            A field is missing, its type, shape or indices do not fit, times do not increase, a step has no length, or the motion of a
-            run that succeeded is not finite; the message names it.
+            A field is missing, its type, shape or indices do not fit, times do not increase, a step
+            has no length, or the motion of a run that succeeded is not finite; the message names
+            it.
         """
         given: dict[str, Any] = {}
         for field in fields(Trajectory):
@@ -268,7 +285,9 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
                 raise ValueError(f"it has no field {field.name!r}")
         _check(given)
         _check_values(given)
-        return Trajectory(**{name: value.item() if value.ndim == 0 else value for name, value in given.items()})
+        return Trajectory(
+            **{name: value.item() if value.ndim == 0 else value for name, value in given.items()}
+        )
 
 
 def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Array]:
@@ -276,7 +295,10 @@ def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Ar
     rows = len(states)
     mapped = model.stacked(model.observe).map(rows)
     results = mapped.call([ca.DM(states.T), ca.DM(controls.T) if model.nw else ca.DM(0, rows)])
-    return {name: result.full().T.copy() for name, result in zip(model.observe.name_out(), results, strict=True)}
+    return {
+        name: result.full().T.copy()
+        for name, result in zip(model.observe.name_out(), results, strict=True)
+    }
 
 
 def record_trajectory(
@@ -293,7 +315,8 @@ def record_trajectory(
 ) -> Trajectory:
     """Compute all that a trajectory tells of states (T, nx) under controls (T, nw) at `time` (T,); below the control these hold parameters.
 
-    supplied: energy given to the model since the start, J, a number or (T,), NaN: not known. The rest as in `Trajectory`.
+    supplied: energy given to the model since the start, J, a number or (T,), NaN: not known. The
+    rest as in `Trajectory`.
     """
     rows = len(time)
     observed = observe_states(model, states, controls)
@@ -328,12 +351,26 @@ def record_trajectory(
 
 def first_rows(trajectory: Trajectory, count: int) -> Trajectory:
     """Return a trajectory of the first `count` rows."""
-    return replace(trajectory, **{name: getattr(trajectory, name)[:count] for name, (letters, _) in _SHAPES.items() if letters.startswith("T")})
+    return replace(
+        trajectory,
+        **{
+            name: getattr(trajectory, name)[:count]
+            for name, (letters, _) in _SHAPES.items()
+            if letters.startswith("T")
+        },
+    )
 
 
-_SHAPES = {name: hint.__metadata__ for name, hint in get_type_hints(Trajectory, include_extras=True).items()}
+_SHAPES = {
+    name: hint.__metadata__
+    for name, hint in get_type_hints(Trajectory, include_extras=True).items()
+}
 
-_UNKNOWN = ("energy_error", "correction_shift", "correction_energy")  # may be NaN, as they are not always computed
+_UNKNOWN = (
+    "energy_error",
+    "correction_shift",
+    "correction_energy",
+)  # may be NaN, as they are not always computed
 _FINITE = [name for name, (_, kind) in _SHAPES.items() if kind == "f" and name not in _UNKNOWN]
 
 
@@ -344,8 +381,13 @@ def _check(content: dict[str, Any]) -> None:
         value = _as_array(name, content[name])
         if value.dtype.kind != kind:
             raise ValueError(f"field {name!r} holds values of type {value.dtype}")
-        if value.ndim != len(letters) or any(sizes.setdefault(letter, size) != size for letter, size in zip(letters, value.shape, strict=True)):
-            raise ValueError(f"field {name!r} has shape {value.shape}, which does not fit the others")
+        if value.ndim != len(letters) or any(
+            sizes.setdefault(letter, size) != size
+            for letter, size in zip(letters, value.shape, strict=True)
+        ):
+            raise ValueError(
+                f"field {name!r} has shape {value.shape}, which does not fit the others"
+            )
     if sizes["T"] < 1:
         raise ValueError("field 'time' is empty")
     for name in ("bars", "strings", "pinned"):
@@ -356,7 +398,9 @@ def _check(content: dict[str, Any]) -> None:
 
 def _as_array(name: str, value: Any) -> NDArray[Any]:
     if np.ma.is_masked(value):
-        raise ValueError(f"field {name!r} has masked entries")  # NumPy would take what is under the mask
+        raise ValueError(
+            f"field {name!r} has masked entries"
+        )  # NumPy would take what is under the mask
     try:
         return np.asarray(value)
     except Exception as error:  # an object's own __array__ may raise anything
@@ -367,14 +411,24 @@ def _check_values(content: dict[str, Any]) -> None:
     """ValueError naming the first field whose numbers no run can have; what is not finite belongs to runs that failed."""
     time = np.asarray(content["time"])
     if (bad := np.flatnonzero(np.diff(time) <= 0)).size:
-        raise ValueError(f"field 'time' is {time[bad[0] + 1]:g} s at row {bad[0] + 1}, after {time[bad[0]]:g} s: times must increase")
-    for name, valid in {"step": content["step"] > 0, "seconds": content["seconds"] >= 0, "attempts": content["attempts"] >= 0}.items():
+        raise ValueError(
+            f"field 'time' is {time[bad[0] + 1]:g} s at row {bad[0] + 1}, after {time[bad[0]]:g} s: times must increase"
+        )
+    for name, valid in {
+        "step": content["step"] > 0,
+        "seconds": content["seconds"] >= 0,
+        "attempts": content["attempts"] >= 0,
+    }.items():
         if not valid and not np.isnan(content[name]):
-            raise ValueError(f"field {name!r} is {content[name]:g}: it must be {'greater than' if name == 'step' else 'at least'} 0")
+            raise ValueError(
+                f"field {name!r} is {content[name]:g}: it must be {'greater than' if name == 'step' else 'at least'} 0"
+            )
     for name in _FINITE if content["success"] else ():
         value = np.asarray(content[name])
         for place in np.argwhere(~(np.abs(value) <= LARGEST))[:1].tolist():
-            raise ValueError(f"field {name!r} is {value[tuple(place)]} at {place}, although the run succeeded: it must be finite, below {LARGEST:g}")
+            raise ValueError(
+                f"field {name!r} is {value[tuple(place)]} at {place}, although the run succeeded: it must be finite, below {LARGEST:g}"
+            )
 
 
 def _largest(errors: Array, unit: str = "") -> str:

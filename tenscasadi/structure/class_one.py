@@ -18,9 +18,10 @@ Matrix = Any  # ndarray, or scipy csr_array where the caller asks for sparse mat
 class ClassOne(NamedTuple):
     """The paper's matrices of a structure: one column of N for each bar end, joints and pins as N P = D.
 
-    There are β bars, α strings, σ string nodes, n' = 2β + σ columns and c columns of joints and pins. Bars, their centres, string
-    nodes and strings follow from N: B = N C_nbᵀ C_bᵀ (Eq. 65), R_b = N C_nbᵀ C_rᵀ (Eq. 63), R_s = N C_nsᵀ (Eq. 64),
-    S = N C_sᵀ (Eq. 66). Matrices are ndarrays, or ``csr_array`` where they were asked for.
+    There are β bars, α strings, σ string nodes, n' = 2β + σ columns and c columns of joints and
+    pins. Bars, their centres, string nodes and strings follow from N: B = N C_nbᵀ C_bᵀ (Eq. 65),
+    R_b = N C_nbᵀ C_rᵀ (Eq. 63), R_s = N C_nsᵀ (Eq. 64), S = N C_sᵀ (Eq. 66). Matrices are ndarrays,
+    or ``csr_array`` where they were asked for.
 
     Attributes
     ----------
@@ -47,8 +48,8 @@ class ClassOne(NamedTuple):
 
     Notes
     -----
-    A pinned string node without mass has a zero on the diagonal of M_s. Any positive number there gives the same motion, as P
-    holds that node.
+    A pinned string node without mass has a zero on the diagonal of M_s. Any positive number there
+    gives the same motion, as P holds that node.
 
     Examples
     --------
@@ -105,23 +106,31 @@ def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array
     lengths = np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
     for i in np.flatnonzero(lengths < max(SHORTEST * np.abs(nodes).max(), SMALLEST)):
         a, b = pairs[i]
-        raise ValueError(f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: move one or leave the {item} out")
+        raise ValueError(
+            f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: move one or leave the {item} out"
+        )
     return np.asarray(lengths)
 
 
-def refuse_massless_nodes(node_mass: Array, still: Any, bars: Indices, heavy_strings: Indices) -> None:
+def refuse_massless_nodes(
+    node_mass: Array, still: Any, bars: Indices, heavy_strings: Indices
+) -> None:
     """Refuse a node of no bar and no mass, unless it stands `still` (n,), where M would be singular."""
     heavy = (node_mass > SMALLEST) | still
     heavy[bars] = True
     heavy[heavy_strings] = True
     for node in np.flatnonzero(~heavy):
         cure = "give it a mass, pin it in all axes, or give its strings a string_mass, which the scene lumps there with ends='lumped'"
-        raise ValueError(f"node_mass of node {node} is {node_mass[node]:g} and no bar ends there: {cure}")
+        raise ValueError(
+            f"node_mass of node {node} is {node_mass[node]:g} and no bar ends there: {cure}"
+        )
 
 
 def selection_matrix(columns: Indices, count: int) -> csr_array:
     """Return the rows of the identity of size `count` that pick `columns`, in order."""
-    return csr_array((np.ones(len(columns)), (np.arange(len(columns)), columns)), shape=(len(columns), count))
+    return csr_array(
+        (np.ones(len(columns)), (np.arange(len(columns)), columns)), shape=(len(columns), count)
+    )
 
 
 def bar_mass_matrix(bars: Indices, inertia: Array, mass: Array, count: int) -> csr_array:
@@ -134,7 +143,9 @@ def bar_mass_matrix(bars: Indices, inertia: Array, mass: Array, count: int) -> c
 def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices) -> Layout:
     """Lay out first ends of all bars, then second ends (the paper's N = [N₁ N₂]), then string nodes; ties in node order, then pins."""
     physical = np.concatenate([bars[:, 0], bars[:, 1], np.setdiff1d(np.arange(count), bars)])
-    first = np.unique(physical, return_index=True)[1]  # first copy of each node: strings, masses and pins attach to it
+    first = np.unique(physical, return_index=True)[
+        1
+    ]  # first copy of each node: strings, masses and pins attach to it
     share = np.zeros(len(physical))
     share[first] = 1.0
     copies = np.flatnonzero(share == 0.0)
@@ -165,7 +176,9 @@ def extend_layout(layout: Layout, count: int, strings: Indices, parent: Indices)
     )
 
 
-def class_one(layout: Layout, nodes: Array, inertia: Array, mass: Array, node_mass: Array, sparse: bool) -> ClassOne:
+def class_one(
+    layout: Layout, nodes: Array, inertia: Array, mass: Array, node_mass: Array, sparse: bool
+) -> ClassOne:
     """Compute the matrices of `layout` for nodes (n, 3), bar inertia J and mass m (β,) and point masses (n,)."""
     count = len(layout.physical)
     N = nodes[layout.physical].T
@@ -185,7 +198,9 @@ def class_one(layout: Layout, nodes: Array, inertia: Array, mass: Array, node_ma
         "P": layout.P,
         "M_s": C_nb.T @ M_b @ C_nb + points,
     }
-    shown = {name: csr_array(matrix) if sparse else matrix.toarray() for name, matrix in matrices.items()}
+    shown = {
+        name: csr_array(matrix) if sparse else matrix.toarray() for name, matrix in matrices.items()
+    }
     return ClassOne(N=N, D=N @ layout.P, physical=layout.physical, **shown)
 
 
@@ -196,8 +211,15 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
     if count == 0:
         raise ValueError("N has no columns: give one column for each node")
     shape = getattr(C_b, "shape", ())
-    if isinstance(shape, tuple) and len(shape) == 2 and shape[1] == 2 * shape[0] and 0 < shape[1] < count:  # as the paper has it, on N_b
-        raise ValueError(f"C_b has shape {shape}, a column for each end of a bar: give C_b @ C_nb, of shape ({shape[0]}, {count})")
+    if (
+        isinstance(shape, tuple)
+        and len(shape) == 2
+        and shape[1] == 2 * shape[0]
+        and 0 < shape[1] < count
+    ):  # as the paper has it, on N_b
+        raise ValueError(
+            f"C_b has shape {shape}, a column for each end of a bar: give C_b @ C_nb, of shape ({shape[0]}, {count})"
+        )
     bars = _member_columns("C_b", C_b, count, "bar")
     strings = _member_columns("C_s", C_s, count, "string")
     mass = per_item("node_mass", node_mass, count)
@@ -211,7 +233,9 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
     np.add.at(total, physical, mass)
     pinned = sorted({int(physical[pin]) for pin in pins})
     layout = None
-    if len(np.unique(bars)) == bars.size:  # bars that share a column are not split yet: the default layout splits them
+    if (
+        len(np.unique(bars)) == bars.size
+    ):  # bars that share a column are not split yet: the default layout splits them
         on_bar = np.zeros(count, dtype=bool)
         on_bar[bars] = True
         for column in (end for tie in ties for end in tie):
@@ -221,7 +245,9 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
                     "give it a mass, or attach its strings to the column it is tied to"
                 )
         share = np.divide(mass, total[physical], out=np.zeros(count), where=total[physical] > 0.0)
-        share[first[total == 0.0]] = 1.0  # should the node be given a mass later, its first column carries it
+        share[first[total == 0.0]] = (
+            1.0  # should the node be given a mass later, its first column carries it
+        )
         layout = Layout(physical, bars, strings, share, P_matrix)
     return MatrixInput(columns[first], physical[bars], physical[strings], pinned, total, layout)
 
@@ -229,7 +255,11 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
 def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> Array:
     """`value` (dense, scipy sparse, None or empty) as a finite array of `shape`, its free side 0 when there is nothing."""
     dense = value.toarray() if issparse(value) else value
-    if dense is None or (isinstance(dense, np.ndarray) and dense.size == 0) or (isinstance(dense, (list, tuple)) and not dense):
+    if (
+        dense is None
+        or (isinstance(dense, np.ndarray) and dense.size == 0)
+        or (isinstance(dense, (list, tuple)) and not dense)
+    ):
         return np.zeros([size or 0 for size in shape])
     return finite_array(field, dense, shape)
 
@@ -237,21 +267,33 @@ def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> A
 def _member_columns(field: str, value: Any, count: int, item: str) -> Indices:
     """Rows of a connectivity matrix as (members, 2) columns."""
     matrix = _dense(field, value, (None, count))
-    good = (np.sum(matrix == -1.0, axis=1) == 1) & (np.sum(matrix == 1.0, axis=1) == 1) & (np.sum(matrix != 0.0, axis=1) == 2)
+    good = (
+        (np.sum(matrix == -1.0, axis=1) == 1)
+        & (np.sum(matrix == 1.0, axis=1) == 1)
+        & (np.sum(matrix != 0.0, axis=1) == 2)
+    )
     if not good.all():
         row = int(np.flatnonzero(~good)[0])
-        raise ValueError(f"{field}: row {row} ({item} {row}) is {matrix[row].tolist()}: give one −1, one +1 and zeros")
-    return np.column_stack([np.argmax(matrix == -1.0, axis=1), np.argmax(matrix == 1.0, axis=1)]).reshape(-1, 2)
+        raise ValueError(
+            f"{field}: row {row} ({item} {row}) is {matrix[row].tolist()}: give one −1, one +1 and zeros"
+        )
+    return np.column_stack(
+        [np.argmax(matrix == -1.0, axis=1), np.argmax(matrix == 1.0, axis=1)]
+    ).reshape(-1, 2)
 
 
-def _read_joints(columns: Array, P: Any, D: Any) -> tuple[list[tuple[int, int]], list[int], csr_array]:
+def _read_joints(
+    columns: Array, P: Any, D: Any
+) -> tuple[list[tuple[int, int]], list[int], csr_array]:
     """Ties and pins of N P = D, in column order, and P; every column must say something that those before it do not."""
     count = len(columns)
     P = _dense("P", P, (count, None))
     joints = P.shape[1]
     D = np.zeros((3, joints)) if D is None else _dense("D", D, (3, joints))
     if D.shape[1] != joints:
-        raise ValueError(f"D has shape {D.shape}: give an array of shape (3, {joints}), one column for each of P")
+        raise ValueError(
+            f"D has shape {D.shape}: give an array of shape (3, {joints}), one column for each of P"
+        )
     ties: list[tuple[int, int]] = []
     pins: list[int] = []
     error = np.abs(columns.T @ P - D).max(axis=0, initial=0.0)
@@ -261,16 +303,23 @@ def _read_joints(columns: Array, P: Any, D: Any) -> tuple[list[tuple[int, int]],
         ends = np.flatnonzero(P[:, c])
         values = sorted(P[ends, c].tolist())
         if values not in ([-1.0, 1.0], [1.0], [-1.0]):
-            raise ValueError(f"P: column {c} has entries {values}: give +1 and −1 to tie two nodes, or a single ±1 to pin one")
+            raise ValueError(
+                f"P: column {c} has entries {values}: give +1 and −1 to tie two nodes, or a single ±1 to pin one"
+            )
         if len(ends) == 2 and np.any(D[:, c] != 0.0):
-            raise ValueError(f"D: column {c} is {D[:, c].tolist()}: it must be 0 where P ties nodes {ends[0]} and {ends[1]}")
+            raise ValueError(
+                f"D: column {c} is {D[:, c].tolist()}: it must be 0 where P ties nodes {ends[0]} and {ends[1]}"
+            )
         if error[c] > tolerance:
-            raise ValueError(f"P: N P differs from D by {error[c]:g} in column {c}: move the nodes of N or correct D")
+            raise ValueError(
+                f"P: N P differs from D by {error[c]:g} in column {c}: move the nodes of N or correct D"
+            )
         if len(ends) == 2:
             ties.append((int(ends[0]), int(ends[1])))
         else:
             pins.append(int(ends[0]))
-        # the ground is one more item to be linked to: a column is redundant exactly if it links what is linked already
+        # the ground is one more item to be linked to: a column is redundant exactly if it links
+        # what is linked already
         if not _link(linked, int(ends[0]), int(ends[-1]) if len(ends) == 2 else count):
             raise ValueError(f"P: column {c} repeats what the columns before it say: leave it out")
     return ties, pins, csr_array(P)

@@ -18,43 +18,63 @@ _PARALLEL = 1e-6  # sine of the angle between two directions below which they co
 def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
     """Return {node: axes} in node order, axes in the order x, y, z. Raises TypeError, ValueError."""
     try:
-        entries = list(pinned.items() if isinstance(pinned, Mapping) else ((node, "xyz") for node in pinned))
+        entries = list(
+            pinned.items() if isinstance(pinned, Mapping) else ((node, "xyz") for node in pinned)
+        )
     except Exception as error:  # each kind of matrix refuses in its own way
-        raise TypeError(f"pinned is {shown(pinned)}: give node indices, such as [0, 3], or a mapping such as {{0: 'xyz', 3: 'z'}}") from error
+        raise TypeError(
+            f"pinned is {shown(pinned)}: give node indices, such as [0, 3], or a mapping such as {{0: 'xyz', 3: 'z'}}"
+        ) from error
     pins: dict[int, str] = {}
     for key, axes in entries:
         node = node_index("pinned", key, count)
         if not isinstance(axes, str):
-            raise TypeError(f"pinned of node {node} is {shown(axes)}: give the axes as text, such as 'xyz' or 'z'")
+            raise TypeError(
+                f"pinned of node {node} is {shown(axes)}: give the axes as text, such as 'xyz' or 'z'"
+            )
         if not axes or len(set(axes)) != len(axes) or not set(axes) <= set("xyz"):
-            raise ValueError(f"pinned of node {node} is {shown(axes)}: give some of x, y, z, each once")
+            raise ValueError(
+                f"pinned of node {node} is {shown(axes)}: give some of x, y, z, each once"
+            )
         if node in pins:
             raise ValueError(f"pinned: node {node} is given twice: leave one out")
         pins[node] = "".join(sorted(axes))
     return MappingProxyType(dict(sorted(pins.items())))
 
 
-def read_rollers(rollers: Any, pins: Mapping[int, str], count: int) -> tuple[Mapping[int, str], Mapping[int, Normals]]:
+def read_rollers(
+    rollers: Any, pins: Mapping[int, str], count: int
+) -> tuple[Mapping[int, str], Mapping[int, Normals]]:
     """Return the pins with the rollers along axes among them, and {node: one or two orthonormal directions} of the others.
 
     Raises TypeError, ValueError.
     """
     if not isinstance(rollers, Mapping):
-        raise TypeError(f"rollers is {shown(rollers)}: give a mapping from nodes to normals, such as {{3: (1, 0, 1)}}")
+        raise TypeError(
+            f"rollers is {shown(rollers)}: give a mapping from nodes to normals, such as {{3: (1, 0, 1)}}"
+        )
     held, found = dict(pins), {}
     for key, given in rollers.items():
         node = node_index("rollers", key, count)
         if node in pins:
-            raise ValueError(f"rollers: node {node} is pinned along {pins[node]}, too: give all its directions in rollers")
+            raise ValueError(
+                f"rollers: node {node} is pinned along {pins[node]}, too: give all its directions in rollers"
+            )
         normals = _orthonormal(f"rollers of node {node}", given)
         if np.count_nonzero(normals) == len(normals):
-            held[node] = "".join(sorted("xyz"[int(np.argmax(np.abs(normal)))] for normal in normals))
+            held[node] = "".join(
+                sorted("xyz"[int(np.argmax(np.abs(normal)))] for normal in normals)
+            )
         else:
             found[node] = tuple((float(x), float(y), float(z)) for x, y, z in normals)
-    return MappingProxyType(dict(sorted(held.items()))), MappingProxyType(dict(sorted(found.items())))
+    return MappingProxyType(dict(sorted(held.items()))), MappingProxyType(
+        dict(sorted(found.items()))
+    )
 
 
-def read_axes(pinned: Mapping[int, str], rollers: Mapping[int, Normals], count: int) -> tuple[Any, Any]:
+def read_axes(
+    pinned: Mapping[int, str], rollers: Mapping[int, Normals], count: int
+) -> tuple[Any, Any]:
     """Return whether nodes are pinned along x, y and z (count, 3), and whether pins or rollers have a share in holding them along these."""
     fixed = np.array([[axis in pinned.get(node, "") for axis in "xyz"] for node in range(count)])
     held = fixed.copy()
@@ -65,9 +85,13 @@ def read_axes(pinned: Mapping[int, str], rollers: Mapping[int, Normals], count: 
 
 def _orthonormal(field: str, given: Any) -> Array:
     """Return one or two orthonormal directions (k, 3) that span those given; what is orthonormal stays as it is."""
-    directions = np.atleast_2d(finite_array(field, given, (3,) if nesting(given) < 2 else (None, 3)))
+    directions = np.atleast_2d(
+        finite_array(field, given, (3,) if nesting(given) < 2 else (None, 3))
+    )
     if not 1 <= len(directions) <= 2:
-        raise ValueError(f"{field} has {len(directions)} directions: give one or two, or pin the node")
+        raise ValueError(
+            f"{field} has {len(directions)} directions: give one or two, or pin the node"
+        )
     sizes = np.linalg.norm(directions, axis=1)
     if not sizes.all():
         raise ValueError(f"{field} is {shown(given)}: give directions of some length")
@@ -78,6 +102,8 @@ def _orthonormal(field: str, given: Any) -> Array:
         if abs(along) > 1e-15:
             rest = normals[k] - along * normals[0]
             if np.linalg.norm(rest) < _PARALLEL:
-                raise ValueError(f"{field} is {shown(given)}: its directions are parallel, leave one out")
+                raise ValueError(
+                    f"{field} is {shown(given)}: its directions are parallel, leave one out"
+                )
             normals[k] = rest / np.linalg.norm(rest)
     return np.asarray(normals)

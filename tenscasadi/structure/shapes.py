@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices, finite_array, number, positive_number, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    Indices,
+    finite_array,
+    number,
+    positive_number,
+    whole_number,
+)
 
 LARGEST_COUNT = 10**5  # bars, rings or units: more would take hours
 
@@ -46,10 +53,16 @@ def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> S
     """
     length = positive_number("length", length)
     angle = number("angle", angle)
-    return Structure(np.array([np.zeros(3), _hanging(length, angle)]), bars=[(0, 1)], **{"pinned": (0,), **options})
+    return Structure(
+        np.array([np.zeros(3), _hanging(length, angle)]),
+        bars=[(0, 1)],
+        **{"pinned": (0,), **options},
+    )
 
 
-def double_pendulum(lengths: ArrayLike = (1.0, 1.0), angles: ArrayLike = (np.pi / 4, np.pi / 4), **options: Any) -> Structure:
+def double_pendulum(
+    lengths: ArrayLike = (1.0, 1.0), angles: ArrayLike = (np.pi / 4, np.pi / 4), **options: Any
+) -> Structure:
     """Build a double pendulum: two bars in the x-z plane that share node 1, pinned at node 0, the origin. Class 2.
 
     ::
@@ -84,11 +97,18 @@ def double_pendulum(lengths: ArrayLike = (1.0, 1.0), angles: ArrayLike = (np.pi 
     upper, lower = finite_array("angles", angles, (2,))
     elbow = _hanging(positive_number("lengths", first), upper)
     tip = elbow + _hanging(positive_number("lengths", second), lower)
-    return Structure(np.array([np.zeros(3), elbow, tip]), bars=[(0, 1), (1, 2)], **{"pinned": (0,), **options})
+    return Structure(
+        np.array([np.zeros(3), elbow, tip]), bars=[(0, 1), (1, 2)], **{"pinned": (0,), **options}
+    )
 
 
 def prism(
-    bars: int = 3, radius: float = 0.5, height: float = 1.0, twist: float | None = None, prestress: float | None = None, **options: Any
+    bars: int = 3,
+    radius: float = 0.5,
+    height: float = 1.0,
+    twist: float | None = None,
+    prestress: float | None = None,
+    **options: Any,
 ) -> Structure:
     """Build a prism: two regular polygons of strings, held apart by bars and by as many vertical strings. Class 1.
 
@@ -98,7 +118,8 @@ def prism(
                  │ ╲  ╱ │
         bottom   0 ──── 1 ──── …      nodes 0 … p−1, at z = 0, node i at (radius, 2π i/p) in polar coordinates
 
-    Bars: i → p+(i+1 mod p). Strings: bottom polygon i → i+1, top polygon, vertical i → p+i, p of each.
+    Bars: i → p+(i+1 mod p). Strings: bottom polygon i → i+1, top polygon, vertical i → p+i, p of
+    each.
 
     Parameters
     ----------
@@ -109,10 +130,11 @@ def prism(
     height : float
         Distance between the polygons, m.
     twist : float, optional
-        Angle from a bar's bottom end to its top end about the z axis, rad; by default π/2 + π/p, the only one with a self-stress.
+        Angle from a bar's bottom end to its top end about the z axis, rad; by default π/2 + π/p,
+        the only one with a self-stress.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets the rest lengths. By default
-        strings are as long as their rest lengths.
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
+        the rest lengths. By default strings are as long as their rest lengths.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -123,8 +145,9 @@ def prism(
 
     Notes
     -----
-    In the self-stress the vertical strings have 2 sin(π/p) times the force density of the polygons, √3 times for three bars.
-    The prism of the paper's Sect. 7.1 is ``prism(radius=1/√3, height=1, twist=2π/3)``.
+    In the self-stress the vertical strings have 2 sin(π/p) times the force density of the polygons,
+    √3 times for three bars. The prism of the paper's Sect. 7.1 is ``prism(radius=1/√3, height=1,
+    twist=2π/3)``.
 
     Examples
     --------
@@ -139,17 +162,29 @@ def prism(
     balanced = np.pi / 2 + np.pi / p
     turn = balanced if twist is None else number("twist", twist)
     if prestress is not None and not np.isclose(turn, balanced, rtol=0.0, atol=1e-12):
-        raise ValueError(f"prestress needs the equilibrium twist, {balanced:g} rad, and twist is {turn:g}: leave one of them out")
+        raise ValueError(
+            f"prestress needs the equilibrium twist, {balanced:g} rad, and twist is {turn:g}: leave one of them out"
+        )
     i = np.arange(p)
     after = (i + 1) % p
     bottom = _ring(p, radius, 0.0, 0.0)
     top = _ring(p, radius, turn - 2 * np.pi / p, height)
     strings = np.concatenate([np.c_[i, after], np.c_[p + i, p + after], np.c_[i, p + i]])
     stress = np.repeat([1.0, 1.0, 2.0 * np.sin(np.pi / p)], p)
-    return _prestressed(Structure(np.concatenate([bottom, top]), np.c_[i, p + after], strings, **options), stress, prestress, options)
+    return _prestressed(
+        Structure(np.concatenate([bottom, top]), np.c_[i, p + after], strings, **options),
+        stress,
+        prestress,
+        options,
+    )
 
 
-def d_bar(bar_length: float = 1.0, angle: float = np.pi / 4, prestress: float | None = None, **options: Any) -> Structure:
+def d_bar(
+    bar_length: float = 1.0,
+    angle: float = np.pi / 4,
+    prestress: float | None = None,
+    **options: Any,
+) -> Structure:
     """Build a D-bar: four bars in a diamond in the plane z = 0, about the origin, with strings along both diagonals. Class 2.
 
     ::
@@ -160,8 +195,8 @@ def d_bar(bar_length: float = 1.0, angle: float = np.pi / 4, prestress: float | 
              ╲ │ ╱         └→ x
                1
 
-    Bars: (0, 1), (1, 2), (2, 3), (3, 0). Strings: (0, 2), (1, 3). Equal force densities are in equilibrium. Nothing is pinned
-    unless `pinned` says so: the paper pins node 0 (Sect. 7.2).
+    Bars: (0, 1), (1, 2), (2, 3), (3, 0). Strings: (0, 2), (1, 3). Equal force densities are in
+    equilibrium. Nothing is pinned unless `pinned` says so: the paper pins node 0 (Sect. 7.2).
 
     Parameters
     ----------
@@ -170,8 +205,8 @@ def d_bar(bar_length: float = 1.0, angle: float = np.pi / 4, prestress: float | 
     angle : float
         Angle of the bars off the x axis, rad, between 0 and π/2.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets the rest lengths. By default
-        strings are as long as their rest lengths.
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
+        the rest lengths. By default strings are as long as their rest lengths.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -195,7 +230,9 @@ def d_bar(bar_length: float = 1.0, angle: float = np.pi / 4, prestress: float | 
     return _prestressed(structure, np.ones(2), prestress, options)
 
 
-def t_bar(length: float = 1.0, width: float = 0.5, prestress: float | None = None, **options: Any) -> Structure:
+def t_bar(
+    length: float = 1.0, width: float = 0.5, prestress: float | None = None, **options: Any
+) -> Structure:
     """Build a T-bar: four bars that meet in node 4, the origin, in the plane z = 0, with a diamond of strings about them. Class 4.
 
     ::
@@ -206,7 +243,8 @@ def t_bar(length: float = 1.0, width: float = 0.5, prestress: float | None = Non
              ╲ ┃ ╱         └→ x
                1
 
-    Bars: (4, 0), (4, 1), (4, 2), (4, 3). Strings: (0, 1), (1, 2), (2, 3), (3, 0). Equal force densities are in equilibrium.
+    Bars: (4, 0), (4, 1), (4, 2), (4, 3). Strings: (0, 1), (1, 2), (2, 3), (3, 0). Equal force
+    densities are in equilibrium.
 
     Parameters
     ----------
@@ -215,8 +253,8 @@ def t_bar(length: float = 1.0, width: float = 0.5, prestress: float | None = Non
     width : float
         Distance from node 1 to node 3, m.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets the rest lengths. By default
-        strings are as long as their rest lengths.
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
+        the rest lengths. By default strings are as long as their rest lengths.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -233,11 +271,15 @@ def t_bar(length: float = 1.0, width: float = 0.5, prestress: float | None = Non
     """
     x, y = 0.5 * positive_number("length", length), 0.5 * positive_number("width", width)
     nodes = [(-x, 0, 0), (0, -y, 0), (x, 0, 0), (0, y, 0), (0, 0, 0)]
-    structure = Structure(nodes, [(4, 0), (4, 1), (4, 2), (4, 3)], [(0, 1), (1, 2), (2, 3), (3, 0)], **options)
+    structure = Structure(
+        nodes, [(4, 0), (4, 1), (4, 2), (4, 3)], [(0, 1), (1, 2), (2, 3), (3, 0)], **options
+    )
     return _prestressed(structure, np.ones(4), prestress, options)
 
 
-def six_bar_ball(bar_length: float = 1.0, prestress: float | None = None, **options: Any) -> Structure:
+def six_bar_ball(
+    bar_length: float = 1.0, prestress: float | None = None, **options: Any
+) -> Structure:
     """Build a ball of six bars in three parallel pairs and 24 equal strings about the origin: the expanded octahedron. Class 1.
 
     ::
@@ -250,17 +292,17 @@ def six_bar_ball(bar_length: float = 1.0, prestress: float | None = None, **opti
          4    8 →  9    z       y = −l/4                    │ 0,1 │
          5   10 → 11    z       y = +l/4                    8     10
 
-    Each bar of length l runs from −l/2 to +l/2 along its axis; the two bars of a pair lie half a bar length apart. Strings join
-    all pairs of nodes that lie √6/4 l = 0.612 l apart, in lexical order: each node has four. Equal force densities are in
-    equilibrium.
+    Each bar of length l runs from −l/2 to +l/2 along its axis; the two bars of a pair lie half a
+    bar length apart. Strings join all pairs of nodes that lie √6/4 l = 0.612 l apart, in lexical
+    order: each node has four. Equal force densities are in equilibrium.
 
     Parameters
     ----------
     bar_length : float
         Length l of each bar, m.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets the rest lengths. By default
-        strings are as long as their rest lengths.
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
+        the rest lengths. By default strings are as long as their rest lengths.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -277,14 +319,32 @@ def six_bar_ball(bar_length: float = 1.0, prestress: float | None = None, **opti
     (6, 24, 0.612)
     """
     length = positive_number("bar_length", bar_length)
-    shape = np.array([(end * 2, 0, side) for side in (-1, 1) for end in (-1, 1)])  # bars along x, in quarters of a bar
+    shape = np.array(
+        [(end * 2, 0, side) for side in (-1, 1) for end in (-1, 1)]
+    )  # bars along x, in quarters of a bar
     quarters = np.concatenate([np.roll(shape, axis, axis=1) for axis in range(3)])
-    strings = [(a, b) for a, b in combinations(range(12), 2) if np.sum((quarters[a] - quarters[b]) ** 2) == 6]
+    strings = [
+        (a, b)
+        for a, b in combinations(range(12), 2)
+        if np.sum((quarters[a] - quarters[b]) ** 2) == 6
+    ]
     bars = np.arange(12).reshape(6, 2)
-    return _prestressed(Structure(0.25 * length * quarters, bars, strings, **options), np.ones(24), prestress, options)
+    return _prestressed(
+        Structure(0.25 * length * quarters, bars, strings, **options),
+        np.ones(24),
+        prestress,
+        options,
+    )
 
 
-def membrane(p: int = 8, q: int = 5, radius: float = 1.0, length: float = 2.0, node_mass: ArrayLike = 0.1, **options: Any) -> Structure:
+def membrane(
+    p: int = 8,
+    q: int = 5,
+    radius: float = 1.0,
+    length: float = 2.0,
+    node_mass: ArrayLike = 0.1,
+    **options: Any,
+) -> Structure:
     """Build a cylinder of strings about the z axis, open at both ends: rings of nodes and double helices. Class 0 (Sect. 7.3).
 
     ::
@@ -293,8 +353,8 @@ def membrane(p: int = 8, q: int = 5, radius: float = 1.0, length: float = 2.0, n
                  ╱  ╲     ╱  ╲     ╱        rings run from z = −length/2 to +length/2
         ring 0  0 ────── 1 ────── 2 …
 
-    Strings: the rings, ring by ring (q p); then for each node of ring j its two to ring j+1, to nodes (j+1) p + i and
-    (j+1) p + i−1 (2 p (q−1)).
+    Strings: the rings, ring by ring (q p); then for each node of ring j its two to ring j+1, to
+    nodes (j+1) p + i and (j+1) p + i−1 (2 p (q−1)).
 
     Parameters
     ----------
@@ -327,11 +387,17 @@ def membrane(p: int = 8, q: int = 5, radius: float = 1.0, length: float = 2.0, n
     if p * q > LARGEST_COUNT:
         raise ValueError(f"p is {p} and q is {q}: they must give at most {LARGEST_COUNT} nodes")
     radius, length = positive_number("radius", radius), positive_number("length", length)
-    nodes = np.concatenate([_ring(p, radius, j * np.pi / p, length * (j / (q - 1) - 0.5)) for j in range(q)])
+    nodes = np.concatenate(
+        [_ring(p, radius, j * np.pi / p, length * (j / (q - 1) - 0.5)) for j in range(q)]
+    )
     ring, before, after = _membrane_neighbours(p, q)
     lower = ring[: p * (q - 1)]
-    helices = np.stack([np.c_[lower, lower + p], np.c_[lower, before[: len(lower)] + p]], axis=1).reshape(-1, 2)
-    return Structure(nodes, strings=np.concatenate([np.c_[ring, after], helices]), node_mass=node_mass, **options)
+    helices = np.stack(
+        [np.c_[lower, lower + p], np.c_[lower, before[: len(lower)] + p]], axis=1
+    ).reshape(-1, 2)
+    return Structure(
+        nodes, strings=np.concatenate([np.c_[ring, after], helices]), node_mass=node_mass, **options
+    )
 
 
 def membrane_faces(p: int = 8, q: int = 5) -> Indices:
@@ -379,7 +445,9 @@ def _hanging(length: float, angle: float) -> Array:
     return np.array([length * np.sin(angle), 0.0, -length * np.cos(angle)])
 
 
-def _prestressed(structure: Structure, stress: Array, prestress: float | None, options: dict[str, Any]) -> Structure:
+def _prestressed(
+    structure: Structure, stress: Array, prestress: float | None, options: dict[str, Any]
+) -> Structure:
     """Rest lengths for the self-stress `stress`, scaled to have `prestress` as its smallest force density."""
     if prestress is None:
         return structure

@@ -47,8 +47,9 @@ THICKEST = 1e3  # radius over length: beyond it M loses its positive definitenes
 class Structure(Viewable, ReadOnlyArrays):
     """Physical nodes, rigid bars and strings, with their masses, stiffness and pins.
 
-    A structure does not change and its arrays are read-only: `replace` gives another one. One number given for an array
-    stands for one equal value for each item. Bars that meet share a node: a node of k bars is a class-k joint.
+    A structure does not change and its arrays are read-only: `replace` gives another one. One
+    number given for an array stands for one equal value for each item. Bars that meet share a node:
+    a node of k bars is a class-k joint.
 
     Parameters
     ----------
@@ -57,7 +58,8 @@ class Structure(Viewable, ReadOnlyArrays):
     bars : sequence of pairs of int
         Nodes that each of the β bars joins, zero-based.
     strings : sequence of pairs of int
-        Nodes that each of the α strings joins, zero-based; several strings may join the same two nodes, bars may not.
+        Nodes that each of the α strings joins, zero-based; several strings may join the same two
+        nodes, bars may not.
     bar_mass : array_like, shape (β,)
         Mass of each bar, kg, greater than 0.
     bar_radius : array_like, shape (β,)
@@ -65,7 +67,8 @@ class Structure(Viewable, ReadOnlyArrays):
     node_mass : array_like, shape (n,)
         Point mass on each node, kg.
     pinned : iterable of int or mapping of int to str
-        Nodes that are held in place, or axes along which each node is held, such as ``{0: "xyz", 3: "z"}``.
+        Nodes that are held in place, or axes along which each node is held, such as ``{0: "xyz", 3:
+        "z"}``.
     stiffness : array_like, shape (α,)
         Force of each string per stretch, N/m.
     damping : array_like, shape (α,)
@@ -75,7 +78,8 @@ class Structure(Viewable, ReadOnlyArrays):
     string_mass : array_like, shape (α,)
         Mass of each string, kg, which `subdivide` puts on nodes.
     rollers : mapping of int to array_like, shape (3,) or (k, 3)
-        Nodes that are held along any direction, such as ``{3: (1, 0, 1)}``: the normal of the plane that it rolls on, or two of a line.
+        Nodes that are held along any direction, such as ``{3: (1, 0, 1)}``: the normal of the plane
+        that it rolls on, or two of a line.
 
     Attributes
     ----------
@@ -95,7 +99,8 @@ class Structure(Viewable, ReadOnlyArrays):
     Raises
     ------
     TypeError, ValueError
-        Where a field is wrong, by its name, or the mass matrix would be singular at a node of no bar.
+        Where a field is wrong, by its name, or the mass matrix would be singular at a node of no
+        bar.
 
     Examples
     --------
@@ -161,28 +166,51 @@ class Structure(Viewable, ReadOnlyArrays):
             ("node_mass", node_mass, n, "node"),
             ("stiffness", stiffness, alpha, "string"),
             ("damping", damping, alpha, "string"),
-            ("rest_length", self.string_lengths if rest_length is None else rest_length, alpha, "string"),
+            (
+                "rest_length",
+                self.string_lengths if rest_length is None else rest_length,
+                alpha,
+                "string",
+            ),
             ("string_mass", string_mass, alpha, "string"),
         ):
-            own[name] = nonnegative(name, per_item(name, value, count), item, strict=name in ("bar_mass", "rest_length"))
+            own[name] = nonnegative(
+                name, per_item(name, value, count), item, strict=name in ("bar_mass", "rest_length")
+            )
         slenderness = self.bar_radius / self.bar_lengths
         for i in np.flatnonzero(slenderness > THICKEST):
             most = f"{THICKEST:g} times its length, {self.bar_lengths[i]:g} m"
-            raise ValueError(f"bar_radius of bar {i} is {self.bar_radius[i]:g} m: it must be at most {most}")
+            raise ValueError(
+                f"bar_radius of bar {i} is {self.bar_radius[i]:g} m: it must be at most {most}"
+            )
         own["bar_inertia"] = self.bar_mass * (1.0 / 12.0 + slenderness**2 / 4.0)  # Eq. 19
-        refuse_massless_nodes(self.node_mass, self.fixed.all(axis=1), self.bars, self.strings[self.string_mass > SMALLEST])
+        refuse_massless_nodes(
+            self.node_mass,
+            self.fixed.all(axis=1),
+            self.bars,
+            self.strings[self.string_mass > SMALLEST],
+        )
         layout = default_layout(n, self.bars, self.strings, np.flatnonzero(self.fixed.all(axis=1)))
-        self._derived(string_parent=np.arange(alpha), string_fraction=np.ones(alpha), _layout=layout)
+        self._derived(
+            string_parent=np.arange(alpha), string_fraction=np.ones(alpha), _layout=layout
+        )
 
     @classmethod
     def from_matrices(
-        cls, N: ArrayLike, C_b: Any = None, C_s: Any = None, P: Any = None, D: Any = None, node_mass: ArrayLike = 0.0, **options: Any
+        cls,
+        N: ArrayLike,
+        C_b: Any = None,
+        C_s: Any = None,
+        P: Any = None,
+        D: Any = None,
+        node_mass: ArrayLike = 0.0,
+        **options: Any,
     ) -> Structure:
         """Build the structure that the paper's matrices describe.
 
-        A column of P with +1 and −1 ties two nodes (D is 0 there): they are merged. A single ±1 pins a node at ±D.
-        Physical nodes keep the order in which they first appear. `class_one` gives the same matrices back, C_b as C_b C_nb; bars that
-        share columns are split there.
+        A column of P with +1 and −1 ties two nodes (D is 0 there): they are merged. A single ±1
+        pins a node at ±D. Physical nodes keep the order in which they first appear. `class_one`
+        gives the same matrices back, C_b as C_b C_nb; bars that share columns are split there.
 
         Parameters
         ----------
@@ -205,10 +233,18 @@ class Structure(Viewable, ReadOnlyArrays):
         Raises
         ------
         TypeError, ValueError
-            Where a matrix has another shape, or a column of P says anything else or repeats others, by its number.
+            Where a matrix has another shape, or a column of P says anything else or repeats others,
+            by its number.
         """
         read = read_matrices(N, C_b, C_s, P, D, node_mass)
-        structure = cls(read.nodes, read.bars, read.strings, node_mass=read.node_mass, pinned=read.pinned, **options)
+        structure = cls(
+            read.nodes,
+            read.bars,
+            read.strings,
+            node_mass=read.node_mass,
+            pinned=read.pinned,
+            **options,
+        )
         return structure if read.layout is None else structure._derived(_layout=read.layout)
 
     @property
@@ -229,14 +265,18 @@ class Structure(Viewable, ReadOnlyArrays):
         csr_array, shape (n, n)
             M, kg; string masses count once `subdivide` has put them on nodes.
         """
-        return csr_array(bar_mass_matrix(self.bars, self.bar_inertia, self.bar_mass, len(self.nodes)) + diags_array(self.node_mass))
+        return csr_array(
+            bar_mass_matrix(self.bars, self.bar_inertia, self.bar_mass, len(self.nodes))
+            + diags_array(self.node_mass)
+        )
 
     def class_one(self, sparse: bool = False) -> ClassOne:
         """Return the paper's split: a column of N for each bar end, then one for each string node.
 
-        A node of k bars gives k columns, tied by k−1 columns of P; strings, point masses and pins attach to the first of them.
-        P has columns for nodes pinned along all axes only, as N P = D cannot hold a single axis. A structure made by
-        `from_matrices` gives the columns and P that it was made from.
+        A node of k bars gives k columns, tied by k−1 columns of P; strings, point masses and pins
+        attach to the first of them. P has columns for nodes pinned along all axes only, as N P = D
+        cannot hold a single axis. A structure made by `from_matrices` gives the columns and P that
+        it was made from.
 
         Parameters
         ----------
@@ -249,7 +289,11 @@ class Structure(Viewable, ReadOnlyArrays):
             The matrices of Eqs. 61-66, 81 and 84.
         """
         flag("sparse", sparse)
-        found: ClassOne = read_only(class_one(self._layout, self.nodes, self.bar_inertia, self.bar_mass, self.node_mass, sparse))
+        found: ClassOne = read_only(
+            class_one(
+                self._layout, self.nodes, self.bar_inertia, self.bar_mass, self.node_mass, sparse
+            )
+        )
         return found
 
     def replace(self, **changes: Any) -> Structure:
@@ -269,12 +313,18 @@ class Structure(Viewable, ReadOnlyArrays):
         """
         unknown = sorted(set(changes) - set(PARAMETERS))
         if unknown:
-            raise TypeError(f"replace got {unknown[0]!r}: give keywords of Structure ({', '.join(PARAMETERS)})")
+            raise TypeError(
+                f"replace got {unknown[0]!r}: give keywords of Structure ({', '.join(PARAMETERS)})"
+            )
         new = Structure(**{**{name: getattr(self, name) for name in PARAMETERS}, **changes})
         kept: dict[str, Any] = {}
         if np.array_equal(new.strings, self.strings):
             kept.update(string_parent=self.string_parent, string_fraction=self.string_fraction)
-            if len(new.nodes) == len(self.nodes) and np.array_equal(new.bars, self.bars) and np.array_equal(new.fixed, self.fixed):
+            if (
+                len(new.nodes) == len(self.nodes)
+                and np.array_equal(new.bars, self.bars)
+                and np.array_equal(new.fixed, self.fixed)
+            ):
                 kept.update(_layout=self._layout)
         return new._derived(**kept)
 
@@ -286,7 +336,8 @@ class Structure(Viewable, ReadOnlyArrays):
         force_density : array_like, shape (α,)
             γ of each string in these nodes, N/m, at least 0 and below its stiffness.
         pushing : sequence of int
-            Strings that may push, where the scene gives them the law `Linear`: their γ may be negative.
+            Strings that may push, where the scene gives them the law `Linear`: their γ may be
+            negative.
 
         Returns
         -------
@@ -302,25 +353,36 @@ class Structure(Viewable, ReadOnlyArrays):
         pushes = item_mask("pushing", pushing, len(self.strings), "string")
         nonnegative("force_density", np.where(pushes, 0.0, gamma), "string")
         for i in np.flatnonzero((gamma != 0.0) & (gamma >= self.stiffness)):
-            raise ValueError(f"force_density of string {i} is {gamma[i]:g} N/m: it must be below its stiffness, {self.stiffness[i]:g} N/m")
+            raise ValueError(
+                f"force_density of string {i} is {gamma[i]:g} N/m: it must be below its stiffness, {self.stiffness[i]:g} N/m"
+            )
         for i in np.flatnonzero((gamma < 0.0) & (self.stiffness == 0.0)):
-            raise ValueError(f"force_density of string {i} is {gamma[i]:g} N/m: its stiffness is 0, it cannot push")
+            raise ValueError(
+                f"force_density of string {i} is {gamma[i]:g} N/m: its stiffness is 0, it cannot push"
+            )
         ratio = np.divide(gamma, self.stiffness, out=np.zeros_like(gamma), where=gamma != 0.0)
         return self.replace(rest_length=self.string_lengths * (1.0 - ratio))
 
-    def subdivide(self, segments: int | Sequence[int] | Indices, ends: str = "interior", fractions: ArrayLike | None = None) -> Structure:
+    def subdivide(
+        self,
+        segments: int | Sequence[int] | Indices,
+        ends: str = "interior",
+        fractions: ArrayLike | None = None,
+    ) -> Structure:
         """Return the structure with each string cut into segments that together are as stiff as it was (Sect. 5).
 
-        A segment with share f of the length has k/f, c/f and rest length ρ f. New nodes follow the existing ones, string by
-        string; segments follow each other from the string's first node to its second.
+        A segment with share f of the length has k/f, c/f and rest length ρ f. New nodes follow the
+        existing ones, string by string; segments follow each other from the string's first node to
+        its second.
 
         Parameters
         ----------
         segments : int or sequence of int, shape (α,)
             Number of segments of each string.
         ends : {"interior", "lumped"}
-            Where a string's mass m goes: m/(segments−1) on each inner node, as in the paper (a string in one segment then has
-            no mass), or half of each segment's mass on each of its ends, which is more accurate.
+            Where a string's mass m goes: m/(segments−1) on each inner node, as in the paper (a
+            string in one segment then has no mass), or half of each segment's mass on each of its
+            ends, which is more accurate.
         fractions : array_like, shape (segments,), optional
             Shares of each string's length, which sum to 1; by default equal.
 
@@ -337,12 +399,19 @@ class Structure(Viewable, ReadOnlyArrays):
         choice("ends", ends, "interior", "lumped")
         counts = segment_counts(segments, len(self.strings))
         shares = [segment_shares(count, fractions) for count in counts]
-        parent, share = np.repeat(np.arange(len(counts)), counts), np.concatenate([np.zeros(0), *shares])
+        parent, share = (
+            np.repeat(np.arange(len(counts)), counts),
+            np.concatenate([np.zeros(0), *shares]),
+        )
         if len(parent) == len(self.strings) and not self.string_mass.any():
             return self
         for i in np.flatnonzero((np.array(counts) > 1) & (self.string_mass == 0.0)):
-            raise ValueError(f"string_mass of string {i} is 0: give it a mass, as segments meet in nodes that need one")
-        nodes, strings, mass = cut_strings(self.nodes, self.strings, self.string_mass, shares, ends == "lumped")
+            raise ValueError(
+                f"string_mass of string {i} is 0: give it a mass, as segments meet in nodes that need one"
+            )
+        nodes, strings, mass = cut_strings(
+            self.nodes, self.strings, self.string_mass, shares, ends == "lumped"
+        )
         new = self.replace(
             nodes=nodes,
             strings=strings,
@@ -386,7 +455,9 @@ class Structure(Viewable, ReadOnlyArrays):
         return {**self.__dict__, "pinned": dict(self.pinned), "rollers": dict(self.rollers)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__({**state, **{name: MappingProxyType(state[name]) for name in ("pinned", "rollers")}})  # which does not pickle
+        super().__setstate__(
+            {**state, **{name: MappingProxyType(state[name]) for name in ("pinned", "rollers")}}
+        )  # which does not pickle
 
     def _derived(self, **attributes: Any) -> Structure:
         """Self, just built, with what a constructor keyword cannot say, and from now on read-only."""

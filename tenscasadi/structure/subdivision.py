@@ -12,7 +12,9 @@ from tenscasadi.util.validate import Array, Indices, finite_array, listed, nonne
 LARGEST_COUNT = 10**5  # segments of a string
 
 
-def cut_strings(nodes: Array, strings: Indices, string_mass: Array, shares: list[Array], lumped: bool) -> tuple[Array, Indices, Array]:
+def cut_strings(
+    nodes: Array, strings: Indices, string_mass: Array, shares: list[Array], lumped: bool
+) -> tuple[Array, Indices, Array]:
     """Return all nodes (m, 3), the segments' pairs of nodes, and the strings' mass (m,) on nodes; `shares` of each string's length."""
     places, pairs, masses = [nodes], [np.zeros((0, 2), dtype=np.intp)], [np.zeros(len(nodes))]
     new = len(nodes)
@@ -37,15 +39,21 @@ def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> lis
         return [whole_number("segments", segments, 1, LARGEST_COUNT)] * strings
     counts = listed("segments", segments, "[2, 2, 1]")
     if len(counts) != strings:
-        raise ValueError(f"segments has {len(counts)} entries: give one number, or one for each of {strings} strings")
-    return [whole_number(f"segments[{i}]", count, 1, LARGEST_COUNT) for i, count in enumerate(counts)]
+        raise ValueError(
+            f"segments has {len(counts)} entries: give one number, or one for each of {strings} strings"
+        )
+    return [
+        whole_number(f"segments[{i}]", count, 1, LARGEST_COUNT) for i, count in enumerate(counts)
+    ]
 
 
 def segment_shares(count: int, fractions: ArrayLike | None) -> Array:
     """Return the share of each of `count` segments, equal unless `fractions` are given. Raises TypeError, ValueError."""
     if fractions is None:
         return np.full(count, 1.0 / count)
-    shares = nonnegative("fractions", finite_array("fractions", fractions, (count,)), "segment", strict=True)
+    shares = nonnegative(
+        "fractions", finite_array("fractions", fractions, (count,)), "segment", strict=True
+    )
     if abs(shares.sum() - 1.0) > 1e-12:
         raise ValueError(f"fractions sum to {shares.sum():.15g}: they must sum to 1")
     return shares

@@ -27,7 +27,19 @@ from tenscasadi.util.validate import shown
 _FORMAT = "tenscasadi case 1"
 _VALUE = "value."  # before the names of results in files
 _PLAIN = "biufcU"  # kinds of arrays, in NumPy's letters, that files hold
-_CONSTANTS = (bool, int, float, complex, str, np.generic, np.ndarray, Structure, Scene, Model, Scheme)  # that a closure may hold
+_CONSTANTS = (
+    bool,
+    int,
+    float,
+    complex,
+    str,
+    np.generic,
+    np.ndarray,
+    Structure,
+    Scene,
+    Model,
+    Scheme,
+)  # that a closure may hold
 
 
 class Outcome(NamedTuple):
@@ -80,16 +92,32 @@ def _bare(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _held_by(function: Callable[..., Any]) -> Any:
     if isinstance(function, partial):  # of a partial, Python makes one with all arguments
-        return {"of": _held_by(function.func), "arguments": function.args, "keywords": function.keywords}
+        return {
+            "of": _held_by(function.func),
+            "arguments": function.args,
+            "keywords": function.keywords,
+        }
     function = inspect.unwrap(function)
-    if inspect.ismethod(function) or not (inspect.isroutine(function) or isinstance(function, type)):
+    if inspect.ismethod(function) or not (
+        inspect.isroutine(function) or isinstance(function, type)
+    ):
         owner = getattr(function, "__self__", function)
-        return None if isinstance(owner, type) else owner if is_dataclass(owner) else dict(getattr(owner, "__dict__", {}))
+        return (
+            None
+            if isinstance(owner, type)
+            else owner
+            if is_dataclass(owner)
+            else dict(getattr(owner, "__dict__", {}))
+        )
     if not inspect.isfunction(function):
         return None
     values = dict(inspect.getclosurevars(function).nonlocals)
-    values |= {f"default {k}": value for k, value in enumerate(function.__defaults__ or ())} | (function.__kwdefaults__ or {})
-    return {name: value for name, value in values.items() if isinstance(value, _CONSTANTS)}  # what may change as it runs tells nothing
+    values |= {f"default {k}": value for k, value in enumerate(function.__defaults__ or ())} | (
+        function.__kwdefaults__ or {}
+    )
+    return {
+        name: value for name, value in values.items() if isinstance(value, _CONSTANTS)
+    }  # what may change as it runs tells nothing
 
 
 def case_key(name: str, case: Any, field: str) -> str:
@@ -111,9 +139,17 @@ def _describe(field: str, value: Any) -> Any:
         return ["complex", value.real, value.imag]
     if isinstance(value, np.ndarray) and value.dtype.kind in _PLAIN:
         plain = np.ascontiguousarray(value, value.dtype.newbyteorder("<"))
-        return ["array", plain.dtype.str, list(plain.shape), hashlib.sha256(plain.tobytes()).hexdigest()]
+        return [
+            "array",
+            plain.dtype.str,
+            list(plain.shape),
+            hashlib.sha256(plain.tobytes()).hexdigest(),
+        ]
     if isinstance(value, Mapping) and all(isinstance(name, str) for name in value):
-        return ["dict", [[name, _describe(f"{field}[{name!r}]", value[name])] for name in sorted(value)]]
+        return [
+            "dict",
+            [[name, _describe(f"{field}[{name!r}]", value[name])] for name in sorted(value)],
+        ]
     if isinstance(value, (list, tuple)):
         return ["list", [_describe(f"{field}[{k}]", item) for k, item in enumerate(value)]]
     if isinstance(value, Structure):
@@ -122,10 +158,15 @@ def _describe(field: str, value: Any) -> Any:
         how = [value.coordinates, value.mechanism.constant_length]
         return ["Model", _describe(f"{field}.scene", value.scene), how]
     if is_dataclass(value) and not isinstance(value, type):
-        content = [[item.name, _describe(f"{field}.{item.name}", getattr(value, item.name))] for item in fields(value)]
+        content = [
+            [item.name, _describe(f"{field}.{item.name}", getattr(value, item.name))]
+            for item in fields(value)
+        ]
         return [f"{type(value).__module__}.{type(value).__qualname__}", content]
     cure = "give numbers, text, arrays, lists, dicts by text, structures, scenes or options; what is else, build in the function"
-    raise TypeError(f"{field} is {shown(value)}, whose content a folder of results cannot tell: {cure}")
+    raise TypeError(
+        f"{field} is {shown(value)}, whose content a folder of results cannot tell: {cure}"
+    )
 
 
 # --- results ---
@@ -150,7 +191,9 @@ def _plain(name: str, value: Any) -> Any:
     except ValueError:  # lists of different lengths
         known = False
     if not known:
-        raise TypeError(f"result {name!r} is of type {type(value).__name__}: return numbers, text, or arrays of them (NaN for None)")
+        raise TypeError(
+            f"result {name!r} is of type {type(value).__name__}: return numbers, text, or arrays of them (NaN for None)"
+        )
     return array.item() if array.ndim == 0 else array
 
 
@@ -163,8 +206,15 @@ class CaseFiles:
     def __init__(self, folder: Path, function: Callable[..., Any]) -> None:
         self._identity = identity_of(function)
         folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self.name, self._source, self._home = folder, name_of(function), source_hash(function), home_of(function)
-        self.found = self.damaged = self.outdated = 0  # files read so far: of finished cases, of no case, of an older text of the function
+        self.folder, self.name, self._source, self._home = (
+            folder,
+            name_of(function),
+            source_hash(function),
+            home_of(function),
+        )
+        self.found = self.damaged = self.outdated = (
+            0  # files read so far: of finished cases, of no case, of an older text of the function
+        )
 
     def key(self, case: Any, field: str) -> str:
         """Return what identifies a case. Raises TypeError."""
@@ -172,23 +222,36 @@ class CaseFiles:
 
     def write(self, key: str, case: Any, outcome: Outcome) -> None:
         """Write a case whole or not at all. Raises OSError."""
-        told: dict[str, Any] = {"case": json.dumps(_describe("case", case)), "function": self.name, "source": self._source, "home": self._home}
+        told: dict[str, Any] = {
+            "case": json.dumps(_describe("case", case)),
+            "function": self.name,
+            "source": self._source,
+            "home": self._home,
+        }
         told |= {"error": outcome.error, "seconds": outcome.seconds}
-        archive.save(self.folder / f"{key}.npz", _FORMAT, told | {_VALUE + name: value for name, value in outcome.values.items()})
+        archive.save(
+            self.folder / f"{key}.npz",
+            _FORMAT,
+            told | {_VALUE + name: value for name, value in outcome.values.items()},
+        )
 
     def read(self, keys: Sequence[str]) -> dict[str, Outcome]:
         """Return the cases of these keys that have finished without error. Raises ValueError where they are of another function."""
         found = {}
         for key in dict.fromkeys(keys):
             try:
-                outcome, source, home = archive.load(self.folder / f"{key}.npz", _FORMAT, "case", partial(_read, self._identity, key))
+                outcome, source, home = archive.load(
+                    self.folder / f"{key}.npz", _FORMAT, "case", partial(_read, self._identity, key)
+                )
             except FileNotFoundError:
                 continue
             except ValueError:
                 self.damaged += 1
                 continue
             if home and self._home and home != self._home and source != self._source:
-                raise ValueError(f"folder {self.folder} holds results of {self.name} of {home}, not of {self._home}: give each its own folder")
+                raise ValueError(
+                    f"folder {self.folder} holds results of {self.name} of {home}, not of {self._home}: give each its own folder"
+                )
             if not outcome.error:
                 found[key] = outcome
                 self.found += 1
@@ -200,7 +263,11 @@ def _read(identity: str, key: str, content: Fields) -> tuple[Outcome, str, str]:
     """Return an outcome with the hash and the home of its function. Raises ValueError."""
     if _key(identity, str(content.array("case", "U", 0))) != key:
         raise ValueError("it is of another case")
-    values = {name: value.item() if value.ndim == 0 else value for name, value in content.within(_VALUE).items() if _VALUE + name in content}
+    values = {
+        name: value.item() if value.ndim == 0 else value
+        for name, value in content.within(_VALUE).items()
+        if _VALUE + name in content
+    }
     error, seconds = str(content.array("error", "U", 0)), float(content.array("seconds", "f", 0))
     home = str(content.array("home", "U", 0)) if "home" in content else ""
     return Outcome(values, error, seconds), str(content.array("source", "U", 0)), home

@@ -69,12 +69,19 @@ class Sweep(ReadOnlyArrays):
         count = len(self.cases)
         for name in ("results", "errors"):
             if len(getattr(self, name)) != count:
-                raise ValueError(f"Sweep.{name} has {len(getattr(self, name))} entries: give one for each of {count} cases")
+                raise ValueError(
+                    f"Sweep.{name} has {len(getattr(self, name))} entries: give one for each of {count} cases"
+                )
         seconds = real_array("Sweep.seconds", self.seconds, f"{count} numbers")
-        done = np.array([not error for error in self.errors] if self.success is None else self.success, dtype=bool)
+        done = np.array(
+            [not error for error in self.errors] if self.success is None else self.success,
+            dtype=bool,
+        )
         for name, array in {"seconds": seconds, "success": done}.items():
             if array.shape != (count,):
-                raise ValueError(f"Sweep.{name} has shape {array.shape}: give ({count},), one for each case")
+                raise ValueError(
+                    f"Sweep.{name} has shape {array.shape}: give ({count},), one for each case"
+                )
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
@@ -94,13 +101,19 @@ class Sweep(ReadOnlyArrays):
     def columns(self) -> dict[str, Any]:
         """Columns by name, arrays (n, …): what cases hold, then what they return.
 
-        Cases that are no dicts are the column ``case``; results that are named as what cases hold begin with ``result.``. Where a case has
-        no value there is NaN, or "" for text. Arrays of different shapes, and what is neither number nor text, give columns of objects.
+        Cases that are no dicts are the column ``case``; results that are named as what cases hold
+        begin with ``result.``. Where a case has no value there is NaN, or "" for text. Arrays of
+        different shapes, and what is neither number nor text, give columns of objects.
         """
         given = [case if isinstance(case, Mapping) else {"case": case} for case in self.cases]
         columns = {str(name): _column([case.get(name) for case in given]) for name in _names(given)}
-        found = {name: _column([result.get(name) for result in self.results]) for name in _names(self.results)}
-        return columns | {f"result.{name}" if name in columns else name: column for name, column in found.items()}
+        found = {
+            name: _column([result.get(name) for result in self.results])
+            for name in _names(self.results)
+        }
+        return columns | {
+            f"result.{name}" if name in columns else name: column for name, column in found.items()
+        }
 
     def csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """Write the table as comma-separated values.
@@ -113,8 +126,9 @@ class Sweep(ReadOnlyArrays):
         Returns
         -------
         str
-            The text: a line of names, then one for each case, with its seconds and the last line of its error. Arrays take a column for each
-            entry, ``name[0]``, ``name[1]``, …; what is missing is empty.
+            The text: a line of names, then one for each case, with its seconds and the last line of
+            its error. Arrays take a column for each entry, ``name[0]``, ``name[1]``, …; what is
+            missing is empty.
 
         Raises
         ------
@@ -129,7 +143,9 @@ class Sweep(ReadOnlyArrays):
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(flat)
-        writer.writerows([_cell(value) for value in row] for row in zip(*flat.values(), strict=True))
+        writer.writerows(
+            [_cell(value) for value in row] for row in zip(*flat.values(), strict=True)
+        )
         if path is not None:
             write_whole(path, text.getvalue())
         return text.getvalue()
@@ -144,7 +160,11 @@ def _column(values: list[Any]) -> Any:
     arrays = [None if value is None else _array(value) for value in values]
     known = [array for array in arrays if array is not None]
     text = {array.dtype.kind == "U" for array in known}
-    if any(array.dtype.kind == "O" for array in known) or len({array.shape for array in known}) > 1 or len(text) > 1:
+    if (
+        any(array.dtype.kind == "O" for array in known)
+        or len({array.shape for array in known}) > 1
+        or len(text) > 1
+    ):
         column = np.empty(len(values), dtype=object)
         for k, value in enumerate(values):  # NumPy would take arrays apart
             column[k] = value
@@ -168,7 +188,11 @@ def _array(value: Any) -> Any:
 def _entries(column: Any) -> list[tuple[str, list[Any]]]:
     """Return the columns of numbers or text that an array (n, …) is, with the index of each entry."""
     return [
-        ("[" + ",".join(map(str, place)) + "]" if place else "", column[(slice(None), *place)].tolist()) for place in np.ndindex(*column.shape[1:])
+        (
+            "[" + ",".join(map(str, place)) + "]" if place else "",
+            column[(slice(None), *place)].tolist(),
+        )
+        for place in np.ndindex(*column.shape[1:])
     ]
 
 

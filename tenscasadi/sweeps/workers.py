@@ -12,7 +12,15 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    as_completed,
+    wait,
+)
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
@@ -20,7 +28,9 @@ from tenscasadi.sweeps.case_files import Outcome, check_results
 from tenscasadi.util.validate import shown
 
 Function = Callable[[Any], Any]
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
+_ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+)
 _DIED = "the worker process died while it computed this case: it was killed, ran out of memory or crashed"
 _UNPICKLED = (pickle.PicklingError, AttributeError, TypeError, RecursionError)  # what pickle raises
 _CURE = "which other processes cannot get: give numbers, text and arrays, and build in the function what is else"
@@ -41,10 +51,15 @@ def compute(function: Function, case: Any) -> Outcome:
 
 def _has_keyboard() -> bool:
     """Whether Ctrl-C may be what has been raised here, rather than in the process that workers work for."""
-    return multiprocessing.parent_process() is None and threading.current_thread() is threading.main_thread()
+    return (
+        multiprocessing.parent_process() is None
+        and threading.current_thread() is threading.main_thread()
+    )
 
 
-def run_on_executor(function: Function, cases: Mapping[Any, Any], executor: Executor) -> Generator[tuple[Any, Outcome], None, None]:
+def run_on_executor(
+    function: Function, cases: Mapping[Any, Any], executor: Executor
+) -> Generator[tuple[Any, Outcome], None, None]:
     """Yield each case's key and outcome as it finishes; what has not begun is cancelled when the caller stops early.
 
     Raises what the executor does where it takes no jobs.
@@ -56,7 +71,9 @@ def run_on_executor(function: Function, cases: Mapping[Any, Any], executor: Exec
                 futures[executor.submit(compute, function, case)] = key
             except Exception as fault:
                 lost = _lost(fault, case)
-                if not isinstance(fault, BrokenExecutor) and _CURE not in lost.error:  # neither its workers have died, nor is it this case
+                if (
+                    not isinstance(fault, BrokenExecutor) and _CURE not in lost.error
+                ):  # neither its workers have died, nor is it this case
                     _check_function(function)
                     raise
                 yield key, lost
@@ -67,11 +84,14 @@ def run_on_executor(function: Function, cases: Mapping[Any, Any], executor: Exec
             future.cancel()
 
 
-def run_in_processes(function: Function, cases: Mapping[Any, Any]) -> Generator[tuple[Any, Outcome], None, None]:
+def run_in_processes(
+    function: Function, cases: Mapping[Any, Any]
+) -> Generator[tuple[Any, Outcome], None, None]:
     """Yield each case's key and outcome as it finishes, in as many new processes as there are cores, each with one thread.
 
-    Where a process dies its pool is lost. The cases that were running are tried again one by one, which tells whose fault it was.
-    Raises ValueError where processes cannot import the function, RuntimeError where they cannot begin.
+    Where a process dies its pool is lost. The cases that were running are tried again one by one,
+    which tells whose fault it was. Raises ValueError where processes cannot import the function,
+    RuntimeError where they cannot begin.
     """
     _check_function(function)
     workers = min(_cores(), len(cases))
@@ -79,7 +99,9 @@ def run_in_processes(function: Function, cases: Mapping[Any, Any]) -> Generator[
     with _environment(_ONE_THREAD):
         while waiting or suspects:
             queue, width = (suspects, 1) if suspects else (waiting, workers)
-            pool = ProcessPoolExecutor(width, multiprocessing.get_context("spawn"), initializer=_begin_worker)
+            pool = ProcessPoolExecutor(
+                width, multiprocessing.get_context("spawn"), initializer=_begin_worker
+            )
             running: dict[Future[Outcome], Any] = {}
             lost: list[Any] = []
             try:
@@ -126,7 +148,13 @@ def _unsendable(value: Any, name: str = "case") -> str:
     try:
         pickle.dumps(value)
     except Exception:  # noqa: BLE001  pickle raises many things
-        parts = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, (list, tuple)) else ()
+        parts = (
+            value.items()
+            if isinstance(value, Mapping)
+            else enumerate(value)
+            if isinstance(value, (list, tuple))
+            else ()
+        )
         found = (_unsendable(part, f"{name}[{key!r}]") for key, part in parts)
         return next(filter(None, found), f"{name} is {shown(value)}")
     return ""
@@ -137,7 +165,9 @@ def _check_function(function: Function) -> None:
         pickle.dumps(function)
     except Exception as fault:  # pickle raises many things
         cure = "define it with def at the top level of a module, or give an executor of threads"
-        raise ValueError(f"function is {shown(function)}, which other processes cannot import ({fault}): {cure}") from fault
+        raise ValueError(
+            f"function is {shown(function)}, which other processes cannot import ({fault}): {cure}"
+        ) from fault
 
 
 def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
@@ -146,7 +176,9 @@ def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
         return pool.submit(callable, function).result()
     except BrokenProcessPool:
         cure = "a script needs `if __name__ == '__main__':` around what it runs; a function of a notebook has to move into a module"
-        raise RuntimeError(f"worker processes cannot begin, or cannot import {shown(function)}: {cure}") from None
+        raise RuntimeError(
+            f"worker processes cannot begin, or cannot import {shown(function)}: {cure}"
+        ) from None
 
 
 def _cores() -> int:

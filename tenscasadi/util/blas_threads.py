@@ -17,7 +17,8 @@ _before: list[int] = []  # threads of each library, before the first of them
 def one_blas_thread() -> Iterator[None]:
     """Let the BLAS of NumPy and SciPy take one thread within, whatever the environment says.
 
-    Most libraries have one number for the whole process: calls that overlap in several threads share it, and the last one to end puts it back.
+    Most libraries have one number for the whole process: calls that overlap in several threads
+    share it, and the last one to end puts it back.
     """
     global _within, _before
     libraries = _libraries()
@@ -34,7 +35,13 @@ def one_blas_thread() -> Iterator[None]:
             _within -= 1
             shared = [1] * len(own) if _within else _before
             counts = zip(libraries, own, shared, strict=True)
-            _limit(libraries, [mine if _each_thread_has_its_own(library) else ours for library, mine, ours in counts])
+            _limit(
+                libraries,
+                [
+                    mine if _each_thread_has_its_own(library) else ours
+                    for library, mine, ours in counts
+                ],
+            )
 
 
 def _each_thread_has_its_own(library: Any) -> bool:
@@ -47,7 +54,8 @@ def _limit(libraries: list[Any], counts: list[int]) -> None:
         if count == 1 or library.num_threads == 1:
             library.set_num_threads(count)
         if hasattr(library, "clear_controlling_thread"):
-            library.clear_controlling_thread()  # else only the thread that set it first may set it back
+            # else only the thread that set it first may set it back
+            library.clear_controlling_thread()
 
 
 @cache

@@ -15,14 +15,17 @@ import scipy.sparse as sp
 
 from tenscasadi.util.validate import Array
 
-REGULARISATION = 1e-10  # on a system of unit diagonal; two refinements remove it from all that is not redundant
+REGULARISATION = (
+    1e-10  # on a system of unit diagonal; two refinements remove it from all that is not redundant
+)
 REFINEMENTS = 2
 
 
 def solve_semidefinite(A: Any, b: Any) -> Any:
     """Solve A x = b for x with a symmetric positive semidefinite A, also where rows repeat each other (then b must be consistent).
 
-    The diagonal is scaled to one, the factored matrix is A + εI, and two refinements take ε out of all but the null space.
+    The diagonal is scaled to one, the factored matrix is A + εI, and two refinements take ε out of
+    all but the null space.
     """
     size = A.shape[0]
     diagonal = ca.diag(A)
@@ -30,20 +33,30 @@ def solve_semidefinite(A: Any, b: Any) -> Any:
     scaled = A * _on_pattern(A, scale)
     target = b * scale
     shifted = scaled + REGULARISATION * ca.DM.eye(size)
-    solve = _unrolled_solver(shifted) if isinstance(A, ca.SX) else lambda rhs: ca.solve(shifted, rhs, "ldl")
+    solve = (
+        _unrolled_solver(shifted)
+        if isinstance(A, ca.SX)
+        else lambda rhs: ca.solve(shifted, rhs, "ldl")
+    )
     x = solve(target)
     for _ in range(REFINEMENTS):
         x = x + solve(target - ca.mtimes(scaled, x))
     return x * scale
 
 
-def call_as_sx(large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
+def call_as_sx(
+    large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any
+) -> tuple[Any, ...]:
     """Return `function` of the arguments, unless `large` as one call of an SX Function where these are MX: scalar code is shorter."""
     if large or not any(isinstance(argument, ca.MX) for argument in arguments):
         return function(*arguments)
     inputs = [ca.MX(argument) for argument in arguments]
     symbols = [ca.SX.sym(f"a{k}", value.sparsity()) for k, value in enumerate(inputs)]
-    return tuple(ca.Function("scalar", symbols, ca.cse([ca.SX(value) for value in function(*symbols)])).call(inputs))
+    return tuple(
+        ca.Function("scalar", symbols, ca.cse([ca.SX(value) for value in function(*symbols)])).call(
+            inputs
+        )
+    )
 
 
 def is_expression(value: Any) -> bool:
@@ -80,14 +93,27 @@ def weighted_product(Z: Any, weights: Any, C: Any) -> Any:
     constant = sparse(C)
     if not isinstance(Z, ca.MX):
         return ca.mtimes(Z * ca.repmat(weights, 3, 1), constant)
-    rows, _ = constant.sparsity().get_triplet()  # as vector operations: one pass over C is less than three over Z
-    return ca.mtimes(Z, matrix_with_pattern(constant.sparsity(), ca.vec(weights.T[rows]) * ca.DM(constant.nonzeros())))
+    rows, _ = (
+        constant.sparsity().get_triplet()
+    )  # as vector operations: one pass over C is less than three over Z
+    return ca.mtimes(
+        Z,
+        matrix_with_pattern(
+            constant.sparsity(), ca.vec(weights.T[rows]) * ca.DM(constant.nonzeros())
+        ),
+    )
 
 
 def matrix_with_pattern(sparsity: ca.Sparsity, values: Any) -> Any:
     """Return a matrix of this sparsity with these values (nnz), of their CasADi type."""
     values = ca.densify(values)
-    return ca.SX(sparsity, values) if isinstance(values, ca.SX) else ca.MX(sparsity, values) if isinstance(values, ca.MX) else ca.DM(sparsity, values)
+    return (
+        ca.SX(sparsity, values)
+        if isinstance(values, ca.SX)
+        else ca.MX(sparsity, values)
+        if isinstance(values, ca.MX)
+        else ca.DM(sparsity, values)
+    )
 
 
 def _on_pattern(A: Any, scale: Any) -> Any:
@@ -101,13 +127,19 @@ def _unrolled_solver(A: Any) -> Callable[[Any], Any]:
     return lambda rhs: ca.ldl_solve(rhs, D, LT, permutation)
 
 
-def hermite_cubic(left: Any, left_slope: Any, right: Any, right_slope: Any, length: Any, share: Any) -> Any:
+def hermite_cubic(
+    left: Any, left_slope: Any, right: Any, right_slope: Any, length: Any, share: Any
+) -> Any:
     """Return the cubic with these values and slopes at the ends of an interval of that length, at a share of it.
 
     Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, (II.6.7).
     """
     s = share
-    return (1 + 2 * s) * (1 - s) ** 2 * left + s**2 * (3 - 2 * s) * right + length * s * (1 - s) * ((1 - s) * left_slope - s * right_slope)
+    return (
+        (1 + 2 * s) * (1 - s) ** 2 * left
+        + s**2 * (3 - 2 * s) * right
+        + length * s * (1 - s) * ((1 - s) * left_slope - s * right_slope)
+    )
 
 
 def drop_rounding(matrix: Any) -> sp.csr_array:
@@ -145,7 +177,10 @@ def multiplied_rows(matrix: Any, one: Any, other: Any) -> Any:
     if not both.nnz:
         return type(matrix)(*both.shape)
     row, column = both.indices, np.repeat(np.arange(both.shape[1]), np.diff(both.indptr))
-    factors = [matrix.nz[:][(np.asarray(index[np.asarray(rows)[row], column]).ravel() - 1).tolist()] for rows in (one, other)]
+    factors = [
+        matrix.nz[:][(np.asarray(index[np.asarray(rows)[row], column]).ravel() - 1).tolist()]
+        for rows in (one, other)
+    ]
     pattern = ca.Sparsity(both.shape[0], both.shape[1], both.indptr.tolist(), both.indices.tolist())
     return matrix_with_pattern(pattern, factors[0] * factors[1])
 
@@ -187,19 +222,24 @@ def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
         rows.append(np.repeat(nodes, size, axis=1).ravel())
         columns.append(np.tile(nodes, size).ravel())
         data.append(((inverse + inverse.transpose(0, 2, 1)) / 2).ravel())
-    return sp.csr_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
+    return sp.csr_array(
+        (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
+    )
 
 
 class ArrayFunction:
     """A Function with dense outputs on NumPy arrays in place: copies through CasADi's matrices cost several times what small functions take.
 
-    Arrays go in whose memory holds each input column by column, and an array (columns, rows) comes out for each output.
+    Arrays go in whose memory holds each input column by column, and an array (columns, rows) comes
+    out for each output.
     """
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer: Any
         self._buffer, self._evaluate = function.buffer()
-        self._shapes = [(function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())]
+        self._shapes = [
+            (function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())
+        ]
 
     def __call__(self, *inputs: Array) -> list[Array]:
         """Evaluate the Function and return its outputs."""
@@ -222,10 +262,17 @@ class ArrayFunction:
 class ArrayCallback(ca.Callback):
     """A Function that NumPy evaluates; it lives as long as this object, which whoever uses it in expressions must keep.
 
-    evaluate gets an array (columns, rows) for each of the inputs, whose shapes (rows, columns) are given, and returns one for the output.
+    evaluate gets an array (columns, rows) for each of the inputs, whose shapes (rows, columns) are
+    given, and returns one for the output.
     """
 
-    def __init__(self, name: str, evaluate: Callable[..., Array], inputs: list[tuple[int, int]], output: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        name: str,
+        evaluate: Callable[..., Array],
+        inputs: list[tuple[int, int]],
+        output: tuple[int, int],
+    ) -> None:
         super().__init__()
         self._evaluate, self._inputs, self._output = evaluate, inputs, output
         self.construct(name, {})
@@ -252,7 +299,10 @@ class ArrayCallback(ca.Callback):
 
     def eval_buffer(self, arguments: Sequence[Any], results: Sequence[Any]) -> int:
         """Evaluate in CasADi's memory; what is not finite goes to the solver without a warning."""
-        arrays = [np.frombuffer(value).reshape(columns, rows) for value, (rows, columns) in zip(arguments, self._inputs, strict=True)]
+        arrays = [
+            np.frombuffer(value).reshape(columns, rows)
+            for value, (rows, columns) in zip(arguments, self._inputs, strict=True)
+        ]
         result = np.frombuffer(results[0])
         try:
             with np.errstate(all="ignore"):
@@ -266,4 +316,7 @@ def generated(generator: ca.CodeGenerator, name: str) -> dict[str, str]:
     """Return `name`.c and `name`.h, as CasADi writes them, by name."""
     with TemporaryDirectory() as folder:
         generator.generate(f"{folder}/")
-        return {file: Path(folder, file).read_text(encoding="utf-8") for file in (f"{name}.c", f"{name}.h")}
+        return {
+            file: Path(folder, file).read_text(encoding="utf-8")
+            for file in (f"{name}.c", f"{name}.h")
+        }

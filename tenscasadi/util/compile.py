@@ -33,13 +33,26 @@ from tenscasadi.util.validate import instance, shown
 T = TypeVar("T")
 log = logging.getLogger(__name__)
 
-_LONG = 1_000_000  # characters of C above which optimisation is cut short: compile time would grow with their square
-_NO_CODE = re.compile(r"=\s*\{[^}]*\}|/\*.*?\*/", re.DOTALL)  # constants, and comments that repeat them
-# No fused multiply-add and no fast maths: compiled or not, the same formulas are rounded the same way.
-# Hidden but for what CasADi marks as exported: else gcc may not inline a library's own helpers, and each square is a call.
-_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-funroll-loops", "-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")
+# characters of C above which optimisation is cut short: compile time would grow with their square
+_LONG = 1_000_000
+_NO_CODE = re.compile(
+    r"=\s*\{[^}]*\}|/\*.*?\*/", re.DOTALL
+)  # constants, and comments that repeat them
+# No fused multiply-add and no fast maths: compiled or not, the same formulas are rounded the same
+# way.
+# Hidden but for what CasADi marks as exported: else gcc may not inline a library's own helpers, and
+# each square is a call.
+_FLAGS = (
+    "-O3",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-funroll-loops",
+    "-fvisibility=hidden",
+    "-DGCC_HASCLASSVISIBILITY",
+)
 _LIMIT = 500_000_000  # bytes of all libraries in the cache
-_RECENT = 60.0  # s since a library was used in which it is not removed: another process may be about to load it
+# s since a library was used in which it is not removed: another process may be about to load it
+_RECENT = 60.0
 _ABANDONED = 86_400.0  # s after which what a compilation left behind is nobody's any more
 _SECONDS = "TENSCASADI_COMPILE_SECONDS"
 _QUICK = 20.0  # s for a compiler to say what it is
@@ -55,8 +68,9 @@ _TYPED = ("", "_work", "_work_bytes", "_default_in", "_casadi_real_size")
 class Single:
     """Run as machine code that computes in single precision, as small processors do.
 
-    Give it as `compiled` to `simulate`, or as `precision` to `export_c`. Numbers have some seven digits: each instruction rounds
-    to ``float``, and so do states from step to step. Errors and energies of the result are computed from these states in double.
+    Give it as `compiled` to `simulate`, or as `precision` to `export_c`. Numbers have some seven
+    digits: each instruction rounds to ``float``, and so do states from step to step. Errors and
+    energies of the result are computed from these states in double.
 
     Examples
     --------
@@ -66,7 +80,9 @@ class Single:
     """
 
 
-Compiled = bool | Single | None  # how to run: True, as machine code; False, in CasADi's virtual machine; None, as there is a compiler
+Compiled = (
+    bool | Single | None
+)  # how to run: True, as machine code; False, in CasADi's virtual machine; None, as there is a compiler
 
 
 class CompileError(RuntimeError):
@@ -93,13 +109,17 @@ def find_compiler() -> tuple[str, ...] | None:
     return None
 
 
-def compile_function(function: ca.Function, flags: Sequence[str] | None = None, single: bool = False) -> ca.Function:
+def compile_function(
+    function: ca.Function, flags: Sequence[str] | None = None, single: bool = False
+) -> ca.Function:
     """Compile a CasADi Function to machine code.
 
-    The library is kept in `cache_folder` under the hash of its source, the compiler, the flags, what these mean on this machine,
-    and CasADi's version, so that it is compiled once. Any number of processes may do so at the same time. A library that is not as it
-    was written, by the hash at its end, is not loaded but compiled again; what is loaded is a private copy of the bytes that were looked
-    at. Libraries beyond 500 MB are removed, those first that have not been used for longest; what a process has loaded, it keeps.
+    The library is kept in `cache_folder` under the hash of its source, the compiler, the flags,
+    what these mean on this machine, and CasADi's version, so that it is compiled once. Any number
+    of processes may do so at the same time. A library that is not as it was written, by the hash at
+    its end, is not loaded but compiled again; what is loaded is a private copy of the bytes that
+    were looked at. Libraries beyond 500 MB are removed, those first that have not been used for
+    longest; what a process has loaded, it keeps.
 
     Parameters
     ----------
@@ -120,48 +140,89 @@ def compile_function(function: ca.Function, flags: Sequence[str] | None = None, 
     TypeError
         For anything but a casadi.Function and strings.
     CompileError
-        Where compilation fails, with the compiler's words, or takes more than $TENSCASADI_COMPILE_SECONDS, 600 unless set.
+        Where compilation fails, with the compiler's words, or takes more than
+        $TENSCASADI_COMPILE_SECONDS, 600 unless set.
     """
     instance("function", function, ca.Function, "a casadi.Function")
-    if flags is not None and (isinstance(flags, str) or not all(isinstance(flag, str) for flag in flags)):
-        raise TypeError(f'flags is {shown(flags)}: give a sequence of strings, such as ("-O2",), or None')
+    if flags is not None and (
+        isinstance(flags, str) or not all(isinstance(flag, str) for flag in flags)
+    ):
+        raise TypeError(
+            f'flags is {shown(flags)}: give a sequence of strings, such as ("-O2",), or None'
+        )
     compiler = find_compiler()
     if compiler is None:
-        raise CompileError("no C compiler found: install gcc or clang, or name one in the environment variable CC")
+        raise CompileError(
+            "no C compiler found: install gcc or clang, or name one in the environment variable CC"
+        )
     try:
         source = _c_code(function, single)
     except RuntimeError as error:
         raise CompileError(f"CasADi cannot write C code for {function}: {error}") from None
-    return _load(compiler, flags, source, function.name(), ".c", lambda library: ca.external(function.name(), str(library)))
+    return _load(
+        compiler,
+        flags,
+        source,
+        function.name(),
+        ".c",
+        lambda library: ca.external(function.name(), str(library)),
+    )
 
 
 def compile_library(name: str, source: str) -> ctypes.CDLL:
     """Compile C++ that needs nothing of C++'s own library, by the C compiler, and load it; the cache keeps it as it does a Function's.
 
-    Raises CompileError where there is no compiler, where it knows no C++ or where it refuses the code.
+    Raises CompileError where there is no compiler, where it knows no C++ or where it refuses the
+    code.
     """
     compiler = find_compiler()
     if compiler is None:
-        raise CompileError("no C compiler found: install gcc or clang, or name one in the environment variable CC")
+        raise CompileError(
+            "no C compiler found: install gcc or clang, or name one in the environment variable CC"
+        )
     return _load(compiler, None, source, name, ".cpp", lambda library: ctypes.CDLL(str(library)))
 
 
-def _load(compiler: tuple[str, ...], flags: Sequence[str] | None, source: str, name: str, suffix: str, load: Callable[[Path], T]) -> T:
+def _load(
+    compiler: tuple[str, ...],
+    flags: Sequence[str] | None,
+    source: str,
+    name: str,
+    suffix: str,
+    load: Callable[[Path], T],
+) -> T:
     """Return what `load` makes of the library of this source, compiled unless the cache holds it."""
     if flags is None:
-        flags = _default_flags(compiler) if len(_NO_CODE.sub("", source)) < _LONG else ("-O1", *_default_flags(compiler)[1:])
-    identity = (_identity(compiler, flags), platform.machine(), *flags, ca.CasadiMeta.version(), source)
+        flags = (
+            _default_flags(compiler)
+            if len(_NO_CODE.sub("", source)) < _LONG
+            else ("-O1", *_default_flags(compiler)[1:])
+        )
+    identity = (
+        _identity(compiler, flags),
+        platform.machine(),
+        *flags,
+        ca.CasadiMeta.version(),
+        source,
+    )
     key = hashlib.sha256("\0".join(identity).encode()).hexdigest()
     library = cache_folder() / f"{name}-{key[:32]}{_SUFFIX}"
     reason: object = ""
     for build in (False, True):
         try:
-            code = _build(compiler, flags, source, suffix, library, key) if build else _read_whole(library, key)
+            code = (
+                _build(compiler, flags, source, suffix, library, key)
+                if build
+                else _read_whole(library, key)
+            )
             if build:
                 _trim(library.parent)
             if code:
                 return _load_copy(load, code, library)
-        except (RuntimeError, OSError) as error:  # removed by another process, or damaged, for instance by a disk that was full
+        except (
+            RuntimeError,
+            OSError,
+        ) as error:  # removed by another process, or damaged, for instance by a disk that was full
             if isinstance(error, CompileError):
                 raise
             log.info("%s cannot be loaded: %s", library, error)
@@ -172,9 +233,10 @@ def _load(compiler: tuple[str, ...], flags: Sequence[str] | None, source: str, n
 def cache_folder() -> Path:
     """Return the folder of compiled libraries, created if need be, which no other user can write to.
 
-    It is $TENSCASADI_CACHE, else a folder `tenscasadi` in $XDG_CACHE_HOME or ~/.cache (Linux), ~/Library/Caches (macOS),
-    %LOCALAPPDATA% (Windows). Libraries are code that will be run: where that folder belongs to another user, can be written by
-    others, or cannot be made, this is a private temporary folder that lasts as long as the process.
+    It is $TENSCASADI_CACHE, else a folder `tenscasadi` in $XDG_CACHE_HOME or ~/.cache (Linux),
+    ~/Library/Caches (macOS), %LOCALAPPDATA% (Windows). Libraries are code that will be run: where
+    that folder belongs to another user, can be written by others, or cannot be made, this is a
+    private temporary folder that lasts as long as the process.
     """
     try:
         folder = _preferred_folder()
@@ -198,7 +260,9 @@ def _trim(folder: Path) -> None:
     for path in folder.iterdir():
         with contextlib.suppress(OSError):  # another process has removed it
             status = path.stat()
-            if _LIBRARY.search(path.name):  # the folder is the user's choice: other files in it are not ours
+            if _LIBRARY.search(
+                path.name
+            ):  # the folder is the user's choice: other files in it are not ours
                 found.append((status.st_mtime, status.st_size, path))
             elif path.name.startswith(_BUILD) and now - status.st_mtime > _ABANDONED:
                 shutil.rmtree(path, ignore_errors=True)
@@ -276,7 +340,9 @@ def _run(command: list[str], folder: Path | None = None, most: float = np.inf) -
         cure = f"set {_SECONDS} to wait longer, CC to another compiler, or give compiled=False"
         raise CompileTimeout(f"{command[0]} did not end within {seconds:g} s: {cure}") from None
     if done.returncode:
-        raise CompileError(f"{shlex.join(command)} failed with code {done.returncode}:\n{done.stderr.strip()}")
+        raise CompileError(
+            f"{shlex.join(command)} failed with code {done.returncode}:\n{done.stderr.strip()}"
+        )
     return done.stdout
 
 
@@ -309,11 +375,16 @@ def _read_whole(library: Path, key: str) -> bytes:
 def _load_copy(load: Callable[[Path], T], code: bytes, library: Path) -> T:
     """Load a library from a copy of its bytes that nobody else knows of, and that is removed at once: a loaded library needs no name.
 
-    Who alters or cuts the file in the cache, before or after it is loaded, would otherwise end this process.
+    Who alters or cuts the file in the cache, before or after it is loaded, would otherwise end this
+    process.
     """
     with contextlib.ExitStack() as stack:
         try:
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix=_BUILD, dir=library.parent, ignore_cleanup_errors=True))
+            folder = stack.enter_context(
+                tempfile.TemporaryDirectory(
+                    prefix=_BUILD, dir=library.parent, ignore_cleanup_errors=True
+                )
+            )
             copy = Path(folder) / library.name
             copy.write_bytes(code)
             copy.chmod(0o700)
@@ -322,14 +393,24 @@ def _load_copy(load: Callable[[Path], T], code: bytes, library: Path) -> T:
         return load(copy)
 
 
-def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, suffix: str, library: Path, key: str) -> bytes:
+def _build(
+    compiler: tuple[str, ...],
+    flags: Sequence[str],
+    source: str,
+    suffix: str,
+    library: Path,
+    key: str,
+) -> bytes:
     """Compile in a folder of its own, then move the library into place in one operation: no process ever sees half a file. Return it."""
     try:
         with tempfile.TemporaryDirectory(prefix=_BUILD, dir=library.parent) as folder:
             text, result = Path(folder) / f"code{suffix}", Path(folder) / library.name
             text.write_text(source, encoding="utf-8")
             position = [] if sys.platform == "win32" else ["-fPIC"]
-            _run([*compiler, *flags, *position, "-shared", "-o", str(result), str(text), "-lm"], Path(folder))
+            _run(
+                [*compiler, *flags, *position, "-shared", "-o", str(result), str(text), "-lm"],
+                Path(folder),
+            )
             code = result.read_bytes()
             code += _seal(code, key)  # loaders do not mind what follows the code
             result.write_bytes(code)
@@ -346,8 +427,11 @@ def _build(compiler: tuple[str, ...], flags: Sequence[str], source: str, suffix:
 
 def _c_code(function: ca.Function, single: bool = False) -> str:
     """Write `function` in C, for `casadi.external`; `single`: with float inside. Raises RuntimeError where CasADi cannot write C."""
-    # Without comments: their numbers are printed as any part of the process has told CasADi to, and the same code would be compiled again.
-    generator = ca.CodeGenerator(function.name() + ".c", {"verbose": False} | ({"casadi_real": "float"} if single else {}))
+    # Without comments: their numbers are printed as any part of the process has told CasADi to, and
+    # the same code would be compiled again.
+    generator = ca.CodeGenerator(
+        function.name() + ".c", {"verbose": False} | ({"casadi_real": "float"} if single else {})
+    )
     generator.add(function)
     return _behind_double(function, generator.dump()) if single else generator.dump()
 

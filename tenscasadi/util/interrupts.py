@@ -22,7 +22,8 @@ def on_interrupt(react: Callable[[], object], then_raise: bool) -> Iterator[None
 
     Notes
     -----
-    Python lets the main thread alone handle signals: in other threads, and where nobody handles Ctrl-C, nothing is changed.
+    Python lets the main thread alone handle signals: in other threads, and where nobody handles
+    Ctrl-C, nothing is changed.
     """
     usual = signal.getsignal(signal.SIGINT)
     if not callable(usual) or threading.current_thread() is not threading.main_thread():

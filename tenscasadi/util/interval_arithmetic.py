@@ -32,14 +32,16 @@ class UnknownOperation(ValueError):
 def bound(function: ca.Function, low: Array, high: Array) -> Bounds:
     """Return bounds on a Function t → dense column in the intervals from `low` to `high` (k,).
 
-    They hold but for rounding, and may be wide where t stands in several places. Comparisons, signs, roundings and the like switch where
-    they do so inside an interval, not at its ends. Where an operation is not defined, as a root of negative numbers, the bounds are those of
-    where it is; the lesser and the greater of two, which pass over what is not defined, are then the other.
+    They hold but for rounding, and may be wide where t stands in several places. Comparisons,
+    signs, roundings and the like switch where they do so inside an interval, not at its ends. Where
+    an operation is not defined, as a root of negative numbers, the bounds are those of where it is;
+    the lesser and the greater of two, which pass over what is not defined, are then the other.
 
     Raises
     ------
     UnknownOperation
-        Where the Function is not made of scalar operations, or holds one of which no bounds are known.
+        Where the Function is not made of scalar operations, or holds one of which no bounds are
+        known.
     """
     if function.class_name() != "SXFunction":
         raise UnknownOperation(f"{function.name()} is no expression of scalar operations")
@@ -50,7 +52,11 @@ def bound(function: ca.Function, low: Array, high: Array) -> Bounds:
     switches = np.zeros(len(low), dtype=bool)
     with np.errstate(all="ignore"):
         for k in range(function.n_instructions()):
-            operation, places, results = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+            operation, places, results = (
+                function.instruction_id(k),
+                function.instruction_input(k),
+                function.instruction_output(k),
+            )
             if operation == ca.OP_INPUT:
                 work[results[0]], undefined[results[0]] = (low, high), _DEFINED
             elif operation == ca.OP_CONST:
@@ -59,13 +65,18 @@ def bound(function: ca.Function, low: Array, high: Array) -> Bounds:
             elif operation == ca.OP_OUTPUT:
                 found[0, results[1]], found[1, results[1]] = work[places[0]]
             else:
-                arguments, lost = [work[place] for place in places], [undefined[place] for place in places]
+                arguments, lost = (
+                    [work[place] for place in places],
+                    [undefined[place] for place in places],
+                )
                 if operation in _SWITCHED:
                     switches |= _SWITCHED[operation](*arguments)
                 if operation in _PASSING:
                     for maybe, surely in lost:
                         switches |= maybe & ~surely
-                work[results[0]] = _without(operation, _apply(operation, arguments), arguments, lost)
+                work[results[0]] = _without(
+                    operation, _apply(operation, arguments), arguments, lost
+                )
                 undefined[results[0]] = _leave_domain(operation, arguments, lost)
     return Bounds(found[0], found[1], switches)
 
@@ -79,7 +90,9 @@ def _apply(operation: int, arguments: list[Any]) -> tuple[Any, Any]:
     return np.where(unknown, -np.inf, low), np.where(unknown, np.inf, high)
 
 
-def _without(operation: int, value: Any, arguments: list[Any], lost: list[tuple[Any, Any]]) -> tuple[Any, Any]:
+def _without(
+    operation: int, value: Any, arguments: list[Any], lost: list[tuple[Any, Any]]
+) -> tuple[Any, Any]:
     """Return bounds of an operation that also hold where it passes over an argument that is not defined."""
     if operation not in _PASSING or not any(np.any(maybe) for maybe, _ in lost):
         return value  # type: ignore[no-any-return]
@@ -95,7 +108,9 @@ def _without(operation: int, value: Any, arguments: list[Any], lost: list[tuple[
     return low, high
 
 
-def _leave_domain(operation: int, arguments: list[Any], lost: list[tuple[Any, Any]]) -> tuple[Any, Any]:
+def _leave_domain(
+    operation: int, arguments: list[Any], lost: list[tuple[Any, Any]]
+) -> tuple[Any, Any]:
     """Return where the result of an operation may be undefined, and where it surely is."""
     if operation in _CHOICES:
         return lost[0][0] & lost[1][0], lost[0][1] & lost[1][1]
@@ -107,7 +122,9 @@ def _leave_domain(operation: int, arguments: list[Any], lost: list[tuple[Any, An
         return _DEFINED
     if operation in _DOMAINS:
         least, most = _DOMAINS[operation]
-        return maybe | (arguments[0][0] < least) | (arguments[0][1] > most), surely | (arguments[0][1] < least) | (arguments[0][0] > most)
+        return maybe | (arguments[0][0] < least) | (arguments[0][1] > most), surely | (
+            arguments[0][1] < least
+        ) | (arguments[0][0] > most)
     if operation in (ca.OP_POW, ca.OP_CONSTPOW):
         (low, high), (exponent, _) = arguments
         whole = exponent == np.round(exponent)
@@ -115,14 +132,20 @@ def _leave_domain(operation: int, arguments: list[Any], lost: list[tuple[Any, An
     return maybe, surely
 
 
-def _rising(function: Callable[..., Any], least: float = -np.inf, most: float = np.inf) -> Callable[..., Any]:
+def _rising(
+    function: Callable[..., Any], least: float = -np.inf, most: float = np.inf
+) -> Callable[..., Any]:
     """Return the rule of a monotonic function, defined from `least` to `most`."""
     return lambda x: (function(np.clip(x[0], least, most)), function(np.clip(x[1], least, most)))
 
 
 def _product(x: Any, y: Any) -> tuple[Any, Any]:
-    corners = [np.where((a == 0) | (b == 0), 0.0, a * b) for a in x for b in y]  # 0 times ∞ is 0 here: a bound that is not reached
-    return np.minimum.reduce(np.broadcast_arrays(*corners)), np.maximum.reduce(np.broadcast_arrays(*corners))
+    corners = [
+        np.where((a == 0) | (b == 0), 0.0, a * b) for a in x for b in y
+    ]  # 0 times ∞ is 0 here: a bound that is not reached
+    return np.minimum.reduce(np.broadcast_arrays(*corners)), np.maximum.reduce(
+        np.broadcast_arrays(*corners)
+    )
 
 
 def _inverse(x: Any) -> tuple[Any, Any]:
@@ -136,7 +159,9 @@ def _even(function: Callable[..., Any]) -> Callable[..., Any]:
 
     def rule(x: Any) -> tuple[Any, Any]:
         a, b = np.abs(x[0]), np.abs(x[1])
-        return function(np.where((x[0] <= 0) & (x[1] >= 0), 0.0, np.minimum(a, b))), function(np.maximum(a, b))
+        return function(np.where((x[0] <= 0) & (x[1] >= 0), 0.0, np.minimum(a, b))), function(
+            np.maximum(a, b)
+        )
 
     return rule
 
@@ -147,9 +172,13 @@ def _power(x: Any, y: Any) -> tuple[Any, Any]:
         size = abs(exponent)
         positive = _even(lambda v: v**size)(x) if size % 2 == 0 else (x[0] ** size, x[1] ** size)
         return positive if exponent >= 0 else _inverse(positive)
-    corners = np.broadcast_arrays(*(np.maximum(a, 0.0) ** b for a in x for b in y))  # of positive numbers: monotonic in each
+    corners = np.broadcast_arrays(
+        *(np.maximum(a, 0.0) ** b for a in x for b in y)
+    )  # of positive numbers: monotonic in each
     wild = (x[0] < 0) & (y[0] != y[1])  # whole exponents may lie between
-    return np.where(wild, -np.inf, np.minimum.reduce(corners)), np.where(wild, np.inf, np.maximum.reduce(corners))
+    return np.where(wild, -np.inf, np.minimum.reduce(corners)), np.where(
+        wild, np.inf, np.maximum.reduce(corners)
+    )
 
 
 def _wave(function: Callable[..., Any], shift: float) -> Callable[..., Any]:
@@ -158,9 +187,14 @@ def _wave(function: Callable[..., Any], shift: float) -> Callable[..., Any]:
     def rule(x: Any) -> tuple[Any, Any]:
         turns = (x[0] - shift) / (2 * np.pi), (x[1] - shift) / (2 * np.pi)
         ends = function(x[0]), function(x[1])
-        top, bottom = np.floor(turns[1]) >= np.ceil(turns[0]), np.floor(turns[1] - 0.5) >= np.ceil(turns[0] - 0.5)
+        top, bottom = (
+            np.floor(turns[1]) >= np.ceil(turns[0]),
+            np.floor(turns[1] - 0.5) >= np.ceil(turns[0] - 0.5),
+        )
         wild = ~np.isfinite(turns[0]) | ~np.isfinite(turns[1])
-        return np.where(bottom | wild, -1.0, np.minimum(*ends)), np.where(top | wild, 1.0, np.maximum(*ends))
+        return np.where(bottom | wild, -1.0, np.minimum(*ends)), np.where(
+            top | wild, 1.0, np.maximum(*ends)
+        )
 
     return rule
 
@@ -174,7 +208,9 @@ def _direction(y: Any, x: Any) -> tuple[Any, Any]:
     """Of atan2: its corners where the box is off the negative half of the axis x, everything where it is not."""
     corners = np.broadcast_arrays(*(np.arctan2(a, b) for a in y for b in x))
     cut = (y[0] <= 0) & (y[1] >= 0) & (x[0] <= 0)
-    return np.where(cut, -np.pi, np.minimum.reduce(corners)), np.where(cut, np.pi, np.maximum.reduce(corners))
+    return np.where(cut, -np.pi, np.minimum.reduce(corners)), np.where(
+        cut, np.pi, np.maximum.reduce(corners)
+    )
 
 
 def _hypotenuse(x: Any, y: Any) -> tuple[Any, Any]:
@@ -194,7 +230,10 @@ def _as_truth(x: Any) -> tuple[Any, Any]:
 def _chosen(condition: Any, x: Any) -> tuple[Any, Any]:
     """Of `condition` ? x : 0."""
     surely, maybe = (edge > 0 for edge in _as_truth(condition))
-    low, high = np.where(surely, x[0], np.minimum(x[0], 0.0)), np.where(surely, x[1], np.maximum(x[1], 0.0))
+    low, high = (
+        np.where(surely, x[0], np.minimum(x[0], 0.0)),
+        np.where(surely, x[1], np.maximum(x[1], 0.0)),
+    )
     return np.where(maybe, low, 0.0), np.where(maybe, high, 0.0)
 
 
@@ -248,8 +287,12 @@ _RULES: dict[int, Callable[..., tuple[Any, Any]]] = {
     ca.OP_HYPOT: _hypotenuse,
     ca.OP_LT: lambda x, y: _truth(x[0] >= y[1], x[1] < y[0]),
     ca.OP_LE: lambda x, y: _truth(x[0] > y[1], x[1] <= y[0]),
-    ca.OP_EQ: lambda x, y: _truth((x[0] > y[1]) | (x[1] < y[0]), (x[0] == x[1]) & (y[0] == y[1]) & (x[0] == y[0])),
-    ca.OP_NE: lambda x, y: _truth((x[0] == x[1]) & (y[0] == y[1]) & (x[0] == y[0]), (x[0] > y[1]) | (x[1] < y[0])),
+    ca.OP_EQ: lambda x, y: _truth(
+        (x[0] > y[1]) | (x[1] < y[0]), (x[0] == x[1]) & (y[0] == y[1]) & (x[0] == y[0])
+    ),
+    ca.OP_NE: lambda x, y: _truth(
+        (x[0] == x[1]) & (y[0] == y[1]) & (x[0] == y[0]), (x[0] > y[1]) | (x[1] < y[0])
+    ),
     ca.OP_NOT: lambda x: (1 - _as_truth(x)[1], 1 - _as_truth(x)[0]),
     ca.OP_AND: lambda x, y: tuple(map(np.minimum, _as_truth(x), _as_truth(y))),
     ca.OP_OR: lambda x, y: tuple(map(np.maximum, _as_truth(x), _as_truth(y))),
@@ -267,7 +310,17 @@ def _crosses_whole(x: Any) -> Any:
 
 _DEFINED = np.zeros(1, dtype=bool), np.zeros(1, dtype=bool)
 _CHOICES = (ca.OP_FMIN, ca.OP_FMAX)  # they return the other where one is not defined
-_PASSING = (*_CHOICES, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO)
+_PASSING = (
+    *_CHOICES,
+    ca.OP_LT,
+    ca.OP_LE,
+    ca.OP_EQ,
+    ca.OP_NE,
+    ca.OP_NOT,
+    ca.OP_AND,
+    ca.OP_OR,
+    ca.OP_IF_ELSE_ZERO,
+)
 _DOMAINS = {
     ca.OP_SQRT: (0.0, np.inf),
     ca.OP_LOG: (0.0, np.inf),

@@ -10,11 +10,14 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 
-def run_program(command: Sequence[str], seconds: float, environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
+def run_program(
+    command: Sequence[str], seconds: float, environment: Mapping[str, str]
+) -> subprocess.CompletedProcess[str]:
     """Run a program to its end, and return what it said.
 
-    Raises OSError where it cannot be run, and subprocess.TimeoutExpired where it takes more than `seconds`. Then, and where Ctrl-C ends the
-    wait, it is killed with all that it has started: a compiler's own processes would go on, and write where nobody looks any more.
+    Raises OSError where it cannot be run, and subprocess.TimeoutExpired where it takes more than
+    `seconds`. Then, and where Ctrl-C ends the wait, it is killed with all that it has started: a
+    compiler's own processes would go on, and write where nobody looks any more.
     """
     own_group = os.name == "posix"
     silent, pipe = subprocess.DEVNULL, subprocess.PIPE
@@ -23,11 +26,20 @@ def run_program(command: Sequence[str], seconds: float, environment: Mapping[str
     def start() -> None:
         started.append(
             subprocess.Popen(
-                command, stdin=silent, stdout=pipe, stderr=pipe, text=True, errors="replace", env=environment, start_new_session=own_group
+                command,
+                stdin=silent,
+                stdout=pipe,
+                stderr=pipe,
+                text=True,
+                errors="replace",
+                env=environment,
+                start_new_session=own_group,
             )
         )
 
-    with ThreadPoolExecutor(1) as starter:  # Ctrl-C reaches the main thread alone, so never between a program's start and its handle
+    with (
+        ThreadPoolExecutor(1) as starter
+    ):  # Ctrl-C reaches the main thread alone, so never between a program's start and its handle
         try:
             starter.submit(start).result()
             out, told = started[0].communicate(timeout=seconds)

@@ -14,8 +14,11 @@ from scipy.sparse.linalg import LinearOperator, eigsh, svds
 from tenscasadi.util.validate import Array, Indices
 
 _LEAF = 24  # rows of a front that is not cut any more
-_ROUNDING = 64 * float(np.finfo(float).eps)  # of the largest singular value: what couples a vector to later rows by less is done
-_LOOKED_AT = 12  # smallest singular values behind the elimination that are looked at when the rank is in doubt
+_ROUNDING = 64 * float(
+    np.finfo(float).eps
+)  # of the largest singular value: what couples a vector to later rows by less is done
+# smallest singular values behind the elimination that are looked at when the rank is in doubt
+_LOOKED_AT = 12
 _BLOCK = 256  # vectors that are corrected together
 _SMALL = 60  # unknowns up to which a factor is inverted as a whole
 
@@ -30,7 +33,9 @@ class _Front:
 
     rows: Indices  # of the matrix
     below: list[int]  # fronts
-    columns: Indices = field(default_factory=lambda: np.empty(0, dtype=int))  # of the matrix, first met here
+    columns: Indices = field(
+        default_factory=lambda: np.empty(0, dtype=int)
+    )  # of the matrix, first met here
     later: Indices = field(default_factory=lambda: np.empty(0, dtype=int))  # rows of fronts above
     solved: Any = None  # combinations (c, r) that the rows fix,
     left: Any = None  # (c, k) that later rows will, and
@@ -59,18 +64,22 @@ def sparse_null_space(A: Any, tolerance: float) -> Array:
     Raises
     ------
     RankError
-        Where a dozen singular values or more lie below the tolerance that no front has found to be zero.
+        Where a dozen singular values or more lie below the tolerance that no front has found to be
+        zero.
 
     Notes
     -----
-    Rows are cut into fronts by nested dissection. Each front, from the leaves up, parts the combinations of columns that reach it by pivoted
-    QR factorisations into those that its rows fix, those that no later row meets (they are null vectors) and the rest, which it hands on:
-    the product of these rotations is one orthogonal matrix Q with A Q lower triangular [1]_. How many null vectors there are follows from
-    many small decisions; that none is missed is checked by the least singular value of the triangle (inverse iteration).
+    Rows are cut into fronts by nested dissection. Each front, from the leaves up, parts the
+    combinations of columns that reach it by pivoted QR factorisations into those that its rows fix,
+    those that no later row meets (they are null vectors) and the rest, which it hands on: the
+    product of these rotations is one orthogonal matrix Q with A Q lower triangular [1]_. How many
+    null vectors there are follows from many small decisions; that none is missed is checked by the
+    least singular value of the triangle (inverse iteration).
 
     References
     ----------
-    .. [1] J. W. H. Liu, The multifrontal method for sparse matrix solution: theory and practice, SIAM Review 34, 1992, 82-109.
+    .. [1] J. W. H. Liu, The multifrontal method for sparse matrix solution: theory and practice,
+    SIAM Review 34, 1992, 82-109.
     """
     A = sp.csc_array(A, copy=True)
     A.eliminate_zeros()
@@ -135,7 +144,9 @@ def _cut(A: Any) -> list[_Front]:
 def _separate(graph: Any) -> tuple[Indices, Indices, Indices]:
     """Part the rows of a banded graph into two that do not touch and what lies between, the shortest cut of the middle third."""
     n = graph.shape[0]
-    last = np.maximum.reduceat(graph.indices, graph.indptr[:-1])  # no row is empty: each meets itself
+    last = np.maximum.reduceat(
+        graph.indices, graph.indptr[:-1]
+    )  # no row is empty: each meets itself
     reach = np.zeros(n + 1, dtype=int)  # how many rows before a cut have a neighbour behind it
     np.add.at(reach, np.arange(n) + 1, 1)
     np.add.at(reach, last + 1, -1)
@@ -186,10 +197,16 @@ def _eliminate(A: Any, fronts: list[_Front], front: _Front, zero: float, done: f
 def _part(R: Array, zero: float) -> tuple[Array, Array, Array, Array]:
     """Part R (n, m) = [0, L] Qᵀ: return the numbers (r,) of rows that decide, L (r, r) of these, their columns of Q (m, r) and the rest (m, m − r).
 
-    Rows are pivots while what is left of one is longer than `zero`. (LAPACK's singular vectors are off by 1e-10 for some sparse R.)
+    Rows are pivots while what is left of one is longer than `zero`. (LAPACK's singular vectors are
+    off by 1e-10 for some sparse R.)
     """
     if 0 in R.shape:
-        return np.empty(0, dtype=int), np.empty((0, 0)), np.empty((R.shape[1], 0)), np.eye(R.shape[1])
+        return (
+            np.empty(0, dtype=int),
+            np.empty((0, 0)),
+            np.empty((R.shape[1], 0)),
+            np.eye(R.shape[1]),
+        )
     Q, triangle, pivots = qr(R.T, pivoting=True, check_finite=False)
     rank = int(np.count_nonzero(np.abs(triangle.diagonal()) > zero))
     return pivots[:rank], triangle[:rank, :rank].T, Q[:, :rank], Q[:, rank:]
@@ -218,7 +235,9 @@ def _correct(A: Any, fronts: list[_Front], basis: Array, allowed: float) -> None
         left = A @ block.T
         off = np.flatnonzero(np.abs(left).max(axis=0, initial=0.0) > allowed)
         if len(off):
-            y = _forward(fronts, np.concatenate([left[front.pivots][:, off] for front in fronts]), A.shape[0])
+            y = _forward(
+                fronts, np.concatenate([left[front.pivots][:, off] for front in fronts]), A.shape[0]
+            )
             change = np.zeros((len(off), A.shape[1]))
             _expand(fronts, _combine(fronts, y), change)
             block[off] -= change
@@ -247,21 +266,28 @@ def _find_hidden(A: Any, fronts: list[_Front], zero: float) -> Array:
         operator = LinearOperator((size, size), matvec=inverse, dtype=float)
         values, vectors = eigsh(operator, k=1, which="LM", v0=_start(size), tol=0.01)
         if values[-1] >= zero**-2:
-            values, vectors = eigsh(operator, k=min(_LOOKED_AT, size - 1), which="LM", v0=_start(size))
+            values, vectors = eigsh(
+                operator, k=min(_LOOKED_AT, size - 1), which="LM", v0=_start(size)
+            )
     small = values >= zero**-2
     if not small.any():
         return none
     candidates = np.zeros((A.shape[1], int(small.sum())))
     _expand(fronts, _combine(fronts, vectors[:, small]), candidates.T)
     if small.all() and size > _SMALL:
-        raise RankError(f"{len(values)} or more singular values below {zero:.1e}, which count as zero, show in no part alone")
+        raise RankError(
+            f"{len(values)} or more singular values below {zero:.1e}, which count as zero, show in no part alone"
+        )
     return np.asarray(candidates @ _part(A @ candidates, zero)[3])
 
 
 def _combine(fronts: list[_Front], y: Array) -> dict[int, Array]:
     """Return the combinations (c, f) of the columns that reach each front for numbers y (r, f) of what the rows fix."""
     ends = np.cumsum([0, *(len(front.pivots) for front in fronts)])
-    return {k: front.solved @ y[start:end] for k, (front, start, end) in enumerate(zip(fronts, ends, ends[1:], strict=False))}
+    return {
+        k: front.solved @ y[start:end]
+        for k, (front, start, end) in enumerate(zip(fronts, ends, ends[1:], strict=False))
+    }
 
 
 def _forward(fronts: list[_Front], f: Array, rows: int) -> Array:
@@ -270,7 +296,9 @@ def _forward(fronts: list[_Front], f: Array, rows: int) -> Array:
     for front in fronts:
         start, end = end, end + len(front.pivots)
         if end > start:
-            y[start:end] = solve_triangular(front.triangle, f[start:end] + rest[front.pivots], lower=True, check_finite=False)
+            y[start:end] = solve_triangular(
+                front.triangle, f[start:end] + rest[front.pivots], lower=True, check_finite=False
+            )
             rest[front.later] -= front.coupling @ y[start:end]
     return y
 
@@ -282,5 +310,7 @@ def _backward(fronts: list[_Front], f: Array, rows: int) -> Array:
         start, end = start - len(front.pivots), start
         if end > start:
             right = f[start:end] - front.coupling.T @ met[front.later]
-            w[start:end] = met[front.pivots] = solve_triangular(front.triangle, right, lower=True, trans="T", check_finite=False)
+            w[start:end] = met[front.pivots] = solve_triangular(
+                front.triangle, right, lower=True, trans="T", check_finite=False
+            )
     return w

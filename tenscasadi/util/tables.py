@@ -38,7 +38,8 @@ class Tabular:
     def to_csv(self, path: str | os.PathLike[str]) -> Path:
         """Write the table as comma-separated values: a line of names with units, then a line for each time.
 
-        Numbers have as many digits as tell them apart; read back, they are the same to the last bit.
+        Numbers have as many digits as tell them apart; read back, they are the same to the last
+        bit.
 
         Parameters
         ----------
@@ -62,7 +63,9 @@ class Tabular:
             text = io.TextIOWrapper(file, encoding="utf-8", newline="")
             writer = csv.writer(text, lineterminator="\n")
             writer.writerow(columns)
-            writer.writerows(zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))
+            writer.writerows(
+                zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
+            )
             text.detach()  # which writes what it holds, and leaves the file open
         return file_path("path", path)
 
@@ -82,6 +85,8 @@ class Tabular:
         try:
             import pandas as pd
         except ImportError as error:
-            raise ImportError("to_pandas needs pandas: pip install 'tenscasadi[exchange]', or write a file by to_csv") from error
+            raise ImportError(
+                "to_pandas needs pandas: pip install 'tenscasadi[exchange]', or write a file by to_csv"
+            ) from error
         columns = self._columns()
         return pd.DataFrame(dict(columns)).set_index(next(iter(columns)))

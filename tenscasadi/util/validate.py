@@ -17,38 +17,53 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-LARGEST = 1e100  # squares and products of input must not overflow; no SI quantity of a structure comes near
+# squares and products of input must not overflow; no SI quantity of a structure comes near
+LARGEST = 1e100
 MOST_SHOWN = 300  # characters of a value in a message
 SMALLEST = 1e-100  # what must be greater than 0 is at least this: divisions by it must not overflow
 
 
 def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     """Return `value` as a read-only float array of `shape` (None: any size); columns of CasADi's are vectors. Raises TypeError, ValueError."""
-    array = real_array(field, value, _wanted(shape), "an array of real numbers" if shape else "a real number")
+    array = real_array(
+        field, value, _wanted(shape), "an array of real numbers" if shape else "a real number"
+    )
     if isinstance(value, ca.DM) and value.is_column() and len(shape) == 1:
         array = array.ravel()
-    if array.ndim != len(shape) or any(want is not None and want != got for want, got in zip(shape, array.shape, strict=True)):
+    if array.ndim != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
+    ):
         raise ValueError(f"{field} has shape {array.shape}: give {_wanted(shape)}")
     bad = np.argwhere(~(np.abs(array) <= LARGEST))
     if len(bad):
         place = tuple(int(i) for i in bad[0])
         where = f"[{', '.join(map(str, place))}]" if place else ""
-        raise ValueError(f"{field}{where} is {array[place]}: give finite numbers, at most {LARGEST:g} in size")
+        raise ValueError(
+            f"{field}{where} is {array[place]}: give finite numbers, at most {LARGEST:g} in size"
+        )
     array.flags.writeable = False
     return array
 
 
-def real_array(field: str, value: Any, wanted: str, kind: str = "an array of real numbers") -> Array:
+def real_array(
+    field: str, value: Any, wanted: str, kind: str = "an array of real numbers"
+) -> Array:
     """Return `value` as a new float array of any shape, not checked for NaN and inf; `wanted` is the cure. Raises TypeError, ValueError."""
     try:
         source = np.asarray(value)
-        if source.dtype.kind not in "iufO" or (source.dtype.kind == "O" and not all(isinstance(item, Real) for item in source.flat)):
-            raise TypeError(f"got {type(value).__name__} of {source.dtype}")  # NumPy would read "1", True and None as numbers
+        if source.dtype.kind not in "iufO" or (
+            source.dtype.kind == "O" and not all(isinstance(item, Real) for item in source.flat)
+        ):
+            raise TypeError(
+                f"got {type(value).__name__} of {source.dtype}"
+            )  # NumPy would read "1", True and None as numbers
         array = np.array(source, dtype=float)
     except Exception as error:  # an object's own __array__ may raise anything
         raise TypeError(f"{field} is not {kind} ({error}): give {wanted}") from error
     if np.ma.is_masked(value):
-        raise ValueError(f"{field} has masked entries: fill them or leave them out")  # NumPy would take what is under the mask
+        raise ValueError(
+            f"{field} has masked entries: fill them or leave them out"
+        )  # NumPy would take what is under the mask
     return array
 
 
@@ -71,7 +86,9 @@ def nesting(value: Any) -> int:
 def listed(field: str, value: Any, example: str) -> tuple[Any, ...]:
     """Return the items of `value` as a tuple; TypeError where it is no list of any kind, as text is none. `example` shows a right one."""
     if not isinstance(value, (str, bytes)):
-        with suppress(Exception):  # CasADi's and SciPy's matrices, arrays of no dimension: each refuses in its own way
+        with suppress(
+            Exception
+        ):  # CasADi's and SciPy's matrices, arrays of no dimension: each refuses in its own way
             return tuple(value)
     raise TypeError(f"{field} is {shown(value)}: give a list, such as {example}")
 
@@ -79,7 +96,9 @@ def listed(field: str, value: Any, example: str) -> tuple[Any, ...]:
 def choice(field: str, value: Any, *options: str) -> None:
     """Raise ValueError unless `value` is one of these words."""
     if not isinstance(value, str) or value not in options:
-        raise ValueError(f"{field} is {shown(value)}: give {' or '.join(repr(option) for option in options)}")
+        raise ValueError(
+            f"{field} is {shown(value)}: give {' or '.join(repr(option) for option in options)}"
+        )
 
 
 def flag(field: str, value: Any) -> None:
@@ -97,7 +116,9 @@ def text(field: str, value: Any) -> str:
 def file_path(field: str, value: Any) -> Path:
     """Return `value` as a path. Raises TypeError, ValueError."""
     if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
-        raise TypeError(f"{field} is {shown(value)}: give the name of a file or folder, as text or a pathlib.Path")
+        raise TypeError(
+            f"{field} is {shown(value)}: give the name of a file or folder, as text or a pathlib.Path"
+        )
     if "\0" in os.fspath(value):
         raise ValueError(f"{field} is {shown(value)}: give a name without null characters")
     return Path(value)
@@ -113,7 +134,9 @@ def number_or_vector(field: str, value: Any) -> Array:
     return finite_array(field, value, (None,) if nesting(value) else ())
 
 
-def coordinates(field: str, place: Any, none: str, some: bool = False, read: Callable[[str, Any], Any] = number) -> tuple[Any, ...]:
+def coordinates(
+    field: str, place: Any, none: str, some: bool = False, read: Callable[[str, Any], Any] = number
+) -> tuple[Any, ...]:
     """Return `place` (x, y, z) as three of what `read` makes of an entry, or None, which says `none`; `some`: all three None are refused.
 
     Raises TypeError, ValueError.
@@ -141,7 +164,9 @@ def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Ar
     bad = np.flatnonzero(array < (SMALLEST if strict else 0.0))
     if bad.size:
         relation = "greater than" if strict else "at least"
-        raise ValueError(f"{field} of {item} {bad[0]} is {array.flat[bad[0]]:g}: it must be {relation} 0")
+        raise ValueError(
+            f"{field} of {item} {bad[0]} is {array.flat[bad[0]]:g}: it must be {relation} 0"
+        )
     return array
 
 
@@ -149,7 +174,9 @@ def positive_number(field: str, value: Any, zero: bool = False) -> float:
     """Return `value` as a finite float > 0 (≥ 0 when `zero`). Raises TypeError, ValueError."""
     found = number(field, value)
     if found < SMALLEST and not (zero and found >= 0.0):
-        raise ValueError(f"{field} is {found:g}: it must be {'at least' if zero else 'greater than'} 0")
+        raise ValueError(
+            f"{field} is {found:g}: it must be {'at least' if zero else 'greater than'} 0"
+        )
     return found
 
 
@@ -173,23 +200,33 @@ def node_index(field: str, value: Any, count: int, item: str = "node") -> int:
     return int(value)
 
 
-def node_pairs(field: str, value: Iterable[Sequence[int]], count: int, item: str, parallel: bool = False) -> Indices:
+def node_pairs(
+    field: str, value: Iterable[Sequence[int]], count: int, item: str, parallel: bool = False
+) -> Indices:
     """Return members as an (items, 2) index array: in range, no member from a node to itself, none `parallel` to another unless they may be."""
     try:
         rows = [tuple(row) for row in value]
     except Exception as error:  # each kind of matrix refuses in its own way
-        raise TypeError(f"{field} is {shown(value)}: give a sequence of node pairs, such as [(0, 1), (1, 2)]") from error
+        raise TypeError(
+            f"{field} is {shown(value)}: give a sequence of node pairs, such as [(0, 1), (1, 2)]"
+        ) from error
     seen: dict[tuple[int, int], int] = {}
     pairs = np.empty((len(rows), 2), dtype=np.intp)
     for k, row in enumerate(rows):
         if len(row) != 2:
-            raise ValueError(f"{field}[{k}] is {shown(row)}: {item} {k} joins two nodes, give a pair")
+            raise ValueError(
+                f"{field}[{k}] is {shown(row)}: {item} {k} joins two nodes, give a pair"
+            )
         a, b = (node_index(f"{field}[{k}]", end, count) for end in row)
         if a == b:
-            raise ValueError(f"{field}: {item} {k} joins node {a} to itself: give two different nodes")
+            raise ValueError(
+                f"{field}: {item} {k} joins node {a} to itself: give two different nodes"
+            )
         key = (min(a, b), max(a, b))
         if key in seen and not parallel:
-            raise ValueError(f"{field}: {item} {k} joins nodes {a} and {b} as {item} {seen[key]} does: leave one out")
+            raise ValueError(
+                f"{field}: {item} {k} joins nodes {a} and {b} as {item} {seen[key]} does: leave one out"
+            )
         seen[key] = k
         pairs[k] = a, b
     pairs.flags.writeable = False
@@ -224,12 +261,25 @@ def call_user_function(field: str, function: Callable[[Any], Any], argument: Any
     try:
         return function(argument)
     except Exception as error:
-        fault = re.sub(r"^\S+:\d+: ", "", (str(error).strip().splitlines() or [""])[-1])  # CasADi begins with its own files and lines
-        cure = "give casadi.if_else(condition, a, b) in place of Python's if, max, and, or" if "truth value" in fault else hint
-        raise ValueError(f"{field} fails with {type(error).__name__}: {fault.rstrip('.')}: {cure}") from error
+        fault = re.sub(
+            r"^\S+:\d+: ", "", (str(error).strip().splitlines() or [""])[-1]
+        )  # CasADi begins with its own files and lines
+        cure = (
+            "give casadi.if_else(condition, a, b) in place of Python's if, max, and, or"
+            if "truth value" in fault
+            else hint
+        )
+        raise ValueError(
+            f"{field} fails with {type(error).__name__}: {fault.rstrip('.')}: {cure}"
+        ) from error
 
 
 def _wanted(shape: tuple[int | None, ...]) -> str:
     if not shape:
         return "one number"
-    return "an array of shape (" + ", ".join("any" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
+    return (
+        "an array of shape ("
+        + ", ".join("any" if size is None else str(size) for size in shape)
+        + ("," if len(shape) == 1 else "")
+        + ")"
+    )

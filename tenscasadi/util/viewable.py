@@ -33,7 +33,8 @@ class Viewable:
         html : path-like, optional
             Page to write in place of starting the viewer; its name ends in .html.
         host : str
-            Address to listen on; others than 127.0.0.1 let other machines see and steer the viewer, of which it warns.
+            Address to listen on; others than 127.0.0.1 let other machines see and steer the viewer,
+            of which it warns.
         port : int, optional
             Port. Default: one that is free.
         title : str
@@ -65,7 +66,9 @@ class Viewable:
         TypeError, ValueError
             An argument is wrong.
         """
-        from tenscasadi.viewer.view import view  # it knows all that can be viewed, and needs what not everybody has
+        from tenscasadi.viewer.view import (
+            view,
+        )  # it knows all that can be viewed, and needs what not everybody has
 
         return view(
             self,

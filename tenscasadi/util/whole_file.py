@@ -15,7 +15,9 @@ from typing import BinaryIO
 from tenscasadi.util.validate import file_path
 
 _UNFINISHED = ".tenscasadi-"  # what files are called while they are written
-_ABANDONED = 3600.0  # s since it was written to, after which an unfinished file is nobody's any more
+_ABANDONED = (
+    3600.0  # s since it was written to, after which an unfinished file is nobody's any more
+)
 
 
 @contextmanager
@@ -29,13 +31,18 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 def whole_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give the name of a file to be written; it becomes exactly `path` where the block succeeds.
 
-    A file that was there stays as it is until then, and after a failure. The name ends as `path` does. Raises OSError when it cannot be
-    written, also where something other than a regular file is there, such as a device.
+    A file that was there stays as it is until then, and after a failure. The name ends as `path`
+    does. Raises OSError when it cannot be written, also where something other than a regular file
+    is there, such as a device.
     """
     target = file_path("path", path)
     whole = Path(os.path.realpath(target))  # where a link leads to
     if (target.exists() or whole.is_symlink()) and not target.is_file():
-        raise OSError(errno.EISDIR if target.is_dir() else errno.EINVAL, "Not a regular file, give another name", os.fspath(path))
+        raise OSError(
+            errno.EISDIR if target.is_dir() else errno.EINVAL,
+            "Not a regular file, give another name",
+            os.fspath(path),
+        )
     _clean(whole.parent)
     part = whole.with_name(f"{_UNFINISHED}{uuid.uuid4().hex}{whole.suffix}")
     try:
@@ -48,7 +55,9 @@ def whole_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         if error.errno is None:
             raise
-        raise OSError(error.errno, error.strerror, os.fspath(path)) from None  # of the file, not of the one beside it
+        raise OSError(
+            error.errno, error.strerror, os.fspath(path)
+        ) from None  # of the file, not of the one beside it
     finally:
         part.unlink(missing_ok=True)
 

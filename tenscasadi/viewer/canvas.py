@@ -26,7 +26,9 @@ class Canvas:
     All of it hangs under /shown, whose frame moves against the motion while it is followed.
     """
 
-    def __init__(self, server: viser.ViserServer, exhibit: Exhibit, colour: str = "tension") -> None:
+    def __init__(
+        self, server: viser.ViserServer, exhibit: Exhibit, colour: str = "tension"
+    ) -> None:
         self.exhibit = exhibit
         self.low, self.high = exhibit.corners()
         self.radius = exhibit.bar_radius()
@@ -44,7 +46,11 @@ class Canvas:
             opacity = None if ghost is None else 0.4 if motion.copies == 1 else 0.25
             look = Look(self.radius * (1.0 if ghost is None else 0.9), ghost, opacity)
             name = f"/shown/motion {k}"
-            self.layers.append(Layer(scene, name, motion.nodes[0], motion.bars, motion.strings, motion.pinned, look))
+            self.layers.append(
+                Layer(
+                    scene, name, motion.nodes[0], motion.bars, motion.strings, motion.pinned, look
+                )
+            )
         self._place_camera(server)
         self.scale: Scale | None = None
         self.choose_colour(colour)
@@ -65,13 +71,19 @@ class Canvas:
         self.colour = colour
         label, unit = QUANTITIES[colour]
         values = self.values(self.exhibit.motions[0])
-        self.scale = None if values is None or not values.size or not np.any(np.nan_to_num(values)) else Scale.of(label, unit, [values])
+        self.scale = (
+            None
+            if values is None or not values.size or not np.any(np.nan_to_num(values))
+            else Scale.of(label, unit, [values])
+        )
 
     def show(self, time: float) -> None:
         """Show all motions at a time, s; those that have not begun, or have ended, as they begin or end."""
         if self.followed:
             centre = _centre(self.exhibit.motions[0].nodes_at(time))
-            self.root.position = tuple(self._centre - centre) if np.isfinite(centre).all() else (0.0, 0.0, 0.0)
+            self.root.position = (
+                tuple(self._centre - centre) if np.isfinite(centre).all() else (0.0, 0.0, 0.0)
+            )
         for motion, layer in zip(self.exhibit.motions, self.layers, strict=True):
             if not layer.root.visible:
                 continue
@@ -92,14 +104,30 @@ class Canvas:
         """Look at the middle of it all from the front, a little from above and the side; at what is flat from its broad side."""
         low, high = self.low, self.high
         for centre, radius in self.exhibit.obstacles:
-            low, high = np.minimum(low, np.asarray(centre) - radius), np.maximum(high, np.asarray(centre) + radius)
+            low, high = (
+                np.minimum(low, np.asarray(centre) - radius),
+                np.maximum(high, np.asarray(centre) + radius),
+            )
         extent = high - low
         size = float(np.linalg.norm(extent))
         thin = int(np.argmin(extent)) if extent.min() < 0.05 * extent.max() else -1
-        direction = {-1: (0.45, -1.0, 0.35), 0: (1.0, -0.3, 0.2), 1: (0.3, -1.0, 0.2), 2: (0.2, -0.5, 1.0)}[thin]
-        away = 0.62 * size / np.tan(_FIELD_OF_VIEW / 2) * np.array(direction) / np.linalg.norm(direction)
+        direction = {
+            -1: (0.45, -1.0, 0.35),
+            0: (1.0, -0.3, 0.2),
+            1: (0.3, -1.0, 0.2),
+            2: (0.2, -0.5, 1.0),
+        }[thin]
+        away = (
+            0.62
+            * size
+            / np.tan(_FIELD_OF_VIEW / 2)
+            * np.array(direction)
+            / np.linalg.norm(direction)
+        )
         aside = np.cross(direction, (0.0, 0.0, 1.0))
-        middle = (low + high) / 2 - 0.13 * size * aside / np.linalg.norm(aside)  # the panel is at the right
+        middle = (low + high) / 2 - 0.13 * size * aside / np.linalg.norm(
+            aside
+        )  # the panel is at the right
         camera = server.initial_camera
         camera.fov = float(_FIELD_OF_VIEW)
         camera.look_at = middle

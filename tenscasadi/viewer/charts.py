@@ -16,7 +16,18 @@ _MOST_CURVES = 40
 _MOST_NAMED = 14  # that fit below the axis
 _MOST_POINTS = 300
 _CURSOR = "#c0392b"
-_COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22", "#17becf")
+_COLOURS = (
+    "#1f77b4",
+    "#ff7f0e",
+    "#2ca02c",
+    "#d62728",
+    "#9467bd",
+    "#8c564b",
+    "#e377c2",
+    "#7f7f7f",
+    "#bcbd22",
+    "#17becf",
+)
 
 
 def charts(exhibit: Exhibit, marked: bool) -> str:
@@ -29,9 +40,13 @@ def cursors(exhibit: Exhibit, time: float) -> str:
     lines = []
     for chart in exhibit.charts:
         first, last = float(chart.time[0]), float(chart.time[-1])
-        x = _LEFT + (min(max(time, first), last) - first) * (_WIDTH - _LEFT - _RIGHT) / (last - first or 1.0)
+        x = _LEFT + (min(max(time, first), last) - first) * (_WIDTH - _LEFT - _RIGHT) / (
+            last - first or 1.0
+        )
         line = f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{_HEIGHT - _BOTTOM}" stroke="{_CURSOR}"/>'
-        lines.append(f'<svg class="marks" viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" style="display:block">{line}</svg>')
+        lines.append(
+            f'<svg class="marks" viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" style="display:block">{line}</svg>'
+        )
     up = 100 * len(exhibit.charts) * _HEIGHT / _WIDTH  # percentages of a margin are of the width
     return f'<div style="margin-top:-{up:.3f}%;position:relative;pointer-events:none">{"".join(lines)}</div>'
 
@@ -40,7 +55,11 @@ def chart_svg(chart: Chart, marked: bool = False) -> str:
     """Return one chart: curves, dashed limits, numbers at the axes, and a line of class "cursor" that can mark a time."""
     shown = _chosen(chart)
     values = chart.values[:, shown]
-    bounds = [limit[shown][np.isfinite(limit[shown])] for limit in (chart.lower, chart.upper) if limit is not None]
+    bounds = [
+        limit[shown][np.isfinite(limit[shown])]
+        for limit in (chart.lower, chart.upper)
+        if limit is not None
+    ]
     low, high = _range(values, bounds)
     first, last = float(chart.time[0]), float(chart.time[-1])
     wide, tall = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
@@ -59,12 +78,18 @@ def chart_svg(chart: Chart, marked: bool = False) -> str:
         curve = np.repeat(values[:, k], 2) if held else values[:, k]
         colour = _COLOURS[k % len(_COLOURS)]
         drawn.append(_line(x(times), y(curve), f'stroke="{colour}"', chart.names[member]))
-    for level in sorted({round(float(bound), 12) for limit in bounds for bound in limit if low <= bound <= high})[:12]:
+    for level in sorted(
+        {round(float(bound), 12) for limit in bounds for bound in limit if low <= bound <= high}
+    )[:12]:
         at = float(y(np.array(level)))
-        drawn.append(f'<path d="M{_LEFT} {at:.1f}h{wide}" stroke="#000" stroke-dasharray="5 3" fill="none"><title>limit {level:.4g}</title></path>')
+        drawn.append(
+            f'<path d="M{_LEFT} {at:.1f}h{wide}" stroke="#000" stroke-dasharray="5 3" fill="none"><title>limit {level:.4g}</title></path>'
+        )
     cursor = f'data-left="{_LEFT}" data-first="{first!r}" data-scale="{per_second!r}"'
     if marked:
-        drawn.append(f'<line class="cursor" {cursor} x1="{_LEFT}" x2="{_LEFT}" y1="{_TOP}" y2="{_TOP + tall}" stroke="{_CURSOR}"/>')
+        drawn.append(
+            f'<line class="cursor" {cursor} x1="{_LEFT}" x2="{_LEFT}" y1="{_TOP}" y2="{_TOP + tall}" stroke="{_CURSOR}"/>'
+        )
     return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" style="display:block;font:9px system-ui,sans-serif">{"".join(drawn)}</svg>'
 
 
@@ -91,7 +116,10 @@ def _axes(chart: Chart, drawn: int, low: float, high: float) -> str:
     count = chart.values.shape[1]
     some = f", {drawn} of {count}" if drawn < count else ""
     right = _WIDTH - _RIGHT
-    ticks = "".join(_tick(value, _TOP + tall * (high - value) / (high - low), wide) for value in _ticks(low, high))
+    ticks = "".join(
+        _tick(value, _TOP + tall * (high - value) / (high - low), wide)
+        for value in _ticks(low, high)
+    )
     return (
         f'<text x="{_LEFT}" y="12"><tspan font-weight="600">{escape(chart.title)} ({escape(chart.unit)}){some}</tspan>{_limits(chart)}</text>'
         f'{ticks}<rect x="{_LEFT}" y="{_TOP}" width="{wide}" height="{tall}" fill="none" stroke="#ccc"/>'
@@ -104,7 +132,9 @@ def _axes(chart: Chart, drawn: int, low: float, high: float) -> str:
 def _ticks(low: float, high: float) -> list[float]:
     """Return 3 to 8 round values between two."""
     step = grid_spacing(2.5 * (high - low))
-    return [float(step * k) for k in range(int(np.ceil(low / step)), int(np.floor(high / step)) + 1)]
+    return [
+        float(step * k) for k in range(int(np.ceil(low / step)), int(np.floor(high / step)) + 1)
+    ]
 
 
 def _tick(value: float, y: float, wide: float) -> str:
@@ -118,7 +148,10 @@ def _names(chart: Chart, shown: list[int]) -> str:
         return ""
     names = [chart.names[k] for k in shown]
     words = [names[0], *(name.rpartition(" ")[2] for name in names[1:])]
-    spans = "".join(f'<tspan fill="{_COLOURS[k % len(_COLOURS)]}" dx="4">{escape(word)}</tspan>' for k, word in enumerate(words))
+    spans = "".join(
+        f'<tspan fill="{_COLOURS[k % len(_COLOURS)]}" dx="4">{escape(word)}</tspan>'
+        for k, word in enumerate(words)
+    )
     return f'<text x="{_LEFT}" y="{_HEIGHT - 3}">{spans}</text>'
 
 

@@ -24,19 +24,37 @@ TARGET: Rgb = (46, 125, 50)
 
 # matplotlib's "plasma" up to 0.86, as `tenscasadi.plots` uses it: brighter is hard to see on white
 RAMP = np.array(
-    [(13, 8, 135), (70, 3, 159), (114, 1, 168), (156, 23, 158), (189, 55, 134), (216, 87, 107), (237, 121, 83), (251, 159, 58), (253, 190, 43)],
+    [
+        (13, 8, 135),
+        (70, 3, 159),
+        (114, 1, 168),
+        (156, 23, 158),
+        (189, 55, 134),
+        (216, 87, 107),
+        (237, 121, 83),
+        (251, 159, 58),
+        (253, 190, 43),
+    ],
     dtype=float,
 )
 
 # of the motions that lie over the first one
-GHOSTS: tuple[Rgb, ...] = ((31, 119, 180), (255, 127, 14), (44, 160, 44), (148, 103, 189), (140, 86, 75), (227, 119, 194))
+GHOSTS: tuple[Rgb, ...] = (
+    (31, 119, 180),
+    (255, 127, 14),
+    (44, 160, 44),
+    (148, 103, 189),
+    (140, 86, 75),
+    (227, 119, 194),
+)
 
 
 @dataclass(frozen=True)
 class Scale:
     """Colours from 0 to `largest`; slack strings are grey, those that push green.
 
-    label, unit: of what the colours tell. slack, pushing: whether any string is so at any time; least: how hard they push, at most.
+    label, unit: of what the colours tell. slack, pushing: whether any string is so at any time;
+    least: how hard they push, at most.
     """
 
     label: str
@@ -49,7 +67,11 @@ class Scale:
     @staticmethod
     def of(label: str, unit: str, values: list[Array]) -> Scale:
         """Return the scale of all values that are finite."""
-        known = np.concatenate([value[np.isfinite(value)] for value in values]) if values else np.zeros(0)
+        known = (
+            np.concatenate([value[np.isfinite(value)] for value in values])
+            if values
+            else np.zeros(0)
+        )
         largest, least = float(known.max(initial=0.0)), float(known.min(initial=0.0))
         return Scale(label, unit, largest, bool(np.any(known == 0)), least < 0, least)
 

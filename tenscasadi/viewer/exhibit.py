@@ -25,7 +25,8 @@ _FAR = 20.0  # times the size of the start: what goes further is lost, and not m
 class Chart:
     """Curves over time beside the canvas, with the limits that they keep.
 
-    values: (T, m) at `time` (T,), or (T − 1, m), held from each time to the next. lower, upper: (m,), infinite where there is no limit.
+    values: (T, m) at `time` (T,), or (T − 1, m), held from each time to the next. lower, upper:
+    (m,), infinite where there is no limit.
     """
 
     title: str
@@ -70,7 +71,10 @@ class Exhibit:
             points = _known(motion.nodes.reshape(-1, 3))
             points = points[(np.abs(points - (low + high) / 2) <= room).all(axis=1)]
             if len(points):
-                low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+                low, high = (
+                    np.minimum(low, points.min(axis=0)),
+                    np.maximum(high, points.max(axis=0)),
+                )
         flat = 0.5 if not np.any(high > low) else 0.0
         return low - flat, high + flat
 
@@ -78,12 +82,16 @@ class Exhibit:
         """Return how thick bars are drawn, m: by the length of one in the middle, or as much of the whole as can be seen."""
         motion = self.motions[0]
         members: Indices = motion.bars if len(motion.bars) else motion.strings
-        lengths = np.linalg.norm(motion.nodes[0][members[:, 0]] - motion.nodes[0][members[:, 1]], axis=1)
+        lengths = np.linalg.norm(
+            motion.nodes[0][members[:, 0]] - motion.nodes[0][members[:, 1]], axis=1
+        )
         low, high = self.corners()
         whole = float((high - low).max())
         size = float(np.median(lengths)) if len(members) else whole
         thickness = 0.014 if len(motion.bars) else 0.01
-        return max(_VISIBLE * whole, thickness * (size if size > 0 and np.isfinite(size) else whole))
+        return max(
+            _VISIBLE * whole, thickness * (size if size > 0 and np.isfinite(size) else whole)
+        )
 
 
 def exhibit_of(things: Any) -> Exhibit:
@@ -94,14 +102,20 @@ def exhibit_of(things: Any) -> Exhibit:
     if isinstance(things, Mapping):
         named = [(text("things", name), thing) for name, thing in things.items()]
     else:
-        named = [("", thing) for thing in (things if isinstance(things, (list, tuple)) else [things])]
+        named = [
+            ("", thing) for thing in (things if isinstance(things, (list, tuple)) else [things])
+        ]
     if not named:
-        raise ValueError("things is empty: give at least one structure, scene, trajectory, plan or rollouts")
+        raise ValueError(
+            "things is empty: give at least one structure, scene, trajectory, plan or rollouts"
+        )
     parts = [_read(thing, name) for name, thing in named]
     motions = tuple(motion for part in parts for motion in part.motions)
     unique = {motion.name for motion in motions}
     if len(unique) < len(motions):
-        motions = tuple(renamed(motion, f"{k + 1}: {motion.name}") for k, motion in enumerate(motions))
+        motions = tuple(
+            renamed(motion, f"{k + 1}: {motion.name}") for k, motion in enumerate(motions)
+        )
     return Exhibit(
         motions,
         _distinct([ground for part in parts for ground in part.grounds]),
@@ -124,20 +138,28 @@ def _read(thing: Any, name: str) -> Exhibit:
     if isinstance(thing, Model):
         thing = thing.scene
     if isinstance(thing, Scene):
-        return Exhibit((of_structure(thing.modelled, name or "scene", thing.string_laws),), thing.grounds)
+        return Exhibit(
+            (of_structure(thing.modelled, name or "scene", thing.string_laws),), thing.grounds
+        )
     if isinstance(thing, Trajectory):
         notes = () if thing.success else (f"{name or 'trajectory'}: {thing.message}",)
         return Exhibit((of_trajectory(thing, name or "trajectory"),), notes=notes)
     if isinstance(thing, Rollouts):
         failed = np.count_nonzero(~thing.success)
-        notes = (f"{failed} of {len(thing.success)} motions failed: what is lost is not shown",) if failed else ()
+        notes = (
+            (f"{failed} of {len(thing.success)} motions failed: what is lost is not shown",)
+            if failed
+            else ()
+        )
         return Exhibit((of_rollouts(thing, name or "rollouts"),), notes=notes)
     told = getattr(thing, "_exhibit_", None)
     if callable(told):
         exhibit = told()
         if isinstance(exhibit, Exhibit):
             return exhibit
-    raise TypeError(f"things is {shown(thing)}: give a Structure, Scene, Model, Trajectory, Rollouts or an ocp.Plan, a list or a mapping of them")
+    raise TypeError(
+        f"things is {shown(thing)}: give a Structure, Scene, Model, Trajectory, Rollouts or an ocp.Plan, a list or a mapping of them"
+    )
 
 
 def _known(points: Array) -> Array:

@@ -39,7 +39,9 @@ class Labels:
             return
         if len(self.clicked) == _MOST_CLICKED:
             self.clicked.pop(next(iter(self.clicked))).remove()
-        self.clicked[item] = self._scene.add_label(f"/shown/clicked/{k} {kind} {index}", "", anchor="bottom-left")
+        self.clicked[item] = self._scene.add_label(
+            f"/shown/clicked/{k} {kind} {index}", "", anchor="bottom-left"
+        )
 
     def number(self, kind: str, shown: bool) -> None:
         """Write its number beside each of the first motion's "nodes", "bars" or "strings", or take them away."""
@@ -47,7 +49,13 @@ class Labels:
             label.remove()
         some = min(count(self._canvas.exhibit.motions[0], kind), _MOST_NUMBERED) if shown else 0
         self._numbered[kind] = [
-            self._scene.add_label(f"/shown/number/{kind} {index}", str(index), anchor="center-center", font_screen_scale=0.8) for index in range(some)
+            self._scene.add_label(
+                f"/shown/number/{kind} {index}",
+                str(index),
+                anchor="center-center",
+                font_screen_scale=0.8,
+            )
+            for index in range(some)
         ]
 
     def show(self, time: float) -> None:
@@ -84,7 +92,9 @@ def describe(motion: Motion, kind: str, index: int, time: float) -> str:
         x, y, z = nodes[index]
         lines = [f"node {index % per_copy}{whose}", f"({x:.4g}, {y:.4g}, {z:.4g}) m"]
         if motion.velocities is not None:
-            lines.append(f"speed {np.linalg.norm(motion.velocities[motion.row_at(time), index]):.3g} m/s")
+            lines.append(
+                f"speed {np.linalg.norm(motion.velocities[motion.row_at(time), index]):.3g} m/s"
+            )
         return "\n".join(lines)
     first, second = getattr(motion, kind)[index]
     in_copy = motion.nodes.shape[1] // motion.copies
@@ -93,5 +103,9 @@ def describe(motion: Motion, kind: str, index: int, time: float) -> str:
     if kind == "strings" and motion.tension is not None and motion.force_density is not None:
         row = motion.row_at(time)
         tension, density = motion.tension[row, index], motion.force_density[row, index]
-        lines.append("slack" if tension == 0 and density == 0 else f"tension {tension:.4g} N, force density {density:.4g} N/m")
+        lines.append(
+            "slack"
+            if tension == 0 and density == 0
+            else f"tension {tension:.4g} N, force density {density:.4g} N/m"
+        )
     return "\n".join(lines)

@@ -9,7 +9,16 @@ import numpy as np
 
 from tenscasadi.util.validate import Array, Indices
 from tenscasadi.viewer.colours import BAR, JOINT, NODE, PIN, SLACK, Bytes, Rgb, linear
-from tenscasadi.viewer.poses import Poses, ball, coarse, cone, cylinder, member_poses, node_places, octahedron
+from tenscasadi.viewer.poses import (
+    Poses,
+    ball,
+    coarse,
+    cone,
+    cylinder,
+    member_poses,
+    node_places,
+    octahedron,
+)
 
 if TYPE_CHECKING:
     import viser
@@ -31,7 +40,8 @@ class Look:
 class Layer:
     """Bars, strings, joints and pins under the name `name` of a scene's tree; `update` moves them.
 
-    Each kind is one batch of copies of one mesh: a frame is a handful of arrays, whatever the number of members.
+    Each kind is one batch of copies of one mesh: a frame is a handful of arrays, whatever the
+    number of members.
 
     Attributes
     ----------
@@ -39,7 +49,16 @@ class Layer:
         What places and lengths are rounded to, m; 0: not at all.
     """
 
-    def __init__(self, scene: viser.SceneApi, name: str, nodes: Array, bars: Indices, strings: Indices, pinned: Indices, look: Look) -> None:
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        nodes: Array,
+        bars: Indices,
+        strings: Indices,
+        pinned: Indices,
+        look: Look,
+    ) -> None:
         self._bars, self._strings, self._pinned, self._look = bars, strings, pinned, look
         self.grain = 0.0
         self.root = scene.add_frame(name, show_axes=False)
@@ -52,17 +71,37 @@ class Layer:
         if look.ghost is not None:
             colours[:] = look.ghost
         add = self._batch
-        self.bars = add(scene, f"{name}/bars", cylinder(4 if many else 12), len(bars), look.ghost or BAR)
-        self.strings = add(scene, f"{name}/strings", cylinder(3 if many else 6), len(strings), look.ghost or SLACK)
-        self.nodes = add(scene, f"{name}/nodes", octahedron() if many else ball(), len(nodes), colours, np.repeat(sizes[:, None], 3, axis=1))
-        self.pins = add(scene, f"{name}/pins", cone(), len(pinned), look.ghost or PIN, np.full((len(pinned), 3), 2.2 * look.radius))
+        self.bars = add(
+            scene, f"{name}/bars", cylinder(4 if many else 12), len(bars), look.ghost or BAR
+        )
+        self.strings = add(
+            scene, f"{name}/strings", cylinder(3 if many else 6), len(strings), look.ghost or SLACK
+        )
+        self.nodes = add(
+            scene,
+            f"{name}/nodes",
+            octahedron() if many else ball(),
+            len(nodes),
+            colours,
+            np.repeat(sizes[:, None], 3, axis=1),
+        )
+        self.pins = add(
+            scene,
+            f"{name}/pins",
+            cone(),
+            len(pinned),
+            look.ghost or PIN,
+            np.full((len(pinned), 3), 2.2 * look.radius),
+        )
         self.update(nodes)
 
     def update(self, nodes: Array, string_colours: Bytes | None = None, taut: Any = True) -> None:
         """Move to nodes (n, 3), m. Strings take colours (α, 3), and are thin where they are not `taut` (α,)."""
         look = self._look
         self._turn(self.bars, member_poses(nodes, self._bars, look.radius))
-        self._turn(self.strings, member_poses(nodes, self._strings, np.where(taut, 0.4, 0.2) * look.radius))
+        self._turn(
+            self.strings, member_poses(nodes, self._strings, np.where(taut, 0.4, 0.2) * look.radius)
+        )
         if self.strings is not None and string_colours is not None and look.ghost is None:
             self.strings.batched_colors = linear(string_colours)
         if self.nodes is not None:
@@ -77,7 +116,15 @@ class Layer:
             batch.batched_wxyzs = coarse(poses.turns, _TURN if self.grain else 0.0)
             batch.batched_scales = coarse(poses.scales, self.grain)
 
-    def _batch(self, scene: viser.SceneApi, name: str, mesh: Any, count: int, colour: Any, scales: Any = None) -> Any:
+    def _batch(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        mesh: Any,
+        count: int,
+        colour: Any,
+        scales: Any = None,
+    ) -> Any:
         """Add `count` copies of a mesh; None where there are none."""
         if not count:
             return None

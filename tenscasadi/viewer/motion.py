@@ -20,7 +20,8 @@ MOST_COPIES = 60  # motions of rollouts that are shown, spread evenly over all
 class Motion:
     """Nodes (T, n, 3) at times (T,), who joins them, and the forces of the strings (T, α) where they are known.
 
-    velocities: (T, n, 3), by which nodes are interpolated between the times; None: linearly. copies: motions of one structure side by side.
+    velocities: (T, n, 3), by which nodes are interpolated between the times; None: linearly.
+    copies: motions of one structure side by side.
     """
 
     name: str
@@ -46,7 +47,9 @@ class Motion:
 
     def row_at(self, time: float) -> int:
         """Return the last row at or before a time."""
-        return int(np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 1))
+        return int(
+            np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 1)
+        )
 
     def nodes_at(self, time: float) -> Array:
         """Return the nodes (n, 3), m: at the times of rows exactly those, between them cubic by the velocities (Hermite), before and after still."""
@@ -63,7 +66,9 @@ class Motion:
             return np.asarray(first + s**2 * (3 - 2 * s) * (second - first) + h * slope)
 
 
-def of_structure(structure: Structure, name: str, laws: Iterable[tuple[Slack, Indices]] = ()) -> Motion:
+def of_structure(
+    structure: Structure, name: str, laws: Iterable[tuple[Slack, Indices]] = ()
+) -> Motion:
     """Return a structure that stands still, with the forces that its rest lengths give it; `laws`: those of its strings, if not `Clip`."""
     lengths, rest, stiffness = structure.string_lengths, structure.rest_length, structure.stiffness
     tension = np.maximum(stiffness * (lengths - rest), 0.0)
@@ -71,24 +76,40 @@ def of_structure(structure: Structure, name: str, laws: Iterable[tuple[Slack, In
         if law.pushes:
             tension[some] = stiffness[some] * (lengths[some] - rest[some])
         elif not law.switches:
-            found = law.force_density(lengths[some] ** 2, rest[some], stiffness[some], None, lengths[some])
+            found = law.force_density(
+                lengths[some] ** 2, rest[some], stiffness[some], None, lengths[some]
+            )
             tension[some] = lengths[some] * np.asarray(found).ravel()
     with np.errstate(divide="ignore", invalid="ignore"):
         density = np.where(lengths > 0, tension / lengths, 0.0)
     pinned = np.array(sorted({*structure.pinned, *structure.rollers}), dtype=np.intp)
     still = np.zeros(1), structure.nodes[None]
-    return Motion(name, *still, structure.bars, structure.strings, pinned, tension=tension[None], force_density=density[None])
+    return Motion(
+        name,
+        *still,
+        structure.bars,
+        structure.strings,
+        pinned,
+        tension=tension[None],
+        force_density=density[None],
+    )
 
 
 def of_trajectory(trajectory: Trajectory, name: str) -> Motion:
     """Return the motion of a trajectory."""
     t = trajectory
-    return Motion(name, t.time, t.nodes, t.bars, t.strings, t.pinned, t.velocities, t.tension, t.force_density)
+    return Motion(
+        name, t.time, t.nodes, t.bars, t.strings, t.pinned, t.velocities, t.tension, t.force_density
+    )
 
 
 def of_rollouts(rollouts: Rollouts, name: str) -> Motion:
     """Return at most `MOST_COPIES` of the motions, side by side as one with that many copies of each member."""
-    chosen = np.unique(np.linspace(0, len(rollouts.states) - 1, min(len(rollouts.states), MOST_COPIES)).round().astype(int))
+    chosen = np.unique(
+        np.linspace(0, len(rollouts.states) - 1, min(len(rollouts.states), MOST_COPIES))
+        .round()
+        .astype(int)
+    )
     count = len(rollouts.place)
     paths = node_positions(rollouts, slice(None), chosen).swapaxes(0, 1)  # (T, copies, n, 3)
     nodes = paths.reshape(len(rollouts.time), -1, 3)
@@ -97,9 +118,21 @@ def of_rollouts(rollouts: Rollouts, name: str) -> Motion:
     def copied(indices: Indices) -> Indices:
         return np.concatenate([indices + offset for offset in offsets])
 
-    told = f"{name}: {len(chosen)} of {len(rollouts.states)} motions" if len(chosen) < len(rollouts.states) else f"{name}: {len(chosen)} motions"
+    told = (
+        f"{name}: {len(chosen)} of {len(rollouts.states)} motions"
+        if len(chosen) < len(rollouts.states)
+        else f"{name}: {len(chosen)} motions"
+    )
     bars, strings, pinned = rollouts.bars, rollouts.strings, rollouts.pinned
-    return Motion(told, rollouts.time, nodes, copied(bars), copied(strings), copied(pinned), copies=len(chosen))
+    return Motion(
+        told,
+        rollouts.time,
+        nodes,
+        copied(bars),
+        copied(strings),
+        copied(pinned),
+        copies=len(chosen),
+    )
 
 
 def renamed(motion: Motion, name: str) -> Motion:

@@ -31,7 +31,14 @@ class Player:
         Whether it runs.
     """
 
-    def __init__(self, server: viser.ViserServer, canvas: Canvas, title: str, speed: float = 1.0, playing: bool = True) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        canvas: Canvas,
+        title: str,
+        speed: float = 1.0,
+        playing: bool = True,
+    ) -> None:
         self.canvas, self.speed = canvas, speed
         self.time = self._first = canvas.exhibit.start
         self._last = canvas.exhibit.end
@@ -86,13 +93,26 @@ class Player:
         first, last = self._first, self._last
         self._button = gui.add_button("Pause" if self.playing else "Play")
         self._button.on_click(lambda _: self.play(not self.playing))
-        self._slider: Any = gui.add_slider("Time (s)", first, last, (last - first) / _SLIDER_STEPS, first)
+        self._slider: Any = gui.add_slider(
+            "Time (s)", first, last, (last - first) / _SLIDER_STEPS, first
+        )
         self._slider.on_update(self._scrub)
-        speeds = SPEEDS if f"{self.speed:g}" in SPEEDS else tuple(sorted({*SPEEDS, f"{self.speed:g}"}, key=float))
-        chosen = gui.add_dropdown("Speed", speeds, initial_value=f"{self.speed:g}", hint="simulated seconds in each second shown")
+        speeds = (
+            SPEEDS
+            if f"{self.speed:g}" in SPEEDS
+            else tuple(sorted({*SPEEDS, f"{self.speed:g}"}, key=float))
+        )
+        chosen = gui.add_dropdown(
+            "Speed",
+            speeds,
+            initial_value=f"{self.speed:g}",
+            hint="simulated seconds in each second shown",
+        )
         chosen.on_update(lambda _: self._set_speed(chosen.value, speeds))
         self._loop = gui.add_checkbox("Repeat", True)
-        follow = gui.add_checkbox("Follow", self.canvas.followed, hint="keep the middle of the structure in view")
+        follow = gui.add_checkbox(
+            "Follow", self.canvas.followed, hint="keep the middle of the structure in view"
+        )
         follow.on_update(lambda _: self._change(lambda: self.canvas.follow(bool(follow.value))))
 
     def _add_looks(self, gui: viser.GuiApi) -> None:
@@ -119,7 +139,9 @@ class Player:
             for kind in KINDS:
                 batch = getattr(layer, kind)
                 if batch is not None:
-                    batch.on_click(lambda event, k=k, kind=kind: self._click(k, kind, event.instance_index))
+                    batch.on_click(
+                        lambda event, k=k, kind=kind: self._click(k, kind, event.instance_index)
+                    )
 
     def _add_number(self, gui: viser.GuiApi, kind: str) -> None:
         box = gui.add_checkbox(f"Numbers of {kind}", False)

@@ -34,17 +34,30 @@ def cylinder(sides: int) -> Mesh:
     vertices = np.vstack([np.column_stack([ring, np.full(sides, end)]) for end in (-0.5, 0.5)])
     a = np.arange(sides)
     b = (a + 1) % sides
-    return Mesh(vertices, np.vstack([np.column_stack([a, b, b + sides]), np.column_stack([a, b + sides, a + sides])]))
+    return Mesh(
+        vertices,
+        np.vstack([np.column_stack([a, b, b + sides]), np.column_stack([a, b + sides, a + sides])]),
+    )
 
 
 def ball(rings: int = 6, sides: int = 10) -> Mesh:
     """Return a ball of radius 1 as `rings` bands of `sides` quadrangles."""
     theta = np.pi * np.arange(rings + 1) / rings
     phi = 2 * np.pi * np.arange(sides) / sides
-    round_ = np.stack([np.outer(np.sin(theta), np.cos(phi)), np.outer(np.sin(theta), np.sin(phi)), np.outer(np.cos(theta), np.ones(sides))], axis=2)
+    round_ = np.stack(
+        [
+            np.outer(np.sin(theta), np.cos(phi)),
+            np.outer(np.sin(theta), np.sin(phi)),
+            np.outer(np.cos(theta), np.ones(sides)),
+        ],
+        axis=2,
+    )
     a = (np.arange(rings)[:, None] * sides + np.arange(sides)).ravel()
     b = (np.arange(rings)[:, None] * sides + (np.arange(sides) + 1) % sides).ravel()
-    return Mesh(round_.reshape(-1, 3), np.vstack([np.column_stack([a, a + sides, b + sides]), np.column_stack([a, b + sides, b])]))
+    return Mesh(
+        round_.reshape(-1, 3),
+        np.vstack([np.column_stack([a, a + sides, b + sides]), np.column_stack([a, b + sides, b])]),
+    )
 
 
 def octahedron() -> Mesh:
@@ -68,17 +81,26 @@ def cone(sides: int = 12) -> Mesh:
 def member_poses(nodes: Array, members: Indices, radius: float | Array) -> Poses:
     """Return the poses that make `cylinder` the members (m, 2) between nodes (n, 3); one with an end that is not finite has size 0."""
     first, second = nodes[members[:, 0]], nodes[members[:, 1]]
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1))
+    known: NDArray[np.bool_] = np.asarray(
+        np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
+    )
     first, second = (np.where(known[:, None], ends, 0.0) for ends in (first, second))
     along = second - first
     length = np.sqrt(np.einsum("ij,ij->i", along, along))
     direction = along / np.where(length > 0, length, 1.0)[:, None]
-    # The shortest turn of z to a direction d is (1 + d_z, −d_y, d_x, 0), normalised; against z any half turn.
-    turns = np.stack([1 + direction[:, 2], -direction[:, 1], direction[:, 0], np.zeros(len(members))], axis=1)
+    # The shortest turn of z to a direction d is (1 + d_z, −d_y, d_x, 0), normalised; against z any
+    # half turn.
+    turns = np.stack(
+        [1 + direction[:, 2], -direction[:, 1], direction[:, 0], np.zeros(len(members))], axis=1
+    )
     size = np.sqrt(np.einsum("ij,ij->i", turns, turns))[:, None]
     turns = np.where(size > 1e-6, turns / np.maximum(size, 1e-6), (0.0, 1.0, 0.0, 0.0))
     scales = np.stack([radius * known, radius * known, length], axis=1)
-    return Poses(((first + second) / 2).astype(np.float32), turns.astype(np.float32), scales.astype(np.float32))
+    return Poses(
+        ((first + second) / 2).astype(np.float32),
+        turns.astype(np.float32),
+        scales.astype(np.float32),
+    )
 
 
 def coarse(values: Floats, grain: float) -> Floats:

@@ -25,7 +25,9 @@ def grid_spacing(size: float) -> float:
     return float(power * max(step for step in (1, 2, 5) if step * power <= size / 10 * (1 + 1e-9)))
 
 
-def add_grounds(scene: viser.SceneApi, name: str, grounds: tuple[Surface, ...], low: Array, high: Array) -> None:
+def add_grounds(
+    scene: viser.SceneApi, name: str, grounds: tuple[Surface, ...], low: Array, high: Array
+) -> None:
     """Add what of the grounds lies under the box of a motion, and around it."""
     centre = (low + high) / 2
     reach = 1.2 * float((high - low).max())
@@ -33,14 +35,23 @@ def add_grounds(scene: viser.SceneApi, name: str, grounds: tuple[Surface, ...], 
         if isinstance(ground, Terrain):
             points, faces = _field(ground, centre, reach)
             _surface(scene, f"{name}/{k}", points.reshape(-1, 3), faces)
-            _lines(scene, f"{name}/{k}/grid", np.concatenate([_pairs(points[::_FINER]), _pairs(points[:, ::_FINER].swapaxes(0, 1))]), reach)
+            _lines(
+                scene,
+                f"{name}/{k}/grid",
+                np.concatenate(
+                    [_pairs(points[::_FINER]), _pairs(points[:, ::_FINER].swapaxes(0, 1))]
+                ),
+                reach,
+            )
         elif isinstance(ground, Ground):
             corners, lines = _plane(ground, centre, reach)
             _surface(scene, f"{name}/{k}", corners, np.array([(0, 1, 2), (0, 2, 3)]))
             _lines(scene, f"{name}/{k}/grid", lines, reach)
 
 
-def add_obstacles(scene: viser.SceneApi, name: str, obstacles: tuple[tuple[Any, float], ...]) -> None:
+def add_obstacles(
+    scene: viser.SceneApi, name: str, obstacles: tuple[tuple[Any, float], ...]
+) -> None:
     """Add balls of (centre, radius)."""
     for k, (centre, radius) in enumerate(obstacles):
         scene.add_icosphere(
@@ -55,17 +66,31 @@ def add_obstacles(scene: viser.SceneApi, name: str, obstacles: tuple[tuple[Any, 
         )
 
 
-def add_boxes(scene: viser.SceneApi, name: str, boxes: tuple[tuple[Array, Array], ...], low: Array, high: Array) -> None:
+def add_boxes(
+    scene: viser.SceneApi,
+    name: str,
+    boxes: tuple[tuple[Array, Array], ...],
+    low: Array,
+    high: Array,
+) -> None:
     """Add the edges of boxes between two corners; sides at infinity are left out of the view."""
     reach = float((high - low).max())
     for k, (least, most) in enumerate(boxes):
         near, far = np.maximum(least, low - reach), np.minimum(most, high + reach)
-        corners = np.array([[(near, far)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)])
+        corners = np.array(
+            [[(near, far)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)]
+        )
         edges = [(i, i | 1 << axis) for i in range(8) for axis in range(3) if not i >> axis & 1]
         known = np.isfinite(np.array([least, most]))
         kept = [edge for edge in edges if _finite_edge(edge, known)]
         if kept:
-            scene.add_line_segments(f"{name}/{k}", corners[np.array(kept)], OBSTACLE, thickness=2.0, thickness_units="screen")
+            scene.add_line_segments(
+                f"{name}/{k}",
+                corners[np.array(kept)],
+                OBSTACLE,
+                thickness=2.0,
+                thickness_units="screen",
+            )
 
 
 def add_targets(scene: viser.SceneApi, name: str, targets: Array, radius: float) -> None:
@@ -96,11 +121,23 @@ def _finite_edge(edge: tuple[int, int], known: Any) -> bool:
 
 
 def _surface(scene: viser.SceneApi, name: str, vertices: Array, faces: Any) -> None:
-    scene.add_mesh_simple(name, vertices, faces, color=GROUND, opacity=0.85, side="double", material="toon5", cast_shadow=False, receive_shadow=False)
+    scene.add_mesh_simple(
+        name,
+        vertices,
+        faces,
+        color=GROUND,
+        opacity=0.85,
+        side="double",
+        material="toon5",
+        cast_shadow=False,
+        receive_shadow=False,
+    )
 
 
 def _lines(scene: viser.SceneApi, name: str, lines: Array, reach: float) -> None:
-    lifted = lines + 1e-3 * reach * np.array([0.0, 0.0, 1.0])  # else the surface covers them in places
+    lifted = lines + 1e-3 * reach * np.array(
+        [0.0, 0.0, 1.0]
+    )  # else the surface covers them in places
     scene.add_line_segments(name, lifted, _GRID, thickness=1.0, thickness_units="screen")
 
 
@@ -130,9 +167,17 @@ def _field(ground: Terrain, centre: Array, reach: float) -> tuple[Array, Any]:
     """Return points (k, l, 3) of a height field around `centre` and triangles between them; every `_FINER`-th point is on a line of the grid."""
     spacing = grid_spacing(reach)
     first, last = np.floor((centre[:2] - reach) / spacing), np.ceil((centre[:2] + reach) / spacing)
-    x, y = (spacing / _FINER * np.arange(_FINER * low, _FINER * high + 1) for low, high in zip(first, last, strict=True))
-    grid = [np.linspace(low, high, count) for low, high, count in zip(ground.lower, ground.upper, ground.heights.shape, strict=True)]
-    along_x = np.array([np.interp(x, grid[0], column) for column in ground.heights.T])  # beyond the grid it goes on as it ends
+    x, y = (
+        spacing / _FINER * np.arange(_FINER * low, _FINER * high + 1)
+        for low, high in zip(first, last, strict=True)
+    )
+    grid = [
+        np.linspace(low, high, count)
+        for low, high, count in zip(ground.lower, ground.upper, ground.heights.shape, strict=True)
+    ]
+    along_x = np.array(
+        [np.interp(x, grid[0], column) for column in ground.heights.T]
+    )  # beyond the grid it goes on as it ends
     heights = np.array([np.interp(y, grid[1], row) for row in along_x.T])
     points = np.stack([*np.broadcast_arrays(x[:, None], y[None, :]), heights], axis=2)
     a = (np.arange(len(x) - 1)[:, None] * len(y) + np.arange(len(y) - 1)).ravel()

@@ -53,7 +53,9 @@ class View:
     http://127.0.0.1
     """
 
-    def __init__(self, exhibit: Exhibit, title: str, colour: str, speed: float, follow: bool) -> None:
+    def __init__(
+        self, exhibit: Exhibit, title: str, colour: str, speed: float, follow: bool
+    ) -> None:
         self.exhibit, self.title = exhibit, title
         self._colour, self._speed, self._follow = colour, speed, follow
         self._server: Any = None
@@ -64,13 +66,20 @@ class View:
         told = ", ".join(motion.name for motion in self.exhibit.motions)
         return f"View({told}{'' if self.url is None else f', at {self.url}'})"
 
-    def show(self, host: str = LOOPBACK, port: int | None = None, browser: bool | None = None, wait: bool | None = None) -> View:
+    def show(
+        self,
+        host: str = LOOPBACK,
+        port: int | None = None,
+        browser: bool | None = None,
+        wait: bool | None = None,
+    ) -> View:
         """Serve the viewer, and open it in the browser.
 
         Parameters
         ----------
         host : str
-            Address to listen on; others than 127.0.0.1 let other machines see and steer the viewer, of which it warns.
+            Address to listen on; others than 127.0.0.1 let other machines see and steer the viewer,
+            of which it warns.
         port : int, optional
             Port. Default: one that is free.
         browser : bool, optional
@@ -178,7 +187,12 @@ class View:
     def __enter__(self) -> View:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
 
@@ -200,12 +214,15 @@ def view(
 
     Parameters
     ----------
-    things : Structure, Scene, Model, Trajectory, Rollouts or ocp.Plan, or a list, or a mapping of names to them
-        What to show. The first motion is solid, and its strings tell what they bear by their colour; others are seen through.
+    things : Structure, Scene, Model, Trajectory, Rollouts or ocp.Plan, or a list, or a mapping of
+    names to them
+        What to show. The first motion is solid, and its strings tell what they bear by their
+        colour; others are seen through.
     html : path-like, optional
         Page to write in place of starting the viewer; its name ends in .html.
     host : str
-        Address to listen on; others than 127.0.0.1 let other machines see and steer the viewer, of which it warns.
+        Address to listen on; others than 127.0.0.1 let other machines see and steer the viewer, of
+        which it warns.
     port : int, optional
         Port. Default: one that is free.
     title : str
@@ -237,8 +254,9 @@ def view(
 
     Notes
     -----
-    A page holds what is seen at 30 frames a second, with its own player: play, pause, scrub, speed, and which parts are visible. Labels on
-    click, following, and other colours need the viewer itself.
+    A page holds what is seen at 30 frames a second, with its own player: play, pause, scrub, speed,
+    and which parts are visible. Labels on click, following, and other colours need the viewer
+    itself.
 
     Examples
     --------

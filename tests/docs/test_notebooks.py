@@ -25,7 +25,10 @@ def test_text_and_code_keep_their_order():
 def test_nothing_of_a_tutorial_is_lost(tutorial):
     text = tutorial.read_text(encoding="utf-8")
     cells = json.loads(notebook(text))["cells"]
-    code = [block.strip() for block in re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)]
+    code = [
+        block.strip()
+        for block in re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    ]
     assert ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"] == code
     assert len({cell["id"] for cell in cells}) == len(cells)
 
@@ -34,9 +37,14 @@ def test_nothing_of_a_tutorial_is_lost(tutorial):
 @pytest.mark.filterwarnings("default")  # those of Jupyter's own
 @pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda path: path.stem)
 def test_notebooks_run(tutorial, tmp_path):
-    nbclient, nbformat = (pytest.importorskip(name, reason="needs pip install 'tenscasadi[docs]'") for name in ("nbclient", "nbformat"))
+    nbclient, nbformat = (
+        pytest.importorskip(name, reason="needs pip install 'tenscasadi[docs]'")
+        for name in ("nbclient", "nbformat")
+    )
     pytest.importorskip("ipykernel", reason="needs pip install 'tenscasadi[docs]'")
     book = nbformat.reads(notebook(tutorial.read_text(encoding="utf-8")), as_version=4)
     nbformat.validate(book)
-    nbclient.NotebookClient(book, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    nbclient.NotebookClient(
+        book, timeout=300, resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
     assert all(cell.execution_count for cell in book.cells if cell.cell_type == "code")

@@ -20,8 +20,17 @@ else:
 
 ROOT = Path(__file__).resolve().parents[2]
 SCHEMA = json.loads((ROOT / "docs/scene_schema.json").read_text(encoding="utf-8"))
-FILES = sorted([*(ROOT / "examples/scenes").glob("*.toml"), *(ROOT / "tenscasadi/cli/starting_files").glob("*.toml")])
-BLOCKS = re.findall(r"^```toml\n(format.*?)^```", (ROOT / "docs/scene_files.md").read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+FILES = sorted(
+    [
+        *(ROOT / "examples/scenes").glob("*.toml"),
+        *(ROOT / "tenscasadi/cli/starting_files").glob("*.toml"),
+    ]
+)
+BLOCKS = re.findall(
+    r"^```toml\n(format.*?)^```",
+    (ROOT / "docs/scene_files.md").read_text(encoding="utf-8"),
+    flags=re.MULTILINE | re.DOTALL,
+)
 
 
 def test_the_schema_is_current():
@@ -34,8 +43,17 @@ def test_scene_files_are_valid(text):
     jsonschema.Draft202012Validator(SCHEMA).validate(tomllib.loads(text))
 
 
-@pytest.mark.parametrize(("old", "new"), [("StringLengths", "StringLength"), ("lower = 10.0", "lowr = 10.0"), ("duration = 1.0", "duration = true")])
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("StringLengths", "StringLength"),
+        ("lower = 10.0", "lowr = 10.0"),
+        ("duration = 1.0", "duration = true"),
+    ],
+)
 def test_wrong_plans_are_invalid(old, new):
     text = (ROOT / "tenscasadi/cli/starting_files/prism.toml").read_text(encoding="utf-8")
     assert old in text
-    assert not jsonschema.Draft202012Validator(SCHEMA).is_valid(tomllib.loads(text.replace(old, new)))
+    assert not jsonschema.Draft202012Validator(SCHEMA).is_valid(
+        tomllib.loads(text.replace(old, new))
+    )

@@ -18,27 +18,51 @@ import tenscasadi as tc
 
 ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM = Path("/usr/bin/chromium")
-QUIET = ("--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync")
+QUIET = (
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
 
 NEEDED = ("material", "mkdocstrings", "latex2mathml", "viser")
 pytestmark = [
     pytest.mark.slow,  # building the site simulates and plans what its gallery plays
-    pytest.mark.skipif(not all(map(find_spec, NEEDED)), reason="needs pip install 'tenscasadi[docs]'"),
+    pytest.mark.skipif(
+        not all(map(find_spec, NEEDED)), reason="needs pip install 'tenscasadi[docs]'"
+    ),
 ]
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", ".mkdocs.yml", "-d", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "-f",
+        ".mkdocs.yml",
+        "-d",
+        str(folder),
+    ]
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment)
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
 
 
 def pages(site: Path) -> Iterator[Path]:
-    yield from (page for page in site.rglob("*.html") if "viewer" not in page.relative_to(site).parts)
+    yield from (
+        page for page in site.rglob("*.html") if "viewer" not in page.relative_to(site).parts
+    )
 
 
 def test_pages_load_nothing_from_elsewhere(site):
@@ -79,7 +103,9 @@ def test_tutorials_come_as_notebooks(site):
 
 
 def test_what_can_be_played_is_there(site):
-    named = re.findall(r'href="viewer/(\w+)\.html"', (site / "gallery.html").read_text(encoding="utf-8"))
+    named = re.findall(
+        r'href="viewer/(\w+)\.html"', (site / "gallery.html").read_text(encoding="utf-8")
+    )
     assert sorted(named) == sorted(page.stem for page in (site / "viewer").glob("*.html"))
     assert len(named) > 5
 
@@ -90,7 +116,9 @@ def test_the_gallery_names_every_example(site):
         assert f"examples/{example.name}" in text, example.name
 
 
-@pytest.mark.skipif(not CHROMIUM.exists() or find_spec("playwright") is None, reason="needs chromium and playwright")
+@pytest.mark.skipif(
+    not CHROMIUM.exists() or find_spec("playwright") is None, reason="needs chromium and playwright"
+)
 @pytest.mark.filterwarnings("default")  # those of playwright's own
 def test_pages_open_from_disk_in_a_browser(site):
     from playwright.sync_api import sync_playwright
@@ -99,10 +127,20 @@ def test_pages_open_from_disk_in_a_browser(site):
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=list(QUIET))
         page = browser.new_page()
-        page.on("console", lambda message: said.append(message.text) if message.type in ("error", "warning") else None)
+        page.on(
+            "console",
+            lambda message: (
+                said.append(message.text) if message.type in ("error", "warning") else None
+            ),
+        )
         page.on("pageerror", lambda error: said.append(str(error)))
         local = ("file:", "data:", "blob:")
-        page.on("request", lambda request: None if request.url.startswith(local) else said.append(f"asks for {request.url}"))
+        page.on(
+            "request",
+            lambda request: (
+                None if request.url.startswith(local) else said.append(f"asks for {request.url}")
+            ),
+        )
         for each in pages(site):
             if each.name != "404.html":  # whose addresses are those of a server
                 page.goto(each.as_uri())

@@ -30,21 +30,44 @@ MODEL = tc.Model(tc.Scene(ARM, control=tc.ForceDensity()))
 def problem(**changes):
     goals = [ocp.NodePositions({1: (0.4, 0.0, None)}), ocp.AtRest()]
     bounds = [ocp.ForceDensityLimits(1.0, 50.0), ocp.TensionLimits(upper=30.0)]
-    return ocp.Problem(MODEL, **{"goals": goals, "bounds": bounds, "costs": [ocp.Effort()], **changes})
+    return ocp.Problem(
+        MODEL, **{"goals": goals, "bounds": bounds, "costs": [ocp.Effort()], **changes}
+    )
 
 
 def built(folder, name):
     """A library, compiled as strictly as can be."""
     path = folder / f"{name}.so"
     assert COMPILER is not None
-    subprocess.run([COMPILER, "-std=c99", "-O0", "-Wall", "-Werror", "-fPIC", "-shared", f"{name}.c", "-lm", "-o", path], cwd=folder, check=True)
+    subprocess.run(
+        [
+            COMPILER,
+            "-std=c99",
+            "-O0",
+            "-Wall",
+            "-Werror",
+            "-fPIC",
+            "-shared",
+            f"{name}.c",
+            "-lm",
+            "-o",
+            path,
+        ],
+        cwd=folder,
+        check=True,
+    )
     return path
 
 
 def table(path):
     with open(path, encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    return {name: [row[name] for row in rows] if name == "name" else np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    return {
+        name: [row[name] for row in rows]
+        if name == "name"
+        else np.array([float(row[name]) for row in rows])
+        for name in rows[0]
+    }
 
 
 CASES = {
@@ -64,17 +87,31 @@ def test_an_exported_program_has_the_values_of_the_virtual_machine(case, tmp_pat
     unknowns, rows = table(files[2]), table(files[3])
     assert tuple(unknowns["name"]) == program.w_names
     assert tuple(rows["name"]) == program.names
-    for column, values in (("scale", program.w_scale), ("lower", program.w_lower), ("upper", program.w_upper), ("first", program.first)):
+    for column, values in (
+        ("scale", program.w_scale),
+        ("lower", program.w_lower),
+        ("upper", program.w_upper),
+        ("first", program.first),
+    ):
         assert np.array_equal(unknowns[column], values)
-    for column, values in (("scale", program.scale), ("lower", program.lower), ("upper", program.upper)):
+    for column, values in (
+        ("scale", program.scale),
+        ("lower", program.lower),
+        ("upper", program.upper),
+    ):
         assert np.array_equal(rows[column], values)
     library = str(built(tmp_path / "c", "program"))
     rng = np.random.default_rng(0)
-    w, lam = unknowns["first"] + 0.1 * rng.normal(size=len(program.w_names)), rng.normal(size=len(program.names))
+    w, lam = (
+        unknowns["first"] + 0.1 * rng.normal(size=len(program.w_names)),
+        rng.normal(size=len(program.names)),
+    )
     x = program.problem["x"]
     for name in "fg":
         ours = ca.Function("own", [x], [program.problem[name]])(w)
-        assert ca.external(f"nlp_{name}", library)(w, []).full() == pytest.approx(ours.full(), rel=1e-12, abs=1e-12)
+        assert ca.external(f"nlp_{name}", library)(w, []).full() == pytest.approx(
+            ours.full(), rel=1e-12, abs=1e-12
+        )
     for name, function in program.derivatives().items():
         given = (w, [], 0.7, lam)[: function.n_in()]
         ours, theirs = (call(*given) for call in (function, ca.external(name, library)))
@@ -111,11 +148,18 @@ def reader(path, sizes):
 
 CONTROLLERS = {
     "to a goal": lambda: ocp.Mpc(problem(), 0.1, 4, iterations=2),
-    "along a plan": lambda: ocp.Mpc(problem(), 0.1, 4, plan=ocp.solve(problem(), ocp.MultipleShooting(10)), substeps=2),
-    "along a linear plan": lambda: ocp.Mpc(
-        problem(), 0.1, 4, plan=ocp.solve(problem(), ocp.Variational((1, 2, 1, 2, 2), control=ocp.PiecewiseLinear()))
+    "along a plan": lambda: ocp.Mpc(
+        problem(), 0.1, 4, plan=ocp.solve(problem(), ocp.MultipleShooting(10)), substeps=2
     ),
-    "with limits of rates": lambda: ocp.Mpc(problem(bounds=[ocp.RestLengthRateLimits(0.3, stiffness=1000.0)]), 0.1, 4),
+    "along a linear plan": lambda: ocp.Mpc(
+        problem(),
+        0.1,
+        4,
+        plan=ocp.solve(problem(), ocp.Variational((1, 2, 1, 2, 2), control=ocp.PiecewiseLinear())),
+    ),
+    "with limits of rates": lambda: ocp.Mpc(
+        problem(bounds=[ocp.RestLengthRateLimits(0.3, stiffness=1000.0)]), 0.1, 4
+    ),
     "without limits of the path": lambda: ocp.Mpc(problem(bounds=[]), 0.1, 3),
 }
 
@@ -127,7 +171,11 @@ def test_an_exported_controller_decides_as_the_controller(case, tmp_path):
     assert [path.name for path in files] == ["mpc.c", "mpc.h"]
     header = files[1].read_text(encoding="utf-8")
     constants = dict(re.findall(r"#define (MPC_\w+) (.+)", header))
-    assert (int(constants["MPC_STATES"]), int(constants["MPC_STRINGS"]), float(constants["MPC_PERIOD"])) == (MODEL.nx, MODEL.nu, mpc.period)
+    assert (
+        int(constants["MPC_STATES"]),
+        int(constants["MPC_STRINGS"]),
+        float(constants["MPC_PERIOD"]),
+    ) == (MODEL.nx, MODEL.nu, mpc.period)
     before = np.array(constants["MPC_FIRST"].strip("{}").split(","), dtype=float)
     decide = reader(built(tmp_path, "mpc"), mpc.intervals * MODEL.nu)
     state, decided = np.array(MODEL.initial_state), []
@@ -140,7 +188,13 @@ def test_an_exported_controller_decides_as_the_controller(case, tmp_path):
         before = decide(k * mpc.period, state, before, *earlier)
         assert before[: MODEL.nu] == pytest.approx(ours, abs=1e-5 * 50.0)
         earlier = [state] * len(earlier)
-        state = tc.simulate(MODEL, mpc.period, mpc.period / 20, state=state, control=ours, compiled=False).states[-1].copy()
+        state = (
+            tc.simulate(
+                MODEL, mpc.period, mpc.period / 20, state=state, control=ours, compiled=False
+            )
+            .states[-1]
+            .copy()
+        )
         decided.append(ours)
     assert np.ptp(decided, axis=0).max() > 1.0  # there was something to decide
 
@@ -148,12 +202,16 @@ def test_an_exported_controller_decides_as_the_controller(case, tmp_path):
 def test_the_first_decision_is_that_of_the_reference():
     mpc = CONTROLLERS["along a plan"]()
     decide, state = mpc.function(), MODEL.initial_state
-    assert decide(0.0, state, mpc.first).full()[:, 0] == pytest.approx(mpc.control(0.0, state), abs=1e-6)
+    assert decide(0.0, state, mpc.first).full()[:, 0] == pytest.approx(
+        mpc.control(0.0, state), abs=1e-6
+    )
 
 
 def test_an_accuracy_is_said_to_be_no_part_of_a_program(tmp_path):
     for accuracy, said in ((None, False), (1e-4, True)):
-        ocp.export_program(problem(), ocp.Variational(3, accuracy=accuracy), tmp_path / str(accuracy))
+        ocp.export_program(
+            problem(), ocp.Variational(3, accuracy=accuracy), tmp_path / str(accuracy)
+        )
         head = (tmp_path / str(accuracy) / "program.h").read_text()
         assert ("Variational.accuracy is 0.0001 m, and no part of it" in head) is said
 

@@ -64,14 +64,20 @@ def test_rockit_finds_the_same_plan():
     stage.method(rockit.MultipleShooting(N=COUNT, M=2, intg="rk"))
     stage.set_initial(x, GUESS.states.T)
     stage.set_initial(u, GUESS.force_density.T)
-    same(ocp.solve(PROBLEM, ocp.MultipleShooting(COUNT, substeps=2)), stage.solve().sample(u, grid="control")[1][:COUNT])
+    same(
+        ocp.solve(PROBLEM, ocp.MultipleShooting(COUNT, substeps=2)),
+        stage.solve().sample(u, grid="control")[1][:COUNT],
+    )
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_do_mpc_finds_the_same_plan():
     do_mpc = imported("do_mpc")
     model = do_mpc.model.Model("continuous", "SX")
-    x, u = (model.set_variable(kind, kind[1], shape=(size, 1)) for kind, size in (("_x", MODEL.nx), ("_u", MODEL.nu)))
+    x, u = (
+        model.set_variable(kind, kind[1], shape=(size, 1))
+        for kind, size in (("_x", MODEL.nx), ("_u", MODEL.nu))
+    )
     model.set_rhs("x", MODEL.ode(x, u))
     model.setup()
     mpc = do_mpc.controller.MPC(model)

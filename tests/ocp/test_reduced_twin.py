@@ -32,7 +32,13 @@ def known(arm):
 
 
 def bounded(problem, *bounds, costs=None):
-    return ocp.Problem(problem.model, problem.duration, goals=problem.goals, bounds=[*problem.bounds, *bounds], costs=costs or problem.costs)
+    return ocp.Problem(
+        problem.model,
+        problem.duration,
+        goals=problem.goals,
+        bounds=[*problem.bounds, *bounds],
+        costs=costs or problem.costs,
+    )
 
 
 def test_the_plan_is_of_the_given_model(arm):
@@ -62,7 +68,9 @@ def test_the_plan_is_of_the_given_model(arm):
     ],
     ids=["default", "CondensedNewton", "Variational", "Collocation", "ImplicitMidpoint"],
 )
-def test_it_is_the_optimum_of_multiple_shooting_in_full_coordinates(arm, known, transcription, solver):
+def test_it_is_the_optimum_of_multiple_shooting_in_full_coordinates(
+    arm, known, transcription, solver
+):
     problem, _ = arm
     plan = ocp.solve(problem, transcription, solver)
     assert plan.success, plan.message
@@ -74,13 +82,30 @@ def test_it_is_the_optimum_of_multiple_shooting_in_full_coordinates(arm, known, 
 def test_joined_bars_under_their_weight_on_a_moving_start():
     """Three bars in a row, which begin in motion at a clock that has run."""
     small = long_arm(3, 0.3, weight=True)
-    wind = tc.NodalForce(lambda t: 0.1 * np.ones((len(small.model.scene.structure.nodes), 3)) * t * (~small.model.scene.structure.fixed))
-    model = tc.Model(tc.Scene(small.model.scene.structure, control=tc.ForceDensity(), gravity=tc.Gravity(), forces=wind), coordinates="full")
+    wind = tc.NodalForce(
+        lambda t: (
+            0.1
+            * np.ones((len(small.model.scene.structure.nodes), 3))
+            * t
+            * (~small.model.scene.structure.fixed)
+        )
+    )
+    model = tc.Model(
+        tc.Scene(
+            small.model.scene.structure,
+            control=tc.ForceDensity(),
+            gravity=tc.Gravity(),
+            forces=wind,
+        ),
+        coordinates="full",
+    )
     turning = np.zeros((len(model.structure.nodes), 3))
     turning[1:4, 0] = 0.1 * np.arange(1, 4)
     start = model.state(model.structure.nodes, turning)
     start[-1] = 0.7
-    problem = ocp.Problem(model, 1.0, start=start, goals=small.goals, bounds=small.bounds, costs=small.costs)
+    problem = ocp.Problem(
+        model, 1.0, start=start, goals=small.goals, bounds=small.bounds, costs=small.costs
+    )
     plan = ocp.solve(problem)
     assert plan.success, plan.message
     assert plan.message.endswith(SAID)
@@ -113,7 +138,10 @@ def test_own_expressions_get_the_state_of_the_given_model(arm):
 def test_own_expressions_of_forces_of_bars(arm):
     """They are the same in both coordinates."""
     problem, plan = arm
-    asked = bounded(problem, costs=[*problem.costs, ocp.Integral("bars", lambda now: 1e-3 * ca.sumsqr(now.bar_force))])
+    asked = bounded(
+        problem,
+        costs=[*problem.costs, ocp.Integral("bars", lambda now: 1e-3 * ca.sumsqr(now.bar_force))],
+    )
     found, known = ocp.solve(asked), ocp.solve(asked, ocp.MultipleShooting(20))
     assert found.success, found.message
     assert found.message.endswith(SAID)
@@ -127,8 +155,13 @@ def test_forces_in_joints_are_those_of_the_given_model(arm):
     found = ocp.solve(bounded(problem, costs=[*problem.costs, ocp.Integral("joints", forces)]))
     assert found.success, found.message
     controls = np.vstack([plan.force_density, plan.force_density[-1:]])
-    joints = [np.sum(problem.model.multipliers(x, u).joint_force ** 2) for x, u in zip(plan.trajectory.states, controls, strict=True)]
-    assert found.objective == pytest.approx(plan.objective + 1e-3 * np.trapezoid(joints, plan.time), rel=2e-3)
+    joints = [
+        np.sum(problem.model.multipliers(x, u).joint_force ** 2)
+        for x, u in zip(plan.trajectory.states, controls, strict=True)
+    ]
+    assert found.objective == pytest.approx(
+        plan.objective + 1e-3 * np.trapezoid(joints, plan.time), rel=2e-3
+    )
 
 
 def test_what_a_plan_is_used_for(arm, tmp_path):
@@ -147,12 +180,19 @@ def test_guesses_are_of_the_given_model(arm):
     problem, plan = arm
     states, forces = plan.trajectory.states, plan.force_density
     warm = ocp.solve(problem, plan.transcription, ocp.Ipopt(warm=True), guess=plan)
-    for found in (warm, ocp.solve(problem, guess=ocp.Arrays(states, forces)), ocp.solve(problem, guess=plan)):
+    for found in (
+        warm,
+        ocp.solve(problem, guess=ocp.Arrays(states, forces)),
+        ocp.solve(problem, guess=plan),
+    ):
         assert found.success, found.message
         assert found.message.endswith(SAID)
         assert found.objective == pytest.approx(plan.objective, rel=1e-6)
     assert warm.iterations < ocp.solve(problem, plan.transcription).iterations
-    with pytest.raises(ValueError, match=rf"Arrays.states has shape \({len(states)}, 34\): give an array of shape \(any, {problem.model.nx}\)"):
+    with pytest.raises(
+        ValueError,
+        match=rf"Arrays.states has shape \({len(states)}, 34\): give an array of shape \(any, {problem.model.nx}\)",
+    ):
         ocp.solve(problem, guess=ocp.Arrays(states[:, :34], forces))
 
 
@@ -190,5 +230,9 @@ def test_what_has_no_twin():
     with pytest.raises(ValueError, match="Variational keeps bars, not joints"):
         ocp.solve(bounded(problem, costs=[Own()]), ocp.Variational(10))
     with pytest.warns(tc.RedundantConstraints):
-        model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0, 1]), control=tc.ForceDensity()), coordinates="full")
-    assert reduced_twin(ocp.Problem(model, goals=[ocp.AtRest()], costs=[ocp.Effort()]), None) is None
+        model = tc.Model(
+            tc.Scene(tc.shapes.d_bar(pinned=[0, 1]), control=tc.ForceDensity()), coordinates="full"
+        )
+    assert (
+        reduced_twin(ocp.Problem(model, goals=[ocp.AtRest()], costs=[ocp.Effort()]), None) is None
+    )

@@ -29,7 +29,9 @@ def prism_of_four(height):
 def heights(nodes):
     """Distance of the top's centre from the bottom's."""
     half = nodes.shape[-2] // 2
-    return np.linalg.norm(nodes[..., half:, :].mean(axis=-2) - nodes[..., :half, :].mean(axis=-2), axis=-1)
+    return np.linalg.norm(
+        nodes[..., half:, :].mean(axis=-2) - nodes[..., :half, :].mean(axis=-2), axis=-1
+    )
 
 
 def asked(**changes):
@@ -39,7 +41,9 @@ def asked(**changes):
 
 def test_a_time_limit_stops_the_solver_with_the_best_so_far(plan, monkeypatch):
     seen, clock = [], time.perf_counter
-    late = SimpleNamespace(perf_counter=lambda: clock() + (1e4 if len(seen) > 2 * plan.iterations else 0.0))  # however loaded the machine is
+    late = SimpleNamespace(
+        perf_counter=lambda: clock() + (1e4 if len(seen) > 2 * plan.iterations else 0.0)
+    )  # however loaded the machine is
     monkeypatch.setattr("ocp.solvers.ipopt.time", late)
     endless = ocp.Ipopt(tolerance=1e-30, max_iterations=10**6, watch=seen.append)
     stopped = ocp.solve(plan.problem, plan.transcription, endless, seconds=1e3)
@@ -74,7 +78,10 @@ def test_a_prism_rises(plan):
 
 
 def test_more_intervals_or_substeps_replay_better(plan):
-    finer, substeps = raised(24), ocp.solve(ocp.Problem(driven(prism(1.0)), **asked()), ocp.MultipleShooting(12, substeps=3))
+    finer, substeps = (
+        raised(24),
+        ocp.solve(ocp.Problem(driven(prism(1.0)), **asked()), ocp.MultipleShooting(12, substeps=3)),
+    )
     assert finer.replay_error < plan.replay_error / 4
     assert substeps.replay_error < plan.replay_error / 20
 
@@ -99,14 +106,20 @@ def test_tensions_stay_within_their_limits():
         tension = limited.tension(end=end)
         assert tension.shape == (12, 9)
         assert np.all(tension <= upper * (1 + 1e-6))
-    assert max(limited.tension()[:, 6:].max(), limited.tension(end=True)[:, 6:].max()) > 0.999 * upper[6]
+    assert (
+        max(limited.tension()[:, 6:].max(), limited.tension(end=True)[:, 6:].max())
+        > 0.999 * upper[6]
+    )
     assert limited.objective > free.objective
     slack = raised(bounds=[ocp.TensionLimits(lower=4.0)])
     assert min(slack.tension().min(), slack.tension(end=True).min()) == pytest.approx(4.0, abs=1e-4)
 
 
 def test_wider_limits_cost_no_more(plan):
-    wide, narrow = raised(bounds=[ocp.ForceDensityLimits(4.0, 100.0)]), raised(bounds=[ocp.ForceDensityLimits(6.0, 100.0)])
+    wide, narrow = (
+        raised(bounds=[ocp.ForceDensityLimits(4.0, 100.0)]),
+        raised(bounds=[ocp.ForceDensityLimits(6.0, 100.0)]),
+    )
     assert wide.objective < plan.objective < narrow.objective
 
 
@@ -149,13 +162,18 @@ def test_a_pinned_d_bar_folds(mass):
     bar = tc.shapes.d_bar(pinned=[0], bar_mass=mass)
     model = driven(bar)
     lengths = ocp.StringLengths(tc.shapes.d_bar(angle=0.6).string_lengths)
-    folded = ocp.solve(ocp.Problem(model, goals=[lengths, ocp.AtRest()], costs=[ocp.Effort()]), ocp.MultipleShooting(20, substeps=2))
+    folded = ocp.solve(
+        ocp.Problem(model, goals=[lengths, ocp.AtRest()], costs=[ocp.Effort()]),
+        ocp.MultipleShooting(20, substeps=2),
+    )
     assert folded.success
     assert "11 → 2 rows" in folded.message
     assert folded.replay_error < 1e-4
     assert np.abs(folded.trajectory.nodes[:, 0] - bar.nodes[0]).max() == 0.0
     goals = [ocp.NodePositions(folded.trajectory.nodes[-1]), ocp.AtRest()]
-    placed = ocp.solve(ocp.Problem(model, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(20, substeps=2))
+    placed = ocp.solve(
+        ocp.Problem(model, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(20, substeps=2)
+    )
     assert placed.success
     assert "1 out of control" in placed.message
     assert placed.objective == pytest.approx(folded.objective, rel=1e-3)
@@ -165,7 +183,9 @@ def test_a_pendulum_swings_between_two_strings_under_its_weight():
     nodes = [(0, 0, 0), (0.3, 0, -0.95), (-1, 0, 0), (1, 0, 0)]
     structure = tc.Structure(nodes, bars=[(0, 1)], strings=[(1, 2), (1, 3)], pinned=[0, 2, 3])
     goals = [ocp.NodePositions({1: (-0.3, None, None)}), ocp.AtRest()]
-    problem = ocp.Problem(driven(structure, gravity=tc.Gravity()), 0.8, goals=goals, costs=[ocp.Effort()])
+    problem = ocp.Problem(
+        driven(structure, gravity=tc.Gravity()), 0.8, goals=goals, costs=[ocp.Effort()]
+    )
     found = ocp.solve(problem, ocp.MultipleShooting(20))
     assert found.success
     assert "plane" in found.message
@@ -175,7 +195,9 @@ def test_a_pendulum_swings_between_two_strings_under_its_weight():
 
 def test_a_falling_prism_changes_shape():
     goals = [ocp.StringLengths(prism(1.05).string_lengths)]
-    found = raised(model=driven(prism(1.0), gravity=tc.Gravity((0.0, 0.0, -9.81))), goals=goals, duration=0.5)
+    found = raised(
+        model=driven(prism(1.0), gravity=tc.Gravity((0.0, 0.0, -9.81))), goals=goals, duration=0.5
+    )
     assert found.success
     fallen = found.trajectory.nodes[-1].mean(axis=0) - found.trajectory.nodes[0].mean(axis=0)
     assert fallen == pytest.approx([0.0, 0.0, -9.81 / 8], abs=1e-6)
@@ -193,7 +215,9 @@ def test_units_do_not_matter(plan):
     k = 1e3
     small = tc.Structure(prism(1.0).nodes * k, prism(1.0).bars, prism(1.0).strings, bar_mass=k)
     goals = [ocp.StringLengths(prism(1.1).string_lengths * k), ocp.AtRest()]
-    found = raised(model=driven(small), goals=goals, bounds=[ocp.ForceDensityLimits(5.0 * k, 100.0 * k)])
+    found = raised(
+        model=driven(small), goals=goals, bounds=[ocp.ForceDensityLimits(5.0 * k, 100.0 * k)]
+    )
     assert found.success
     assert found.force_density / k == pytest.approx(plan.force_density, rel=1e-3)
 
@@ -202,7 +226,10 @@ def test_full_coordinates_plan_the_same(plan):
     scene = tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity())
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     found = [
-        ocp.solve(ocp.Problem(tc.Model(scene, coordinates), goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(6))
+        ocp.solve(
+            ocp.Problem(tc.Model(scene, coordinates), goals=goals, costs=[ocp.Effort()]),
+            ocp.MultipleShooting(6),
+        )
         for coordinates in ("reduced", "full")
     ]
     assert all(one.success for one in found)
@@ -215,7 +242,10 @@ def test_the_ball_changes_shape():
     model = driven(ball)
     shaken = model.state(ball.nodes + 0.03 * np.random.default_rng(0).normal(size=(12, 3)))
     nodes = model.nodes(tc.Projection(iterations=10).step(model)(shaken).full().ravel())
-    goals = [ocp.StringLengths(tc.Structure(nodes, ball.bars, ball.strings).string_lengths), ocp.AtRest()]
+    goals = [
+        ocp.StringLengths(tc.Structure(nodes, ball.bars, ball.strings).string_lengths),
+        ocp.AtRest(),
+    ]
     found = raised(10, model=model, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 100.0)])
     assert found.success
     assert found.replay_error < 1e-3
@@ -224,7 +254,12 @@ def test_the_ball_changes_shape():
 @pytest.mark.slow
 def test_strings_in_segments_plan_too():
     goals = [ocp.StringLengths(prism(1.05).string_lengths)]
-    problem = ocp.Problem(driven(prism(1.0, string_mass=0.1), segments=2), goals=goals, bounds=[PRESTRESS], costs=[ocp.Effort()])
+    problem = ocp.Problem(
+        driven(prism(1.0, string_mass=0.1), segments=2),
+        goals=goals,
+        bounds=[PRESTRESS],
+        costs=[ocp.Effort()],
+    )
     found = ocp.solve(problem, ocp.MultipleShooting(12, substeps=4))
     assert found.success
     assert found.trajectory.nodes.shape == (13, 15, 3)
@@ -234,7 +269,10 @@ def test_strings_in_segments_plan_too():
 def test_too_little_force_is_said(plan):
     found = raised(bounds=[ocp.ForceDensityLimits(5.0, 8.0)])
     assert not found.success
-    assert found.status in ("Infeasible_Problem_Detected", "Maximum_Iterations_Exceeded")  # rounding decides what IPOPT sees first
+    assert found.status in (
+        "Infeasible_Problem_Detected",
+        "Maximum_Iterations_Exceeded",
+    )  # rounding decides what IPOPT sees first
     for words in (
         "no plan",
         "misses its goal by",
@@ -259,7 +297,10 @@ def test_too_few_iterations_are_said():
 
 def test_what_is_feasible_but_not_settled_is_said():
     found = ocp.solve(
-        ocp.Problem(driven(prism(1.0)), **asked()), ocp.MultipleShooting(12), ocp.Ipopt(max_iterations=3), ocp.InverseDynamics(noise=0.0)
+        ocp.Problem(driven(prism(1.0)), **asked()),
+        ocp.MultipleShooting(12),
+        ocp.Ipopt(max_iterations=3),
+        ocp.InverseDynamics(noise=0.0),
     )
     assert not found.success
     assert "all constraints are met, but the cost is not settled" in found.message

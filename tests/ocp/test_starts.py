@@ -22,7 +22,10 @@ def solved(executor=None, **given):
 
 def test_the_best_of_all_starts_is_returned_with_the_objectives_of_all(tmp_path):
     plan = solved()
-    alone = [ocp.solve(raising(), SHORT, guess=ocp.InverseDynamics(seed=seed), tolerance=0.1).objective for seed in range(3)]
+    alone = [
+        ocp.solve(raising(), SHORT, guess=ocp.InverseDynamics(seed=seed), tolerance=0.1).objective
+        for seed in range(3)
+    ]
     assert plan.success
     assert plan.starts == pytest.approx(alone, rel=1e-12)
     assert plan.objective == min(plan.starts)
@@ -62,10 +65,21 @@ def pickled(value):
     return pickle.loads(pickle.dumps(value))  # noqa: S301  # its own
 
 
-VALUES = [ocp.InverseDynamics(), ocp.Equilibrium(), ocp.Variational(8, accuracy=1e-3), ocp.MultipleShooting(5), ocp.Ipopt(), ocp.Fatrop()]
+VALUES = [
+    ocp.InverseDynamics(),
+    ocp.Equilibrium(),
+    ocp.Variational(8, accuracy=1e-3),
+    ocp.MultipleShooting(5),
+    ocp.Ipopt(),
+    ocp.Fatrop(),
+]
 
 
-@pytest.mark.parametrize("value", [*VALUES, ocp.CondensedNewton(), ocp.Sampling()], ids=lambda value: type(value).__name__)
+@pytest.mark.parametrize(
+    "value",
+    [*VALUES, ocp.CondensedNewton(), ocp.Sampling()],
+    ids=lambda value: type(value).__name__,
+)
 @pytest.mark.parametrize("copied", [copy.deepcopy, pickled])
 def test_options_are_copied(copied, value):
     assert repr(copied(value)) == repr(value)
@@ -82,7 +96,9 @@ def test_problems_and_plans_are_copied(copied):
 
 
 def test_starts_without_seeds_are_refused():
-    with pytest.raises(ValueError, match="starts is 3, and guess is Equilibrium, whose start has no seed"):
+    with pytest.raises(
+        ValueError, match="starts is 3, and guess is Equilibrium, whose start has no seed"
+    ):
         solved(guess=ocp.Equilibrium())
     with pytest.raises(ValueError, match="starts"):
         ocp.solve(raising(), SHORT, starts=0)
@@ -91,7 +107,9 @@ def test_starts_without_seeds_are_refused():
 
 
 def test_a_time_limit_holds_for_all_starts():
-    plan = ocp.solve(raising(), SHORT, ocp.Ipopt(tolerance=1e-30, max_iterations=10**6), starts=2, seconds=0.05)
+    plan = ocp.solve(
+        raising(), SHORT, ocp.Ipopt(tolerance=1e-30, max_iterations=10**6), starts=2, seconds=0.05
+    )
     assert not plan.success
     assert np.isnan(plan.starts).all()
     assert "stopped at the time limit" in plan.message

@@ -12,4 +12,6 @@ usual_flags = compiled._default_flags
 @pytest.fixture(autouse=True)
 def quick_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     """The flags of users but for the level, which changes no rounding; other tests compile as users do."""
-    monkeypatch.setattr(compiled, "_default_flags", lambda compiler: ("-O1", *usual_flags(compiler)[1:]))
+    monkeypatch.setattr(
+        compiled, "_default_flags", lambda compiler: ("-O1", *usual_flags(compiler)[1:])
+    )

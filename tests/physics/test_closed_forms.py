@@ -14,7 +14,10 @@ import tenscasadi as tc
 
 def order(error: Callable[[float], float], end: float, steps: int, times: int = 8) -> float:
     """Order of convergence from about `steps` steps to `times` as many, by the root mean square over runs that meet events at any part of a step."""
-    groups = [end / (factor * np.arange(steps, 1.8 * steps, steps / 25).astype(int)) for factor in (1, times)]
+    groups = [
+        end / (factor * np.arange(steps, 1.8 * steps, steps / 25).astype(int))
+        for factor in (1, times)
+    ]
     coarse, fine = (np.sqrt(np.mean([error(float(h)) ** 2 for h in group])) for group in groups)
     return float(np.log(coarse / fine) / np.log(times))
 
@@ -23,26 +26,46 @@ def order(error: Callable[[float], float], end: float, steps: int, times: int = 
 
 
 @pytest.mark.parametrize("mass", [(1.0, 1.0), (0.5, 3.0)])
-def test_two_masses_on_a_string_swing_at_the_frequency_of_their_reduced_mass(mass: tuple[float, float]) -> None:
+def test_two_masses_on_a_string_swing_at_the_frequency_of_their_reduced_mass(
+    mass: tuple[float, float],
+) -> None:
     k, rest, pull = 80.0, 1.0, 40.0
-    start = rest + 0.9 * pull / k  # stretched by 10 % less than the forces ask for: it never goes slack
-    s = tc.Structure([(0, 0, 0), (start, 0, 0)], strings=[(0, 1)], node_mass=mass, stiffness=k, rest_length=rest)
+    start = (
+        rest + 0.9 * pull / k
+    )  # stretched by 10 % less than the forces ask for: it never goes slack
+    s = tc.Structure(
+        [(0, 0, 0), (start, 0, 0)], strings=[(0, 1)], node_mass=mass, stiffness=k, rest_length=rest
+    )
     omega = np.sqrt(k * sum(mass) / (mass[0] * mass[1]))
     forces = tc.NodalForce([(-pull, 0, 0), (pull, 0, 0)])
     _, run = fly(tc.Scene(s, forces=forces), 3 * 2 * np.pi / omega, 2e-3)
     length = run.nodes[:, 1, 0] - run.nodes[:, 0, 0]
-    np.testing.assert_allclose(length, rest + pull / k * (1 - 0.1 * np.cos(omega * run.time)), atol=1e-8)
+    np.testing.assert_allclose(
+        length, rest + pull / k * (1 - 0.1 * np.cos(omega * run.time)), atol=1e-8
+    )
     assert np.abs(run.nodes[-1] - run.nodes[0]).max() < 1e-8  # after three periods
 
 
 def test_a_damped_string_decays_as_the_linear_oscillator() -> None:
     m, k, c = 2.0, 50.0, 4.0
-    s = tc.Structure([(0, 0, 0), (0, 0, -1.6)], strings=[(0, 1)], node_mass=m, pinned=[0], stiffness=k, damping=c, rest_length=1.0)
+    s = tc.Structure(
+        [(0, 0, 0), (0, 0, -1.6)],
+        strings=[(0, 1)],
+        node_mass=m,
+        pinned=[0],
+        stiffness=k,
+        damping=c,
+        rest_length=1.0,
+    )
     _, run = fly(tc.Scene(s, gravity=tc.Gravity((0, 0, -G))), 4.0, 2e-3)
     rest, beta = -1.0 - m * G / k, c / (2 * m)
     omega = np.sqrt(k / m - beta**2)
     start = -1.6 - rest
-    motion = np.exp(-beta * run.time) * start * (np.cos(omega * run.time) + beta / omega * np.sin(omega * run.time))
+    motion = (
+        np.exp(-beta * run.time)
+        * start
+        * (np.cos(omega * run.time) + beta / omega * np.sin(omega * run.time))
+    )
     np.testing.assert_allclose(run.nodes[:, 1, 2], rest + motion, atol=1e-8)
     assert np.all(np.diff(run.energy) < 0)
     assert np.abs(run.energy_error).max() < 1e-8
@@ -52,12 +75,24 @@ def slack_line(time: Any, k: float, m: float, stretch: float, wall: float) -> An
     """x of a mass pulled by a string (fixed at 0, at rest `wall` long) from wall + stretch: a quarter of a swing, then free."""
     omega = np.sqrt(k / m)
     release = np.pi / (2 * omega)
-    return np.where(time < release, wall + stretch * np.cos(omega * time), wall - stretch * omega * (time - release))
+    return np.where(
+        time < release,
+        wall + stretch * np.cos(omega * time),
+        wall - stretch * omega * (time - release),
+    )
 
 
 def test_a_slack_string_carries_exactly_nothing() -> None:
     k, m, stretch, wall = 100.0, 1.0, 0.2, 1.0
-    s = tc.Structure([(0, 0, 0), (wall + stretch, 0, 0)], strings=[(0, 1)], node_mass=m, pinned=[0], stiffness=k, rest_length=wall, damping=0.0)
+    s = tc.Structure(
+        [(0, 0, 0), (wall + stretch, 0, 0)],
+        strings=[(0, 1)],
+        node_mass=m,
+        pinned=[0],
+        stiffness=k,
+        rest_length=wall,
+        damping=0.0,
+    )
 
     def run(step: float) -> tc.Trajectory:
         return fly(tc.Scene(s), 0.4, step, save_every=1)[1]
@@ -68,7 +103,9 @@ def test_a_slack_string_carries_exactly_nothing() -> None:
     assert np.all(fine.force_density[free] == 0)
     assert np.all(fine.tension[fine.time < 0.15] > 0)
     assert np.ptp(fine.velocities[free], axis=0).max() == 0  # to the last bit: no force at all
-    np.testing.assert_allclose(fine.nodes[:, 1, 0], slack_line(fine.time, k, m, stretch, wall), atol=2e-6)
+    np.testing.assert_allclose(
+        fine.nodes[:, 1, 0], slack_line(fine.time, k, m, stretch, wall), atol=2e-6
+    )
     assert np.all(np.diff(fine.energy_parts[free, 1]) == 0)
     # A force whose slope jumps inside a step leaves an error of order 2, whatever the scheme.
     end = slack_line(0.4, k, m, stretch, wall)
@@ -78,7 +115,14 @@ def test_a_slack_string_carries_exactly_nothing() -> None:
 def test_a_string_catches_the_mass_again() -> None:
     """Thrown along a slack string, the mass stops at v √(m/k) beyond the rest length and comes back as fast as it went."""
     k, m, v = 400.0, 1.0, 2.0
-    s = tc.Structure([(0, 0, 0), (0.5, 0, 0)], strings=[(0, 1)], node_mass=m, pinned=[0], stiffness=k, rest_length=1.0)
+    s = tc.Structure(
+        [(0, 0, 0), (0.5, 0, 0)],
+        strings=[(0, 1)],
+        node_mass=m,
+        pinned=[0],
+        stiffness=k,
+        rest_length=1.0,
+    )
     _, run = fly(tc.Scene(s), 0.6, 2e-4, velocities=[(0, 0, 0), (v, 0, 0)], save_every=1)
     assert run.nodes[:, 1, 0].max() == pytest.approx(1 + v * np.sqrt(m / k), abs=1e-6)
     assert run.velocities[-1, 1, 0] == pytest.approx(-v, abs=1e-6)
@@ -88,9 +132,16 @@ def test_a_string_catches_the_mass_again() -> None:
 # --- impact ---
 
 
-def bounce(t_end: float, step: float, damping: float = 0.0, k: float = 1e3, height: float = 0.5) -> tc.Trajectory:
+def bounce(
+    t_end: float, step: float, damping: float = 0.0, k: float = 1e3, height: float = 0.5
+) -> tc.Trajectory:
     s = tc.Structure([(0, 0, height)], node_mass=1.0)
-    return fly(tc.Scene(s, gravity=tc.Gravity((0, 0, -G)), ground=tc.Ground(k, damping)), t_end, step, save_every=1)[1]
+    return fly(
+        tc.Scene(s, gravity=tc.Gravity((0, 0, -G)), ground=tc.Ground(k, damping)),
+        t_end,
+        step,
+        save_every=1,
+    )[1]
 
 
 def bounce_height(time: float, k: float = 1e3, height: float = 0.5) -> float:
@@ -103,11 +154,15 @@ def bounce_height(time: float, k: float = 1e3, height: float = 0.5) -> float:
         return float(height - G * t**2 / 2)
     if t > fall + contact:
         return float(height - G * (2 * fall + contact - t) ** 2 / 2)
-    return float(-sag + sag * np.cos(omega * (t - fall)) - speed / omega * np.sin(omega * (t - fall)))
+    return float(
+        -sag + sag * np.cos(omega * (t - fall)) - speed / omega * np.sin(omega * (t - fall))
+    )
 
 
 def test_an_undamped_mass_returns_to_its_height() -> None:
-    period = 2 * np.sqrt(2 * 0.5 / G) + 2 * (np.pi - np.arctan2(np.sqrt(2 * G * 0.5), G / np.sqrt(1e3))) / np.sqrt(1e3)
+    period = 2 * np.sqrt(2 * 0.5 / G) + 2 * (
+        np.pi - np.arctan2(np.sqrt(2 * G * 0.5), G / np.sqrt(1e3))
+    ) / np.sqrt(1e3)
     run = bounce(3.5 * period, 1e-3)
     tops = [run.nodes[abs(run.time - n * period) < 5e-3, 0, 2].max() for n in (1, 2, 3)]
     np.testing.assert_allclose(tops, 0.5, atol=2e-4)
@@ -118,19 +173,35 @@ def test_an_undamped_mass_returns_to_its_height() -> None:
 def test_the_error_of_a_bounce_is_of_order_two_and_of_order_one_with_damping() -> None:
     end = 0.6  # between the first impact and the second
     damped = float(bounce(end, 6e-6, 20.0).nodes[-1, 0, 2])
-    assert 1.6 < order(lambda h: float(bounce(end, h).nodes[-1, 0, 2]) - bounce_height(end), end, 150) < 2.4
-    assert 0.7 < order(lambda h: float(bounce(end, h, 20.0).nodes[-1, 0, 2]) - damped, end, 150) < 1.3  # the damper's force jumps at contact
+    assert (
+        1.6
+        < order(lambda h: float(bounce(end, h).nodes[-1, 0, 2]) - bounce_height(end), end, 150)
+        < 2.4
+    )
+    assert (
+        0.7 < order(lambda h: float(bounce(end, h, 20.0).nodes[-1, 0, 2]) - damped, end, 150) < 1.3
+    )  # the damper's force jumps at contact
 
 
-@pytest.mark.parametrize(("ratio", "friction"), [(0.05, None), (0.2, None), (0.5, None), (0.2, 0.5)])
-def test_restitution_of_a_damped_contact_that_never_pulls(ratio: float, friction: float | None) -> None:
+@pytest.mark.parametrize(
+    ("ratio", "friction"), [(0.05, None), (0.2, None), (0.5, None), (0.2, 0.5)]
+)
+def test_restitution_of_a_damped_contact_that_never_pulls(
+    ratio: float, friction: float | None
+) -> None:
     """Without gravity: e = exp(−β/ω (π − atan(2βω/(ω²−β²)))), where contact ends as the force, not the depth, becomes zero."""
     k, m, v = 1e4, 1.0, 3.0
     beta = ratio * np.sqrt(k / m)
     omega = np.sqrt(k / m - beta**2)
     e = np.exp(-beta / omega * (np.pi - np.arctan(2 * beta * omega / (omega**2 - beta**2))))
     s = tc.Structure([(0, 0, 0.01)], node_mass=m)
-    _, run = fly(tc.Scene(s, ground=tc.Ground(k, 2 * m * beta, friction=friction)), 0.1, 1e-5, velocities=[(0, 0, -v)], save_every=10)
+    _, run = fly(
+        tc.Scene(s, ground=tc.Ground(k, 2 * m * beta, friction=friction)),
+        0.1,
+        1e-5,
+        velocities=[(0, 0, -v)],
+        save_every=10,
+    )
     assert run.velocities[-1, 0, 2] / v == pytest.approx(e, abs=2e-3)
     assert np.all(np.diff(run.energy) <= 1e-12)
 
@@ -141,15 +212,29 @@ MU = 0.5
 SLIP = 1e-3
 
 
-def slope(angle: float, tilted: str, structure: tc.Structure, slip_speed: float = SLIP, damping: float = 50.0) -> tuple[tc.Scene, Any]:
+def slope(
+    angle: float,
+    tilted: str,
+    structure: tc.Structure,
+    slip_speed: float = SLIP,
+    damping: float = 50.0,
+) -> tuple[tc.Scene, Any]:
     """A slope of `angle`, as a tilted ground or as tilted gravity, and its downhill direction; the structure stands on the ground z ≤ 0."""
     down = np.array([np.sin(angle), 0, -np.cos(angle)])
     if tilted == "gravity":
         ground = tc.Ground(1e5, damping, friction=MU, slip_speed=slip_speed)
-        return tc.Scene(structure, gravity=tc.Gravity(G * down), ground=ground), np.array([1.0, 0.0, 0.0])
-    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+        return tc.Scene(structure, gravity=tc.Gravity(G * down), ground=ground), np.array(
+            [1.0, 0.0, 0.0]
+        )
+    turn = np.array(
+        [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+    )
     ground = tc.Ground(1e5, damping, friction=MU, slip_speed=slip_speed, normal=turn @ (0, 0, 1))
-    return tc.Scene(structure.replace(nodes=structure.nodes @ turn.T), gravity=tc.Gravity((0, 0, -G)), ground=ground), turn @ (1.0, 0.0, 0.0)
+    return tc.Scene(
+        structure.replace(nodes=structure.nodes @ turn.T),
+        gravity=tc.Gravity((0, 0, -G)),
+        ground=ground,
+    ), turn @ (1.0, 0.0, 0.0)
 
 
 def block(angle: float) -> tc.Structure:
@@ -163,7 +248,9 @@ def test_a_block_sticks_below_the_friction_angle(tilted: str, share: float) -> N
     angle = np.arctan(share * MU)
     scene, downhill = slope(angle, tilted, block(angle))
     _, run = fly(scene, 0.5, 1e-4)
-    creep = SLIP * share / np.sqrt(1 - share**2)  # where μ f v/√(v² + v_s²) carries the weight's part
+    creep = (
+        SLIP * share / np.sqrt(1 - share**2)
+    )  # where μ f v/√(v² + v_s²) carries the weight's part
     assert run.velocities[-1, 0] @ downhill == pytest.approx(creep, rel=1e-3)
     assert np.linalg.norm(run.nodes[-1] - run.nodes[0]) < 0.5 * creep
 
@@ -176,7 +263,11 @@ def test_a_block_slides_above_the_friction_angle(tilted: str, share: float) -> N
     _, run = fly(scene, 0.5, 1e-4)
     acceleration = G * (np.sin(angle) - MU * np.cos(angle))
     half = len(run.time) // 2
-    gained = (run.velocities[-1, 0] - run.velocities[half, 0]) @ downhill / (run.time[-1] - run.time[half])
+    gained = (
+        (run.velocities[-1, 0] - run.velocities[half, 0])
+        @ downhill
+        / (run.time[-1] - run.time[half])
+    )
     assert gained == pytest.approx(acceleration, rel=1e-3)
     assert np.diff(run.energy).max() < 1e-12
 
@@ -225,5 +316,9 @@ def test_a_spinning_bar_turns_uniformly_under_its_centripetal_force() -> None:
     assert 3.7 < np.log2(coarse / fine) < 4.3
     model = tc.Model(tc.Scene(s))
     state = model.state(s.nodes, spin)
-    assert model.multipliers(state).bar_force_density[0] == pytest.approx(-s.bar_inertia[0] * rate**2)  # Eq. 46: in tension
-    assert model.energy(state).kinetic == pytest.approx(mass * length**2 / 12 * rate**2 / 2 + mass * drift @ drift / 2)
+    assert model.multipliers(state).bar_force_density[0] == pytest.approx(
+        -s.bar_inertia[0] * rate**2
+    )  # Eq. 46: in tension
+    assert model.energy(state).kinetic == pytest.approx(
+        mass * length**2 / 12 * rate**2 / 2 + mass * drift @ drift / 2
+    )

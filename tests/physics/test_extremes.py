@@ -18,7 +18,13 @@ def test_a_step_that_is_far_too_large_for_a_spin_is_told() -> None:
     assert extremes.spin(1e4, advance=1.0) > 0.1
     bar = tc.Structure([(-0.5, 0, 0), (0.5, 0, 0)], [(0, 1)])
     model = tc.Model(tc.Scene(bar))
-    run = tc.simulate(model, 100.0, 1.0, state=model.state(bar.nodes, [(0, -0.5, 0), (0, 0.5, 0)]), correction=tc.Projection())
+    run = tc.simulate(
+        model,
+        100.0,
+        1.0,
+        state=model.state(bar.nodes, [(0, -0.5, 0), (0, 0.5, 0)]),
+        correction=tc.Projection(),
+    )
     assert "energy is off" in run.message
     assert abs(run.energy_error[-1]) > 0.05 * run.energy[0]
 
@@ -26,7 +32,9 @@ def test_a_step_that_is_far_too_large_for_a_spin_is_told() -> None:
 @pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e9])
 def test_a_step_above_the_limit_ends_the_run_with_the_limit_named(stiffness: float) -> None:
     prism = tc.shapes.prism(prestress=1.0, stiffness=stiffness)
-    run = tc.simulate(tc.Model(tc.Scene(prism.replace(rest_length=0.99 * prism.rest_length))), 100.0, 0.1)
+    run = tc.simulate(
+        tc.Model(tc.Scene(prism.replace(rest_length=0.99 * prism.rest_length))), 100.0, 0.1
+    )
     assert not run.success
     assert "stability limit" in run.message
     assert "try step=" in run.message
@@ -35,7 +43,9 @@ def test_a_step_above_the_limit_ends_the_run_with_the_limit_named(stiffness: flo
 
 
 def test_masses_and_stiffnesses_that_cannot_be_computed_with_are_refused() -> None:
-    wrong = [{"node_mass": value} for value in (0.0, 5e-324, 1e-310, 1e300, np.nan)] + [{"stiffness": value} for value in (-1.0, 1e300, np.inf)]
+    wrong = [{"node_mass": value} for value in (0.0, 5e-324, 1e-310, 1e300, np.nan)] + [
+        {"stiffness": value} for value in (-1.0, 1e300, np.inf)
+    ]
     for changes in wrong:
         with pytest.raises((ValueError, TypeError), match=next(iter(changes))):
             tc.Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], **{"node_mass": 1.0, **changes})
@@ -48,7 +58,9 @@ def test_masses_and_stiffnesses_that_cannot_be_computed_with_are_refused() -> No
 
 
 def test_a_stiffness_of_hardly_anything_is_as_good_as_none() -> None:
-    pair = tc.Structure([(0, 0, 0), (1.2, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=5e-324, rest_length=1.0)
+    pair = tc.Structure(
+        [(0, 0, 0), (1.2, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=5e-324, rest_length=1.0
+    )
     run = tc.simulate(tc.Model(tc.Scene(pair)), 1.0, 1e-2, compiled=False)
     assert run.success
     assert abs(run.nodes[-1] - pair.nodes).max() < 1e-300

@@ -1,6 +1,7 @@
 """Random functions of time on random loads: no run that succeeds, and no certificate, is further off than it says.
 
-The truth is SciPy's integration of the model's equations, cut at the features that the test itself has put into the function.
+The truth is SciPy's integration of the model's equations, cut at the features that the test itself
+has put into the function.
 """
 
 from __future__ import annotations
@@ -31,7 +32,10 @@ class Feature(NamedTuple):
 
 def bell(at: float, width: float, impulse: float) -> Feature:
     size = impulse / (width * np.sqrt(np.pi))
-    return Feature(lambda t: size * ca.exp(-(((t - at) / width) ** 2)), [at + k * width for k in (-20, -6, -2, 0, 2, 6, 20)])
+    return Feature(
+        lambda t: size * ca.exp(-(((t - at) / width) ** 2)),
+        [at + k * width for k in (-20, -6, -2, 0, 2, 6, 20)],
+    )
 
 
 def window(at: float, width: float, impulse: float) -> Feature:
@@ -61,38 +65,77 @@ def width(least: int) -> Any:
 FEATURES = st.one_of(
     st.builds(bell, TIME, width(-6), IMPULSE),
     st.builds(window, TIME, width(-5), IMPULSE),
-    st.builds(beats, st.floats(10, 60), st.floats(3, 7).map(lambda power: 1 - 10.0**-power), IMPULSE),
+    st.builds(
+        beats, st.floats(10, 60), st.floats(3, 7).map(lambda power: 1 - 10.0**-power), IMPULSE
+    ),
     st.builds(wave, st.floats(1, 400), st.floats(0.1, 3)),
 )
-SPRING = tc.Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 1.5], pinned=[0], stiffness=20.0, rest_length=0.9)
+SPRING = tc.Structure(
+    [(0, 0, 0), (1, 0, 0)],
+    strings=[(0, 1)],
+    node_mass=[0, 1.5],
+    pinned=[0],
+    stiffness=20.0,
+    rest_length=0.9,
+)
 BAR = tc.Structure([(0, 0, 0), (1, 0, 0)], bars=[(0, 1)], pinned=[0])
-SAIL = tc.Structure([(0, 0, 0), (1, 0, 0), (0, 2, 0)], strings=[(0, 1), (1, 2)], node_mass=1.0, stiffness=15.0, rest_length=[0.8, 2.5])
+SAIL = tc.Structure(
+    [(0, 0, 0), (1, 0, 0), (0, 2, 0)],
+    strings=[(0, 1), (1, 2)],
+    node_mass=1.0,
+    stiffness=15.0,
+    rest_length=[0.8, 2.5],
+)
 SCENES: dict[str, Callable[[Any], tc.Scene]] = {
-    "force": lambda f: tc.Scene(SPRING, forces=tc.NodalForce(lambda t: [[0, 0, 0], [f(t), 0, 0.3 * f(t)]]), slack=tc.Linear()),
+    "force": lambda f: tc.Scene(
+        SPRING,
+        forces=tc.NodalForce(lambda t: [[0, 0, 0], [f(t), 0, 0.3 * f(t)]]),
+        slack=tc.Linear(),
+    ),
     "gravity": lambda f: tc.Scene(BAR, gravity=tc.Gravity(lambda t: [0, 0, f(t)])),
-    "pressure": lambda f: tc.Scene(SAIL, pressure=tc.Pressure([(0, 1, 2)], f), slack={0: tc.Linear(), 1: tc.Linear()}),
+    "pressure": lambda f: tc.Scene(
+        SAIL, pressure=tc.Pressure([(0, 1, 2)], f), slack={0: tc.Linear(), 1: tc.Linear()}
+    ),
 }
 
 
 def truth(model: tc.Model, features: list[Feature]) -> Any:
     """Return the nodes at the end."""
-    edges = np.unique([0.0, END, *(edge for feature in features for edge in feature.edges if 0 < edge < END)])
+    edges = np.unique(
+        [0.0, END, *(edge for feature in features for edge in feature.edges if 0 < edge < END)]
+    )
     x = model.initial_state.copy()
     for first, last in pairwise(edges):
         if last - first < 4 * SKIPPED:
             continue
         x[-1] = first + SKIPPED
-        found = solve_ivp(lambda _, y: model.ode(y, []).full().ravel(), (first + SKIPPED, last - SKIPPED), x, "DOP853", rtol=1e-10, atol=1e-12)
+        found = solve_ivp(
+            lambda _, y: model.ode(y, []).full().ravel(),
+            (first + SKIPPED, last - SKIPPED),
+            x,
+            "DOP853",
+            rtol=1e-10,
+            atol=1e-12,
+        )
         x = found.y[:, -1]
     return model.nodes(x)
 
 
-@pytest.mark.parametrize("scheme", [tc.RungeKutta4(), tc.Rattle(), tc.Collocation(), tc.DormandPrince54(rtol=1e-8)])
+@pytest.mark.parametrize(
+    "scheme", [tc.RungeKutta4(), tc.Rattle(), tc.Collocation(), tc.DormandPrince54(rtol=1e-8)]
+)
 @pytest.mark.parametrize(
     ("jumping", "impulse"),
-    [(lambda t: ca.sign(t - 0.5), 1.0), (lambda t: ca.floor(2 * t), 3.0), (lambda t: ca.fmod(t, 0.4), 0.4), (lambda t: ca.if_else(t < 1, 3, 1), 4.0)],
+    [
+        (lambda t: ca.sign(t - 0.5), 1.0),
+        (lambda t: ca.floor(2 * t), 3.0),
+        (lambda t: ca.fmod(t, 0.4), 0.4),
+        (lambda t: ca.if_else(t < 1, 3, 1), 4.0),
+    ],
 )
-def test_steps_see_nothing_of_jumps_at_their_ends(jumping: Callable[[Any], Any], impulse: float, scheme: Any) -> None:
+def test_steps_see_nothing_of_jumps_at_their_ends(
+    jumping: Callable[[Any], Any], impulse: float, scheme: Any
+) -> None:
     free = tc.Structure([(0, 0, 0)], node_mass=1.0)
     model = tc.Model(tc.Scene(free, forces=tc.NodalForce(lambda t: [[jumping(t), 0, 0]])))
     run = tc.simulate(model, 2.0, 0.01, scheme, compiled=False)
@@ -105,9 +148,16 @@ def check(kind: str, features: list[Feature], certified: bool) -> None:
 
     model = tc.Model(SCENES[kind](value))
     wanted = truth(model, features)
-    for scheme in (tc.DormandPrince853(rtol=1e-9), tc.DormandPrince54(rtol=1e-9), tc.Cvodes(rtol=1e-9)):
+    for scheme in (
+        tc.DormandPrince853(rtol=1e-9),
+        tc.DormandPrince54(rtol=1e-9),
+        tc.Cvodes(rtol=1e-9),
+    ):
         run = tc.simulate(model, END, 0.05, scheme, compiled=False, save_every=10**6)
-        assert not run.success or abs(run.nodes[-1] - wanted).max() < 2e-6, (run.message, abs(run.nodes[-1] - wanted).max())
+        assert not run.success or abs(run.nodes[-1] - wanted).max() < 2e-6, (
+            run.message,
+            abs(run.nodes[-1] - wanted).max(),
+        )
     if certified:
         try:
             found = tc.certify(model, END, accuracy=1e-5, enough=1e-8, compiled=False, work=1e8)
@@ -134,14 +184,33 @@ def test_no_feature_is_missed_nor_certified_wrongly(kind: str, features: list[Fe
 
 PLACES = st.one_of(
     st.builds(lambda at, size: lambda t: size * (t > at), TIME, width(-6)),
-    st.builds(lambda at, wide, size: lambda t: size * ((t > at) * (t < at + wide)), TIME, width(-7), width(-4)),
-    st.builds(lambda rate, power, size: lambda t: size * (ca.sin(rate * t) > 1 - 10.0**-power), st.floats(10, 60), st.floats(3, 8), width(-4)),
+    st.builds(
+        lambda at, wide, size: lambda t: size * ((t > at) * (t < at + wide)),
+        TIME,
+        width(-7),
+        width(-4),
+    ),
+    st.builds(
+        lambda rate, power, size: lambda t: size * (ca.sin(rate * t) > 1 - 10.0**-power),
+        st.floats(10, 60),
+        st.floats(3, 8),
+        width(-4),
+    ),
     st.builds(lambda at, size: lambda t: size * ca.fmax(t - at, 0), TIME, width(-4)),
     st.builds(lambda at, size: lambda t: size * ca.fabs(t - at) - size * at, TIME, width(-4)),
     st.builds(lambda size: lambda t: size * ca.sqrt(t), width(-4)),
     st.builds(lambda at, size: lambda t: size * ca.fmax(t - at, 0) ** 2, TIME, st.floats(0.01, 1)),
-    st.builds(lambda rate, size: lambda t: size * ca.sin(rate * t) / rate, st.floats(1, 50), st.floats(0.01, 1)),
-    st.builds(lambda at, wide, size: lambda t: size * (ca.tanh((t - at) / wide) - ca.tanh(-at / wide)), TIME, width(-5), st.floats(1e-6, 1e-4)),
+    st.builds(
+        lambda rate, size: lambda t: size * ca.sin(rate * t) / rate,
+        st.floats(1, 50),
+        st.floats(0.01, 1),
+    ),
+    st.builds(
+        lambda at, wide, size: lambda t: size * (ca.tanh((t - at) / wide) - ca.tanh(-at / wide)),
+        TIME,
+        width(-5),
+        st.floats(1e-6, 1e-4),
+    ),
 )
 
 
@@ -153,7 +222,10 @@ def test_supports_jump_with_an_error_or_not_at_all(place: Callable[[Any], Any]) 
     try:
         runs = [
             tc.simulate(model, END, step, scheme, compiled=False, save_every=10**6)
-            for step, scheme in ((0.05, tc.DormandPrince853(rtol=1e-10)), (0.011, tc.DormandPrince54(rtol=1e-10)))
+            for step, scheme in (
+                (0.05, tc.DormandPrince853(rtol=1e-10)),
+                (0.011, tc.DormandPrince54(rtol=1e-10)),
+            )
         ]
     except ValueError as error:
         assert "SupportMotion.positions[0]" in str(error)  # noqa: PT017

@@ -15,9 +15,15 @@ PRESSURE = 300.0
 
 
 def inflated(p: int, q: int) -> tc.Scene:
-    s = tc.shapes.membrane(p, q, node_mass=np.linspace(0.1, 0.3, p * q), stiffness=900.0, damping=2.0)
-    s = s.replace(rest_length=s.string_lengths * np.linspace(0.8, 1.02, len(s.strings)))  # a few are slack
-    return tc.Scene(s, gravity=tc.Gravity(), pressure=tc.Pressure(membrane_faces(p, q).tolist(), PRESSURE))
+    s = tc.shapes.membrane(
+        p, q, node_mass=np.linspace(0.1, 0.3, p * q), stiffness=900.0, damping=2.0
+    )
+    s = s.replace(
+        rest_length=s.string_lengths * np.linspace(0.8, 1.02, len(s.strings))
+    )  # a few are slack
+    return tc.Scene(
+        s, gravity=tc.Gravity(), pressure=tc.Pressure(membrane_faces(p, q).tolist(), PRESSURE)
+    )
 
 
 def accelerations(scene: tc.Scene, nodes: np.ndarray, velocities: np.ndarray) -> np.ndarray:
@@ -34,14 +40,18 @@ def accelerations(scene: tc.Scene, nodes: np.ndarray, velocities: np.ndarray) ->
     assert scene.pressure is not None
     for face in scene.pressure.faces:
         a, b, c = nodes[list(face)]
-        force[list(face)] += PRESSURE * np.cross(b - a, c - a) / 2 / 3  # a third of pressure times area
+        force[list(face)] += (
+            PRESSURE * np.cross(b - a, c - a) / 2 / 3
+        )  # a third of pressure times area
     return force / s.node_mass[:, None]
 
 
 def moving(model: tc.Model) -> np.ndarray:
     random = np.random.default_rng(3)
     shape = model.structure.nodes.shape
-    return model.state(model.structure.nodes + 0.03 * random.normal(size=shape), random.normal(size=shape))
+    return model.state(
+        model.structure.nodes + 0.03 * random.normal(size=shape), random.normal(size=shape)
+    )
 
 
 @SIZES
@@ -75,12 +85,25 @@ def test_derivatives_and_machine_code(p: int, q: int, graph: str) -> None:
     model = tc.Model(inflated(p, q))
     x, direction = moving(model), np.random.default_rng(5).normal(size=model.nx)
     symbol = ca.MX.sym("x", model.nx)
-    along = ca.Function("along", [symbol], [ca.jtimes(model.ode(symbol, ca.DM(0, 1)), symbol, ca.DM(direction))])(x).full().ravel()
+    along = (
+        ca.Function(
+            "along", [symbol], [ca.jtimes(model.ode(symbol, ca.DM(0, 1)), symbol, ca.DM(direction))]
+        )(x)
+        .full()
+        .ravel()
+    )
     h = 1e-6
-    difference = (model.ode(x + h * direction, []) - model.ode(x - h * direction, [])).full().ravel() / (2 * h)
+    difference = (
+        model.ode(x + h * direction, []) - model.ode(x - h * direction, [])
+    ).full().ravel() / (2 * h)
     np.testing.assert_allclose(along, difference, atol=1e-6 * np.abs(along).max())
     if find_compiler():
-        np.testing.assert_allclose(compile_function(model.ode)(x, []).full(), model.ode(x, []).full(), rtol=1e-12, atol=1e-9)
+        np.testing.assert_allclose(
+            compile_function(model.ode)(x, []).full(),
+            model.ode(x, []).full(),
+            rtol=1e-12,
+            atol=1e-9,
+        )
 
 
 def test_tensions_are_those_of_a_thin_shell() -> None:
@@ -88,7 +111,9 @@ def test_tensions_are_those_of_a_thin_shell() -> None:
     p, q, radius, length, pressure = 20, 11, 2.0, 4.0, 1e4
     s = tc.shapes.membrane(p, q, radius, length)
     faces = membrane_faces(p, q)
-    load = np.asarray(tc.Pressure(faces.tolist(), pressure).forces(ca.DM(s.nodes.T)).full()).T.copy()
+    load = np.asarray(
+        tc.Pressure(faces.tolist(), pressure).forces(ca.DM(s.nodes.T)).full()
+    ).T.copy()
     share = pressure * radius**2 / 2 * np.sin(2 * np.pi / p)
     load[:p, 2] -= share
     load[-p:, 2] += share
@@ -99,6 +124,7 @@ def test_tensions_are_those_of_a_thin_shell() -> None:
     axial = helices.sum(axis=1) * rise / (2 * np.pi * radius)
     np.testing.assert_allclose(axial, pressure * radius / 2, rtol=2e-2)
     chord = 2 * radius * np.sin(np.pi / p)
-    # per unit of axial length: a ring each `rise`, and each helix string's circumferential part over half a chord
+    # per unit of axial length: a ring each `rise`, and each helix string's circumferential part
+    # over half a chord
     hoop = (rings[q // 2].mean() * chord + helices[q // 2].mean() * chord / 2) / rise
     assert hoop == pytest.approx(pressure * radius, rel=2e-2)

@@ -71,7 +71,14 @@ def test_the_dbar_passes_its_folds(example: ModuleType, coordinates: str) -> Non
     model = tc.Model(tc.Scene(example.d_bar()), coordinates=coordinates)
     errors = []
     for step in (2e-3, 5e-4):
-        run = tc.simulate(model, 3.0, step, correction=tc.Projection(), compiled=False, save_every=round(1e-2 / step))
+        run = tc.simulate(
+            model,
+            3.0,
+            step,
+            correction=tc.Projection(),
+            compiled=False,
+            save_every=round(1e-2 / step),
+        )
         assert run.success, run.message
         assert run.bar_length_error.max() < 1e-14
         assert run.joint_error.max() < 1e-14
@@ -100,13 +107,17 @@ def test_dbar_figures(example: ModuleType, tmp_path: Path) -> None:
 
 
 @of("paper_membrane")
-def test_the_membrane_rests_at_one_atmosphere_and_its_centre_moves_radially(example: ModuleType) -> None:
+def test_the_membrane_rests_at_one_atmosphere_and_its_centre_moves_radially(
+    example: ModuleType,
+) -> None:
     still = example.run(8, 5, rise=1.0)
     assert np.abs(still.nodes - still.nodes[0]).max() < 1e-9
     s = example.membrane(8, 5)
     np.testing.assert_allclose(s.rest_length / s.string_lengths, 0.975)
     area = s.string_mass / (example.DENSITY * s.string_lengths)
-    np.testing.assert_allclose(still.tension[0] / area, example.STRENGTH)  # minimum mass: all strings at their limit
+    np.testing.assert_allclose(
+        still.tension[0] / area, example.STRENGTH
+    )  # minimum mass: all strings at their limit
 
     run = example.run(8, 5)
     middle = example.radial(run, 8, 5)

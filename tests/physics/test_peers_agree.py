@@ -31,7 +31,9 @@ def motion(prism):
 
 
 def test_without_mujoco_it_says_so(peers, monkeypatch, tmp_path, capsys):
-    monkeypatch.setitem(sys.modules, "mujoco", None)  # what Python remembers of a module that cannot be imported
+    monkeypatch.setitem(
+        sys.modules, "mujoco", None
+    )  # what Python remembers of a module that cannot be imported
     results = peers.main(tmp_path, quick=True)
     out = capsys.readouterr().out
     assert "pip install 'tenscasadi[peers]'" in out
@@ -47,16 +49,22 @@ def test_without_mujoco_it_says_so(peers, monkeypatch, tmp_path, capsys):
 
 def test_scipy_converges_to_the_same_motion(peers, prism, motion):
     start, end = motion
-    errors = [peers.scipy_run(prism, start, method, 1e-10, end, 1).error for method in ("DOP853", "RK45")]
+    errors = [
+        peers.scipy_run(prism, start, method, 1e-10, end, 1).error for method in ("DOP853", "RK45")
+    ]
     assert max(errors) < 1e-8
 
 
 def test_mujoco_converges_to_the_same_motion(peers, prism, motion):
     mujoco = pytest.importorskip("mujoco")
     _, end = motion
-    coarse, fine = (peers.mujoco_run(mujoco, prism, "RK4", count, end, 1).error for count in (500, 1000))
+    coarse, fine = (
+        peers.mujoco_run(mujoco, prism, "RK4", count, end, 1).error for count in (500, 1000)
+    )
     assert fine < 1e-6
-    assert coarse / fine == pytest.approx(16, rel=0.3)  # order 4, so the difference vanishes with the step
+    assert coarse / fine == pytest.approx(
+        16, rel=0.3
+    )  # order 4, so the difference vanishes with the step
     assert peers.mujoco_run(mujoco, prism, "Euler", 4000, end, 1).error < 1e-4
 
 

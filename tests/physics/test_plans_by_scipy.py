@@ -30,7 +30,11 @@ def end_by_scipy(plan: ocp.Plan) -> tuple[Any, Any]:
 
         def slope(t: float, y: Any, k: int = k, first: float = first, last: float = last) -> Any:
             share = (t - first) / (last - first) if linear else 0.0
-            gamma = plan.force_density[k] if not share else (1 - share) * plan.force_density[k] + share * plan.force_density[k + 1]
+            gamma = (
+                plan.force_density[k]
+                if not share
+                else (1 - share) * plan.force_density[k] + share * plan.force_density[k + 1]
+            )
             return model.ode(y, gamma).full().ravel()
 
         x = solve_ivp(slope, (first, last), x, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
@@ -48,7 +52,10 @@ def missed(problem: ocp.Problem, nodes: Any, velocities: Any) -> tuple[list[floa
             places.append(abs(lengths - goal.lengths).max())
         elif isinstance(goal, ocp.NodePositions):
             places += [
-                abs(nodes[node, axis] - wanted) for node, place in goal.positions.items() for axis, wanted in enumerate(place) if wanted is not None
+                abs(nodes[node, axis] - wanted)
+                for node, place in goal.positions.items()
+                for axis, wanted in enumerate(place)
+                if wanted is not None
             ]
         elif isinstance(goal, ocp.AtRest):
             speeds.append(abs(velocities).max())
@@ -68,7 +75,8 @@ def test_replay_error_is_that_of_scipy(case: Case) -> None:
     apart_speed = abs(replayed.velocities[-1] - velocities).max()
     assert abs(replayed.nodes[-1] - nodes).max() < 1e-2 * plan.replay_error + 1e-7 + grown
     assert apart_speed < 1e-2 * plan.replay_speed_error + 1e-6 + grown
-    # Of the goals as they are asked: errors of the replay hold what follows from them, too. Both ends of a string may be apart.
+    # Of the goals as they are asked: errors of the replay hold what follows from them, too. Both
+    # ends of a string may be apart.
     places, speeds = missed(problem, nodes, velocities)
     assert max(places) < plan.replay_error + 2 * apart + 1e-12
     assert max(speeds) < plan.replay_speed_error + apart_speed + 1e-12

@@ -13,7 +13,11 @@ from hypothesis import strategies as st
 import tenscasadi as tc
 
 SCHEMES = [tc.RungeKutta4(), tc.DormandPrince54(), tc.DormandPrince853(), tc.Rattle()]
-POWERS = {"mass": (-1.0, 1.0), "stiffness": (1.0, 5.0), "damping": (-1.0, 5.5)}  # of ten, in kg, N/m and N s/m
+POWERS = {
+    "mass": (-1.0, 1.0),
+    "stiffness": (1.0, 5.0),
+    "damping": (-1.0, 5.5),
+}  # of ten, in kg, N/m and N s/m
 
 
 def on_examples(check: Callable[[st.DataObject], None], count: int) -> None:
@@ -44,8 +48,13 @@ def hung(draw: Callable[[Any], Any]) -> tc.Structure:
     slack = np.array(draw(st.lists(st.floats(0.8, 1.1), min_size=count, max_size=count)))
     damped = np.array(draw(st.lists(st.booleans(), min_size=count, max_size=count)))
     lengths = np.linalg.norm([nodes[b] - nodes[a] for a, b in strings], axis=1)
-    laws = {"stiffness": magnitudes(draw, "stiffness", count), "damping": magnitudes(draw, "damping", count) * damped}
-    return tc.Structure(nodes, bars, strings, rest_length=slack * lengths, pinned=pinned, **laws, **masses)
+    laws = {
+        "stiffness": magnitudes(draw, "stiffness", count),
+        "damping": magnitudes(draw, "damping", count) * damped,
+    }
+    return tc.Structure(
+        nodes, bars, strings, rest_length=slack * lengths, pinned=pinned, **laws, **masses
+    )
 
 
 def check_steps(data: st.DataObject) -> None:
@@ -55,19 +64,35 @@ def check_steps(data: st.DataObject) -> None:
     speed = data.draw(st.sampled_from([0.0, 1.0, 10.0]))
     velocities = speed * np.sin(7.0 * np.arange(structure.nodes.size)).reshape(-1, 3)
     velocities[sorted(structure.pinned)] = 0.0
-    start = np.asarray(tc.projection(model)(model.state(structure.nodes, velocities)).full()).ravel()
+    start = np.asarray(
+        tc.projection(model)(model.state(structure.nodes, velocities)).full()
+    ).ravel()
     taut = tc.Model(tc.Scene(structure.replace(rest_length=0.5 * structure.rest_length)))
-    limit, steps = tc.stable_step(taut, start, scheme=scheme, safety=1.0), data.draw(st.integers(10, 1000))
+    limit, steps = (
+        tc.stable_step(taut, start, scheme=scheme, safety=1.0),
+        data.draw(st.integers(10, 1000)),
+    )
     step = limit * 10 ** data.draw(st.one_of(st.floats(0.02, 1.7), st.floats(-1.5, 0.0)))
     assume(np.isfinite(step) and 1e-4 < step * steps < 2.0)
     run = tc.simulate(model, step * steps, step, scheme, state=start, compiled=False)
     if not run.success or ";" in run.message:
         return
     assert step < 1.001 * tc.stable_step(model, start, scheme=scheme, safety=1.0)
-    reference = tc.simulate(model, step * steps, step * steps / 20, tc.Cvodes(rtol=1e-11, max_steps=10**6), state=start, compiled=False)
+    reference = tc.simulate(
+        model,
+        step * steps,
+        step * steps / 20,
+        tc.Cvodes(rtol=1e-11, max_steps=10**6),
+        state=start,
+        compiled=False,
+    )
     assume(reference.success)
     moved = run.energy_parts[:, 0].max() + np.ptp(run.energy_parts[:, 1:], axis=0).sum()
-    claimed = np.ptp(run.nodes, axis=0).max() * np.sqrt(abs(run.energy_error).max() / moved) if moved else 0.0
+    claimed = (
+        np.ptp(run.nodes, axis=0).max() * np.sqrt(abs(run.energy_error).max() / moved)
+        if moved
+        else 0.0
+    )
     error = np.linalg.norm(run.nodes[-1] - reference.nodes[-1], axis=1).max()
     assert error < 0.01 + 3 * claimed, run.message
 
@@ -84,11 +109,18 @@ def test_many_steps_near_the_stability_limit_end_right_or_with_a_word() -> None:
 def check_start(data: st.DataObject) -> None:
     """Starts off their bars by any share, anywhere, at any speed."""
     draw = data.draw
-    structure = tc.shapes.prism(draw(st.integers(3, 4)), stiffness=1000.0, damping=1.0, prestress=30.0)
+    structure = tc.shapes.prism(
+        draw(st.integers(3, 4)), stiffness=1000.0, damping=1.0, prestress=30.0
+    )
     away = 10 ** draw(st.floats(-9.0, 0.0))
-    place, speed = (10 ** draw(st.floats(0.0, power)) * np.array([0.6, 0.0, 0.8]) for power in (5.0, 4.0))
+    place, speed = (
+        10 ** draw(st.floats(0.0, power)) * np.array([0.6, 0.0, 0.8]) for power in (5.0, 4.0)
+    )
     way = draw(st.sampled_from(["length", "rate"]))
-    model, turned = tc.Model(tc.Scene(structure.replace(nodes=structure.nodes + place))), np.cross([0.0, 0.0, 1.0], structure.nodes)
+    model, turned = (
+        tc.Model(tc.Scene(structure.replace(nodes=structure.nodes + place))),
+        np.cross([0.0, 0.0, 1.0], structure.nodes),
+    )
     nodes, velocities = structure.nodes + place, turned + speed
     a, b = structure.bars[0]
     along = structure.nodes[b] - structure.nodes[a]
@@ -97,9 +129,20 @@ def check_start(data: st.DataObject) -> None:
     else:
         velocities[b] += away * along
     run = tc.simulate(model, 0.05, 1e-3, state=model.state(nodes, velocities), compiled=False)
-    told, rounding = "; the start is off" in run.message, 1e-14 * np.linalg.norm(place if way == "length" else speed)
-    size = np.linalg.norm(structure.nodes[structure.bars[:, 1]] - structure.nodes[structure.bars[:, 0]], axis=1).max()
-    share = away if way == "length" else away * np.linalg.norm(along) / max(size, np.linalg.norm(turned[b] - turned[a]) + away * size)
+    told, rounding = (
+        "; the start is off" in run.message,
+        1e-14 * np.linalg.norm(place if way == "length" else speed),
+    )
+    size = np.linalg.norm(
+        structure.nodes[structure.bars[:, 1]] - structure.nodes[structure.bars[:, 0]], axis=1
+    ).max()
+    share = (
+        away
+        if way == "length"
+        else away
+        * np.linalg.norm(along)
+        / max(size, np.linalg.norm(turned[b] - turned[a]) + away * size)
+    )
     if share > 1e-5 + 100 * rounding:
         assert told or not run.success
     if share < 1e-7 and rounding < 1e-9:
@@ -109,7 +152,14 @@ def check_start(data: st.DataObject) -> None:
     if not run.success or ";" in run.message:
         return
     still = tc.Model(tc.Scene(structure))
-    reference = tc.simulate(still, 0.05, 0.005, tc.Cvodes(rtol=1e-11), state=still.state(structure.nodes, turned), compiled=False)
+    reference = tc.simulate(
+        still,
+        0.05,
+        0.005,
+        tc.Cvodes(rtol=1e-11),
+        state=still.state(structure.nodes, turned),
+        compiled=False,
+    )
     moved = run.nodes[-1] - place - 0.05 * speed
     assert abs(moved - reference.nodes[-1]).max() < 1e-6 + 10 * away + 1e3 * rounding
 

@@ -14,29 +14,47 @@ import pytest
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 SOFTWARE = (  # it draws without a graphics card, and asks nobody for updates
-    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--mute-audio"),
+    *(
+        "--no-sandbox",
+        "--use-gl=angle",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--disable-quic",
+        "--no-first-run",
+    ),
+    *(
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        "--mute-audio",
+    ),
 )
 PATIENCE = 60.0  # s: drawing in software is slow on a busy machine
 
 
 def chromium() -> str | None:
     """Path of a browser: what TENSCASADI_BROWSER names, or the first that is installed."""
-    return os.environ.get("TENSCASADI_BROWSER") or next((found for name in NAMES if (found := shutil.which(name))), None)
+    return os.environ.get("TENSCASADI_BROWSER") or next(
+        (found for name in NAMES if (found := shutil.which(name))), None
+    )
 
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
     """A browser that draws in software; skips where viser, playwright or the browser is missing."""
     for module in ("viser", "playwright"):
-        pytest.importorskip(module, reason=f"{module} is not installed: pip install 'tenscasadi[test]'")
+        pytest.importorskip(
+            module, reason=f"{module} is not installed: pip install 'tenscasadi[test]'"
+        )
     path = chromium()
     if path is None:
         pytest.skip("there is no browser: install chromium, or name one in TENSCASADI_BROWSER")
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=path, headless=True, args=list(SOFTWARE))
+        running = playwright.chromium.launch(
+            executable_path=path, headless=True, args=list(SOFTWARE)
+        )
         yield running
         running.close()
 
@@ -50,7 +68,10 @@ def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
         page = browser.new_page(viewport={"width": width, "height": height})
         page.set_default_timeout(1000 * PATIENCE)
         page.faults, page.asked = [], []
-        page.on("console", lambda message: page.faults.append(message.text) if message.type == "error" else None)
+        page.on(
+            "console",
+            lambda message: page.faults.append(message.text) if message.type == "error" else None,
+        )
         page.on("pageerror", lambda error: page.faults.append(str(error)))
         page.on("request", lambda request: page.asked.append(request.url))
         page.goto(url)

@@ -22,14 +22,24 @@ ARM = tc.Structure(
 
 def problem(*bounds):
     goals = [ocp.Shape(TALL.nodes), ocp.AtRest()]
-    return ocp.Problem(MODEL, 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 100.0), *bounds], costs=[ocp.Effort()])
+    return ocp.Problem(
+        MODEL,
+        1.0,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(1.0, 100.0), *bounds],
+        costs=[ocp.Effort()],
+    )
 
 
 def misfit(trajectory):
     """Of the distances between nodes, at the end."""
     pairs = list(combinations(range(6), 2))
     return max(
-        abs(np.linalg.norm(trajectory.nodes[-1, a] - trajectory.nodes[-1, b]) - np.linalg.norm(TALL.nodes[a] - TALL.nodes[b])) for a, b in pairs
+        abs(
+            np.linalg.norm(trajectory.nodes[-1, a] - trajectory.nodes[-1, b])
+            - np.linalg.norm(TALL.nodes[a] - TALL.nodes[b])
+        )
+        for a, b in pairs
     )
 
 

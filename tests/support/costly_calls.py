@@ -17,13 +17,17 @@ from tenscasadi.animation import animate
 
 @cache
 def cross() -> tc.Model:
-    return tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0], stiffness=1000.0), control=tc.ForceDensity()))
+    return tc.Model(
+        tc.Scene(tc.shapes.d_bar(pinned=[0], stiffness=1000.0), control=tc.ForceDensity())
+    )
 
 
 @cache
 def turned() -> ocp.Problem:
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
-    return ocp.Problem(cross(), goals=goals, bounds=[ocp.ForceDensityLimits(0.0, 50.0)], costs=[ocp.Effort()])
+    return ocp.Problem(
+        cross(), goals=goals, bounds=[ocp.ForceDensityLimits(0.0, 50.0)], costs=[ocp.Effort()]
+    )
 
 
 @cache
@@ -36,7 +40,11 @@ def short_plan() -> ocp.Plan:
 @cache
 def weighed() -> ocp.Plan:
     scene = replace(cross().scene, parameters=tc.Parameters("bar_mass"))
-    return ocp.solve(ocp.Problem(tc.Model(scene), goals=turned().goals), ocp.MultipleShooting(3), ocp.Ipopt(max_iterations=3))
+    return ocp.solve(
+        ocp.Problem(tc.Model(scene), goals=turned().goals),
+        ocp.MultipleShooting(3),
+        ocp.Ipopt(max_iterations=3),
+    )
 
 
 @cache
@@ -63,16 +71,39 @@ def measuring_calls() -> dict[str, Call]:
     many = {"model": timed(), "t_end": 0.01, "step": 0.01, "states": np.tile(timed().initial_state, (2, 1)), "controls": np.zeros((2, 0)),
             "parameters": {}, "scheme": tc.RungeKutta4(), "correction": tc.Projection(), "save_every": 1, "threads": 1,
             "progress": False}  # fmt: skip
-    driven = {"model": cross(), "t_end": 0.1, "step": 0.02, "states": cross().initial_state, "controls": tracker().feedback}
+    driven = {
+        "model": cross(),
+        "t_end": 0.1,
+        "step": 0.02,
+        "states": cross().initial_state,
+        "controls": tracker().feedback,
+    }
     derivatives = {"model": timed(), "start": timed().initial_state, "t_end": 0.01, "step": 0.01, "scheme": tc.RungeKutta4(), "control": None,
                    "correction": tc.Projection(), "of": lambda x, u: x[0], "by": "state", "mode": "forward", "compiled": False}  # fmt: skip
     return {
         "rollouts": (tc.rollouts, many),
         "rollouts, controls": (tc.rollouts, {**driven, "controls": np.full((2, 3, 2), 10.0)}),
         "rollouts, feedback": (tc.rollouts, driven),
-        "Feedback": (tc.Feedback, {name: getattr(tracker().feedback, name) for name in ("time", "controls", "states", "gains", "lower", "upper")}),
+        "Feedback": (
+            tc.Feedback,
+            {
+                name: getattr(tracker().feedback, name)
+                for name in ("time", "controls", "states", "gains", "lower", "upper")
+            },
+        ),
         "sensitivities": (tc.sensitivities, derivatives),
-        "certify": (tc.certify, {"model": timed(), "t_end": 0.01, **start, "accuracy": 1e-3, "enough": 1e-3, "compiled": False, "work": 1e6}),
+        "certify": (
+            tc.certify,
+            {
+                "model": timed(),
+                "t_end": 0.01,
+                **start,
+                "accuracy": 1e-3,
+                "enough": 1e-3,
+                "compiled": False,
+                "work": 1e6,
+            },
+        ),
         "recommend": (
             tc.recommend,
             {
@@ -87,7 +118,10 @@ def measuring_calls() -> dict[str, Call]:
             },
         ),
         "tradeoff": (tc.tradeoff, study),
-        "export_c": (tc.export_c, {"model": cross(), "folder": "c", "scheme": tc.RungeKutta4(), "precision": None}),
+        "export_c": (
+            tc.export_c,
+            {"model": cross(), "folder": "c", "scheme": tc.RungeKutta4(), "precision": None},
+        ),
     }
 
 
@@ -118,20 +152,63 @@ def planning_calls() -> dict[str, Call]:
                 "parameters": {"bar_mass": 1.1},
             },
         ),
-        "replay_wound": (ocp.replay_wound, {"plan": short_plan(), "stiffness": np.full(2, 1000.0), "damping": 0.0, "updates": 1}),
+        "replay_wound": (
+            ocp.replay_wound,
+            {"plan": short_plan(), "stiffness": np.full(2, 1000.0), "damping": 0.0, "updates": 1},
+        ),
         "Plan.replay": (short_plan().replay, {"scheme": tc.RungeKutta4(), "step": 0.05}),
-        "Plan.replay, at values": (weighed().replay, {"parameters": {"bar_mass": [1.1, 1.0, 1.0, 1.0]}}),
+        "Plan.replay, at values": (
+            weighed().replay,
+            {"parameters": {"bar_mass": [1.1, 1.0, 1.0, 1.0]}},
+        ),
         "Plan.replay, tracked": (short_plan().replay, {"tracked": True}),
         "Plan.refine": (short_plan().refine, {"tolerance": 0.1, "attempts": 1}),
         "Mpc": (
             ocp.Mpc,
-            {"problem": turned(), "period": 0.1, "intervals": 2, "plan": short_plan(), "iterations": 1, "substeps": 1, "place": 1.0, "effort": 1.0},
+            {
+                "problem": turned(),
+                "period": 0.1,
+                "intervals": 2,
+                "plan": short_plan(),
+                "iterations": 1,
+                "substeps": 1,
+                "place": 1.0,
+                "effort": 1.0,
+            },
         ),
         "Mpc.control": (mpc().control, {"time": 0.0, "state": m.initial_state}),
         "Tracker.control": (tracker().control, {"time": 0.0, "state": m.initial_state}),
-        "track": (ocp.track, {"plan": short_plan(), "decisions": 4, "place": 1.0, "effort": 1.0, "lower": 0.0, "upper": np.full(2, 200.0)}),
-        "run": (ocp.run, {"controller": tracker(), "t_end": 0.05, "model": m, "state": m.initial_state, "steps": 1, "disturbance": lambda t, x: x}),
-        "export_program": (ocp.export_program, {"problem": turned(), "transcription": ocp.MultipleShooting(2), "folder": "c", "guess": None}),
+        "track": (
+            ocp.track,
+            {
+                "plan": short_plan(),
+                "decisions": 4,
+                "place": 1.0,
+                "effort": 1.0,
+                "lower": 0.0,
+                "upper": np.full(2, 200.0),
+            },
+        ),
+        "run": (
+            ocp.run,
+            {
+                "controller": tracker(),
+                "t_end": 0.05,
+                "model": m,
+                "state": m.initial_state,
+                "steps": 1,
+                "disturbance": lambda t, x: x,
+            },
+        ),
+        "export_program": (
+            ocp.export_program,
+            {
+                "problem": turned(),
+                "transcription": ocp.MultipleShooting(2),
+                "folder": "c",
+                "guess": None,
+            },
+        ),
         "export_mpc": (ocp.export_mpc, {"mpc": mpc(), "folder": "c"}),
     }
 
@@ -148,22 +225,62 @@ def drawing_calls() -> dict[str, Call]:
 
     many = tc.rollouts(cross(), 0.1, 0.02, [cross().initial_state] * 3, save_every=1)
     return {
-        "plots.fan": (plots.fan, {"rollouts": many, "node": 1, "axes": "xz", "bands": [0.1, 0.2], **named}),
-        "plots.histogram": (plots.histogram, {"rollouts": many, "outcome": many.final[:, 0], "label": "x", "bins": 3, **named}),
+        "plots.fan": (
+            plots.fan,
+            {"rollouts": many, "node": 1, "axes": "xz", "bands": [0.1, 0.2], **named},
+        ),
+        "plots.histogram": (
+            plots.histogram,
+            {"rollouts": many, "outcome": many.final[:, 0], "label": "x", "bins": 3, **named},
+        ),
         "Rollouts.path": (many.path, {"node": 1}),
-        "plots.structure": (plots.structure, {"what": motion, "tension": np.ones(9), "time": 0.01, "labels": True, **named}),
+        "plots.structure": (
+            plots.structure,
+            {"what": motion, "tension": np.ones(9), "time": 0.01, "labels": True, **named},
+        ),
         "plots.time_lapse": (plots.time_lapse, {"trajectory": motion, "instants": 2, **named}),
-        "plots.node_histories": (plots.node_histories, {"trajectory": motion, "nodes": [0, 1], **named}),
-        "plots.force_densities": (plots.force_densities, {"history": motion, "strings": [0, 1], "lower": 0.0, "upper": np.full(9, 100.0), **named}),
+        "plots.node_histories": (
+            plots.node_histories,
+            {"trajectory": motion, "nodes": [0, 1], **named},
+        ),
+        "plots.force_densities": (
+            plots.force_densities,
+            {
+                "history": motion,
+                "strings": [0, 1],
+                "lower": 0.0,
+                "upper": np.full(9, 100.0),
+                **named,
+            },
+        ),
         "plots.errors": (plots.errors, {"trajectory": motion, **named}),
         "plots.work_precision": (
             plots.work_precision,
-            {"curves": curves, "front": [(1e-3, 0.1)], "reference_error": 1e-9, "cost": "seconds", **named},
+            {
+                "curves": curves,
+                "front": [(1e-3, 0.1)],
+                "reference_error": 1e-9,
+                "cost": "seconds",
+                **named,
+            },
         ),
-        "plots.Convergence": (watched, {"path": None, "every": 1.0, "now": ocp.Progress(1, 2.0, 0.1)}),
-        "Tradeoff.plot": (tc.Tradeoff((), 1.0, 1e-9, "known").plot, {"path": "picture.svg", "title": "a title"}),
+        "plots.Convergence": (
+            watched,
+            {"path": None, "every": 1.0, "now": ocp.Progress(1, 2.0, 0.1)},
+        ),
+        "Tradeoff.plot": (
+            tc.Tradeoff((), 1.0, 1e-9, "known").plot,
+            {"path": "picture.svg", "title": "a title"},
+        ),
         "animate": (
             animate,
-            {"trajectory": motion, "path": "motion.gif", "speed": 0.5, "frames_per_second": 20, "title": "a title", "progress": False},
+            {
+                "trajectory": motion,
+                "path": "motion.gif",
+                "speed": 0.5,
+                "frames_per_second": 20,
+                "title": "a title",
+                "progress": False,
+            },
         ),
     }

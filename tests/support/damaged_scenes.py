@@ -8,7 +8,24 @@ from collections.abc import Callable
 from hypothesis import strategies as st
 
 ODD = [
-    *("-1", "0", "1e300", "1e400", "nan", "inf", "-inf", "1e-320", "99999999999999999999", "3.5", "true", "2024-01-01", "''", "[]", "{}", "[1, 2"),
+    *(
+        "-1",
+        "0",
+        "1e300",
+        "1e400",
+        "nan",
+        "inf",
+        "-inf",
+        "1e-320",
+        "99999999999999999999",
+        "3.5",
+        "true",
+        "2024-01-01",
+        "''",
+        "[]",
+        "{}",
+        "[1, 2",
+    ),
     *(
         "[[[[1]]]]",
         "['x', 'y', 'z']",
@@ -28,7 +45,13 @@ ODD = [
         "'\\u0000'",
         "'(' * 3",
     ),
-    *(f"'{'(' * 3000}1{')' * 3000}'", f"{'[' * 500}{']' * 500}", "[0, 0, 0, 0]", "[1e200, 0, 0]", "[nan, 0, 0]"),
+    *(
+        f"'{'(' * 3000}1{')' * 3000}'",
+        f"{'[' * 500}{']' * 500}",
+        "[0, 0, 0, 0]",
+        "[1e200, 0, 0]",
+        "[nan, 0, 0]",
+    ),
 ]
 ADDED = [
     *(
@@ -48,7 +71,10 @@ ADDED = [
         "[numbers]\na = 'b'\nb = 'a'",
         "a.b.c.d.e.f.g.h.i.j.k.l.m.n = 1",
     ),
-    *("[plan.solver]\nkind = 'Ipopt'\noptions = { hsllib = 'evil.so' }", "[plan.solver]\nkind = 'Ipopt'\noptions = { output_file = 'taken' }"),
+    *(
+        "[plan.solver]\nkind = 'Ipopt'\noptions = { hsllib = 'evil.so' }",
+        "[plan.solver]\nkind = 'Ipopt'\noptions = { output_file = 'taken' }",
+    ),
 ]
 _PAIR = re.compile(r"^(\s*)([\w.]+)( *= *)(.+?)(\s+#.*)?$")
 
@@ -62,11 +88,15 @@ def damaged_scene(draw: Callable[..., object], right: str) -> bytes:
 
 
 def _odd_value(draw: Callable[..., object], content: bytes) -> bytes:
-    return _in_a_pair(draw, content, lambda pair: f"{pair[1]}{pair[2]}{pair[3]}{draw(st.sampled_from(ODD))}")
+    return _in_a_pair(
+        draw, content, lambda pair: f"{pair[1]}{pair[2]}{pair[3]}{draw(st.sampled_from(ODD))}"
+    )
 
 
 def _odd_key(draw: Callable[..., object], content: bytes) -> bytes:
-    return _in_a_pair(draw, content, lambda pair: f"{pair[1]}{pair[2][:-1] or 'x'}_{pair[3]}{pair[4]}")
+    return _in_a_pair(
+        draw, content, lambda pair: f"{pair[1]}{pair[2][:-1] or 'x'}_{pair[3]}{pair[4]}"
+    )
 
 
 def _gone(draw: Callable[..., object], content: bytes) -> bytes:
@@ -77,7 +107,9 @@ def _twice(draw: Callable[..., object], content: bytes) -> bytes:
     return _in_a_pair(draw, content, lambda pair: f"{pair[0]}\n{pair[0]}")
 
 
-def _in_a_pair(draw: Callable[..., object], content: bytes, change: Callable[[re.Match[str]], str]) -> bytes:
+def _in_a_pair(
+    draw: Callable[..., object], content: bytes, change: Callable[[re.Match[str]], str]
+) -> bytes:
     lines = content.decode(errors="replace").splitlines()
     pairs = {k: found for k, line in enumerate(lines) if (found := _PAIR.match(line))}
     if not pairs:

@@ -24,12 +24,20 @@ THREAD = ThreadPoolExecutor(1)
 @cache
 def open_model() -> tc.Model:
     """A pendulum whose bar's mass and gravity stay open."""
-    return tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity(), parameters=tc.Parameters("bar_mass", "gravity")))
+    return tc.Model(
+        tc.Scene(
+            tc.shapes.pendulum(),
+            gravity=tc.Gravity(),
+            parameters=tc.Parameters("bar_mass", "gravity"),
+        )
+    )
 
 
 @cache
 def many() -> tc.Rollouts:
-    return tc.rollouts(cross(), 0.02, 0.01, states=np.tile(cross().initial_state, (2, 1)), save_every=1, threads=1)
+    return tc.rollouts(
+        cross(), 0.02, 0.01, states=np.tile(cross().initial_state, (2, 1)), save_every=1, threads=1
+    )
 
 
 @cache
@@ -62,9 +70,15 @@ def environment_calls(model: tc.Model) -> dict[str, Call]:
 
     return {
         "Task": (moved, task),
-        "TensegrityVectorEnv": (TensegrityVectorEnv, {"task": Task(**task), "num_envs": 2, "threads": 1}),
+        "TensegrityVectorEnv": (
+            TensegrityVectorEnv,
+            {"task": Task(**task), "num_envs": 2, "threads": 1},
+        ),
         "TensegrityEnv.step": (lambda action: env.step(action)[:2], {"action": np.zeros(model.nu)}),
-        "TensegrityVectorEnv.step": (lambda actions: envs.step(actions)[:2], {"actions": np.zeros((2, model.nu))}),
+        "TensegrityVectorEnv.step": (
+            lambda actions: envs.step(actions)[:2],
+            {"actions": np.zeros((2, model.nu))},
+        ),
     }
 
 
@@ -72,7 +86,14 @@ def environment_calls(model: tc.Model) -> dict[str, Call]:
 def ensemble_calls() -> dict[str, Call]:
     """Each with input that is right."""
     m, opened = cross(), open_model()
-    page = {"html": "page.html", "title": "a cross", "ground": tc.Ground(), "colour": "tension", "speed": 1.0, "follow": False}
+    page = {
+        "html": "page.html",
+        "title": "a cross",
+        "ground": tc.Ground(),
+        "colour": "tension",
+        "speed": 1.0,
+        "follow": False,
+    }
     x, u, p = m.initial_state, m.initial_control, opened.parameters.nominal
     fed = {
         "time": np.array([0.0, 0.1]),
@@ -113,14 +134,28 @@ def ensemble_calls() -> dict[str, Call]:
             },
         ),
         "Parameters": (
-            lambda name, **k: tc.Model(tc.Scene(tc.shapes.prism(), parameters=tc.Parameters(name, "bar_mass", **k))),
+            lambda name, **k: tc.Model(
+                tc.Scene(tc.shapes.prism(), parameters=tc.Parameters(name, "bar_mass", **k))
+            ),
             {"name": "stiffness", "scale": ("damping",), "groups": {"stiffness": [(0, 1), (2, 3)]}},
         ),
-        "ParameterLayout.values": (lambda given, **k: opened.parameters.values(given, **k), {"given": p, "bar_mass": 2.0}),
+        "ParameterLayout.values": (
+            lambda given, **k: opened.parameters.values(given, **k),
+            {"given": p, "bar_mass": 2.0},
+        ),
         "Model.fixed": (opened.fixed, {"parameters": p}),
-        "simulate, parameters": (tc.simulate, {"model": opened, "t_end": 0.02, "step": 0.01, "parameters": p, "compiled": False}),
-        "linearize, parameters": (tc.linearize, {"model": opened, "x": opened.initial_state, "parameters": p}),
-        "stable_step, parameters": (tc.stable_step, {"model": opened, "x": opened.initial_state, "parameters": p}),
+        "simulate, parameters": (
+            tc.simulate,
+            {"model": opened, "t_end": 0.02, "step": 0.01, "parameters": p, "compiled": False},
+        ),
+        "linearize, parameters": (
+            tc.linearize,
+            {"model": opened, "x": opened.initial_state, "parameters": p},
+        ),
+        "stable_step, parameters": (
+            tc.stable_step,
+            {"model": opened, "x": opened.initial_state, "parameters": p},
+        ),
         "sensitivities": (tc.sensitivities, derived),
         "rollouts": (
             tc.rollouts,
@@ -138,33 +173,91 @@ def ensemble_calls() -> dict[str, Call]:
                 "progress": False,
             },
         ),
-        "rollouts, parameters": (tc.rollouts, {"model": opened, "t_end": 0.02, "step": 0.01, "parameters": np.array([p, p]), "threads": 1}),
+        "rollouts, parameters": (
+            tc.rollouts,
+            {
+                "model": opened,
+                "t_end": 0.02,
+                "step": 0.01,
+                "parameters": np.array([p, p]),
+                "threads": 1,
+            },
+        ),
         "rollouts, feedback": (
             tc.rollouts,
-            {"model": m, "t_end": 0.1, "step": 0.01, "states": np.array([x, x]), "controls": tc.Feedback(**fed), "threads": 1},
+            {
+                "model": m,
+                "t_end": 0.1,
+                "step": 0.01,
+                "states": np.array([x, x]),
+                "controls": tc.Feedback(**fed),
+                "threads": 1,
+            },
         ),
         "Rollouts.path": (many().path, {"node": 0}),
         "Rollouts.save": (many().save, {"path": "many.npz"}),
-        **{f"{type(thing).__name__}.view": (thing.view, page) for thing in (many(), short_plan(), m.structure) if find_spec("viser")},
+        **{
+            f"{type(thing).__name__}.view": (thing.view, page)
+            for thing in (many(), short_plan(), m.structure)
+            if find_spec("viser")
+        },
         "Rollouts.load": (tc.Rollouts.load, {"path": "missing.npz"}),
         "Feedback": (tc.Feedback, fed),
-        "sweep": (tc.sweep, {"function": doubled, "cases": [1.0, 2.0], "executor": THREAD, "folder": None, "progress": False}),
+        "sweep": (
+            tc.sweep,
+            {
+                "function": doubled,
+                "cases": [1.0, 2.0],
+                "executor": THREAD,
+                "folder": None,
+                "progress": False,
+            },
+        ),
         "Sweep.csv": (tc.sweep(doubled, [1.0, 2.0], THREAD).csv, {"path": "table.csv"}),
         "Plan.robustness": (
             short_plan().robustness,
-            {"parameters": {"bar_mass": 0.1}, "start": (0.0, 0.0), "samples": 2, "seed": 0, "tracked": False, "tolerance": 0.1},
+            {
+                "parameters": {"bar_mass": 0.1},
+                "start": (0.0, 0.0),
+                "samples": 2,
+                "seed": 0,
+                "tracked": False,
+                "tolerance": 0.1,
+            },
         ),
         "Robustness.quantiles": (robust().quantiles, {"shares": [0.5, 0.9]}),
         "Mppi": (ocp.Mppi, decided),
-        "Mppi, of a cost": (ocp.Mppi, {"problem": ocp.Effort(), "model": m, "noise": 1.0, "samples": 2, "period": 0.1, "horizon": 0.1}),
+        "Mppi, of a cost": (
+            ocp.Mppi,
+            {
+                "problem": ocp.Effort(),
+                "model": m,
+                "noise": 1.0,
+                "samples": 2,
+                "period": 0.1,
+                "horizon": 0.1,
+            },
+        ),
         "Mppi.control": (ocp.Mppi(**decided).control, {"time": 0.0, "state": x}),
         "SplineNoise": (
             lambda **k: ocp.Mppi(turned(), 0.05, 0.1, 4, noise=ocp.SplineNoise(**k)),
             {"deviation": np.ones(2), "knots": 2, "groups": [[0], [1]], "finest": 0.01},
         ),
-        "run, sampled": (ocp.run, {"controller": mpc(), "t_end": 0.1, "model": m, "state": x, "steps": 1, "disturbance": None}),
+        "run, sampled": (
+            ocp.run,
+            {
+                "controller": mpc(),
+                "t_end": 0.1,
+                "model": m,
+                "state": x,
+                "steps": 1,
+                "disturbance": None,
+            },
+        ),
         "Instant.rest_lengths": (
-            lambda **k: ocp.Instant(m, ca.MX.sym("x", len(x)), ca.MX.sym("u", len(u)), 0.0).rest_lengths(**k),
+            lambda **k: ocp.Instant(
+                m, ca.MX.sym("x", len(x)), ca.MX.sym("u", len(u)), 0.0
+            ).rest_lengths(**k),
             {"stiffness": np.full(2, 1000.0)},
         ),
     }

@@ -11,11 +11,19 @@ import tenscasadi as tc
 G = 9.81  # m/s²
 
 
-def fly(scene: tc.Scene, t_end: float, step: float, velocities: Any = None, **options: Any) -> tuple[tc.Model, tc.Trajectory]:
+def fly(
+    scene: tc.Scene, t_end: float, step: float, velocities: Any = None, **options: Any
+) -> tuple[tc.Model, tc.Trajectory]:
     """Return the model of a scene and its motion, which has succeeded."""
     model = tc.Model(scene)
     state = None if velocities is None else model.state(model.structure.nodes, velocities)
-    run = tc.simulate(model, t_end, step, state=state, **{"compiled": False, "correction": tc.Projection(), **options})
+    run = tc.simulate(
+        model,
+        t_end,
+        step,
+        state=state,
+        **{"compiled": False, "correction": tc.Projection(), **options},
+    )
     assert run.success, run.message
     return model, run
 

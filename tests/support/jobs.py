@@ -46,7 +46,9 @@ def vibrate(case: Any) -> Any:
         if len(list(folder.glob("begun-*"))) == case["of"]:
             break
         time.sleep(0.005)
-    run = tc.simulate(tc.Model(tc.Scene(tc.shapes.prism(stiffness=321.0))), 0.1, 1e-3, compiled=True)
+    run = tc.simulate(
+        tc.Model(tc.Scene(tc.shapes.prism(stiffness=321.0))), 0.1, 1e-3, compiled=True
+    )
     return {"nodes": run.nodes[-1], "process": os.getpid()}
 
 

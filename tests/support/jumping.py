@@ -15,14 +15,26 @@ HEIGHT = 0.6
 
 def low_prism():
     """The equilibrium prism with bars of 1 m, 0.6 m high."""
-    return tc.shapes.prism(3, np.sqrt(1 - HEIGHT**2) / (2 * np.sin(np.radians(75))), HEIGHT, bar_mass=0.3)
+    return tc.shapes.prism(
+        3, np.sqrt(1 - HEIGHT**2) / (2 * np.sin(np.radians(75))), HEIGHT, bar_mass=0.3
+    )
 
 
 @cache
 def standing(stiffness=1e4, damping=60.0, **ground):
     """Its model on a ground."""
-    surface = tc.Ground(**{"stiffness": stiffness, "damping": damping, "friction": 0.6, "slip_speed": 1e-2, **ground})
-    return tc.Model(tc.Scene(low_prism(), control=tc.ForceDensity(), gravity=tc.Gravity(), ground=surface))
+    surface = tc.Ground(
+        **{
+            "stiffness": stiffness,
+            "damping": damping,
+            "friction": 0.6,
+            "slip_speed": 1e-2,
+            **ground,
+        }
+    )
+    return tc.Model(
+        tc.Scene(low_prism(), control=tc.ForceDensity(), gravity=tc.Gravity(), ground=surface)
+    )
 
 
 def push(**changes):

@@ -11,7 +11,9 @@ import pytest
 import tenscasadi as tc
 
 
-def mujoco_ends(path: Path, t_end: float, velocities: Any = None, step: float | None = None, control: Any = None) -> np.ndarray:
+def mujoco_ends(
+    path: Path, t_end: float, velocities: Any = None, step: float | None = None, control: Any = None
+) -> np.ndarray:
     """Nodes (n, 3), named n0, n1 …, at the end of MuJoCo's run of a file."""
     mujoco = pytest.importorskip("mujoco")
     world = mujoco.MjModel.from_xml_path(str(path))
@@ -29,12 +31,25 @@ def mujoco_ends(path: Path, t_end: float, velocities: Any = None, step: float | 
 
 
 def differences(
-    scene: tc.Scene, path: Path, velocities: Any = None, joints: Any = "ball", t_end: float = 0.25, steps: Any = (1e-3, 5e-4)
+    scene: tc.Scene,
+    path: Path,
+    velocities: Any = None,
+    joints: Any = "ball",
+    t_end: float = 0.25,
+    steps: Any = (1e-3, 5e-4),
 ) -> list[float]:
     """How far, m, MuJoCo's nodes are from ours at the end, for each of its steps."""
     model = tc.Model(scene)
     start = model.state(scene.modelled.nodes, velocities)
-    ours = tc.simulate(model, t_end, 2.5e-4, state=start, correction=tc.Projection(), save_every=100, compiled=False)
+    ours = tc.simulate(
+        model,
+        t_end,
+        2.5e-4,
+        state=start,
+        correction=tc.Projection(),
+        save_every=100,
+        compiled=False,
+    )
     assert ours.success
     assert abs(ours.nodes - ours.nodes[0]).max() > 1e-3
     found = []

@@ -68,7 +68,15 @@ def altered(draw: Callable[[Any], Any], value: Any) -> Any:
             return hidden
         return draw(
             st.sampled_from(
-                [entries.T, entries[..., :-1], entries[None], entries * 1j, entries.astype(str), entries.astype(object), sp.coo_array(entries)]
+                [
+                    entries.T,
+                    entries[..., :-1],
+                    entries[None],
+                    entries * 1j,
+                    entries.astype(str),
+                    entries.astype(object),
+                    sp.coo_array(entries),
+                ]
             )
         )
     return odd

@@ -18,7 +18,9 @@ GROUPS = ((0, 1, 2), (3, 4, 5), (6, 7, 8))  # of the prism's strings, by its sym
 
 def prism(height, **options):
     """The equilibrium prism of a height whose bars are BAR long."""
-    return tc.shapes.prism(3, np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height, **options)
+    return tc.shapes.prism(
+        3, np.sqrt(BAR**2 - height**2) / (2 * np.sin(np.radians(75))), height, **options
+    )
 
 
 def driven(structure, **options):
@@ -28,38 +30,63 @@ def driven(structure, **options):
 def raising(**changes):
     """The prism grows from 1.0 to 1.1 m, from rest to rest."""
     goals = [ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest()]
-    given = {"model": driven(prism(1.0)), "goals": goals, "bounds": [ocp.ForceDensityLimits(5.0, 100.0)], "costs": [ocp.Effort()], **changes}
+    given = {
+        "model": driven(prism(1.0)),
+        "goals": goals,
+        "bounds": [ocp.ForceDensityLimits(5.0, 100.0)],
+        "costs": [ocp.Effort()],
+        **changes,
+    }
     return ocp.Problem(**given)
 
 
 def folding(**changes):
     """Class 2: a D-bar pinned at a node."""
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.6).string_lengths), ocp.AtRest()]
-    return ocp.Problem(driven(tc.shapes.d_bar(pinned=[0])), goals=goals, costs=[ocp.Effort()], **changes)
+    return ocp.Problem(
+        driven(tc.shapes.d_bar(pinned=[0])), goals=goals, costs=[ocp.Effort()], **changes
+    )
 
 
 def shaken(duration=1.0, *bounds):
     """A prism of which one foot is shaken and one is lifted raises its top."""
     (a, b, c), (d, e, f) = prism(1.0).nodes[:2].tolist()
     feet = {0: lambda t: (a + 0.03 * ca.sin(4 * t), b, c), 1: lambda t: (d, e, f + 0.02 * t**2)}
-    model = driven(prism(1.0, pinned=[0, 1, 2]), supports=tc.SupportMotion(feet), gravity=tc.Gravity((0.0, 0.0, -2.0)))
+    model = driven(
+        prism(1.0, pinned=[0, 1, 2]),
+        supports=tc.SupportMotion(feet),
+        gravity=tc.Gravity((0.0, 0.0, -2.0)),
+    )
     goals = [ocp.NodePositions({5: (None, None, 1.05)}), ocp.NodeVelocities({4: (None, None, 0.0)})]
     bounds = [ocp.ForceDensityLimits(1.0, 100.0), *bounds]
-    return ocp.Problem(model, duration, goals=goals, bounds=bounds, costs=[ocp.Effort(), *[ocp.Duration(5.0)] * isinstance(duration, tuple)])
+    return ocp.Problem(
+        model,
+        duration,
+        goals=goals,
+        bounds=bounds,
+        costs=[ocp.Effort(), *[ocp.Duration(5.0)] * isinstance(duration, tuple)],
+    )
 
 
 def program(problem, transcription):
     """The program that is solved, without the rows that no string moves left out."""
     scales = Scales.of(problem)
     target = find_target(problem, scales)
-    return transcription.program(problem, target, scales, make_guess(problem, target, transcription.count))
+    return transcription.program(
+        problem, target, scales, make_guess(problem, target, transcription.count)
+    )
 
 
 def taller(*bounds):
     """The prism with stiff strings grows to 1.15 m as a whole, from rest to rest."""
     goals = [ocp.Shape(prism(1.15).nodes), ocp.AtRest()]
     model = driven(prism(1.0, stiffness=1000.0))
-    return ocp.Problem(model, goals=goals, bounds=[ocp.ForceDensityLimits(5.0, 100.0), *bounds], costs=[ocp.Effort()])
+    return ocp.Problem(
+        model,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(5.0, 100.0), *bounds],
+        costs=[ocp.Effort()],
+    )
 
 
 def integrated(plan, share=1.0):
@@ -76,10 +103,24 @@ def integrated(plan, share=1.0):
 def leaning_arm(bars, lean, weight=False, duration=1.0):
     """Bars of 1 m on top of each other, hinged on the ground and to each other, each held by four strings: at first straight, its tip moves aside."""
     joints = [(0.0, 0.0, float(level)) for level in range(bars + 1)]
-    around = [(x, y, float(level)) for level in range(bars) for x, y in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))]
-    strings = [(level + 1, bars + 1 + 4 * level + side) for level in range(bars) for side in range(4)]
+    around = [
+        (x, y, float(level))
+        for level in range(bars)
+        for x, y in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
+    ]
+    strings = [
+        (level + 1, bars + 1 + 4 * level + side) for level in range(bars) for side in range(4)
+    ]
     pinned = [0, *range(bars + 1, bars + 1 + 4 * bars)]
-    structure = tc.Structure([*joints, *around], [(k, k + 1) for k in range(bars)], strings, pinned=pinned)
+    structure = tc.Structure(
+        [*joints, *around], [(k, k + 1) for k in range(bars)], strings, pinned=pinned
+    )
     goals = [ocp.NodePositions({bars: (lean, 0.1, None)}), ocp.AtRest()]
     model = driven(structure, gravity=tc.Gravity() if weight else None)
-    return ocp.Problem(model, duration, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 300.0)], costs=[ocp.Effort()])
+    return ocp.Problem(
+        model,
+        duration,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(1.0, 300.0)],
+        costs=[ocp.Effort()],
+    )

@@ -28,14 +28,22 @@ def model() -> tc.Model:
 def timed() -> tc.Model:
     structure = tc.shapes.pendulum()
     start = structure.nodes[0]
-    return tc.Model(tc.Scene(structure, gravity=tc.Gravity(), supports=tc.SupportMotion({0: lambda t: [start[0] + t**2, start[1], start[2]]})))
+    return tc.Model(
+        tc.Scene(
+            structure,
+            gravity=tc.Gravity(),
+            supports=tc.SupportMotion({0: lambda t: [start[0] + t**2, start[1], start[2]]}),
+        )
+    )
 
 
 @cache
 def problem(**changes: Any) -> ocp.Problem:
     taller = tc.shapes.prism(3, height=1.05)
     goals = [ocp.StringLengths(taller.string_lengths), ocp.AtRest()]
-    return ocp.Problem(model(), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 100.0)], costs=[ocp.Effort()])
+    return ocp.Problem(
+        model(), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 100.0)], costs=[ocp.Effort()]
+    )
 
 
 @cache
@@ -56,25 +64,66 @@ def arrays_of(value: tc.Trajectory) -> dict[str, Any]:
 
 def row() -> dict[str, Any]:
     """The fields of a row of a study."""
-    numbers = {"seconds": 0.1, "setup": 1.0, "position": 1e-3, "bar": 0.0, "joint": 0.0, "energy": 1e-3, "instructions": 100, "steps": 10}
-    ways = {"scheme": tc.RungeKutta4(), "step": 0.01, "correction": tc.Projection(), "fidelity": "fine", "compiled": True, "single": False}
+    numbers = {
+        "seconds": 0.1,
+        "setup": 1.0,
+        "position": 1e-3,
+        "bar": 0.0,
+        "joint": 0.0,
+        "energy": 1e-3,
+        "instructions": 100,
+        "steps": 10,
+    }
+    ways = {
+        "scheme": tc.RungeKutta4(),
+        "step": 0.01,
+        "correction": tc.Projection(),
+        "fidelity": "fine",
+        "compiled": True,
+        "single": False,
+    }
     return {**ways, **numbers, "success": True, "message": "finished"}
 
 
 @cache
 def table() -> tc.Tradeoff:
-    return tc.Tradeoff((tc.Row(**row()),), t_end=1.0, reference_error=1e-9, reference_message="known")
+    return tc.Tradeoff(
+        (tc.Row(**row()),), t_end=1.0, reference_error=1e-9, reference_message="known"
+    )
 
 
 NODES = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float)
 SEGMENTED = tc.Structure(NODES, [(0, 1), (2, 3)], [(0, 2), (1, 3)], string_mass=1.0)
 MEMBERS = {"nodes": NODES, "bars": [(0, 1), (2, 3)], "strings": [(0, 2), (1, 3)]}
-MATRICES = {"N": NODES.T, "C_b": np.array([[-1.0, 1, 0, 0], [0, 0, -1, 1]]), "C_s": np.array([[-1.0, 0, 1, 0], [0, -1, 0, 1]])}
-STRING_VALUES = {"stiffness": 100.0, "damping": np.array([0.1, 0.2]), "rest_length": np.array([1.0, 1.0]), "string_mass": 0.1}
+MATRICES = {
+    "N": NODES.T,
+    "C_b": np.array([[-1.0, 1, 0, 0], [0, 0, -1, 1]]),
+    "C_s": np.array([[-1.0, 0, 1, 0], [0, -1, 0, 1]]),
+}
+STRING_VALUES = {
+    "stiffness": 100.0,
+    "damping": np.array([0.1, 0.2]),
+    "rest_length": np.array([1.0, 1.0]),
+    "string_mass": 0.1,
+}
 
 SIMULATION = {
-    **{"scene": tc.Scene(tc.Structure(**MEMBERS)), "t_end": 0.1, "step": 0.01, "scheme": tc.RungeKutta4(), "correction": tc.Projection()},
-    **{"save_every": 1, "coordinates": "reduced", "bar_length": "current", "nodes": NODES, "velocities": NODES, "project": False, "state": None},
+    **{
+        "scene": tc.Scene(tc.Structure(**MEMBERS)),
+        "t_end": 0.1,
+        "step": 0.01,
+        "scheme": tc.RungeKutta4(),
+        "correction": tc.Projection(),
+    },
+    **{
+        "save_every": 1,
+        "coordinates": "reduced",
+        "bar_length": "current",
+        "nodes": NODES,
+        "velocities": NODES,
+        "project": False,
+        "state": None,
+    },
     **{"control": None, "parameters": None, "energy_balance": True},
 }
 
@@ -251,20 +300,43 @@ def planning_calls() -> dict[str, Call]:
 def shape_calls() -> dict[str, Call]:
     """Ready-made structures with their defaults."""
     found: dict[str, Call] = {}
-    for name in ("pendulum", "double_pendulum", "prism", "d_bar", "t_bar", "six_bar_ball", "membrane"):
+    for name in (
+        "pendulum",
+        "double_pendulum",
+        "prism",
+        "d_bar",
+        "t_bar",
+        "six_bar_ball",
+        "membrane",
+    ):
         make = getattr(tc.shapes, name)
-        given = {k: p.default for k, p in inspect.signature(make).parameters.items() if p.default is not inspect.Parameter.empty}
+        given = {
+            k: p.default
+            for k, p in inspect.signature(make).parameters.items()
+            if p.default is not inspect.Parameter.empty
+        }
         found[name] = (make, given)
     return found
 
 
-def bounded(kind: Callable[..., Any], goal: bool = False, cost: bool = False, structure: tc.Structure | None = None) -> Callable[..., Any]:
+def bounded(
+    kind: Callable[..., Any],
+    goal: bool = False,
+    cost: bool = False,
+    structure: tc.Structure | None = None,
+) -> Callable[..., Any]:
     """The value, put into a problem, which then checks it."""
 
     def make(**options: Any) -> Any:
         value = kind(**options)
-        m = model() if structure is None else tc.Model(tc.Scene(structure, control=tc.ForceDensity()))
+        m = (
+            model()
+            if structure is None
+            else tc.Model(tc.Scene(structure, control=tc.ForceDensity()))
+        )
         goals = [value] if goal else []
-        return ocp.Problem(m, goals=goals, bounds=[] if goal or cost else [value], costs=[value] if cost else [])
+        return ocp.Problem(
+            m, goals=goals, bounds=[] if goal or cost else [value], costs=[value] if cost else []
+        )
 
     return make

@@ -29,7 +29,9 @@ CERTIFIED = sorted(path.stem for path in (DATA / "certified").glob("*.npz"))
 class Case:
     """A peer's scene, its initial state on physical nodes, and its recorded results (`data`, `info`)."""
 
-    def __init__(self, scene: Scene, velocities: Any, columns: Any, data: Any, info: dict[str, Any]) -> None:
+    def __init__(
+        self, scene: Scene, velocities: Any, columns: Any, data: Any, info: dict[str, Any]
+    ) -> None:
         self.scene, self.data, self.info = scene, data, info
         self.velocities = np.asarray(velocities)  # (n, 3) on physical nodes
         self.columns = columns  # the peer's column of each physical node
@@ -37,7 +39,11 @@ class Case:
     @property
     def nodes(self) -> Any:
         """Recorded trajectory of physical nodes (T, n, 3)."""
-        return self.data["q"][:, self.columns] if "q" in self.data else self.data["N"].transpose(0, 2, 1)[:, self.columns]
+        return (
+            self.data["q"][:, self.columns]
+            if "q" in self.data
+            else self.data["N"].transpose(0, 2, 1)[:, self.columns]
+        )
 
 
 def first_columns(structure: Structure) -> Any:
@@ -59,7 +65,13 @@ def motes(name: str) -> Case:
     loads = np.zeros((len(structure.nodes), 3))
     np.add.at(loads, structure.class_one().physical, data["W"].T)
     first = first_columns(structure)
-    return Case(Scene(structure, forces=NodalForce(loads) if loads.any() else None), data["Nd0"].T[first], first, data, info)
+    return Case(
+        Scene(structure, forces=NodalForce(loads) if loads.any() else None),
+        data["Nd0"].T[first],
+        first,
+        data,
+        info,
+    )
 
 
 def certified(name: str) -> Case:
@@ -91,7 +103,9 @@ def certified(name: str) -> Case:
     return Case(scene, velocities[first], first, data, info)
 
 
-def solve_certified(name: str, scheme: Scheme, coordinates: Any = "reduced", every: int = 1, **options: Any) -> tuple[float, Trajectory]:
+def solve_certified(
+    name: str, scheme: Scheme, coordinates: Any = "reduced", every: int = 1, **options: Any
+) -> tuple[float, Trajectory]:
     """The largest error of any node at any certified time, m, and the run: `every` steps between two of these times."""
     case = certified(name)
     with warnings.catch_warnings():
@@ -99,7 +113,15 @@ def solve_certified(name: str, scheme: Scheme, coordinates: Any = "reduced", eve
         model = Model(case.scene, coordinates)
     times = case.data["t"]
     start = model.state(case.nodes[0], case.velocities)
-    run = simulate(model, times[-1], times[1] / every, scheme, start, save_every=every, **{"compiled": False} | options)
+    run = simulate(
+        model,
+        times[-1],
+        times[1] / every,
+        scheme,
+        start,
+        save_every=every,
+        **{"compiled": False} | options,
+    )
     assert run.success, run.message
     assert np.array_equal(run.time, times) or np.allclose(run.time, times, rtol=0, atol=1e-12)
     return float(abs(run.nodes - case.nodes).max()), run
@@ -110,7 +132,10 @@ def stedy(name: str) -> Case:
     data = dict(np.load(DATA / "stedy" / f"{name}.npz"))
     info = json.loads((DATA / "stedy" / f"{name}.json").read_text())
     fixed = data["fixed"].T.astype(bool)
-    members = {key: [tuple(np.array(pair) - 1) for pair in info[f"{key}_1based"]] for key in ("bars", "strings")}
+    members = {
+        key: [tuple(np.array(pair) - 1) for pair in info[f"{key}_1based"]]
+        for key in ("bars", "strings")
+    }
     structure = Structure(
         data["N0"].T, **members, bar_mass=data["m_bar"], stiffness=data["k"], damping=data["c"], rest_length=data["s0"],
         pinned={node: "".join(axis for axis, held in zip("xyz", row, strict=True) if held) for node, row in enumerate(fixed) if row.any()},
@@ -120,7 +145,9 @@ def stedy(name: str) -> Case:
     return Case(Scene(structure, forces=forces), data["Nd0"].T, np.arange(len(fixed)), data, info)
 
 
-def trajectory_error(case: Case, times: np.ndarray, step: float, coordinates: Coordinates = "reduced") -> np.ndarray:
+def trajectory_error(
+    case: Case, times: np.ndarray, step: float, coordinates: Coordinates = "reduced"
+) -> np.ndarray:
     """Return the largest distance of any coordinate from the recorded nodes at each recorded time (T,)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RedundantConstraints)
@@ -128,7 +155,14 @@ def trajectory_error(case: Case, times: np.ndarray, step: float, coordinates: Co
     nodes = case.nodes[: len(times)]
     per_row = int(np.ceil((times[1] - times[0]) / step - 1e-9))
     step = times[-1] / (len(times) - 1) / per_row
-    trajectory = simulate(model, times[-1], step, state=model.state(nodes[0], case.velocities), correction=Projection(), save_every=per_row)
+    trajectory = simulate(
+        model,
+        times[-1],
+        step,
+        state=model.state(nodes[0], case.velocities),
+        correction=Projection(),
+        save_every=per_row,
+    )
     assert trajectory.success, trajectory.message
     assert trajectory.bar_length_error.max() < 1e-14
     assert trajectory.joint_error.max() < 1e-14

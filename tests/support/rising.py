@@ -15,7 +15,10 @@ GOALS = (ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest())
 
 
 def raised(*bounds, costs=(ocp.Effort(),), duration=1.0, intervals=10, model=MODEL):
-    return ocp.solve(ocp.Problem(model, duration, goals=GOALS, bounds=[PRESTRESS, *bounds], costs=costs), ocp.MultipleShooting(intervals))
+    return ocp.solve(
+        ocp.Problem(model, duration, goals=GOALS, bounds=[PRESTRESS, *bounds], costs=costs),
+        ocp.MultipleShooting(intervals),
+    )
 
 
 def along(plan, read, model=MODEL):
@@ -23,7 +26,12 @@ def along(plan, read, model=MODEL):
     now = symbolic(model)
     function = ca.Function("read", [now.state, now.control, now.time], [read(now)])
     states = plan.trajectory.states[:-1]
-    return np.array([function(x, u, t).full().ravel() for x, u, t in zip(states, plan.force_density, plan.time[:-1], strict=True)])
+    return np.array(
+        [
+            function(x, u, t).full().ravel()
+            for x, u, t in zip(states, plan.force_density, plan.time[:-1], strict=True)
+        ]
+    )
 
 
 def binds(plan, free, read, limit, upper=True):

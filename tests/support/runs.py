@@ -25,7 +25,13 @@ def moving(model: Model, speed: float = 0.1) -> np.ndarray:
     return projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
 
 
-def by_hand(model: Model, x: np.ndarray, controls: np.ndarray, h: float, correction: Projection | None = None) -> np.ndarray:
+def by_hand(
+    model: Model,
+    x: np.ndarray,
+    controls: np.ndarray,
+    h: float,
+    correction: Projection | None = None,
+) -> np.ndarray:
     """The states that simulate should give, by calls of the step from Python."""
     step = RungeKutta4().step(model.ode)
     project = correction.step(model) if correction else None

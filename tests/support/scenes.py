@@ -34,5 +34,7 @@ def every_term(slack: Slack = Smooth(0.01), moved: bool = True) -> Scene:
         pressure=Pressure([(0, 1, 2)], 5.0),
         forces=NodalForce(rng.normal(size=(3, 7, 3)), times=[0.0, 1.0, 2.0]),
         slack=slack,
-        supports=SupportMotion({0: lambda t: [start[0] + np.sin(t), start[1] + t**2, start[2] - t]}) if moved else None,
+        supports=SupportMotion({0: lambda t: [start[0] + np.sin(t), start[1] + t**2, start[2] - t]})
+        if moved
+        else None,
     )

@@ -26,7 +26,16 @@ def from_peer(d: dict[str, np.ndarray]) -> Structure:
     mass = np.zeros(columns)
     mass[columns - len(d["m_string_node"]) :] = d["m_string_node"]
     return Structure.from_matrices(
-        d["N0"], d["C_b"], d["C_s"], d["P"], d["D"], node_mass=mass, bar_mass=d["m_bar"], stiffness=d["k"], damping=d["c"], rest_length=d["s0"]
+        d["N0"],
+        d["C_b"],
+        d["C_s"],
+        d["P"],
+        d["D"],
+        node_mass=mass,
+        bar_mass=d["m_bar"],
+        stiffness=d["k"],
+        damping=d["c"],
+        rest_length=d["s0"],
     )
 
 

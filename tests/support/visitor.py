@@ -25,7 +25,13 @@ def connect(server: Any, **options: Any) -> Any:
     import viser
     from websockets.sync.client import connect
 
-    return connect(f"ws://127.0.0.1:{server.get_port()}", subprotocols=[f"viser-v{viser.__version__}"], compression=None, max_size=None, **options)
+    return connect(
+        f"ws://127.0.0.1:{server.get_port()}",
+        subprotocols=[f"viser-v{viser.__version__}"],
+        compression=None,
+        max_size=None,
+        **options,
+    )
 
 
 def say(page: Any, **message: Any) -> None:

@@ -28,7 +28,8 @@ class BarForceLimits(PathBound):
     Raises
     ------
     TypeError, ValueError
-        If both are None, or a limit is no number or negative; with a problem, if there are no bars, or not one limit for each.
+        If both are None, or a limit is no number or negative; with a problem, if there are no bars,
+        or not one limit for each.
 
     See Also
     --------
@@ -46,7 +47,9 @@ class BarForceLimits(PathBound):
 
     def __post_init__(self) -> None:
         if self.compression is None and self.tension is None:
-            raise ValueError("BarForceLimits.compression and .tension are both None: give at least one")
+            raise ValueError(
+                "BarForceLimits.compression and .tension are both None: give at least one"
+            )
         for name in ("compression", "tension"):
             value = getattr(self, name)
             if value is not None:
@@ -72,7 +75,9 @@ class BarForceLimits(PathBound):
     def _most(self, structure: Structure) -> tuple[Array, Array]:
         """Return the greatest compression and tension (β,), N."""
         count = len(structure.bars)
-        compression = broadcast_limits("BarForceLimits.compression", self.compression, count, np.inf)
+        compression = broadcast_limits(
+            "BarForceLimits.compression", self.compression, count, np.inf
+        )
         return compression, broadcast_limits("BarForceLimits.tension", self.tension, count, np.inf)
 
     def constraint(self, model: Model) -> PathConstraint:
@@ -90,7 +95,9 @@ class BarForceLimits(PathBound):
         """
         now, (compression, tension) = symbolic(model), self._most(model.scene.structure)
         names = tuple(f"compression of bar {k}" for k in range(len(tension)))
-        return PathConstraint(now.bar_force, -tension, compression, names, "N", now.symbols, self.ends).drop_open()
+        return PathConstraint(
+            now.bar_force, -tension, compression, names, "N", now.symbols, self.ends
+        ).drop_open()
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +114,13 @@ class Buckling(PathBound):
     Raises
     ------
     TypeError, ValueError
-        If modulus or safety is no number, zero or negative; with a problem, if there are no bars, not one modulus for each, or a bar has no radius.
+        If modulus or safety is no number, zero or negative; with a problem, if there are no bars,
+        not one modulus for each, or a bar has no radius.
 
     Notes
     -----
-    The load is π² E I / (l² · safety) with I = π r⁴/4: of a bar with pinned ends, with the radius r and the length l of the structure.
+    The load is π² E I / (l² · safety) with I = π r⁴/4: of a bar with pinned ends, with the radius r
+    and the length l of the structure.
 
     Examples
     --------
@@ -146,7 +155,9 @@ class Buckling(PathBound):
         _check_bars("Buckling", structure)
         bad = np.flatnonzero(structure.bar_radius == 0)
         if bad.size:
-            raise ValueError(f"Buckling needs the radius of bar {bad[0]}, which is 0: give Structure(bar_radius=...) or BarForceLimits")
+            raise ValueError(
+                f"Buckling needs the radius of bar {bad[0]}, which is 0: give Structure(bar_radius=...) or BarForceLimits"
+            )
         self.loads(structure)
 
     def loads(self, structure: Structure) -> Array:
@@ -181,7 +192,9 @@ class Buckling(PathBound):
         """
         now, loads = symbolic(model), self.loads(model.scene.structure)
         names = tuple(f"buckling of bar {k}" for k in range(len(loads)))
-        return PathConstraint(now.bar_force, np.full(len(loads), -np.inf), loads, names, "N", now.symbols, self.ends)
+        return PathConstraint(
+            now.bar_force, np.full(len(loads), -np.inf), loads, names, "N", now.symbols, self.ends
+        )
 
 
 def _check_bars(name: str, structure: Structure) -> None:

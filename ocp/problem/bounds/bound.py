@@ -19,8 +19,9 @@ from tenscasadi.util.validate import Array, per_item
 class PathConstraint:
     """lower ≤ value ≤ upper: a column of CasADi expressions in `unit` ("N", "N/m", "N/(m s)", "m", "m/s" or ""), with a name for each entry.
 
-    symbols: what `value` is made of, x, u, t of an instant, or x, u, x⁺, u⁺, h of two that are h apart. ends: at which ends
-    ("start", "end") of every interval it holds; ("last",): at the end of the last one alone.
+    symbols: what `value` is made of, x, u, t of an instant, or x, u, x⁺, u⁺, h of two that are h
+    apart. ends: at which ends ("start", "end") of every interval it holds; ("last",): at the end of
+    the last one alone.
     """
 
     value: Any
@@ -42,7 +43,13 @@ class PathConstraint:
         if len(keep) == len(self.names):
             return self
         names = tuple(self.names[k] for k in keep)
-        return replace(self, value=self.value[keep.tolist()], lower=self.lower[keep], upper=self.upper[keep], names=names)
+        return replace(
+            self,
+            value=self.value[keep.tolist()],
+            lower=self.lower[keep],
+            upper=self.upper[keep],
+            names=names,
+        )
 
 
 class Bound:

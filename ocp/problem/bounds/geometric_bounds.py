@@ -14,17 +14,30 @@ from ocp.problem.bounds.bound import PathBound, PathConstraint
 from ocp.problem.instant import norms, symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, coordinates, finite_array, listed, node_index, number, positive_number, shown, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    coordinates,
+    finite_array,
+    listed,
+    node_index,
+    number,
+    positive_number,
+    shown,
+    whole_number,
+)
 
 Corner = Sequence[float | None]
-ROUNDING = 0.02  # of a bar: over which the nearest point of a segment is led past its end, to have smooth derivatives
+# of a bar: over which the nearest point of a segment is led past its end, to have smooth
+# derivatives
+ROUNDING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class InsideBox(PathBound):
     """Nodes inside a box with sides along the axes, at the end of every interval.
 
-    Coordinates that are pinned are left out. The start has to be inside, too; one that is found (`FreeStart`) is kept there.
+    Coordinates that are pinned are left out. The start has to be inside, too; one that is found
+    (`FreeStart`) is kept there.
 
     Parameters
     ----------
@@ -38,8 +51,8 @@ class InsideBox(PathBound):
     Raises
     ------
     TypeError, ValueError
-        If all sides are open, or a corner is none or not below the other; with a problem, if a node does not exist or is pinned outside, or the
-        start is outside.
+        If all sides are open, or a corner is none or not below the other; with a problem, if a node
+        does not exist or is pinned outside, or the start is outside.
 
     See Also
     --------
@@ -61,13 +74,17 @@ class InsideBox(PathBound):
     def __post_init__(self) -> None:
         name = type(self).__name__
         for field in ("lower", "upper"):
-            object.__setattr__(self, field, coordinates(f"{name}.{field}", getattr(self, field), "an open side"))
+            object.__setattr__(
+                self, field, coordinates(f"{name}.{field}", getattr(self, field), "an open side")
+            )
         lower, upper = self.corners()
         if np.all(np.isinf(np.concatenate([lower, upper]))):
             raise ValueError(f"{name}.lower and .upper are open on all sides: give at least one")
         if np.any(lower >= upper):
             axis = int(np.argmax(lower >= upper))
-            raise ValueError(f"{name}.lower is {lower[axis]:g} and .upper {upper[axis]:g} along {'xyz'[axis]}: give lower < upper")
+            raise ValueError(
+                f"{name}.lower is {lower[axis]:g} and .upper {upper[axis]:g} along {'xyz'[axis]}: give lower < upper"
+            )
         object.__setattr__(self, "nodes", _listed(f"{name}.nodes", self.nodes, "[0, 1]"))
 
     def corners(self) -> tuple[Array, Array]:
@@ -102,7 +119,9 @@ class InsideBox(PathBound):
             for axis in np.flatnonzero(structure.fixed[node]):
                 place = structure.nodes[node, axis]
                 if not lower[axis] <= place <= upper[axis]:
-                    raise ValueError(f"{type(self).__name__} leaves out node {node}, pinned at {'xyz'[axis]} = {place:g} m: widen it or name nodes")
+                    raise ValueError(
+                        f"{type(self).__name__} leaves out node {node}, pinned at {'xyz'[axis]} = {place:g} m: widen it or name nodes"
+                    )
 
     def constraint(self, model: Model) -> PathConstraint:
         """Return the coordinates, m, that have a limit and may move, with the limits, as a path constraint.
@@ -120,7 +139,12 @@ class InsideBox(PathBound):
         now, structure = symbolic(model), model.scene.structure
         lower, upper = self.corners()
         sides = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
-        entries = [(node, axis) for node in self._chosen(structure) for axis in sides if not structure.fixed[node, axis]]
+        entries = [
+            (node, axis)
+            for node in self._chosen(structure)
+            for axis in sides
+            if not structure.fixed[node, axis]
+        ]
         axes = [axis for _, axis in entries]
         value = ca.vertcat(*(now.nodes[int(axis), int(node)] for node, axis in entries))
         names = tuple(f"{'xyz'[axis]} of node {node}" for node, axis in entries)
@@ -178,13 +202,14 @@ class BarClearance(PathBound):
     Raises
     ------
     TypeError, ValueError
-        If the distance is no number, zero or negative, or a pair is none; with a problem, if a bar does not exist, two bars of a pair share a
-        node, there is no pair, or the start has bars that are nearer.
+        If the distance is no number, zero or negative, or a pair is none; with a problem, if a bar
+        does not exist, two bars of a pair share a node, there is no pair, or the start has bars
+        that are nearer.
 
     Notes
     -----
-    Distances are those of the segments between the bars' ends. The nearest points are led past the ends smoothly, over 2 % of a bar, which
-    keeps derivatives continuous.
+    Distances are those of the segments between the bars' ends. The nearest points are led past the
+    ends smoothly, over 2 % of a bar, which keeps derivatives continuous.
 
     Examples
     --------
@@ -199,13 +224,20 @@ class BarClearance(PathBound):
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "distance", positive_number("BarClearance.distance", self.distance))
+        object.__setattr__(
+            self, "distance", positive_number("BarClearance.distance", self.distance)
+        )
         pairs = _listed("BarClearance.pairs", self.pairs, "[(0, 1)]")
         if pairs is not None:
-            found = [_listed(f"BarClearance.pairs[{k}]", pair, "(0, 1)") or () for k, pair in enumerate(pairs)]
+            found = [
+                _listed(f"BarClearance.pairs[{k}]", pair, "(0, 1)") or ()
+                for k, pair in enumerate(pairs)
+            ]
             for k, pair in enumerate(found):
                 if len(pair) != 2:
-                    raise ValueError(f"BarClearance.pairs[{k}] is {shown(pair)}: give two bars, such as (0, 1)")
+                    raise ValueError(
+                        f"BarClearance.pairs[{k}] is {shown(pair)}: give two bars, such as (0, 1)"
+                    )
             object.__setattr__(self, "pairs", tuple(found))
 
     def check(self, structure: Structure) -> None:
@@ -224,9 +256,13 @@ class BarClearance(PathBound):
         for pair in self._bar_pairs(structure):
             for bar in pair:
                 if whole_number("BarClearance.pairs: bar", bar, 0) >= len(structure.bars):
-                    raise ValueError(f"BarClearance.pairs names bar {bar}: bars run from 0 to {len(structure.bars) - 1}")
+                    raise ValueError(
+                        f"BarClearance.pairs names bar {bar}: bars run from 0 to {len(structure.bars) - 1}"
+                    )
             if set(structure.bars[pair[0]]) & set(structure.bars[pair[1]]):
-                raise ValueError(f"BarClearance.pairs: bars {pair[0]} and {pair[1]} share a node: leave that pair out")
+                raise ValueError(
+                    f"BarClearance.pairs: bars {pair[0]} and {pair[1]} share a node: leave that pair out"
+                )
         if not self._bar_pairs(structure):
             raise ValueError("BarClearance: all bars share nodes: leave it out")
 
@@ -252,10 +288,21 @@ class BarClearance(PathBound):
         """
         now, structure = symbolic(model), model.scene.structure
         pairs = np.array(self._bar_pairs(structure))
-        sides = [[now.nodes[:, structure.bars[pairs[:, k], end].tolist()] for end in (0, 1)] for k in (0, 1)]
+        sides = [
+            [now.nodes[:, structure.bars[pairs[:, k], end].tolist()] for end in (0, 1)]
+            for k in (0, 1)
+        ]
         value = segment_distance(*sides[0], *sides[1])
         names = tuple(f"clearance of bars {i} and {j}" for i, j in pairs)
-        return PathConstraint(value, np.full(len(pairs), self.distance), np.full(len(pairs), np.inf), names, "m", now.symbols, self.ends)
+        return PathConstraint(
+            value,
+            np.full(len(pairs), self.distance),
+            np.full(len(pairs), np.inf),
+            names,
+            "m",
+            now.symbols,
+            self.ends,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,7 +323,8 @@ class Obstacle(PathBound):
     Raises
     ------
     TypeError, ValueError
-        If centre or radius is none; with a problem, if a bar or node does not exist, or one is inside at the start.
+        If centre or radius is none; with a problem, if a bar or node does not exist, or one is
+        inside at the start.
 
     Examples
     --------
@@ -296,7 +344,9 @@ class Obstacle(PathBound):
         object.__setattr__(self, "centre", finite_array("Obstacle.centre", self.centre, (3,)))
         object.__setattr__(self, "radius", positive_number("Obstacle.radius", self.radius))
         for field in ("bars", "nodes"):
-            object.__setattr__(self, field, _listed(f"Obstacle.{field}", getattr(self, field), "[0, 1]"))
+            object.__setattr__(
+                self, field, _listed(f"Obstacle.{field}", getattr(self, field), "[0, 1]")
+            )
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.
@@ -314,7 +364,9 @@ class Obstacle(PathBound):
         for field, count in (("bars", len(structure.bars)), ("nodes", len(structure.nodes))):
             for index in getattr(self, field) or ():
                 if whole_number(f"Obstacle.{field}", index, 0) >= count:
-                    raise ValueError(f"Obstacle.{field} is {index}: give indices from 0 to {count - 1}")
+                    raise ValueError(
+                        f"Obstacle.{field} is {index}: give indices from 0 to {count - 1}"
+                    )
 
     def constraint(self, model: Model) -> PathConstraint:
         """Return the distance of each bar and node from the centre, m, with the limits, as a path constraint.
@@ -346,14 +398,24 @@ class Obstacle(PathBound):
             values.append(norms(now.nodes[:, nodes] - ca.repmat(ca.DM(self.centre), 1, len(nodes))))
             names += [f"obstacle clear of node {k}" for k in nodes]
         least, most = np.full(len(names), self.radius), np.full(len(names), np.inf)
-        return PathConstraint(ca.vertcat(*values), least, most, tuple(names), "m", now.symbols, self.ends)
+        return PathConstraint(
+            ca.vertcat(*values), least, most, tuple(names), "m", now.symbols, self.ends
+        )
 
 
 def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
     """Return distances (m,) between segments a–b and c–d, 3×m each: of their nearest points, smoothly kept within the segments."""
     u, v, w = b - a, d - c, a - c
-    uu, vv, uv, uw, vw = ca.sum1(u * u), ca.sum1(v * v), ca.sum1(u * v), ca.sum1(u * w), ca.sum1(v * w)
-    s = _within_segment((uv * vw - vv * uw) / (uu * vv - uv * uv + 1e-6 * uu * vv))  # parallel: any point will do
+    uu, vv, uv, uw, vw = (
+        ca.sum1(u * u),
+        ca.sum1(v * v),
+        ca.sum1(u * v),
+        ca.sum1(u * w),
+        ca.sum1(v * w),
+    )
+    s = _within_segment(
+        (uv * vw - vv * uw) / (uu * vv - uv * uv + 1e-6 * uu * vv)
+    )  # parallel: any point will do
     t = _within_segment((uv * s + vw) / vv)
     s = _within_segment((uv * t - uw) / uu)
     gap = w + ca.repmat(s, 3, 1) * u - ca.repmat(t, 3, 1) * v

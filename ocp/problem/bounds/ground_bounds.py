@@ -32,7 +32,8 @@ class AboveSurface(PathBound):
     Raises
     ------
     TypeError, ValueError
-        If the ground is none, the distance no number, or nodes no list; with a problem, if a node does not exist, or the start is below.
+        If the ground is none, the distance no number, or nodes no list; with a problem, if a node
+        does not exist, or the start is below.
 
     See Also
     --------
@@ -90,9 +91,19 @@ class AboveSurface(PathBound):
             Expressions of an instant of symbols, between their limits.
         """
         now, nodes = symbolic(model), self._chosen(model.scene.structure)
-        names = tuple(f"distance of node {node} from the {type(self.ground).__name__}" for node in nodes)
+        names = tuple(
+            f"distance of node {node} from the {type(self.ground).__name__}" for node in nodes
+        )
         least, most = np.full(len(nodes), self.distance), np.full(len(nodes), np.inf)
-        return PathConstraint(-self.ground.depth(now.nodes[:, nodes]).T, least, most, names, "m", now.symbols, self.ends)
+        return PathConstraint(
+            -self.ground.depth(now.nodes[:, nodes]).T,
+            least,
+            most,
+            names,
+            "m",
+            now.symbols,
+            self.ends,
+        )
 
     def _chosen(self, structure: Structure) -> list[int]:
         """Return the nodes that stay above, but for those that cannot move."""

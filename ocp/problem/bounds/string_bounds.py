@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint, RateBound, broadcast_limits, replace_inf
+from ocp.problem.bounds.bound import (
+    Bound,
+    PathBound,
+    PathConstraint,
+    RateBound,
+    broadcast_limits,
+    replace_inf,
+)
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
@@ -24,7 +31,9 @@ class StringLimits(Bound):
 
     def __post_init__(self) -> None:
         if self.lower is None and self.upper is None:
-            raise ValueError(f"{type(self).__name__}.lower and .upper are both None: give at least one")
+            raise ValueError(
+                f"{type(self).__name__}.lower and .upper are both None: give at least one"
+            )
         for name in ("lower", "upper"):
             value = getattr(self, name)
             if value is not None:
@@ -38,20 +47,25 @@ class StringLimits(Bound):
         crossed = np.flatnonzero(lower > upper)
         if crossed.size:
             i = int(crossed[0])
-            raise ValueError(f"{type(self).__name__}: lower is {lower[i]:g} and upper is {upper[i]:g} for string {i}: give lower ≤ upper")
+            raise ValueError(
+                f"{type(self).__name__}: lower is {lower[i]:g} and upper is {upper[i]:g} for string {i}: give lower ≤ upper"
+            )
 
     def limits(self, structure: Structure) -> tuple[Array, Array]:
         """Return lower and upper limits (α,); −inf and inf where there is none."""
         count, name = len(structure.strings), type(self).__name__
-        return broadcast_limits(f"{name}.lower", self.lower, count, -np.inf), broadcast_limits(f"{name}.upper", self.upper, count, np.inf)
+        return broadcast_limits(f"{name}.lower", self.lower, count, -np.inf), broadcast_limits(
+            f"{name}.upper", self.upper, count, np.inf
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class ForceDensityLimits(StringLimits):
     """Limits of the force density γ of each string.
 
-    They are limits of the solver's unknowns: they hold exactly, at every time; where rest lengths are decided, at both ends of every interval.
-    Strings do not push, so that γ ≥ 0 also holds for a problem without them.
+    They are limits of the solver's unknowns: they hold exactly, at every time; where rest lengths
+    are decided, at both ends of every interval. Strings do not push, so that γ ≥ 0 also holds for a
+    problem without them.
 
     Parameters
     ----------
@@ -63,7 +77,8 @@ class ForceDensityLimits(StringLimits):
     Raises
     ------
     TypeError, ValueError
-        If a limit is no number or negative; with a problem, if there is not one for each string or ``lower`` is above ``upper``.
+        If a limit is no number or negative; with a problem, if there is not one for each string or
+        ``lower`` is above ``upper``.
 
     See Also
     --------
@@ -83,8 +98,9 @@ class ForceDensityLimits(StringLimits):
 class ForceDensityRateLimits(RateBound):
     """Limits of how fast force densities change: of the mean rate of each γ over an interval.
 
-    From the start of each interval, of h s, to that of the next, γ changes by at most ``rate`` · h. Where force densities are linear in each
-    interval (`PiecewiseLinear`), this also holds to the end of the last one.
+    From the start of each interval, of h s, to that of the next, γ changes by at most ``rate`` · h.
+    Where force densities are linear in each interval (`PiecewiseLinear`), this also holds to the
+    end of the last one.
 
     Parameters
     ----------
@@ -94,7 +110,8 @@ class ForceDensityRateLimits(RateBound):
     Raises
     ------
     TypeError, ValueError
-        If a rate is no number, zero or negative; with a problem, if there is not one for each string.
+        If a rate is no number, zero or negative; with a problem, if there is not one for each
+        string.
 
     See Also
     --------
@@ -144,7 +161,9 @@ class ForceDensityRateLimits(RateBound):
         """
         before, after = symbolic(model), symbolic(model)
         interval: Any = type(before.state).sym("h")
-        rate = broadcast_limits("ForceDensityRateLimits.rate", self.rate, len(model.scene.structure.strings), np.inf)
+        rate = broadcast_limits(
+            "ForceDensityRateLimits.rate", self.rate, len(model.scene.structure.strings), np.inf
+        )
         names = tuple(f"force density rate of string {i}" for i in range(len(rate)))
         symbols = (before.state, before.control, after.state, after.control, interval)
         value = (after.force_density - before.force_density) / interval
@@ -167,7 +186,8 @@ class TensionLimits(StringLimits, PathBound):
     Raises
     ------
     TypeError, ValueError
-        If both are None, or a limit is no number or negative; with a problem, if there is not one for each string or ``lower`` is above ``upper``.
+        If both are None, or a limit is no number or negative; with a problem, if there is not one
+        for each string or ``lower`` is above ``upper``.
 
     Examples
     --------
@@ -193,15 +213,18 @@ class TensionLimits(StringLimits, PathBound):
         lower, upper = (limit[parent] for limit in self.limits(model.scene.structure))
         lower = np.where(lower > 0, lower, -np.inf)  # γ ≥ 0 says so already
         names = tuple(f"tension of string {k}" for k in parent)
-        return PathConstraint(now.tension, lower, upper, names, "N", now.symbols, self.ends).drop_open()
+        return PathConstraint(
+            now.tension, lower, upper, names, "N", now.symbols, self.ends
+        ).drop_open()
 
 
 @dataclass(frozen=True, eq=False)
 class RestLengthLimits(StringLimits, PathBound):
     """Limits of the rest length ρ = s (1 − γ/k) of each string, at both ends of every interval.
 
-    ``RestLengthLimits(0)`` says that every force density can be reached by winding a string of that stiffness. Where rest lengths are decided
-    (``control=RestLength()``), they are limits of the solver's unknowns, which are greater than 0 without them, too.
+    ``RestLengthLimits(0)`` says that every force density can be reached by winding a string of that
+    stiffness. Where rest lengths are decided (``control=RestLength()``), they are limits of the
+    solver's unknowns, which are greater than 0 without them, too.
 
     Parameters
     ----------
@@ -215,8 +238,8 @@ class RestLengthLimits(StringLimits, PathBound):
     Raises
     ------
     TypeError, ValueError
-        If both limits are None, or one is no number or negative; with a problem, if there is not one for each string, ``lower`` is above
-        ``upper``, or a string has no stiffness.
+        If both limits are None, or one is no number or negative; with a problem, if there is not
+        one for each string, ``lower`` is above ``upper``, or a string has no stiffness.
 
     Examples
     --------
@@ -260,7 +283,9 @@ class RestLengthLimits(StringLimits, PathBound):
             Expressions of an instant of symbols, between their limits.
         """
         now, structure = symbolic(model), model.scene.structure
-        rest = now.rest_lengths(read_stiffness("RestLengthLimits.stiffness", self.stiffness, structure))
+        rest = now.rest_lengths(
+            read_stiffness("RestLengthLimits.stiffness", self.stiffness, structure)
+        )
         lower, upper = self.limits(structure)
         names = tuple(f"rest length of string {k}" for k in range(len(lower)))
         return PathConstraint(rest, lower, upper, names, "m", now.symbols, self.ends).drop_open()
@@ -270,20 +295,23 @@ class RestLengthLimits(StringLimits, PathBound):
 class RestLengthRateLimits(RateBound):
     """Limits of how fast motors wind: of the mean rate of each rest length over an interval.
 
-    From the start of each interval, of h s, to that of the next, ρ changes by at most ``speed`` · h. Where force densities are linear in each
-    interval (`PiecewiseLinear`), this also holds to the end of the last one.
+    From the start of each interval, of h s, to that of the next, ρ changes by at most ``speed`` ·
+    h. Where force densities are linear in each interval (`PiecewiseLinear`), this also holds to the
+    end of the last one.
 
     Parameters
     ----------
     speed : float or array_like, shape (α,)
         Greatest rate, m/s, > 0; one number, or one for each string; inf for no limit.
     stiffness : float or array_like, shape (α,), optional
-        k of ρ = s (1 − γ/k), N/m, one number, or one for each string; None for that of the structure.
+        k of ρ = s (1 − γ/k), N/m, one number, or one for each string; None for that of the
+        structure.
 
     Raises
     ------
     TypeError, ValueError
-        If a speed is no number, zero or negative; with a problem, if there is not one for each string, or a string has no stiffness.
+        If a speed is no number, zero or negative; with a problem, if there is not one for each
+        string, or a string has no stiffness.
 
     Examples
     --------
@@ -332,7 +360,9 @@ class RestLengthRateLimits(RateBound):
         interval: Any = type(before.state).sym("h")
         k = read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)
         rate = (after.rest_lengths(k) - before.rest_lengths(k)) / interval
-        speed = broadcast_limits("RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf)
+        speed = broadcast_limits(
+            "RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf
+        )
         names = tuple(f"rest length rate of string {i}" for i in range(len(speed)))
         symbols = (before.state, before.control, after.state, after.control, interval)
         return PathConstraint(rate, -speed, speed, names, "m/s", symbols, self.ends).drop_open()
@@ -340,5 +370,7 @@ class RestLengthRateLimits(RateBound):
 
 def read_stiffness(field: str, given: ArrayLike | None, structure: Structure) -> Array:
     """Return the stiffness (α,), N/m: the given one or the structure's. Raises ValueError for a string without."""
-    values = per_item(field, structure.stiffness if given is None else given, len(structure.strings))
+    values = per_item(
+        field, structure.stiffness if given is None else given, len(structure.strings)
+    )
     return nonnegative(field, values, "string", strict=True)

@@ -16,9 +16,19 @@ from ocp.problem.instant import Instant
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, nonnegative, number_or_vector, per_item, shown, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    nonnegative,
+    number_or_vector,
+    per_item,
+    shown,
+    whole_number,
+)
 
-BAR_TOLERANCE = 1e-3  # relative: rounded nodes are put right without a word, those that give bars other lengths are refused
+# relative: rounded nodes are put right without a word, those that give bars other lengths are
+# refused
+BAR_TOLERANCE = 1e-3
 
 
 class Goal:
@@ -55,16 +65,17 @@ class Goal:
 class SoftGoal(Goal, FinalCost):
     """The cost weight · Σ miss² of a goal's rows, in place of constraints that say that they vanish; made by `Goal.soft`.
 
-    Nothing tests whether it can be met, and it counts neither in the success of a plan nor in its replay's errors: `Plan.report` tells by
-    how much the replay misses it.
+    Nothing tests whether it can be met, and it counts neither in the success of a plan nor in its
+    replay's errors: `Plan.report` tells by how much the replay misses it.
 
     Parameters
     ----------
     goal : Goal
         The goal.
     weight : float, optional
-        Factor of the cost, > 0: what a miss of 1 m, or of 1 m/s, costs. Other costs have units of their own (`Effort` that of N²·s/m²), so that
-        a miss of a centimetre weighs against them with 10⁻⁴ · weight.
+        Factor of the cost, > 0: what a miss of 1 m, or of 1 m/s, costs. Other costs have units of
+        their own (`Effort` that of N²·s/m²), so that a miss of a centimetre weighs against them
+        with 10⁻⁴ · weight.
 
     Raises
     ------
@@ -83,9 +94,13 @@ class SoftGoal(Goal, FinalCost):
 
     def __post_init__(self) -> None:
         if not isinstance(self.goal, Goal) or isinstance(self.goal, SoftGoal):
-            raise TypeError(f"SoftGoal.goal is {shown(self.goal)}: give a goal that is met, such as AtRest()")
+            raise TypeError(
+                f"SoftGoal.goal is {shown(self.goal)}: give a goal that is met, such as AtRest()"
+            )
         if type(self.goal).rows is Goal.rows:  # goals of another instant
-            raise TypeError(f"SoftGoal.goal is {shown(self.goal)}: give its goals, or call its soft(weight)")
+            raise TypeError(
+                f"SoftGoal.goal is {shown(self.goal)}: give its goals, or call its soft(weight)"
+            )
         check_weight(self)
 
     def check(self, structure: Structure) -> None:
@@ -153,7 +168,11 @@ class SoftGoal(Goal, FinalCost):
             weight · Σ miss², a scalar.
         """
         model = end.model
-        return self.weight * ca.sumsqr(self.rows(model.scene.structure, model.nodes(end.state), model.velocities(end.state)).value)
+        return self.weight * ca.sumsqr(
+            self.rows(
+                model.scene.structure, model.nodes(end.state), model.velocities(end.state)
+            ).value
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +189,8 @@ class StringLengths(Goal):
     Raises
     ------
     TypeError, ValueError
-        If a length is no number, zero or negative; with a problem, if there is not one for each string, or a string does not exist.
+        If a length is no number, zero or negative; with a problem, if there is not one for each
+        string, or a string does not exist.
 
     Examples
     --------
@@ -185,10 +205,18 @@ class StringLengths(Goal):
         values = list(self.lengths.values()) if isinstance(self.lengths, Mapping) else self.lengths
         array = number_or_vector("StringLengths.lengths", values)
         if array.size == 0:
-            raise ValueError("StringLengths.lengths is empty: give one length for each string, or {string: length}")
+            raise ValueError(
+                "StringLengths.lengths is empty: give one length for each string, or {string: length}"
+            )
         nonnegative("StringLengths.lengths", array, "entry", strict=True)
         kept: Any = array if array.ndim else float(array)
-        object.__setattr__(self, "lengths", dict(zip(self.lengths, array.tolist(), strict=True)) if isinstance(self.lengths, Mapping) else kept)
+        object.__setattr__(
+            self,
+            "lengths",
+            dict(zip(self.lengths, array.tolist(), strict=True))
+            if isinstance(self.lengths, Mapping)
+            else kept,
+        )
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.
@@ -207,7 +235,9 @@ class StringLengths(Goal):
         if isinstance(self.lengths, Mapping):
             for string in self.lengths:
                 if whole_number("StringLengths.lengths: string", string, 0) >= count:
-                    raise ValueError(f"StringLengths.lengths names string {string}: strings run from 0 to {count - 1}")
+                    raise ValueError(
+                        f"StringLengths.lengths names string {string}: strings run from 0 to {count - 1}"
+                    )
         else:
             per_item("StringLengths.lengths", self.lengths, count)
 
@@ -215,7 +245,11 @@ class StringLengths(Goal):
         """Return {string: length}."""
         if isinstance(self.lengths, Mapping):
             return dict(self.lengths)
-        return dict(enumerate(per_item("StringLengths.lengths", self.lengths, len(structure.strings)).tolist()))
+        return dict(
+            enumerate(
+                per_item("StringLengths.lengths", self.lengths, len(structure.strings)).tolist()
+            )
+        )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Return length minus wanted length, m, of each string.
@@ -238,14 +272,19 @@ class StringLengths(Goal):
         ends = structure.strings[list(wanted)]
         vectors = nodes[:, ends[:, 1].tolist()] - nodes[:, ends[:, 0].tolist()]
         value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(list(wanted.values()))
-        return Rows(value, tuple(f"StringLengths: string {string}" for string in wanted), ("m",) * len(wanted))
+        return Rows(
+            value,
+            tuple(f"StringLengths: string {string}" for string in wanted),
+            ("m",) * len(wanted),
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Shape(Goal):
     """The shape of the structure at the end, wherever it is and however it is turned.
 
-    It is given by all distances of nodes that no bar keeps. A shape and its mirror image have the same distances.
+    It is given by all distances of nodes that no bar keeps. A shape and its mirror image have the
+    same distances.
 
     Parameters
     ----------
@@ -255,7 +294,8 @@ class Shape(Goal):
     Raises
     ------
     TypeError, ValueError
-        If nodes are no such array; with a problem, if there is not one row for each node, fewer than three, or a bar gets another length.
+        If nodes are no such array; with a problem, if there is not one row for each node, fewer
+        than three, or a bar gets another length.
 
     See Also
     --------
@@ -285,12 +325,15 @@ class Shape(Goal):
         Raises
         ------
         TypeError, ValueError
-            If the number of nodes or the lengths of the bars differ, or there are fewer than three nodes.
+            If the number of nodes or the lengths of the bars differ, or there are fewer than three
+            nodes.
         """
         nodes = finite_array("Shape.nodes", self.nodes, structure.nodes.shape)
         check_bar_lengths("Shape.nodes make", nodes, structure)
         if len(nodes) < 3:
-            raise ValueError(f"Shape.nodes has {len(nodes)} nodes: a shape needs three, use StringLengths or NodePositions")
+            raise ValueError(
+                f"Shape.nodes has {len(nodes)} nodes: a shape needs three, use StringLengths or NodePositions"
+            )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Return distance minus wanted distance, m, of each pair of nodes that is no bar.
@@ -310,12 +353,22 @@ class Shape(Goal):
             Named rows that vanish where the goal is met.
         """
         kept = {frozenset(bar) for bar in structure.bars.tolist()}
-        pairs = [(a, b) for a, b in combinations(range(len(structure.nodes)), 2) if frozenset((a, b)) not in kept]
+        pairs = [
+            (a, b)
+            for a, b in combinations(range(len(structure.nodes)), 2)
+            if frozenset((a, b)) not in kept
+        ]
         first, second = ([pair[k] for pair in pairs] for k in (0, 1))
         wanted = np.asarray(self.nodes)
         vectors = nodes[:, second] - nodes[:, first]
-        value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(np.linalg.norm(wanted[second] - wanted[first], axis=1))
-        return Rows(value, tuple(f"Shape: distance of nodes {a} and {b}" for a, b in pairs), ("m",) * len(pairs))
+        value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(
+            np.linalg.norm(wanted[second] - wanted[first], axis=1)
+        )
+        return Rows(
+            value,
+            tuple(f"Shape: distance of nodes {a} and {b}" for a, b in pairs),
+            ("m",) * len(pairs),
+        )
 
 
 def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
@@ -324,4 +377,6 @@ def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
     bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > BAR_TOLERANCE)
     if bad.size:
         k = int(bad[0])
-        raise ValueError(f"{subject} bar {k} {lengths[k]:g} m long, not {structure.bar_lengths[k]:g} m: give nodes that keep the bars' lengths")
+        raise ValueError(
+            f"{subject} bar {k} {lengths[k]:g} m long, not {structure.bar_lengths[k]:g} m: give nodes that keep the bars' lengths"
+        )

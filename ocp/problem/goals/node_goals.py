@@ -14,7 +14,14 @@ from ocp.problem.goals.goal import Goal
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, coordinates, finite_array, node_index, nonnegative, shown
+from tenscasadi.util.validate import (
+    Array,
+    coordinates,
+    finite_array,
+    node_index,
+    nonnegative,
+    shown,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +36,8 @@ class NodePositions(Goal):
     Raises
     ------
     TypeError, ValueError
-        If a place has not three coordinates, or all are None; with a problem, if a node does not exist, or is pinned elsewhere.
+        If a place has not three coordinates, or all are None; with a problem, if a node does not
+        exist, or is pinned elsewhere.
 
     Examples
     --------
@@ -41,7 +49,9 @@ class NodePositions(Goal):
     positions: Mapping[int, Sequence[float | None]] | ArrayLike
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "positions", _read("NodePositions.positions", self.positions, "(x, y, z)"))
+        object.__setattr__(
+            self, "positions", _read("NodePositions.positions", self.positions, "(x, y, z)")
+        )
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.
@@ -61,7 +71,9 @@ class NodePositions(Goal):
             held = structure.nodes[node, axis]
             if structure.fixed[node, axis] and abs(value - held) > tolerance:
                 place_text = f"{'xyz'[axis]} = {value:g} m of a node that is pinned at {held:g} m"
-                raise ValueError(f"NodePositions.positions[{node}] wants {place_text}: leave that axis None")
+                raise ValueError(
+                    f"NodePositions.positions[{node}] wants {place_text}: leave that axis None"
+                )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Return coordinate minus wanted coordinate, m; pinned ones, which are there already, have no row.
@@ -80,7 +92,13 @@ class NodePositions(Goal):
         Rows
             Named rows that vanish where the goal is met.
         """
-        return _rows("NodePositions", _entries("NodePositions.positions", self.positions, structure), structure, nodes, "m")
+        return _rows(
+            "NodePositions",
+            _entries("NodePositions.positions", self.positions, structure),
+            structure,
+            nodes,
+            "m",
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +108,14 @@ class NodeVelocities(Goal):
     Parameters
     ----------
     velocities : mapping of int to sequence of float or None, or array_like of shape (n, 3)
-        ``{node: (vx, vy, vz)}``, m/s, None for an axis that is free; or the velocities of all nodes.
+        ``{node: (vx, vy, vz)}``, m/s, None for an axis that is free; or the velocities of all
+        nodes.
 
     Raises
     ------
     TypeError, ValueError
-        If a velocity has not three entries, or all are None; with a problem, if a node does not exist, or is pinned along an axis with a velocity.
+        If a velocity has not three entries, or all are None; with a problem, if a node does not
+        exist, or is pinned along an axis with a velocity.
 
     See Also
     --------
@@ -111,7 +131,9 @@ class NodeVelocities(Goal):
     velocities: Mapping[int, Sequence[float | None]] | ArrayLike
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "velocities", _read("NodeVelocities.velocities", self.velocities, "(vx, vy, vz)"))
+        object.__setattr__(
+            self, "velocities", _read("NodeVelocities.velocities", self.velocities, "(vx, vy, vz)")
+        )
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.
@@ -129,7 +151,9 @@ class NodeVelocities(Goal):
         for node, axis, value in _entries("NodeVelocities.velocities", self.velocities, structure):
             if structure.fixed[node, axis] and value:
                 wanted = f"{'xyz'[axis]} = {value:g} m/s of a node that is pinned along it"
-                raise ValueError(f"NodeVelocities.velocities[{node}] wants {wanted}: leave that axis None")
+                raise ValueError(
+                    f"NodeVelocities.velocities[{node}] wants {wanted}: leave that axis None"
+                )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Return velocity minus wanted velocity, m/s; along pinned axes there is no row.
@@ -148,7 +172,13 @@ class NodeVelocities(Goal):
         Rows
             Named rows that vanish where the goal is met.
         """
-        return _rows("NodeVelocities", _entries("NodeVelocities.velocities", self.velocities, structure), structure, velocities, "m/s")
+        return _rows(
+            "NodeVelocities",
+            _entries("NodeVelocities.velocities", self.velocities, structure),
+            structure,
+            velocities,
+            "m/s",
+        )
 
 
 @dataclass(frozen=True)
@@ -180,9 +210,18 @@ class AtRest(Goal):
             Named rows that vanish where the goal is met.
         """
         held = {(int(node), int(axis)) for node, axis in np.argwhere(structure.fixed)}
-        free = [(node, axis) for node in range(velocities.shape[1]) for axis in range(3) if (node, axis) not in held]
+        free = [
+            (node, axis)
+            for node in range(velocities.shape[1])
+            for axis in range(3)
+            if (node, axis) not in held
+        ]
         value = ca.vertcat(*(velocities[axis, node] for node, axis in free))
-        return Rows(value, tuple(f"AtRest: node {node} {'xyz'[axis]}" for node, axis in free), ("m/s",) * len(free))
+        return Rows(
+            value,
+            tuple(f"AtRest: node {node} {'xyz'[axis]}" for node, axis in free),
+            ("m/s",) * len(free),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,12 +235,14 @@ class CentreOfMass(Goal):
     position : sequence of float or None, length 3
         (x, y, z), m, None for an axis that is free.
     masses : array_like of shape (n,), optional
-        What each node of the model weighs, kg, those inside strings last; None for the masses of the problem's model.
+        What each node of the model weighs, kg, those inside strings last; None for the masses of
+        the problem's model.
 
     Raises
     ------
     TypeError, ValueError
-        If the position has not three coordinates, or all are None; or masses are no numbers, negative, or all zero.
+        If the position has not three coordinates, or all are None; or masses are no numbers,
+        negative, or all zero.
 
     Examples
     --------
@@ -214,11 +255,21 @@ class CentreOfMass(Goal):
     masses: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", coordinates("CentreOfMass.position", self.position, "an axis that is free", some=True))
+        object.__setattr__(
+            self,
+            "position",
+            coordinates("CentreOfMass.position", self.position, "an axis that is free", some=True),
+        )
         if self.masses is not None:
-            masses = nonnegative("CentreOfMass.masses", finite_array("CentreOfMass.masses", self.masses, (None,)), "node")
+            masses = nonnegative(
+                "CentreOfMass.masses",
+                finite_array("CentreOfMass.masses", self.masses, (None,)),
+                "node",
+            )
             if not masses.any():
-                raise ValueError("CentreOfMass.masses are all 0: give those of the nodes, or None for those of the model")
+                raise ValueError(
+                    "CentreOfMass.masses are all 0: give those of the nodes, or None for those of the model"
+                )
             object.__setattr__(self, "masses", masses)
 
     def check(self, structure: Structure) -> None:
@@ -236,7 +287,9 @@ class CentreOfMass(Goal):
         """
         if self.masses is not None and len(np.asarray(self.masses)) < len(structure.nodes):
             given = len(np.asarray(self.masses))
-            raise ValueError(f"CentreOfMass.masses has {given} entries: give one for each of {len(structure.nodes)} nodes, or None")
+            raise ValueError(
+                f"CentreOfMass.masses has {given} entries: give one for each of {len(structure.nodes)} nodes, or None"
+            )
 
     def complete(self, model: Model, start: Array | None) -> Goal:
         """Return the goal with what a problem knows.
@@ -261,7 +314,9 @@ class CentreOfMass(Goal):
         count = len(model.structure.nodes)
         if self.masses is None:
             mechanism = model.mechanism
-            return replace(self, masses=np.bincount(mechanism.physical, mechanism.node_weight, count))
+            return replace(
+                self, masses=np.bincount(mechanism.physical, mechanism.node_weight, count)
+            )
         finite_array("CentreOfMass.masses", self.masses, (count,))
         return self
 
@@ -288,12 +343,16 @@ class CentreOfMass(Goal):
             If the masses are not known: a `Problem` knows them.
         """
         if self.masses is None:
-            raise ValueError("CentreOfMass.masses is None: give it to a Problem, which knows its model")
+            raise ValueError(
+                "CentreOfMass.masses is None: give it to a Problem, which knows its model"
+            )
         masses = np.asarray(self.masses)
         centre = ca.mtimes(nodes, ca.DM(masses / masses.sum()))
         wanted = {axis: value for axis, value in enumerate(self.position) if value is not None}
         value = ca.vertcat(*(centre[axis] - value for axis, value in wanted.items()))
-        return Rows(value, tuple(f"CentreOfMass: {'xyz'[axis]}" for axis in wanted), ("m",) * len(wanted))
+        return Rows(
+            value, tuple(f"CentreOfMass: {'xyz'[axis]}" for axis in wanted), ("m",) * len(wanted)
+        )
 
 
 def _read(field: str, given: Any, example: str) -> Any:
@@ -302,7 +361,10 @@ def _read(field: str, given: Any, example: str) -> Any:
         return finite_array(field, given, (None, 3))
     if not given:
         raise ValueError(f"{field} is empty: give {{node: {example}}}")
-    return {node: coordinates(f"{field}[{shown(node)}]", entry, "an axis that is free", some=True) for node, entry in given.items()}
+    return {
+        node: coordinates(f"{field}[{shown(node)}]", entry, "an axis that is free", some=True)
+        for node, entry in given.items()
+    }
 
 
 def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, int, float]]:
@@ -312,11 +374,22 @@ def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, in
         given = dict(enumerate(finite_array(field, given, (count, 3)).tolist()))
     for node in given:
         node_index(f"{field}: node", node, count)
-    return [(node, axis, value) for node, entry in given.items() for axis, value in enumerate(entry) if value is not None]
+    return [
+        (node, axis, value)
+        for node, entry in given.items()
+        for axis, value in enumerate(entry)
+        if value is not None
+    ]
 
 
-def _rows(goal: str, entries: list[tuple[int, int, float]], structure: Structure, columns: Any, unit: str) -> Rows:
+def _rows(
+    goal: str, entries: list[tuple[int, int, float]], structure: Structure, columns: Any, unit: str
+) -> Rows:
     """Return entry minus wanted entry of columns (3×n), but for pinned axes."""
     free = [(node, axis, value) for node, axis, value in entries if not structure.fixed[node, axis]]
     value = ca.vertcat(*(columns[axis, node] - wanted for node, axis, wanted in free))
-    return Rows(value, tuple(f"{goal}: node {node} {'xyz'[axis]}" for node, axis, _ in free), (unit,) * len(free))
+    return Rows(
+        value,
+        tuple(f"{goal}: node {node} {'xyz'[axis]}" for node, axis, _ in free),
+        (unit,) * len(free),
+    )

@@ -26,14 +26,17 @@ class Periodic(Goal):
     Parameters
     ----------
     shift : sequence of float or None, length 3, optional
-        (x, y, z), m, by which all nodes have moved, as in a gait; None for an axis: as far as the first node has.
+        (x, y, z), m, by which all nodes have moved, as in a gait; None for an axis: as far as the
+        first node has.
     start : tuple of two array_like of shape (n, 3), optional
-        Nodes, m, and velocities, m/s, to come back to; None for those of the problem, also where they are found (`FreeStart`).
+        Nodes, m, and velocities, m/s, to come back to; None for those of the problem, also where
+        they are found (`FreeStart`).
 
     Raises
     ------
     TypeError, ValueError
-        If ``shift`` has not three entries or ``start`` is no pair; with a problem, if a pinned node would have to move, or ``start`` has other nodes.
+        If ``shift`` has not three entries or ``start`` is no pair; with a problem, if a pinned node
+        would have to move, or ``start`` has other nodes.
 
     Examples
     --------
@@ -46,9 +49,15 @@ class Periodic(Goal):
     start: tuple[ArrayLike, ArrayLike] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "shift", coordinates("Periodic.shift", self.shift, "an axis that is free"))
-        if self.start is not None and (not isinstance(self.start, (tuple, list)) or len(self.start) != 2):
-            raise TypeError("Periodic.start is no pair: give (nodes, velocities), or None for the start of the problem")
+        object.__setattr__(
+            self, "shift", coordinates("Periodic.shift", self.shift, "an axis that is free")
+        )
+        if self.start is not None and (
+            not isinstance(self.start, (tuple, list)) or len(self.start) != 2
+        ):
+            raise TypeError(
+                "Periodic.start is no pair: give (nodes, velocities), or None for the start of the problem"
+            )
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.
@@ -68,7 +77,9 @@ class Periodic(Goal):
         for axis, value in enumerate(self.shift):
             if value and structure.fixed[:, axis].any():
                 node = int(np.argmax(structure.fixed[:, axis]))
-                raise ValueError(f"Periodic.shift moves node {node}, which is pinned along {'xyz'[axis]}: give 0 for that axis")
+                raise ValueError(
+                    f"Periodic.shift moves node {node}, which is pinned along {'xyz'[axis]}: give 0 for that axis"
+                )
 
     def complete(self, model: Model, start: Array | None) -> Goal:
         """Return the goal with what a problem knows.
@@ -109,7 +120,10 @@ class Periodic(Goal):
         """
         if self.start is None:
             raise ValueError("Periodic.start is None: give it to a Problem, which knows its start")
-        before, speeds = (value if isinstance(value, (ca.SX, ca.MX)) else np.asarray(value) for value in self.start)
+        before, speeds = (
+            value if isinstance(value, (ca.SX, ca.MX)) else np.asarray(value)
+            for value in self.start
+        )
         places, rates = [], []
         for node, axis in np.argwhere(~structure.fixed).tolist():
             name, shift = f"Periodic: node {node} {'xyz'[axis]}", self.shift[axis]

@@ -24,18 +24,21 @@ class Waypoint(Goal):
     Parameters
     ----------
     goals : sequence of goals
-        All met at that instant: `NodePositions`, `Shape`, ...; or wished for (`Goal.soft`), where one time or a share is given.
+        All met at that instant: `NodePositions`, `Shape`, ...; or wished for (`Goal.soft`), where
+        one time or a share is given.
     time : float or (float, float), optional
-        Seconds from the start; only where the duration is given. Or (earliest, latest) to let the solver choose, also where the duration is
-        free: such waypoints are met in the order in which they are given, and divide the plan into phases (`Phase`).
+        Seconds from the start; only where the duration is given. Or (earliest, latest) to let the
+        solver choose, also where the duration is free: such waypoints are met in the order in which
+        they are given, and divide the plan into phases (`Phase`).
     share : float, optional
         Share of the duration, more than 0; 1 is the end, where the goals are goals of the end.
 
     Raises
     ------
     TypeError, ValueError
-        If goals are no list of goals, both or none of time and share are given, or the share is not above 0 and up to 1; with a problem, if the
-        time is outside the plan, or the duration is free and a time is given.
+        If goals are no list of goals, both or none of time and share are given, or the share is not
+        above 0 and up to 1; with a problem, if the time is outside the plan, or the duration is
+        free and a time is given.
 
     Examples
     --------
@@ -50,18 +53,27 @@ class Waypoint(Goal):
 
     def __post_init__(self) -> None:
         if isinstance(self.goals, Goal) or not isinstance(self.goals, Sequence) or not self.goals:
-            raise TypeError(f"Waypoint.goals is {shown(self.goals)}: give a list of goals, such as [NodePositions({{0: (0, 0, 1)}})]")
+            raise TypeError(
+                f"Waypoint.goals is {shown(self.goals)}: give a list of goals, such as [NodePositions({{0: (0, 0, 1)}})]"
+            )
         for k, goal in enumerate(self.goals):
             if not isinstance(goal, Goal) or isinstance(goal, Waypoint):
-                raise TypeError(f"Waypoint.goals[{k}] is {shown(goal)}: give a goal, such as NodePositions({{0: (0, 0, 1)}})")
+                raise TypeError(
+                    f"Waypoint.goals[{k}] is {shown(goal)}: give a goal, such as NodePositions({{0: (0, 0, 1)}})"
+                )
         if (self.time is None) == (self.share is None):
             raise ValueError("Waypoint.time and .share: give one of them")
         if nesting(self.time) == 1:
             object.__setattr__(self, "time", _read_range(self.time))
         elif self.time is not None:
             object.__setattr__(self, "time", positive_number("Waypoint.time", self.time))
-        if self.share is not None and not INSTANT < positive_number("Waypoint.share", self.share) <= 1:
-            raise ValueError(f"Waypoint.share is {self.share:g}: give a share of the duration between 0 and 1")
+        if (
+            self.share is not None
+            and not INSTANT < positive_number("Waypoint.share", self.share) <= 1
+        ):
+            raise ValueError(
+                f"Waypoint.share is {self.share:g}: give a share of the duration between 0 and 1"
+            )
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.
@@ -101,7 +113,9 @@ class Waypoint(Goal):
         """
         goals = tuple(goal.complete(model, start) for goal in self.goals)
         if any(isinstance(goal, Periodic) and goal.start is None for goal in goals):
-            raise ValueError("Waypoint.goals has Periodic(), and the start is free: give Periodic(start=...), or Periodic() as a goal of the end")
+            raise ValueError(
+                "Waypoint.goals has Periodic(), and the start is free: give Periodic(start=...), or Periodic() as a goal of the end"
+            )
         return replace(self, goals=goals)
 
     def soft(self, weight: float = 1.0) -> Waypoint:
@@ -143,16 +157,24 @@ class Waypoint(Goal):
             return 1.0 if self.share > 1 - INSTANT else float(self.share)
         time = float(self.time or 0.0) if not isinstance(self.time, tuple) else self.time[1]
         if shortest < longest:
-            raise ValueError(f"Waypoint.time is {time:g}, and Problem.duration is free: give Waypoint(share=...)")
+            raise ValueError(
+                f"Waypoint.time is {time:g}, and Problem.duration is free: give Waypoint(share=...)"
+            )
         if time > (1 + INSTANT) * longest:
-            raise ValueError(f"Waypoint.time is {time:g}, and the plan takes {longest:g} s: give an earlier time, or a goal of the end")
+            raise ValueError(
+                f"Waypoint.time is {time:g}, and the plan takes {longest:g} s: give an earlier time, or a goal of the end"
+            )
         if time <= INSTANT * longest:
-            raise ValueError(f"Waypoint.time is {time:g}, where a plan of {longest:g} s has hardly begun: give a later time")
+            raise ValueError(
+                f"Waypoint.time is {time:g}, where a plan of {longest:g} s has hardly begun: give a later time"
+            )
         return 1.0 if time > (1 - INSTANT) * longest else time / longest
 
 
 def _read_range(value: Any) -> tuple[float, float]:
     earliest, latest = finite_array("Waypoint.time", value, (2,)).tolist()
     if not 0 < earliest <= latest:
-        raise ValueError(f"Waypoint.time is ({earliest:g}, {latest:g}): give (earliest, latest), greater than 0")
+        raise ValueError(
+            f"Waypoint.time is ({earliest:g}, {latest:g}): give (earliest, latest), greater than 0"
+        )
     return earliest, latest

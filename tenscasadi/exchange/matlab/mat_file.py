@@ -1,7 +1,8 @@
 """Variables of .mat files. SciPy writes them; it does not read them here, as a damaged file can end its process.
 
-A file of MATLAB's versions 5 to 7 is a header and elements, each a type, a number of bytes, and the bytes, which may hold elements again.
-Every size is compared with the bytes that are there before it is used, and nothing in a file is ever run.
+A file of MATLAB's versions 5 to 7 is a header and elements, each a type, a number of bytes, and the
+bytes, which may hold elements again. Every size is compared with the bytes that are there before it
+is used, and nothing in a file is ever run.
 """
 
 from __future__ import annotations
@@ -23,19 +24,39 @@ from tenscasadi.util.whole_file import whole_file
 
 _HEADER = 128  # bytes
 _MATRIX, _COMPRESSED = 14, 15  # types of elements
-_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_NUMBERS = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+}
 _CODECS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 _STRUCT, _CHAR, _SPARSE, _NUMERIC = 2, 4, 5, range(6, 16)  # classes of matrices
 _COMPLEX = 0x0800
 _DEEPEST = 30  # structs within structs
-_UNREADABLE = (OSError, ValueError, TypeError, IndexError, MemoryError, OverflowError, zlib.error, struct.error)
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    TypeError,
+    IndexError,
+    MemoryError,
+    OverflowError,
+    zlib.error,
+    struct.error,
+)
 
 
 def read_mat(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the variables of a .mat file (v5, v6 or v7) by name: arrays of floats, sparse ones, texts, and structs as dicts of these.
 
-    Objects, function handles, cells, arrays of structs and complex numbers are left out. Raises FileNotFoundError, and ValueError, which
-    names the file and why it cannot be read.
+    Objects, function handles, cells, arrays of structs and complex numbers are left out. Raises
+    FileNotFoundError, and ValueError, which names the file and why it cannot be read.
     """
     place = file_path("path", path)
     if place.exists() and not place.is_file():  # opening a FIFO would wait for another process
@@ -61,9 +82,13 @@ def write_mat(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Path:
 
 def _check_version(path: Path, header: bytes) -> None:
     if header[:8] == b"\x89HDF\r\n\x1a\n" or header[124:126] in (b"\x00\x02", b"\x02\x00"):
-        raise ValueError(f"{path} has MATLAB's format v7.3 (HDF5): save it in MATLAB with save('{path.name}', ..., '-v7')")
+        raise ValueError(
+            f"{path} has MATLAB's format v7.3 (HDF5): save it in MATLAB with save('{path.name}', ..., '-v7')"
+        )
     if header[126:128] not in (b"IM", b"MI") or header[124:126] not in (b"\x00\x01", b"\x01\x00"):
-        cure = f"save it in MATLAB with save('{path.name}', ..., '-v7'), in Octave with '-mat7-binary'"
+        cure = (
+            f"save it in MATLAB with save('{path.name}', ..., '-v7'), in Octave with '-mat7-binary'"
+        )
         raise ValueError(f"{path} is no .mat file of version 5, 6 or 7: {cure}")
 
 
@@ -76,10 +101,14 @@ def _variables(path: Path) -> Iterator[tuple[str, Any]]:
     order = "<" if whole[126:128] == b"IM" else ">"
     for kind, content in _elements(memoryview(whole)[_HEADER:], order):
         if kind == _COMPRESSED:
-            told = struct.unpack(order + "II", zlib.decompressobj().decompress(content, 8))[1] + 8  # bytes that its own head says it has
+            told = (
+                struct.unpack(order + "II", zlib.decompressobj().decompress(content, 8))[1] + 8
+            )  # bytes that its own head says it has
             left -= told
             if left < 0:
-                raise ValueError(f"it unpacks to more than {limit / 1e9:.3g} GB, the limit for a file of its size")
+                raise ValueError(
+                    f"it unpacks to more than {limit / 1e9:.3g} GB, the limit for a file of its size"
+                )
             unpacking = zlib.decompressobj()
             unpacked = unpacking.decompress(content, told + 8)
             if not unpacking.eof:
@@ -117,7 +146,9 @@ def _matrix(content: memoryview, order: str, depth: int) -> tuple[str, Any]:
     flags = struct.unpack(order + "I", parts[0][1][:4])[0]
     form = flags & 0xFF
     if form not in (_STRUCT, _CHAR, _SPARSE, *_NUMERIC):
-        return bytes(parts[2][1]).decode("ascii", "replace") if len(parts) > 2 and form <= max(_NUMERIC) else "", None
+        return bytes(parts[2][1]).decode("ascii", "replace") if len(parts) > 2 and form <= max(
+            _NUMERIC
+        ) else "", None
     shape = tuple(np.frombuffer(parts[1][1], order + "i4").tolist())
     name = bytes(parts[2][1]).decode("ascii")
     if min(shape, default=-1) < 0:
@@ -125,7 +156,9 @@ def _matrix(content: memoryview, order: str, depth: int) -> tuple[str, Any]:
     if form == _STRUCT:
         return name, _struct(parts[3:], order, depth) if shape == (1, 1) else None
     if form == _CHAR:
-        return name, _text(parts[3], order) if math.prod(shape) in (0, *shape[1:]) and len(parts) > 3 else None
+        return name, _text(parts[3], order) if math.prod(shape) in (0, *shape[1:]) and len(
+            parts
+        ) > 3 else None
     if flags & _COMPLEX:
         return name, None
     if form == _SPARSE:
@@ -145,7 +178,10 @@ def _numbers(part: tuple[int, memoryview], order: str) -> Any:
 
 def _text(part: tuple[int, memoryview], order: str) -> str:
     codec = _CODECS.get(part[0], "latin-1")
-    return bytes(part[1]).decode(codec + ({"<": "-le", ">": "-be"}[order] if codec in ("utf-16", "utf-32") else ""), "replace")
+    return bytes(part[1]).decode(
+        codec + ({"<": "-le", ">": "-be"}[order] if codec in ("utf-16", "utf-32") else ""),
+        "replace",
+    )
 
 
 def _sparse(parts: list[tuple[int, memoryview]], order: str, shape: tuple[int, ...]) -> Any:
@@ -153,9 +189,16 @@ def _sparse(parts: list[tuple[int, memoryview]], order: str, shape: tuple[int, .
     flat = len(parts[2][1]) == len(rows)  # truth values, a byte each, whose type says otherwise
     values = np.frombuffer(parts[2][1], "u1") if flat else _numbers(parts[2], order)
     count = int(starts[-1])
-    if len(shape) != 2 or len(starts) != shape[1] + 1 or not 0 <= count <= min(len(rows), len(values)):
+    if (
+        len(shape) != 2
+        or len(starts) != shape[1] + 1
+        or not 0 <= count <= min(len(rows), len(values))
+    ):
         raise ValueError(f"a sparse matrix of shape {shape} does not hold what it says")
-    found = csc_array((values[:count].astype(float), rows[:count].astype(np.int64), starts.astype(np.int64)), shape=shape)
+    found = csc_array(
+        (values[:count].astype(float), rows[:count].astype(np.int64), starts.astype(np.int64)),
+        shape=shape,
+    )
     found.check_format(full_check=True)  # its methods go where wrong indices lead
     return found
 
@@ -164,7 +207,9 @@ def _struct(parts: list[tuple[int, memoryview]], order: str, depth: int) -> dict
     length = struct.unpack(order + "i", parts[0][1][:4])[0]
     names, values = bytes(parts[1][1]), parts[2:]
     if length < 1 or len(names) != length * len(values):
-        raise ValueError(f"a struct has {len(names)} characters of names, each {length} long, and {len(values)} values")
+        raise ValueError(
+            f"a struct has {len(names)} characters of names, each {length} long, and {len(values)} values"
+        )
     fields = {}
     for k, (kind, content) in enumerate(values):
         name = names[k * length : (k + 1) * length].split(b"\0")[0].decode("ascii")

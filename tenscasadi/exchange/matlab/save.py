@@ -16,18 +16,30 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices, flag, instance
 
 STRUCTURE_FORM, TRAJECTORY_FORM = "tenscasadi structure 1", "tenscasadi trajectory 1"
-HISTORY = {"time": "t", "nodes": "Nhist", "velocities": "Ndhist", "force_density": "gamma"}  # as MOTES calls them; others keep their names
-LETTERS = {name: hint.__metadata__[0] for name, hint in get_type_hints(Trajectory, include_extras=True).items()}
+HISTORY = {
+    "time": "t",
+    "nodes": "Nhist",
+    "velocities": "Ndhist",
+    "force_density": "gamma",
+}  # as MOTES calls them; others keep their names
+LETTERS = {
+    name: hint.__metadata__[0]
+    for name, hint in get_type_hints(Trajectory, include_extras=True).items()
+}
 
 
-def save_mat(what: Structure | Trajectory, path: str | os.PathLike[str], *, class_one: bool = False) -> Path:
+def save_mat(
+    what: Structure | Trajectory, path: str | os.PathLike[str], *, class_one: bool = False
+) -> Path:
     """Write a structure or a trajectory for MATLAB, with the names of MOTES and TsgFEM; nodes count from 1 there.
 
-    A structure becomes the variables N (3×n), C_b, C_s, s_0, k, c, m and pinned_nodes, with pinned_X, pinned_Y, pinned_Z, node_mass,
-    string_mass, bar_radius, roller_nodes and roller_normals, which MOTES does not know: ``load_mat`` gives the same structure back, to the
-    last bit. With `class_one` they are what ``tenseg_sim_class1open(load('x.mat'))`` or ``tenseg_sim_classkopen`` of MOTES take: a column
-    for each end of a bar, joints and pins in P and D, masses of string nodes in ms. A trajectory becomes N, C_b, C_s and MOTES' struct
-    History: Nhist (3×n×T), Ndhist, gamma, bar_len, t, and all else that it holds.
+    A structure becomes the variables N (3×n), C_b, C_s, s_0, k, c, m and pinned_nodes, with
+    pinned_X, pinned_Y, pinned_Z, node_mass, string_mass, bar_radius, roller_nodes and
+    roller_normals, which MOTES does not know: ``load_mat`` gives the same structure back, to the
+    last bit. With `class_one` they are what ``tenseg_sim_class1open(load('x.mat'))`` or
+    ``tenseg_sim_classkopen`` of MOTES take: a column for each end of a bar, joints and pins in P
+    and D, masses of string nodes in ms. A trajectory becomes N, C_b, C_s and MOTES' struct History:
+    Nhist (3×n×T), Ndhist, gamma, bar_len, t, and all else that it holds.
 
     Parameters
     ----------
@@ -67,26 +79,44 @@ def save_mat(what: Structure | Trajectory, path: str | os.PathLike[str], *, clas
     flag("class_one", class_one)
     if isinstance(what, Trajectory):
         if class_one:
-            raise ValueError("class_one is True for a trajectory, whose nodes are the physical ones: leave it out")
+            raise ValueError(
+                "class_one is True for a trajectory, whose nodes are the physical ones: leave it out"
+            )
         return write_mat(path, _trajectory(what))
     return write_mat(path, _split(what) if class_one else _physical(what))
 
 
 def _matrices(nodes: Array, bars: Indices, strings: Indices) -> dict[str, Any]:
-    return {"N": nodes.T, "C_b": connectivity(bars, len(nodes)).toarray(), "C_s": connectivity(strings, len(nodes)).toarray()}
+    return {
+        "N": nodes.T,
+        "C_b": connectivity(bars, len(nodes)).toarray(),
+        "C_s": connectivity(strings, len(nodes)).toarray(),
+    }
 
 
 def _strings_and_bars(structure: Structure) -> dict[str, Any]:
     """Return a column of rest lengths and rows of the others: MOTES takes no other shapes."""
     rows = {"k": structure.stiffness, "c": structure.damping, "m": structure.bar_mass}
-    return {"s_0": structure.rest_length[:, None], **{key: value[None, :] for key, value in rows.items()}}
+    return {
+        "s_0": structure.rest_length[:, None],
+        **{key: value[None, :] for key, value in rows.items()},
+    }
 
 
 def _physical(structure: Structure) -> dict[str, Any]:
-    more = {"node_mass": structure.node_mass, "string_mass": structure.string_mass, "bar_radius": structure.bar_radius}
-    normals = [(node + 1, normal) for node, normals in structure.rollers.items() for normal in normals]
+    more = {
+        "node_mass": structure.node_mass,
+        "string_mass": structure.string_mass,
+        "bar_radius": structure.bar_radius,
+    }
+    normals = [
+        (node + 1, normal) for node, normals in structure.rollers.items() for normal in normals
+    ]
     if normals:
-        more |= {"roller_nodes": np.array([node for node, _ in normals], dtype=float), "roller_normals": np.array([n for _, n in normals])}
+        more |= {
+            "roller_nodes": np.array([node for node, _ in normals], dtype=float),
+            "roller_normals": np.array([n for _, n in normals]),
+        }
     return {
         "format": STRUCTURE_FORM,
         **_matrices(structure.nodes, structure.bars, structure.strings),
@@ -108,17 +138,37 @@ def _split(structure: Structure) -> dict[str, Any]:
     loose[structure.bars] = False
     for unknown, what, cure in (
         (structure.bar_radius != 0, "bar_radius of bar", "structure.replace(bar_radius=0.0)"),
-        (structure.string_mass != 0, "string_mass of string", "structure.subdivide(segments), which puts it on nodes"),
-        (~loose & (structure.node_mass != 0), "node_mass of node", "structure.replace(node_mass=0.0), as MOTES has masses where no bar ends"),
-        (loose & (structure.node_mass == 0), "node_mass of node", "a mass, as MOTES inverts the mass matrix"),
+        (
+            structure.string_mass != 0,
+            "string_mass of string",
+            "structure.subdivide(segments), which puts it on nodes",
+        ),
+        (
+            ~loose & (structure.node_mass != 0),
+            "node_mass of node",
+            "structure.replace(node_mass=0.0), as MOTES has masses where no bar ends",
+        ),
+        (
+            loose & (structure.node_mass == 0),
+            "node_mass of node",
+            "a mass, as MOTES inverts the mass matrix",
+        ),
         (partly, "the roller of node", "pins along all axes, or class_one=False"),
     ):
         for index in np.flatnonzero(unknown):
-            value = "" if what.startswith("the") else f" is {getattr(structure, what.partition(' ')[0])[index]:g}"
-            raise ValueError(f"class_one: {what} {index}{value}, which MOTES does not model: give {cure}")
+            value = (
+                ""
+                if what.startswith("the")
+                else f" is {getattr(structure, what.partition(' ')[0])[index]:g}"
+            )
+            raise ValueError(
+                f"class_one: {what} {index}{value}, which MOTES does not model: give {cure}"
+            )
     split = structure.class_one()
     on_bar = split.C_nb.any(axis=0)
-    order = np.concatenate([np.flatnonzero(on_bar), np.flatnonzero(~on_bar)])  # MOTES takes the first 2β columns for ends of bars
+    order = np.concatenate(
+        [np.flatnonzero(on_bar), np.flatnonzero(~on_bar)]
+    )  # MOTES takes the first 2β columns for ends of bars
     return {
         "N": split.N[:, order],
         "C_b": (split.C_b @ split.C_nb)[:, order],
@@ -131,11 +181,17 @@ def _split(structure: Structure) -> dict[str, Any]:
 
 
 def _trajectory(run: Trajectory) -> dict[str, Any]:
-    history: dict[str, Any] = {"bar_len": np.linalg.norm(run.nodes[:, run.bars[:, 1]] - run.nodes[:, run.bars[:, 0]], axis=2).T}
+    history: dict[str, Any] = {
+        "bar_len": np.linalg.norm(
+            run.nodes[:, run.bars[:, 1]] - run.nodes[:, run.bars[:, 0]], axis=2
+        ).T
+    }
     for field in fields(run):
         if field.name not in ("bars", "strings", "pinned"):
             value, letters = getattr(run, field.name), LETTERS[field.name]
-            history[HISTORY.get(field.name, field.name)] = value.T if len(letters) > 1 else value[None, :] if letters else value
+            history[HISTORY.get(field.name, field.name)] = (
+                value.T if len(letters) > 1 else value[None, :] if letters else value
+            )
     return {
         "format": TRAJECTORY_FORM,
         **_matrices(run.nodes[0], run.bars, run.strings),

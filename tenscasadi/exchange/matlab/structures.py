@@ -30,11 +30,13 @@ class Found(NamedTuple):
 def load_mat(path: str | os.PathLike[str], name: str | None = None, **options: Any) -> Structure:
     """Read a structure from a MATLAB file, as MOTES, TsgFEM or `save_mat` write it.
 
-    The file holds N (3×n) with C_b and C_s, dense or sparse, or lists of node pairs that count from 1 (``C_b_in``), as variables or in a
-    struct, such as the task of a MOTES simulation. Of MOTES it takes ``s_0``, ``k``, ``c``, ``m``, ``ms`` (with MOTES' defaults), ``P``
-    and ``D`` (nodes that P ties together are merged), ``pinned_nodes``; of TsgFEM ``C``, ``index_b``, ``index_s``, ``E``, ``A``, ``l0``,
-    ``mass``, ``pinned_X``, ``pinned_Y``, ``pinned_Z`` or ``Ib``: its bars become rigid. Objects and function handles in the file are
-    left out, nothing is run. Loads, velocities and times are no part of a structure.
+    The file holds N (3×n) with C_b and C_s, dense or sparse, or lists of node pairs that count from
+    1 (``C_b_in``), as variables or in a struct, such as the task of a MOTES simulation. Of MOTES it
+    takes ``s_0``, ``k``, ``c``, ``m``, ``ms`` (with MOTES' defaults), ``P`` and ``D`` (nodes that P
+    ties together are merged), ``pinned_nodes``; of TsgFEM ``C``, ``index_b``, ``index_s``, ``E``,
+    ``A``, ``l0``, ``mass``, ``pinned_X``, ``pinned_Y``, ``pinned_Z`` or ``Ib``: its bars become
+    rigid. Objects and function handles in the file are left out, nothing is run. Loads, velocities
+    and times are no part of a structure.
 
     Parameters
     ----------
@@ -55,7 +57,8 @@ def load_mat(path: str | os.PathLike[str], name: str | None = None, **options: A
     FileNotFoundError
         There is no such file.
     TypeError, ValueError
-        The file cannot be read, holds no structure or several, or one that is wrong; the message names the file, the variable and its value.
+        The file cannot be read, holds no structure or several, or one that is wrong; the message
+        names the file, the variable and its value.
 
     See Also
     --------
@@ -75,7 +78,9 @@ def load_mat(path: str | os.PathLike[str], name: str | None = None, **options: A
     return find_structure(path, read_mat(path), name, options).structure
 
 
-def find_structure(path: str | os.PathLike[str], variables: Fields, name: str | None, options: Fields) -> Found:
+def find_structure(
+    path: str | os.PathLike[str], variables: Fields, name: str | None, options: Fields
+) -> Found:
     """Return the structure that variables of the file describe. Raises TypeError, ValueError, which name the file."""
     allowed = [key for key in PARAMETERS if key not in ("nodes", "bars", "strings")]
     for key in set(options) - set(allowed):
@@ -88,22 +93,37 @@ def find_structure(path: str | os.PathLike[str], variables: Fields, name: str | 
 
 def _choose(variables: Fields, name: str | None) -> Fields:
     """Return the variables that describe one structure: of a struct, or of the file where no struct has any."""
-    structs = {key: value for key, value in variables.items() if isinstance(value, dict) and _describes(value)}
+    structs = {
+        key: value
+        for key, value in variables.items()
+        if isinstance(value, dict) and _describes(value)
+    }
     if name is not None:
         if text("name", name) not in structs:
-            raise ValueError(f"name is {name!r}: the file's structs with N and C_b or C_s are {', '.join(structs) or 'none'}")
+            raise ValueError(
+                f"name is {name!r}: the file's structs with N and C_b or C_s are {', '.join(structs) or 'none'}"
+            )
         structs = {name: structs[name]}
     if not structs:
         if not _describes(variables):
             held = ", ".join(variables) or "nothing"
-            raise ValueError(f"it holds no structure, which is N with C_b, C_s or C, in a struct or outside: it holds {held}")
+            raise ValueError(
+                f"it holds no structure, which is N with C_b, C_s or C, in a struct or outside: it holds {held}"
+            )
         return variables
     first, *others = structs
     for other in others:
-        if any(not _same(structs[first].get(key), structs[other].get(key)) for key in ("N", "C", *_BARS, *_STRINGS)):
-            raise ValueError(f"it holds the structures {', '.join(structs)}: say which by name={first!r}")
+        if any(
+            not _same(structs[first].get(key), structs[other].get(key))
+            for key in ("N", "C", *_BARS, *_STRINGS)
+        ):
+            raise ValueError(
+                f"it holds the structures {', '.join(structs)}: say which by name={first!r}"
+            )
     fields = structs[first]
-    return {**variables, **fields} if "index_s" in fields else fields  # TsgFEM keeps masses and pins outside its struct
+    return (
+        {**variables, **fields} if "index_s" in fields else fields
+    )  # TsgFEM keeps masses and pins outside its struct
 
 
 def _describes(fields: Fields) -> bool:
@@ -111,22 +131,38 @@ def _describes(fields: Fields) -> bool:
 
 
 def _same(a: Any, b: Any) -> bool:
-    dense = [value.toarray() if issparse(value) and value.shape[0] * value.shape[1] <= _MOST else value for value in (a, b)]
-    return (a is None and b is None) or (isinstance(dense[0], np.ndarray) and isinstance(dense[1], np.ndarray) and np.array_equal(*dense))
+    dense = [
+        value.toarray() if issparse(value) and value.shape[0] * value.shape[1] <= _MOST else value
+        for value in (a, b)
+    ]
+    return (a is None and b is None) or (
+        isinstance(dense[0], np.ndarray)
+        and isinstance(dense[1], np.ndarray)
+        and np.array_equal(*dense)
+    )
 
 
 def _build(fields: Fields, options: Fields) -> Found:
     N = finite_array("N", fields["N"], (3, None))
     count = N.shape[1]
     bars, strings, rows = _read_members(fields, count)
-    given = _read_bars(fields, len(bars), rows[0], options) | _read_strings(fields, len(strings), rows[1], options)
+    given = _read_bars(fields, len(bars), rows[0], options) | _read_strings(
+        fields, len(strings), rows[1], options
+    )
     if _filled(fields, "mgyro"):
         raise ValueError("mgyro is not 0: bars with gyroscopic wheels cannot be modelled")
     mass = _read_node_mass(fields, count, bars)
     if _filled(fields, "P"):
-        matrices = (connectivity(bars, count), connectivity(strings, count), fields["P"], fields.get("D"))
+        matrices = (
+            connectivity(bars, count),
+            connectivity(strings, count),
+            fields["P"],
+            fields.get("D"),
+        )
         if (max(len(bars), len(strings), 1)) * count > _MOST:
-            raise ValueError(f"C_b and C_s have {len(bars)} and {len(strings)} rows of {count}: that is too many")
+            raise ValueError(
+                f"C_b and C_s have {len(bars)} and {len(strings)} rows of {count}: that is too many"
+            )
         read = Structure.from_matrices(N, *matrices, node_mass=mass, **given)
         columns = np.unique(read.class_one(sparse=True).physical, return_index=True)[1]
         return Found(read.replace(**options), columns)
@@ -137,14 +173,24 @@ def _build(fields: Fields, options: Fields) -> Found:
 
 def _read_members(fields: Fields, count: int) -> tuple[Indices, Indices, tuple[Indices, Indices]]:
     """Bars and strings as pairs of nodes, and their rows in TsgFEM's list of all members."""
-    bars, strings = (next((key for key in keys if key in fields), None) for keys in (_BARS, _STRINGS))
+    bars, strings = (
+        next((key for key in keys if key in fields), None) for keys in (_BARS, _STRINGS)
+    )
     if bars is None and strings is None:
         members = read_pairs("C", fields["C"], count)
         if "index_b" not in fields or "index_s" not in fields:
-            raise ValueError("C holds all members: say which are bars and which are strings by C_b and C_s, or by index_b and index_s")
-        rows = (read_indices("index_b", fields["index_b"], len(members)), read_indices("index_s", fields["index_s"], len(members)))
+            raise ValueError(
+                "C holds all members: say which are bars and which are strings by C_b and C_s, or by index_b and index_s"
+            )
+        rows = (
+            read_indices("index_b", fields["index_b"], len(members)),
+            read_indices("index_s", fields["index_s"], len(members)),
+        )
         return members[rows[0]], members[rows[1]], rows
-    pairs = [np.zeros((0, 2), dtype=np.intp) if key is None else read_pairs(key, fields[key], count) for key in (bars, strings)]
+    pairs = [
+        np.zeros((0, 2), dtype=np.intp) if key is None else read_pairs(key, fields[key], count)
+        for key in (bars, strings)
+    ]
     ends = len(pairs[0]), len(pairs[0]) + len(pairs[1])
     return pairs[0], pairs[1], (np.arange(ends[0]), np.arange(*ends))  # TsgFEM's C = [C_b; C_s]
 
@@ -158,19 +204,34 @@ def read_pairs(field: str, value: Any, count: int) -> Indices:
         return np.zeros((0, 2), dtype=np.intp)
     if issparse(value):
         whole = value.tocoo()
-        rows, columns, entries, shape = whole.row, whole.col, np.asarray(whole.data, dtype=float), value.shape
+        rows, columns, entries, shape = (
+            whole.row,
+            whole.col,
+            np.asarray(whole.data, dtype=float),
+            value.shape,
+        )
     else:
         dense = finite_array(field, value, (None, None))
         rows, columns = np.nonzero(dense)
         entries, shape = dense[rows, columns], dense.shape
         if shape[1] == 2 and dense.min() >= 1.0:  # connectivity has a -1 in each row
-            return np.column_stack([read_indices(field, ends, count) for ends in dense.T]).reshape(-1, 2)
+            return np.column_stack([read_indices(field, ends, count) for ends in dense.T]).reshape(
+                -1, 2
+            )
     if shape[1] != count:
-        raise ValueError(f"{field} has shape {tuple(shape)}: give a column for each of the {count} nodes of N, or pairs of nodes that count from 1")
+        raise ValueError(
+            f"{field} has shape {tuple(shape)}: give a column for each of the {count} nodes of N, or pairs of nodes that count from 1"
+        )
     order = np.lexsort((entries, rows))
     rows, columns, entries = rows[order], columns[order], entries[order]
-    if len(rows) != 2 * shape[0] or np.any(rows != np.repeat(np.arange(shape[0]), 2)) or np.any(entries != np.tile([-1.0, 1.0], shape[0])):
-        raise ValueError(f"{field} has a row other than zeros with one −1 and one +1: give that, or pairs of nodes that count from 1")
+    if (
+        len(rows) != 2 * shape[0]
+        or np.any(rows != np.repeat(np.arange(shape[0]), 2))
+        or np.any(entries != np.tile([-1.0, 1.0], shape[0]))
+    ):
+        raise ValueError(
+            f"{field} has a row other than zeros with one −1 and one +1: give that, or pairs of nodes that count from 1"
+        )
     return np.asarray(columns.astype(np.intp).reshape(-1, 2))
 
 
@@ -187,7 +248,11 @@ def read_indices(field: str, value: Any, count: int) -> Indices:
 def _filled(fields: Fields, key: str) -> bool:
     """Whether there is a variable of numbers other than zeros."""
     value = fields.get(key)
-    return bool(value is not None and not isinstance(value, (str, dict)) and (value.nnz if issparse(value) else np.any(value)))
+    return bool(
+        value is not None
+        and not isinstance(value, (str, dict))
+        and (value.nnz if issparse(value) else np.any(value))
+    )
 
 
 def read_values(fields: Fields, key: str, count: int) -> Array:
@@ -198,14 +263,24 @@ def read_values(fields: Fields, key: str, count: int) -> Array:
         raise ValueError(f"{key} is {kind}: give {count} numbers or one")
     numbers = finite_array(key, value.ravel(), (None,))
     if len(numbers) not in (1, count):
-        over_time = ": rest lengths over time are a control, give rest_length here and them to the simulation" if key == "s_0" else ""
-        raise ValueError(f"{key} has shape {value.shape}{over_time or f': give {count} numbers or one'}")
+        over_time = (
+            ": rest lengths over time are a control, give rest_length here and them to the simulation"
+            if key == "s_0"
+            else ""
+        )
+        raise ValueError(
+            f"{key} has shape {value.shape}{over_time or f': give {count} numbers or one'}"
+        )
     return np.asarray(np.broadcast_to(numbers, (count,)))
 
 
 def _read_bars(fields: Fields, count: int, rows: Indices, options: Fields) -> dict[str, Any]:
     own = {"m": "bar_mass", "bar_radius": "bar_radius"}
-    given = {name: read_values(fields, key, count) for key, name in own.items() if key in fields and name not in options and count}
+    given = {
+        name: read_values(fields, key, count)
+        for key, name in own.items()
+        if key in fields and name not in options and count
+    }
     if _of_tsgfem(fields) and "bar_mass" not in options:
         given["bar_mass"] = _of_members(fields, "mass", "bar_mass")[rows]
     return given
@@ -213,10 +288,16 @@ def _read_bars(fields: Fields, count: int, rows: Indices, options: Fields) -> di
 
 def _read_strings(fields: Fields, count: int, rows: Indices, options: Fields) -> dict[str, Any]:
     own = {"s_0": "rest_length", "k": "stiffness", "c": "damping", "string_mass": "string_mass"}
-    given = {name: read_values(fields, key, count) for key, name in own.items() if key in fields and name not in options and count}
+    given = {
+        name: read_values(fields, key, count)
+        for key, name in own.items()
+        if key in fields and name not in options and count
+    }
     if _of_tsgfem(fields):
         if "damping" not in options and _filled(fields, "D"):
-            raise ValueError("D is not 0: damping of nodes, as TsgFEM has it, cannot be modelled; give damping of strings, such as damping=0.0")
+            raise ValueError(
+                "D is not 0: damping of nodes, as TsgFEM has it, cannot be modelled; give damping of strings, such as damping=0.0"
+            )
         if "rest_length" not in options:
             given["rest_length"] = _of_members(fields, "l0", "rest_length")[rows]
         if "stiffness" not in options:
@@ -234,10 +315,18 @@ def _of_tsgfem(fields: Fields) -> bool:
 def _of_members(fields: Fields, key: str, name: str) -> Array:
     """One number for each of TsgFEM's members, which index_b and index_s number, greater than 0."""
     if key not in fields:
-        raise ValueError(f"{key} is missing, from which {name} follows: give {name}=..., or save {key} too")
-    values = read_values(fields, key, sum(np.size(fields[index]) for index in ("index_b", "index_s") if index in fields))
+        raise ValueError(
+            f"{key} is missing, from which {name} follows: give {name}=..., or save {key} too"
+        )
+    values = read_values(
+        fields,
+        key,
+        sum(np.size(fields[index]) for index in ("index_b", "index_s") if index in fields),
+    )
     for member in np.flatnonzero(values <= 0)[:1]:
-        raise ValueError(f"{key} of member {member + 1} is {values[member]:g}: it must be greater than 0")
+        raise ValueError(
+            f"{key} of member {member + 1} is {values[member]:g}: it must be greater than 0"
+        )
     return values
 
 
@@ -263,9 +352,15 @@ def _read_pins(fields: Fields, count: int) -> dict[int, str]:
         held[read_indices("pinned_nodes", fields["pinned_nodes"], count)] = True
     elif "Ib" in fields:  # columns of the identity of all coordinates
         if fields["Ib"].shape[0] != 3 * count:
-            raise ValueError(f"Ib has shape {fields['Ib'].shape}: give a row for each of the {3 * count} coordinates")
+            raise ValueError(
+                f"Ib has shape {fields['Ib'].shape}: give a row for each of the {3 * count} coordinates"
+            )
         held.flat[np.unique(fields["Ib"].nonzero()[0])] = True
-    return {node: "".join(axis for axis, is_held in zip("xyz", row, strict=True) if is_held) for node, row in enumerate(held) if row.any()}
+    return {
+        node: "".join(axis for axis, is_held in zip("xyz", row, strict=True) if is_held)
+        for node, row in enumerate(held)
+        if row.any()
+    }
 
 
 def _read_rollers(fields: Fields, count: int) -> dict[int, Array]:

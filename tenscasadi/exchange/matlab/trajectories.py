@@ -27,19 +27,23 @@ class Motion(NamedTuple):
     force_density: Array | None
 
 
-def load_mat_trajectory(path: str | os.PathLike[str], model: Model | None = None, parameters: Any = None) -> Trajectory:
+def load_mat_trajectory(
+    path: str | os.PathLike[str], model: Model | None = None, parameters: Any = None
+) -> Trajectory:
     """Read a motion from a MATLAB file, as `save_mat`, MOTES or TsgFEM write it.
 
-    What `save_mat` wrote comes back as it was. Of MOTES it takes Nhist, Ndhist, t and gamma, of TsgFEM n_t, nd_t and out_tspan, in a struct
-    or outside, and makes them a trajectory of the model: its forces, energies and errors are those of the model at these positions and
-    velocities. Nodes that P ties together, as in MOTES' split, are one node.
+    What `save_mat` wrote comes back as it was. Of MOTES it takes Nhist, Ndhist, t and gamma, of
+    TsgFEM n_t, nd_t and out_tspan, in a struct or outside, and makes them a trajectory of the
+    model: its forces, energies and errors are those of the model at these positions and velocities.
+    Nodes that P ties together, as in MOTES' split, are one node.
 
     Parameters
     ----------
     path : str or PathLike
         File of MATLAB's versions 5, 6 or 7 (``save('x.mat', '-v7')``).
     model : Model, optional
-        Model of another program's motion, such as one with gravity. Default: the structure in the file, as by `load_mat`, without loads.
+        Model of another program's motion, such as one with gravity. Default: the structure in the
+        file, as by `load_mat`, without loads.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
@@ -53,7 +57,8 @@ def load_mat_trajectory(path: str | os.PathLike[str], model: Model | None = None
     FileNotFoundError
         There is no such file.
     TypeError, ValueError
-        The file cannot be read, or holds no motion, or one that does not fit the model; the message names the file and the variable.
+        The file cannot be read, or holds no motion, or one that does not fit the model; the message
+        names the file and the variable.
 
     See Also
     --------
@@ -74,7 +79,9 @@ def load_mat_trajectory(path: str | os.PathLike[str], model: Model | None = None
         try:
             return _own(variables)
         except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{os.fspath(path)} is no trajectory that save_mat has written: {error}") from error
+            raise ValueError(
+                f"{os.fspath(path)} is no trajectory that save_mat has written: {error}"
+            ) from error
     try:
         motion = _find(variables)
     except (TypeError, ValueError) as error:
@@ -82,9 +89,13 @@ def load_mat_trajectory(path: str | os.PathLike[str], model: Model | None = None
     if model is None or motion.nodes.shape[1] != len(model.structure.nodes):
         found = find_structure(path, variables, None, {})
         try:
-            motion = motion._replace(nodes=motion.nodes[:, found.columns], velocities=motion.velocities[:, found.columns])
+            motion = motion._replace(
+                nodes=motion.nodes[:, found.columns], velocities=motion.velocities[:, found.columns]
+            )
         except IndexError as error:
-            raise ValueError(f"{os.fspath(path)}: its motion is of {motion.nodes.shape[1]} nodes, its N of more") from error
+            raise ValueError(
+                f"{os.fspath(path)}: its motion is of {motion.nodes.shape[1]} nodes, its N of more"
+            ) from error
         model = Model(Scene(found.structure)) if model is None else model
     return _record(model, motion, parameters, os.fspath(path))
 
@@ -93,28 +104,45 @@ def _own(variables: Mapping[str, Any]) -> Trajectory:
     """Return a trajectory as `save_mat` wrote it. Raises KeyError, TypeError, ValueError."""
     history, N = variables["History"], finite_array("N", variables["N"], (3, None))
     count = N.shape[1]
-    content: dict[str, Any] = {"bars": read_pairs("C_b", variables["C_b"], count), "strings": read_pairs("C_s", variables["C_s"], count)}
+    content: dict[str, Any] = {
+        "bars": read_pairs("C_b", variables["C_b"], count),
+        "strings": read_pairs("C_s", variables["C_s"], count),
+    }
     content["pinned"] = read_indices("pinned_nodes", variables["pinned_nodes"], count)
     sizes = {"T": np.size(history["t"]), "n": count, "3": 3, "α": len(content["strings"])}
     for name, letters in LETTERS.items():
         if name not in content:
             value = history[HISTORY.get(name, name)]
             if not letters:
-                content[name] = value if isinstance(value, str) else _KINDS[name](np.asarray(value).item())
+                content[name] = (
+                    value if isinstance(value, str) else _KINDS[name](np.asarray(value).item())
+                )
             else:  # MATLAB drops trailing dimensions of size one
                 shape = [sizes.get(letter, -1) for letter in letters]
-                content[name] = np.asarray(value, dtype=float).T.reshape(shape if np.size(value) else [max(0, size) for size in shape])
+                content[name] = np.asarray(value, dtype=float).T.reshape(
+                    shape if np.size(value) else [max(0, size) for size in shape]
+                )
     return Trajectory.from_arrays(content)
 
 
 def _find(variables: Mapping[str, Any]) -> Motion:
     """Return the motion among variables, in a struct or outside. Raises TypeError, ValueError."""
-    scopes = {"": variables, **{name: value for name, value in variables.items() if isinstance(value, dict)}}
-    found = {name: read for name, scope in scopes.items() for keys, read in _READERS.items() if set(keys) <= set(scope)}
+    scopes = {
+        "": variables,
+        **{name: value for name, value in variables.items() if isinstance(value, dict)},
+    }
+    found = {
+        name: read
+        for name, scope in scopes.items()
+        for keys, read in _READERS.items()
+        if set(keys) <= set(scope)
+    }
     structs = [name for name in found if name] or list(found)
     if not structs:
         ways = " or ".join(", ".join(keys) for keys in _READERS)
-        raise ValueError(f"it holds no motion, which is {ways}, in a struct or outside: it holds {', '.join(variables) or 'nothing'}")
+        raise ValueError(
+            f"it holds no motion, which is {ways}, in a struct or outside: it holds {', '.join(variables) or 'nothing'}"
+        )
     if len(structs) > 1:
         raise ValueError(f"it holds the motions {', '.join(structs)}: keep one of them in the file")
     return found[structs[0]](scopes[structs[0]])
@@ -123,17 +151,24 @@ def _find(variables: Mapping[str, Any]) -> Motion:
 def _read_motes(scope: Mapping[str, Any]) -> Motion:
     time = finite_array("t", np.ravel(scope["t"]), (None,))
     given = _numbers(scope, "Nhist"), _numbers(scope, "Ndhist")
-    cubes = [value.reshape(*value.shape, *[1] * (3 - value.ndim)) for value in given]  # MATLAB drops a last dimension of one
+    cubes = [
+        value.reshape(*value.shape, *[1] * (3 - value.ndim)) for value in given
+    ]  # MATLAB drops a last dimension of one
     nodes = finite_array("Nhist", cubes[0], (3, None, len(time))).transpose(2, 1, 0)
     velocities = finite_array("Ndhist", cubes[1], (3, nodes.shape[1], len(time))).transpose(2, 1, 0)
     return Motion(time, nodes, velocities, _numbers(scope, "gamma").T if "gamma" in scope else None)
 
 
 def _read_tsgfem(scope: Mapping[str, Any]) -> Motion:
-    rows = min(_numbers(scope, key).shape[-1] for key in ("n_t", "nd_t", "out_tspan"))  # its velocities end one time before its positions
+    rows = min(
+        _numbers(scope, key).shape[-1] for key in ("n_t", "nd_t", "out_tspan")
+    )  # its velocities end one time before its positions
     time = finite_array("out_tspan", np.ravel(scope["out_tspan"])[:rows], (rows,))
     size = len(scope["n_t"])
-    nodes, velocities = (finite_array(key, scope[key][..., :rows], (size - size % 3, rows)).T for key in ("n_t", "nd_t"))
+    nodes, velocities = (
+        finite_array(key, scope[key][..., :rows], (size - size % 3, rows)).T
+        for key in ("n_t", "nd_t")
+    )
     return Motion(time, nodes.reshape(rows, -1, 3), velocities.reshape(rows, -1, 3), None)
 
 
@@ -144,7 +179,14 @@ def _numbers(scope: Mapping[str, Any], key: str) -> Array:
 
 
 _READERS = {("Nhist", "Ndhist", "t"): _read_motes, ("n_t", "nd_t", "out_tspan"): _read_tsgfem}
-_KINDS: dict[str, Any] = {"success": bool, "compiled": bool, "interrupted": bool, "attempts": int, "step": float, "seconds": float}
+_KINDS: dict[str, Any] = {
+    "success": bool,
+    "compiled": bool,
+    "interrupted": bool,
+    "attempts": int,
+    "step": float,
+    "seconds": float,
+}
 
 
 def _record(model: Model, motion: Motion, parameters: Any, path: str) -> Trajectory:
@@ -152,9 +194,15 @@ def _record(model: Model, motion: Motion, parameters: Any, path: str) -> Traject
     rows = len(motion.time)
     controlled = isinstance(model.scene.control, ForceDensity)
     if model.nu and not controlled:
-        raise ValueError(f"model.scene.control is {model.scene.control}: give a model with control=None, or ForceDensity() to take gamma from {path}")
-    if controlled and (motion.force_density is None or motion.force_density.shape != (rows, model.nu)):
-        raise ValueError(f"{path}: its gamma does not hold {model.nu} strings at {rows} times: give a model with control=None")
+        raise ValueError(
+            f"model.scene.control is {model.scene.control}: give a model with control=None, or ForceDensity() to take gamma from {path}"
+        )
+    if controlled and (
+        motion.force_density is None or motion.force_density.shape != (rows, model.nu)
+    ):
+        raise ValueError(
+            f"{path}: its gamma does not hold {model.nu} strings at {rows} times: give a model with control=None"
+        )
     if rows < 1 or np.any(np.diff(motion.time) <= 0):
         raise ValueError(f"{path}: its times are none, or do not increase")
     states = np.zeros((rows, model.nx))
@@ -166,6 +214,15 @@ def _record(model: Model, motion: Motion, parameters: Any, path: str) -> Traject
     model.split(states)[2][:] = motion.time[:, None]
     p = model.parameters.values(parameters)
     gamma = motion.force_density if controlled else None
-    controls = np.array([model.held(None if gamma is None else gamma[row], p) for row in range(rows)])
+    controls = np.array(
+        [model.held(None if gamma is None else gamma[row], p) for row in range(rows)]
+    )
     step = float(motion.time[-1] - motion.time[0]) / max(1, rows - 1) or 1.0
-    return record_trajectory(model, motion.time, states, controls.reshape(rows, -1), step=step, message=f"another program's motion, read from {path}")
+    return record_trajectory(
+        model,
+        motion.time,
+        states,
+        controls.reshape(rows, -1),
+        step=step,
+        message=f"another program's motion, read from {path}",
+    )

@@ -9,7 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from tenscasadi.exchange.mjcf.elements import Element
-from tenscasadi.exchange.mjcf.frames import WORLD, Frame, Mass, Rod, Units, read_frame, read_inertial, read_rod, rod_mass
+from tenscasadi.exchange.mjcf.frames import (
+    WORLD,
+    Frame,
+    Mass,
+    Rod,
+    Units,
+    read_frame,
+    read_inertial,
+    read_rod,
+    rod_mass,
+)
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
 from tenscasadi.util.validate import Array
 
@@ -54,7 +64,9 @@ class Body(NamedTuple):
 class Bodies:
     """All pieces of a file in MuJoCo's reference configuration, the sites by name, and the frame and the piece of each body by name."""
 
-    def __init__(self, root: Element, defaults: Defaults, units: Units, geoms_weigh: bool | None) -> None:
+    def __init__(
+        self, root: Element, defaults: Defaults, units: Units, geoms_weigh: bool | None
+    ) -> None:
         self.pieces: list[Piece] = []
         self.sites: dict[str, Site] = {}
         self.frames: dict[str, tuple[int, Frame]] = {}
@@ -79,18 +91,28 @@ class Bodies:
             if child.tag == "site":
                 self._site(self._defaults.apply(child, childclass), frame, piece)
             elif child.tag == "geom":
-                self._geom(check(self._defaults.apply(child, childclass)), frame, own, weigh and piece > 0)
+                self._geom(
+                    check(self._defaults.apply(child, childclass)), frame, own, weigh and piece > 0
+                )
             elif child.tag == "inertial" and self._geoms_weigh is not True:
                 own.masses.append(read_inertial(check(child), frame, self._units))
             elif child.tag == "body":
-                inner.append(self._body(check(child), frame, piece, child.text("childclass", childclass)))
+                inner.append(
+                    self._body(check(child), frame, piece, child.text("childclass", childclass))
+                )
         return inner
 
     def _body(self, element: Element, outer: Frame, parent: int, childclass: str) -> Body:
         if element.flag("mocap", False):
-            raise element.error("is moved from outside: tenscasadi moves pinned nodes by SupportMotion, leave it out", "mocap")
+            raise element.error(
+                "is moved from outside: tenscasadi moves pinned nodes by SupportMotion, leave it out",
+                "mocap",
+            )
         frame = read_frame(element, self._units).within(outer)
-        joints = [child if child.tag == "freejoint" else self._defaults.apply(child, childclass) for child in element.of("joint", "freejoint")]
+        joints = [
+            child if child.tag == "freejoint" else self._defaults.apply(child, childclass)
+            for child in element.of("joint", "freejoint")
+        ]
         piece = parent
         if joints:
             piece = len(self.pieces)
@@ -109,12 +131,18 @@ class Bodies:
             raise joint.error("is a hinge: bars turn freely about their nodes, give a ball", "type")
         limited = joint.flag("limited")
         if limited or (limited is None and "range" in joint.attributes and kind != "free"):
-            raise joint.error("limits a joint, which has no counterpart in a scene: leave it out", "range")
+            raise joint.error(
+                "limits a joint, which has no counterpart in a scene: leave it out", "range"
+            )
         if piece.free or piece.anchor is not None:
-            raise joint.error("follows a joint that lets the body turn: slides come first, one ball or free joint last")
+            raise joint.error(
+                "follows a joint that lets the body turn: slides come first, one ball or free joint last"
+            )
         if kind == "free":
             if piece.parent != 0 or piece.slides:
-                raise joint.error("is free inside another body, or beside other joints: give it alone, to a body in the world")
+                raise joint.error(
+                    "is free inside another body, or beside other joints: give it alone, to a body in the world"
+                )
             piece.free = True
         elif kind == "ball":
             piece.anchor = frame.at(joint.numbers("pos", 3, (0, 0, 0)))
@@ -122,7 +150,10 @@ class Bodies:
             axis = frame.turn @ joint.numbers("axis", 3, (0, 0, 1))
             size = float(np.linalg.norm(axis))
             if piece.parent != 0 or not 1e-9 < size < 1e30:
-                raise joint.error("slides in another body, or along no direction: give slides along directions, to bodies in the world", "axis")
+                raise joint.error(
+                    "slides in another body, or along no direction: give slides along directions, to bodies in the world",
+                    "axis",
+                )
             piece.slides.append(axis / size)
 
     def _site(self, site: Element, frame: Frame, piece: int) -> None:
@@ -138,11 +169,18 @@ class Bodies:
     def _geom(self, geom: Element, frame: Frame, piece: Piece, weigh: bool) -> None:
         rod = read_rod(geom, frame, self._units)
         piece.shapes.append(Shape(geom, rod, read_frame(geom, self._units).within(frame)))
-        if not weigh or (geom.number("mass", 1.0) == 0.0 if "mass" in geom.attributes else geom.number("density", 1.0) == 0.0):
+        if not weigh or (
+            geom.number("mass", 1.0) == 0.0
+            if "mass" in geom.attributes
+            else geom.number("density", 1.0) == 0.0
+        ):
             return
         if rod is None:
             kind = geom.text("type", "sphere")
-            raise geom.error(f"is {kind!r}, whose mass is not read: give the body an <inertial>, or spheres, capsules and cylinders", "type")
+            raise geom.error(
+                f"is {kind!r}, whose mass is not read: give the body an <inertial>, or spheres, capsules and cylinders",
+                "type",
+            )
         piece.masses.append(rod_mass(geom, rod))
 
     def named(self, element: Element, attribute: str) -> tuple[int, Frame]:

@@ -1,7 +1,8 @@
 """A ground's law in numbers of MuJoCo's soft contacts, and back.
 
-A contact of impedance d pushes with f = d (κ r/d − a)/A at depth r, for an acceleration a that the other forces alone would give; A is the
-inverse mass that MuJoCo reckons for the body. With κ = k A that is k r − d a/A: our push, as far as d is small.
+A contact of impedance d pushes with f = d (κ r/d − a)/A at depth r, for an acceleration a that the
+other forces alone would give; A is the inverse mass that MuJoCo reckons for the body. With κ = k A
+that is k r − d a/A: our push, as far as d is small.
 """
 
 from __future__ import annotations
@@ -10,12 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tenscasadi.exchange.mjcf.hanging import Hanging, free_directions, held_directions, inverse_weights
+from tenscasadi.exchange.mjcf.hanging import (
+    Hanging,
+    free_directions,
+    held_directions,
+    inverse_weights,
+)
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.util.validate import Array
 
-IMPEDANCE = 1e-4  # d: the share of other forces that a contact takes away, beside its push; MuJoCo takes no less
+# d: the share of other forces that a contact takes away, beside its push; MuJoCo takes no less
+IMPEDANCE = 1e-4
 _STANDING = 3  # nodes that a body stands on
 
 
@@ -35,10 +42,18 @@ def contact_weights(scene: Scene, hanging: Hanging) -> Weights:
         if node in hanging.owner:
             inverse[node] = bars[hanging.owner[node]]
         elif s.node_mass[node] > 0:
-            inverse[node] = len(free_directions(held.get(node, np.zeros((0, 3))))) / 3 / s.node_mass[node]
-    down = 9.81 if scene.gravity is None or scene.gravity.varies else float(np.linalg.norm(scene.gravity.acceleration)) or 9.81
+            inverse[node] = (
+                len(free_directions(held.get(node, np.zeros((0, 3))))) / 3 / s.node_mass[node]
+            )
+    down = (
+        9.81
+        if scene.gravity is None or scene.gravity.varies
+        else float(np.linalg.norm(scene.gravity.acceleration)) or 9.81
+    )
     moving = np.flatnonzero(inverse)
-    return Weights(inverse, (s.bar_mass.sum() + s.node_mass.sum()) * down / max(min(_STANDING, len(moving)), 1))
+    return Weights(
+        inverse, (s.bar_mass.sum() + s.node_mass.sum()) * down / max(min(_STANDING, len(moving)), 1)
+    )
 
 
 def touching(ground: Ground, inverse: Array) -> list[int]:
@@ -50,18 +65,29 @@ def touching(ground: Ground, inverse: Array) -> list[int]:
 def contact_numbers(ground: Ground, inverse: float, standing: float) -> dict[str, list[float]]:
     """Return the attributes of the contact of a node with a ground: its stiffness, damping and friction, per mass."""
     impedance = [IMPEDANCE, IMPEDANCE, IMPEDANCE, 0.5, 2.0]
-    found = {"solref": [-ground.stiffness * inverse, -ground.damping * inverse], "solimp": impedance}
+    found = {
+        "solref": [-ground.stiffness * inverse, -ground.damping * inverse],
+        "solimp": impedance,
+    }
     if ground.friction is None:
         return {"condim": [1], **found}
-    slip = ground.friction * standing / ground.slip_speed * inverse  # as ours, for slow slip under the weight of a body that stands
+    slip = (
+        ground.friction * standing / ground.slip_speed * inverse
+    )  # as ours, for slow slip under the weight of a body that stands
     sliding = [ground.friction, ground.friction, 0.005, 0.0001, 0.0001]
     return {"condim": [3], "friction": sliding, **found, "solreffriction": [0.0, -slip]}
 
 
-def ground_numbers(solref: Array, solreffriction: Array, friction: float | None, inverse: float, standing: float) -> dict[str, float | None]:
+def ground_numbers(
+    solref: Array, solreffriction: Array, friction: float | None, inverse: float, standing: float
+) -> dict[str, float | None]:
     """Return stiffness, damping, friction and slip speed of the ground whose contact has these numbers."""
     stiffness, damping = _direct(solref)
-    found: dict[str, float | None] = {"stiffness": stiffness / inverse, "damping": damping / inverse, "friction": friction}
+    found: dict[str, float | None] = {
+        "stiffness": stiffness / inverse,
+        "damping": damping / inverse,
+        "friction": friction,
+    }
     slip = _direct(solreffriction)[1] if np.any(solreffriction) else damping
     if friction is not None and slip > 0:
         found["slip_speed"] = friction * standing / slip * inverse

@@ -60,14 +60,21 @@ class Element:
         """Return an attribute that is true or false; None where it is auto, or not given and without a default. Raises SceneFileError."""
         if attribute not in self.attributes:
             return default
-        return {"true": True, "false": False, "auto": None}[self.word(attribute, "", "true", "false", "auto")]
+        return {"true": True, "false": False, "auto": None}[
+            self.word(attribute, "", "true", "false", "auto")
+        ]
 
-    def numbers(self, attribute: str, count: int | Sequence[int], default: Sequence[float] | None = None) -> Array:
+    def numbers(
+        self, attribute: str, count: int | Sequence[int], default: Sequence[float] | None = None
+    ) -> Array:
         """Return an attribute of so many numbers, or one of several counts, finite. Raises SceneFileError."""
         counts = [count] if isinstance(count, int) else list(count)
         if attribute not in self.attributes:
             if default is None:
-                raise self.error(f"is not given: give {' or '.join(map(str, counts))} number{'s' * (counts != [1])}", attribute)
+                raise self.error(
+                    f"is not given: give {' or '.join(map(str, counts))} number{'s' * (counts != [1])}",
+                    attribute,
+                )
             return np.array(default, dtype=float)
         given = self.attributes[attribute]
         try:
@@ -75,7 +82,10 @@ class Element:
         except ValueError:
             found = np.full(1, np.nan)
         if len(found) not in counts or not np.all(np.abs(found) <= LARGEST):
-            raise self.error(f"is {shown(given)}: give {' or '.join(map(str, counts))} finite number{'s' * (counts != [1])}", attribute)
+            raise self.error(
+                f"is {shown(given)}: give {' or '.join(map(str, counts))} finite number{'s' * (counts != [1])}",
+                attribute,
+            )
         return found
 
     def number(self, attribute: str, default: float | None = None) -> float:
@@ -102,9 +112,13 @@ def read_elements(path: str | os.PathLike[str]) -> Element:
         with open(source, "rb") as file:
             content = file.read(LARGEST_FILE + 1)
     except OSError as error:
-        raise SceneFileError(f"it cannot be read ({error.strerror}): give a file that can", name) from None
+        raise SceneFileError(
+            f"it cannot be read ({error.strerror}): give a file that can", name
+        ) from None
     if len(content) > LARGEST_FILE:
-        raise SceneFileError(f"it has more than {LARGEST_FILE / 1e6:g} MB: give a smaller file", name)
+        raise SceneFileError(
+            f"it has more than {LARGEST_FILE / 1e6:g} MB: give a smaller file", name
+        )
     return _Reader(name).read(content)
 
 
@@ -117,9 +131,13 @@ class _Reader:
         self._parser = parser = expat.ParserCreate()
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
-        parser.StartDoctypeDeclHandler = self._refuse("a document type, which MJCF has not: remove <!DOCTYPE ...>")
+        parser.StartDoctypeDeclHandler = self._refuse(
+            "a document type, which MJCF has not: remove <!DOCTYPE ...>"
+        )
         parser.EntityDeclHandler = self._refuse("an entity, which MJCF has not: remove it")
-        parser.ExternalEntityRefHandler = self._refuse("a reference to another file, which is not read: put all into one file")
+        parser.ExternalEntityRefHandler = self._refuse(
+            "a reference to another file, which is not read: put all into one file"
+        )
         parser.SetParamEntityParsing(expat.XML_PARAM_ENTITY_PARSING_NEVER)
 
     def read(self, content: bytes) -> Element:
@@ -128,20 +146,30 @@ class _Reader:
             self._parser.Parse(content, True)
         except expat.ExpatError as error:
             reason = expat.ErrorString(error.code)
-            raise SceneFileError(f"it is no XML, {reason}: correct it there", self._name, error.lineno) from None
+            raise SceneFileError(
+                f"it is no XML, {reason}: correct it there", self._name, error.lineno
+            ) from None
         except (ValueError, LookupError) as error:  # of its encoding
             if isinstance(error, SceneFileError):
                 raise
-            raise SceneFileError("its encoding is not known: write it in UTF-8", self._name, 1) from None
+            raise SceneFileError(
+                "its encoding is not known: write it in UTF-8", self._name, 1
+            ) from None
         return self._open[0].children[0]
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._count += 1
         line = self._parser.CurrentLineNumber
         if self._count > MOST_ELEMENTS:
-            raise SceneFileError(f"it has more than {MOST_ELEMENTS} elements: give a smaller file", self._name, line)
+            raise SceneFileError(
+                f"it has more than {MOST_ELEMENTS} elements: give a smaller file", self._name, line
+            )
         if len(self._open) > DEEPEST:
-            raise SceneFileError(f"its elements are nested more than {DEEPEST} deep: write it flatter", self._name, line)
+            raise SceneFileError(
+                f"its elements are nested more than {DEEPEST} deep: write it flatter",
+                self._name,
+                line,
+            )
         element = Element(shown(tag)[1:-1], attributes, self._name, line)
         self._open[-1].children.append(element)
         self._open.append(element)

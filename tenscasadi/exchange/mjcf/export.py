@@ -13,16 +13,32 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.exchange.mjcf.contact import Weights, contact_numbers, contact_weights, touching
 from tenscasadi.exchange.mjcf.frames import turn_to
-from tenscasadi.exchange.mjcf.hanging import NO_DIRECTION, Hanging, Link, free_directions, hang, held_directions
+from tenscasadi.exchange.mjcf.hanging import (
+    NO_DIRECTION,
+    Hanging,
+    Link,
+    free_directions,
+    hang,
+    held_directions,
+)
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength, Smooth
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, choice, file_path, finite_array, instance, positive_number
+from tenscasadi.util.validate import (
+    Array,
+    choice,
+    file_path,
+    finite_array,
+    instance,
+    positive_number,
+)
 from tenscasadi.util.whole_file import whole_file
 
 _LEAST = 1e-15  # kg and kg m²: less MuJoCo does not take for a body that moves
-_AXIAL = 0.01  # times the inertia across a bar: what it has about its axis, at least, so that friction beside the axis does not spin it
+# times the inertia across a bar: what it has about its axis, at least, so that friction beside the
+# axis does not spin it
+_AXIAL = 0.01
 _DRAWN = 0.005  # times the mean length of members: radius of thin bars
 _SPHERE = 1e-3  # times the mean length of members: radius of what touches the ground
 _STRONGEST = 1e12  # N
@@ -37,8 +53,9 @@ def export_mjcf(
 ) -> Path:
     """Write a scene as MuJoCo's XML, MJCF.
 
-    Bars are bodies ``bar0``, ``bar1`` …, nodes are sites ``n0``, ``n1`` …, strings (their segments, where they are cut) are spatial tendons
-    ``string0``, ``string1`` … MuJoCo starts in the structure's nodes.
+    Bars are bodies ``bar0``, ``bar1`` …, nodes are sites ``n0``, ``n1`` …, strings (their segments,
+    where they are cut) are spatial tendons ``string0``, ``string1`` … MuJoCo starts in the
+    structure's nodes.
 
     Parameters
     ----------
@@ -47,12 +64,15 @@ def export_mjcf(
     path : str or path
         The file, such as ``"prism.xml"``.
     velocities : array_like, shape (n, 3), optional
-        Velocities of the nodes that are modelled at the start, m/s, in the keyframe ``start``; at rest if None.
+        Velocities of the nodes that are modelled at the start, m/s, in the keyframe ``start``; at
+        rest if None.
     joints : {"ball", "connect"}
-        Bars that share a node, or hang from a pinned one: a ball joint, which holds them exactly, and an equality ``connect`` only where a
-        loop of bars closes; or each bar as a free body, and ``connect`` for all.
+        Bars that share a node, or hang from a pinned one: a ball joint, which holds them exactly,
+        and an equality ``connect`` only where a loop of bars closes; or each bar as a free body,
+        and ``connect`` for all.
     step : float
-        MuJoCo's time step, s. Equalities have a time constant of two steps: write the file again to change it.
+        MuJoCo's time step, s. Equalities have a time constant of two steps: write the file again to
+        change it.
 
     Returns
     -------
@@ -62,7 +82,8 @@ def export_mjcf(
     Raises
     ------
     TypeError, ValueError
-        Where an argument is wrong, or something in the scene has no counterpart in MJCF: the message names it.
+        Where an argument is wrong, or something in the scene has no counterpart in MJCF: the
+        message names it.
     OSError
         Where the file cannot be written.
 
@@ -70,20 +91,26 @@ def export_mjcf(
     -----
     What differs, and by how much:
 
-    - A bar has an inertia about its own axis, m r²/2, and at least 0.01 of that across: MuJoCo takes none of 0. No force turns a
+    - A bar has an inertia about its own axis, m r²/2, and at least 0.01 of that across: MuJoCo
+    takes none of 0. No force turns a
       bar about its axis, so the motion is the same, but for friction on the spheres below.
-    - A damped string damps in MuJoCo also while it is slack, and may push then. One without damping follows `Clip` exactly, one with the law
+    - A damped string damps in MuJoCo also while it is slack, and may push then. One without damping
+    follows `Clip` exactly, one with the law
       `Linear` in both cases. `Smooth` is refused.
-    - `connect` is soft: two ends drift apart by a share of about 1e-4 of what would part them in two steps.
-    - On the ground, nodes are spheres of a thousandth of the mean length of the members, on a plane that is as much lower. A contact pushes as
-      `Ground` does but for 1e-4 of the other forces on the body. Friction is Coulomb's with a slip speed, too, which here belongs to
-      the weight that a body standing on three nodes has on each, and there to the push that there is.
-    - Control by rest lengths is a position actuator for each string, control by force densities a general actuator with
-      the gain −length: in both, MuJoCo's ``ctrl`` is the control of the model. Its start is in the keyframe ``start``: begin with
-      ``mujoco.mj_resetDataKeyframe(model, data, 0)``.
+    - `connect` is soft: two ends drift apart by a share of about 1e-4 of what would part them in
+    two steps.
+    - On the ground, nodes are spheres of a thousandth of the mean length of the members, on a plane
+    that is as much lower. A contact pushes as
+      `Ground` does but for 1e-4 of the other forces on the body. Friction is Coulomb's with a slip
+      speed, too, which here belongs to the weight that a body standing on three nodes has on each,
+      and there to the push that there is.
+    - Control by rest lengths is a position actuator for each string, control by force densities a
+    general actuator with
+      the gain −length: in both, MuJoCo's ``ctrl`` is the control of the model. Its start is in the
+      keyframe ``start``: begin with ``mujoco.mj_resetDataKeyframe(model, data, 0)``.
 
-    Pressure, forces on nodes, moved supports, height fields, gravity over time and parameters are refused, and nodes held along one or two
-    directions where MuJoCo's joints cannot slide so.
+    Pressure, forces on nodes, moved supports, height fields, gravity over time and parameters are
+    refused, and nodes held along one or two directions where MuJoCo's joints cannot slide so.
 
     Examples
     --------
@@ -101,7 +128,9 @@ def export_mjcf(
     target = file_path("path", path)
     _refuse(scene)
     hanging = hang(scene.modelled, joints == "ball")
-    root = _Writer(scene, hanging).write(h, None if velocities is None else _velocities(scene.modelled, velocities))
+    root = _Writer(scene, hanging).write(
+        h, None if velocities is None else _velocities(scene.modelled, velocities)
+    )
     ET.indent(root)
     with whole_file(target) as file:
         ET.ElementTree(root).write(file)
@@ -120,20 +149,33 @@ def _refuse(scene: Scene) -> None:
         if getattr(scene, name) is not None:
             raise ValueError(f"Scene.{name} has no counterpart in MJCF: {cure}")
     if scene.gravity is not None and scene.gravity.varies:
-        raise ValueError("Scene.gravity changes over time, in MJCF it is constant: give one acceleration")
+        raise ValueError(
+            "Scene.gravity changes over time, in MJCF it is constant: give one acceleration"
+        )
     for ground in scene.grounds:
         instance("Scene.ground", ground, Ground, "planes alone, tenscasadi.Ground: MJCF has them")
     for law, strings in scene.string_laws:
         if isinstance(law, Smooth):
-            raise ValueError(f"Scene.slack of string {strings[0]} is {law}: MuJoCo's tendons are slack or not, give Clip() or Linear()")
+            raise ValueError(
+                f"Scene.slack of string {strings[0]} is {law}: MuJoCo's tendons are slack or not, give Clip() or Linear()"
+            )
     s = scene.modelled
     if scene.control is not None and len(s.strings) > len(scene.structure.strings):
-        raise ValueError("Scene.segments: MuJoCo's actuators drive strings in one piece: give segments=1, or control=None")
-    for what, values in (("bar_mass", s.bar_mass), ("bar_inertia times length²", s.bar_inertia * s.bar_lengths**2)):
+        raise ValueError(
+            "Scene.segments: MuJoCo's actuators drive strings in one piece: give segments=1, or control=None"
+        )
+    for what, values in (
+        ("bar_mass", s.bar_mass),
+        ("bar_inertia times length²", s.bar_inertia * s.bar_lengths**2),
+    ):
         for bar in np.flatnonzero(values < _LEAST / _AXIAL):
-            raise ValueError(f"{what} of bar {bar} is {values[bar]:g}: MuJoCo needs {_LEAST / _AXIAL:g} or more")
+            raise ValueError(
+                f"{what} of bar {bar} is {values[bar]:g}: MuJoCo needs {_LEAST / _AXIAL:g} or more"
+            )
     for node in np.flatnonzero((s.node_mass < _LEAST) & (s.node_mass > 0)):
-        raise ValueError(f"node_mass of node {node} is {s.node_mass[node]:g} kg: MuJoCo needs {_LEAST:g} or more")
+        raise ValueError(
+            f"node_mass of node {node} is {s.node_mass[node]:g} kg: MuJoCo needs {_LEAST:g} or more"
+        )
 
 
 def _velocities(s: Structure, given: ArrayLike) -> Array:
@@ -142,10 +184,19 @@ def _velocities(s: Structure, given: ArrayLike) -> Array:
     least = 1e-9 * abs(V).max(initial=0.0)
     for node, directions in held_directions(s).items():
         if abs(directions @ V[node]).max() > least:
-            raise ValueError(f"velocities[{node}] moves node {node} along a direction in which it is held: give {node} a velocity across it")
-    apart = np.einsum("ij,ij->i", np.diff(s.nodes[s.bars], axis=1)[:, 0], np.diff(V[s.bars], axis=1)[:, 0]) / s.bar_lengths
+            raise ValueError(
+                f"velocities[{node}] moves node {node} along a direction in which it is held: give {node} a velocity across it"
+            )
+    apart = (
+        np.einsum(
+            "ij,ij->i", np.diff(s.nodes[s.bars], axis=1)[:, 0], np.diff(V[s.bars], axis=1)[:, 0]
+        )
+        / s.bar_lengths
+    )
     for bar in np.flatnonzero(abs(apart) > 1e-6 * abs(V).max(initial=0.0)):
-        raise ValueError(f"velocities stretch bar {bar} by {apart[bar]:g} m/s: give velocities that keep its length, such as model.velocities(x)")
+        raise ValueError(
+            f"velocities stretch bar {bar} by {apart[bar]:g} m/s: give velocities that keep its length, such as model.velocities(x)"
+        )
     return V
 
 
@@ -154,14 +205,30 @@ class _Writer:
 
     def __init__(self, scene: Scene, hanging: Hanging) -> None:
         self.scene, self.s, self.hanging = scene, scene.modelled, hanging
-        self.grounds = [ground for ground in scene.grounds if isinstance(ground, Ground)]  # all are: `_refuse`
+        self.grounds = [
+            ground for ground in scene.grounds if isinstance(ground, Ground)
+        ]  # all are: `_refuse`
         s = self.s
-        size = float(np.mean(np.concatenate([s.bar_lengths, s.string_lengths]))) if len(s.bars) + len(s.strings) else 1.0
+        size = (
+            float(np.mean(np.concatenate([s.bar_lengths, s.string_lengths])))
+            if len(s.bars) + len(s.strings)
+            else 1.0
+        )
         self.drawn, self.sphere = _DRAWN * size, _SPHERE * size
-        self.weights = contact_weights(scene, hanging) if self.grounds else Weights(np.zeros(len(s.nodes)), 0.0)
-        self.touched = sorted({node for ground in self.grounds for node in touching(ground, self.weights.inverse)})
-        self.turns: dict[int | None, Array] = {None: np.eye(3)}  # columns: the axes of a bar's body, whose z axis is along the bar
-        self.along: dict[tuple[int | None, int], Array] = {}  # where a node is in the body of its bar
+        self.weights = (
+            contact_weights(scene, hanging)
+            if self.grounds
+            else Weights(np.zeros(len(s.nodes)), 0.0)
+        )
+        self.touched = sorted(
+            {node for ground in self.grounds for node in touching(ground, self.weights.inverse)}
+        )
+        self.turns: dict[int | None, Array] = {
+            None: np.eye(3)
+        }  # columns: the axes of a bar's body, whose z axis is along the bar
+        self.along: dict[
+            tuple[int | None, int], Array
+        ] = {}  # where a node is in the body of its bar
         self.rates: dict[ET.Element, list[float]] = {}  # of the joints of each body
         self.root = ET.Element("mujoco", model="tenscasadi")
 
@@ -172,7 +239,17 @@ class _Writer:
         world = ET.SubElement(self.root, "worldbody")
         for k, ground in enumerate(self.grounds):
             place = (ground.height - self.sphere) * np.array(ground.normal)
-            _add(world, "geom", name=f"ground{k}", type="plane", size=[0, 0, 1], pos=place, zaxis=ground.normal, contype=0, conaffinity=0)
+            _add(
+                world,
+                "geom",
+                name=f"ground{k}",
+                type="plane",
+                size=[0, 0, 1],
+                pos=place,
+                zaxis=ground.normal,
+                contype=0,
+                conaffinity=0,
+            )
         self._bars(world, V)
         self._points(world, V)
         self._contacts()
@@ -183,7 +260,9 @@ class _Writer:
 
     def _options(self, step: float) -> None:
         gravity = (0, 0, 0) if self.scene.gravity is None else self.scene.gravity.acceleration
-        option = _add(self.root, "option", timestep=step, integrator="RK4", gravity=gravity, cone="elliptic")
+        option = _add(
+            self.root, "option", timestep=step, integrator="RK4", gravity=gravity, cone="elliptic"
+        )
         if not self.grounds and not self.hanging.ties:
             _add(option, "flag", contact="disable", constraint="disable")
 
@@ -197,13 +276,18 @@ class _Writer:
             axis = outer.T @ (s.nodes[b] - s.nodes[a]) / length
             self.turns[bar] = outer @ turn_to(axis)
             start = -length / 2 if link.node is None else 0.0 if link.node == a else -length
-            self.along[bar, a], self.along[bar, b] = np.array([0, 0, start]), np.array([0, 0, start + length])
+            self.along[bar, a], self.along[bar, b] = (
+                np.array([0, 0, start]),
+                np.array([0, 0, start + length]),
+            )
             middle, moves = (s.nodes[a] + s.nodes[b]) / 2, (V[a] + V[b]) / 2
             if link.node is not None:
                 middle, moves = s.nodes[link.node], V[link.node]
             place = middle if link.parent is None else self.along[link.parent, link.node or 0]
             turning[bar] = np.cross(s.nodes[b] - s.nodes[a], V[b] - V[a]) / length**2
-            body = bodies[bar] = _add(bodies[link.parent], "body", name=f"bar{bar}", pos=place, zaxis=axis)
+            body = bodies[bar] = _add(
+                bodies[link.parent], "body", name=f"bar{bar}", pos=place, zaxis=axis
+            )
             self._joints(body, link, moves, turning[bar] - turning[link.parent])
             self._rod(body, bar, [start, start + length])
             for node in (a, b):
@@ -220,7 +304,9 @@ class _Writer:
         else:
             self._slides(body, link.slides, velocity, turn)
             _add(body, "joint", type="ball")
-        self.rates[body] += [*(turning @ turn)]  # rates of turning are told along the body's own axes
+        self.rates[body] += [
+            *(turning @ turn)
+        ]  # rates of turning are told along the body's own axes
 
     def _slides(self, body: ET.Element, directions: Array, velocity: Array, turn: Array) -> None:
         for direction in directions:
@@ -235,19 +321,38 @@ class _Writer:
         inertia = [across, across, max(mass * radius**2 / 2, _AXIAL * across)]
         _add(body, "inertial", pos=[0, 0, sum(ends) / 2], mass=mass, diaginertia=inertia)
         look = {"size": [radius or self.drawn], "contype": 0, "conaffinity": 0, "mass": 0}
-        _add(body, "geom", name=f"bar{bar}", type="cylinder", fromto=[0, 0, ends[0], 0, 0, ends[1]], **look)
+        _add(
+            body,
+            "geom",
+            name=f"bar{bar}",
+            type="cylinder",
+            fromto=[0, 0, ends[0], 0, 0, ends[1]],
+            **look,
+        )
 
     def _node(self, body: ET.Element, node: int, place: Array) -> None:
         """Put a node of a bar into its body, with its mass in a body that is fixed to it."""
         if self.s.node_mass[node] > 0:
             mass = _add(body, "body", name=f"n{node}", pos=place)
-            _add(mass, "inertial", pos=[0, 0, 0], mass=self.s.node_mass[node], diaginertia=[0, 0, 0])
+            _add(
+                mass, "inertial", pos=[0, 0, 0], mass=self.s.node_mass[node], diaginertia=[0, 0, 0]
+            )
         _add(body, "site", name=f"n{node}", pos=place, size=[self.sphere])
         self._ball(body, node, place)
 
     def _ball(self, body: ET.Element, node: int, place: Array) -> None:
         if node in self.touched:
-            _add(body, "geom", name=f"n{node}", type="sphere", size=[self.sphere], pos=place, mass=0, contype=0, conaffinity=0)
+            _add(
+                body,
+                "geom",
+                name=f"n{node}",
+                type="sphere",
+                size=[self.sphere],
+                pos=place,
+                mass=0,
+                contype=0,
+                conaffinity=0,
+            )
 
     def _points(self, world: ET.Element, V: Array) -> None:
         """Add the nodes of no bar, and the pinned ones."""
@@ -259,7 +364,13 @@ class _Writer:
                 continue
             body = _add(world, "body", name=f"n{node}", pos=s.nodes[node])
             self._slides(body, slides, V[node], np.eye(3))
-            _add(body, "inertial", pos=here, mass=s.node_mass[node], diaginertia=np.full(3, max(s.node_mass[node], 1.0)))  # it does not turn
+            _add(
+                body,
+                "inertial",
+                pos=here,
+                mass=s.node_mass[node],
+                diaginertia=np.full(3, max(s.node_mass[node], 1.0)),
+            )  # it does not turn
             _add(body, "site", name=f"n{node}", pos=here, size=[self.sphere])
             self._ball(body, node, here)
 
@@ -273,13 +384,25 @@ class _Writer:
                 _add(contact, "pair", geom1=f"ground{k}", geom2=f"n{node}", **numbers)
 
     def _strings(self) -> None:
-        s, pushing, driven = self.s, set(self.scene.pushing_strings.tolist()), self.scene.control is not None
+        s, pushing, driven = (
+            self.s,
+            set(self.scene.pushing_strings.tolist()),
+            self.scene.control is not None,
+        )
         if not len(s.strings):
             return
         tendon = ET.SubElement(self.root, "tendon")
         for string, (a, b) in enumerate(s.strings):
             rest = [s.rest_length[string]] if string in pushing else [0.0, s.rest_length[string]]
-            law = {} if driven else {"stiffness": s.stiffness[string], "damping": s.damping[string], "springlength": rest}
+            law = (
+                {}
+                if driven
+                else {
+                    "stiffness": s.stiffness[string],
+                    "damping": s.damping[string],
+                    "springlength": rest,
+                }
+            )
             spatial = _add(tendon, "spatial", name=f"string{string}", **law)
             for node in (a, b):
                 _add(spatial, "site", site=f"n{node}")
@@ -291,24 +414,48 @@ class _Writer:
         for tie in self.hanging.ties:
             other = {} if tie.other is None else {"body2": f"bar{tie.other}"}
             hard = {"solref": [2 * step, 1.0], "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0]}
-            _add(equality, "connect", body1=f"bar{tie.bar}", **other, anchor=self.along[tie.bar, tie.node], **hard)
+            _add(
+                equality,
+                "connect",
+                body1=f"bar{tie.bar}",
+                **other,
+                anchor=self.along[tie.bar, tie.node],
+                **hard,
+            )
 
     def _control(self, moving: bool) -> None:
         scene, s = self.scene, self.s
         start: dict[str, Any] = {}
         if moving:  # in the order of the file, which is MuJoCo's
-            start["qvel"] = [rate for body in self.root.iter("body") for rate in self.rates.get(body, ())]
+            start["qvel"] = [
+                rate for body in self.root.iter("body") for rate in self.rates.get(body, ())
+            ]
         if scene.control is not None and len(s.strings):
             actuator = ET.SubElement(self.root, "actuator")
             pushing = set(scene.pushing_strings.tolist())
             for string in range(len(s.strings)):
                 of = {"name": f"string{string}", "tendon": f"string{string}"}
                 if isinstance(scene.control, ForceDensity):
-                    _add(actuator, "general", **of, gaintype="affine", gainprm=[0, -1, 0])  # force −length × γ
+                    _add(
+                        actuator, "general", **of, gaintype="affine", gainprm=[0, -1, 0]
+                    )  # force −length × γ
                 else:
-                    pulls = {} if string in pushing else {"forcelimited": "true", "forcerange": [-_STRONGEST, 0.0]}
-                    _add(actuator, "position", **of, kp=s.stiffness[string], kv=s.damping[string], **pulls)
-            taut = s.stiffness * np.maximum(0.0, 1 - s.rest_length / s.string_lengths)  # Eq. 99 at rest
+                    pulls = (
+                        {}
+                        if string in pushing
+                        else {"forcelimited": "true", "forcerange": [-_STRONGEST, 0.0]}
+                    )
+                    _add(
+                        actuator,
+                        "position",
+                        **of,
+                        kp=s.stiffness[string],
+                        kv=s.damping[string],
+                        **pulls,
+                    )
+            taut = s.stiffness * np.maximum(
+                0.0, 1 - s.rest_length / s.string_lengths
+            )  # Eq. 99 at rest
             start["ctrl"] = s.rest_length if isinstance(scene.control, RestLength) else taut
         if start:
             _add(ET.SubElement(self.root, "keyframe"), "key", name="start", **start)
@@ -323,4 +470,7 @@ def _text(value: Any) -> str:
     if isinstance(value, str):
         return value
     numbers: Iterable[Any] = np.atleast_1d(value).tolist()
-    return " ".join(repr(number + 0) if isinstance(number, int) else repr(number + 0.0).removesuffix(".0") for number in numbers)
+    return " ".join(
+        repr(number + 0) if isinstance(number, int) else repr(number + 0.0).removesuffix(".0")
+        for number in numbers
+    )

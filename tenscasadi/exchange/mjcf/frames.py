@@ -59,14 +59,23 @@ WORLD = Frame(np.zeros(3), np.eye(3))
 
 def read_frame(element: Element, units: Units) -> Frame:
     """Return place and turn of an element in what it stands in. Raises SceneFileError."""
-    given = [name for name in ("quat", "axisangle", "euler", "xyaxes", "zaxis") if name in element.attributes]
+    given = [
+        name
+        for name in ("quat", "axisangle", "euler", "xyaxes", "zaxis")
+        if name in element.attributes
+    ]
     if len(given) > 1:
         raise element.error(f"is given beside {given[0]}: leave one out", given[1])
-    return Frame(element.numbers("pos", 3, (0, 0, 0)), _turn(element, given[0], units) if given else np.eye(3))
+    return Frame(
+        element.numbers("pos", 3, (0, 0, 0)),
+        _turn(element, given[0], units) if given else np.eye(3),
+    )
 
 
 def _turn(element: Element, name: str, units: Units) -> Array:
-    values = element.numbers(name, {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}[name])
+    values = element.numbers(
+        name, {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}[name]
+    )
     unit = np.pi / 180 if units.degrees else 1.0
     if name == "euler":
         turn = np.eye(3)
@@ -79,7 +88,9 @@ def _turn(element: Element, name: str, units: Units) -> Array:
     if name == "quat":
         unit_quaternion = _unit(element, name, values)
         sine = float(np.linalg.norm(unit_quaternion[1:]))
-        return _rotation(unit_quaternion[1:] / (sine or 1.0), 2 * np.arctan2(sine, unit_quaternion[0]))
+        return _rotation(
+            unit_quaternion[1:] / (sine or 1.0), 2 * np.arctan2(sine, unit_quaternion[0])
+        )
     if name == "zaxis":
         return turn_to(_unit(element, name, values))
     x = _unit(element, name, values[:3])
@@ -91,7 +102,11 @@ def turn_to(z: Array) -> Array:
     """Return the smallest turn of the z axis to a unit direction."""
     axis = np.cross([0, 0, 1], z)
     sine = float(np.linalg.norm(axis))
-    return _rotation(axis / sine, np.arctan2(sine, z[2])) if sine > 1e-10 else np.diag([1.0, np.sign(z[2]), np.sign(z[2])])
+    return (
+        _rotation(axis / sine, np.arctan2(sine, z[2]))
+        if sine > 1e-10
+        else np.diag([1.0, np.sign(z[2]), np.sign(z[2])])
+    )
 
 
 def _unit(element: Element, name: str, vector: Array) -> Array:
@@ -115,16 +130,24 @@ def read_rod(element: Element, frame: Frame, units: Units) -> Rod | None:
     if "fromto" in element.attributes and kind == "sphere":
         raise element.error("is given to a sphere: give type capsule or cylinder", "fromto")
     if "fromto" in element.attributes:
-        radius, ends = element.numbers("size", (1, 2, 3))[0], element.numbers("fromto", 6).reshape(2, 3)
+        radius, ends = (
+            element.numbers("size", (1, 2, 3))[0],
+            element.numbers("fromto", 6).reshape(2, 3),
+        )
     else:
         own = read_frame(element, units)
         size = element.numbers("size", (1, 2, 3))
         half = 0.0
         if kind != "sphere":
             if len(size) < 2:
-                raise element.error(f"is {element.text('size')!r}: give the radius and half the length", "size")
+                raise element.error(
+                    f"is {element.text('size')!r}: give the radius and half the length", "size"
+                )
             half = size[1]
-        radius, ends = size[0], np.array([own.place - half * own.turn[:, 2], own.place + half * own.turn[:, 2]])
+        radius, ends = (
+            size[0],
+            np.array([own.place - half * own.turn[:, 2], own.place + half * own.turn[:, 2]]),
+        )
     if radius <= 0 or (kind != "sphere" and not np.any(ends[0] != ends[1])):
         raise element.error(f"is {element.text('size')!r}: give lengths greater than 0", "size")
     return Rod(np.array([frame.at(end) for end in ends]), float(radius), kind)
@@ -137,13 +160,19 @@ def rod_mass(element: Element, rod: Rod) -> Mass:
     tube, caps = np.pi * r**2 * length, 4 / 3 * np.pi * r**3 * (rod.kind != "cylinder")
     mass = element.number("mass", element.number("density", _DENSITY) * (tube + caps))
     if mass < 0:
-        raise element.error(f"is {mass:g}: give at least 0", "mass" if "mass" in element.attributes else "density")
+        raise element.error(
+            f"is {mass:g}: give at least 0", "mass" if "mass" in element.attributes else "density"
+        )
     tube, caps = (mass * part / (tube + caps) for part in (tube, caps))
     spin = tube * r**2 / 2 + caps * 2 * r**2 / 5
     # two half spheres, whose centres are 3r/8 beyond the ends
-    across = tube * (length**2 / 12 + r**2 / 4) + caps * (2 * r**2 / 5 + length**2 / 4 + 3 * length * r / 8)
+    across = tube * (length**2 / 12 + r**2 / 4) + caps * (
+        2 * r**2 / 5 + length**2 / 4 + 3 * length * r / 8
+    )
     axis = along / length if length else np.zeros(3)
-    return Mass(mass, rod.ends.mean(axis=0), across * np.eye(3) + (spin - across) * np.outer(axis, axis))
+    return Mass(
+        mass, rod.ends.mean(axis=0), across * np.eye(3) + (spin - across) * np.outer(axis, axis)
+    )
 
 
 def read_inertial(element: Element, frame: Frame, units: Units) -> Mass:

@@ -29,7 +29,11 @@ class Touch(NamedTuple):
 
 
 def read_grounds(
-    root: Element, bodies: Bodies, defaults: Defaults, node_at: Callable[[int, Array], int | None], weigh: Callable[[], Weights]
+    root: Element,
+    bodies: Bodies,
+    defaults: Defaults,
+    node_at: Callable[[int, Array], int | None],
+    weigh: Callable[[], Weights],
 ) -> list[Ground]:
     """Return the grounds of a file; `node_at`: the node at a place of a piece, `weigh`: the scales of contacts. Raises SceneFileError."""
     pairs, apart = _read_contacts(root, bodies, defaults)
@@ -37,7 +41,9 @@ def read_grounds(
     found: list[Ground] = []
     fixed = bodies.pieces[0].shapes
     if len(fixed) * len(moving) > _MOST:
-        raise root.error(f"has {len(fixed)} geoms in the world and {len(moving)} in bodies, too many to find which touch: give fewer")
+        raise root.error(
+            f"has {len(fixed)} geoms in the world and {len(moving)} in bodies, too many to find which touch: give fewer"
+        )
     for shape in fixed:
         touches: dict[int, Touch] = {}
         for k, other in moving:
@@ -45,7 +51,9 @@ def read_grounds(
             if law is None and (k in apart or not _meet(shape.element, other.element)):
                 continue
             if shape.element.text("type", "sphere") != "plane":
-                raise shape.element.error("is touched by bodies: tenscasadi's grounds are planes", "type")
+                raise shape.element.error(
+                    "is touched by bodies: tenscasadi's grounds are planes", "type"
+                )
             for touch in _touches(k, other, law or _mixed(shape.element, other.element), node_at):
                 if touch.node not in touches or touch.distance > touches[touch.node].distance:
                     touches[touch.node] = touch
@@ -54,14 +62,18 @@ def read_grounds(
     return found
 
 
-def _read_contacts(root: Element, bodies: Bodies, defaults: Defaults) -> tuple[Mapping[frozenset[str], Element], set[int]]:
+def _read_contacts(
+    root: Element, bodies: Bodies, defaults: Defaults
+) -> tuple[Mapping[frozenset[str], Element], set[int]]:
     """Return the pairs of geoms that are told to touch, and the pieces that are told not to touch the world."""
     pairs: dict[frozenset[str], Element] = {}
     apart: set[int] = set()
     for section in root.of("contact"):
         for child in children(section):
             if child.tag == "exclude":
-                (one, _), (other, _) = (bodies.named(check(child), name) for name in ("body1", "body2"))
+                (one, _), (other, _) = (
+                    bodies.named(check(child), name) for name in ("body1", "body2")
+                )
                 apart |= {one, other} if 0 in (one, other) else set()
             else:
                 pair = check(defaults.apply(child))
@@ -71,7 +83,9 @@ def _read_contacts(root: Element, bodies: Bodies, defaults: Defaults) -> tuple[M
 
 def _meet(one: Element, other: Element) -> bool:
     """Return whether two geoms touch by their types and affinities."""
-    types, affinities = ([geom.whole(name, 1) for geom in (one, other)] for name in ("contype", "conaffinity"))
+    types, affinities = (
+        [geom.whole(name, 1) for geom in (one, other)] for name in ("contype", "conaffinity")
+    )
     return bool(types[0] & affinities[1] or types[1] & affinities[0])
 
 
@@ -80,15 +94,23 @@ def _mixed(one: Element, other: Element) -> Element:
     priorities = [geom.whole("priority", 0) for geom in (one, other)]
     if priorities[0] != priorities[1]:
         return one if priorities[0] > priorities[1] else other
-    friction = max(float(geom.numbers("friction", (1, 2, 3), _FRICTION)[0]) for geom in (one, other))
+    friction = max(
+        float(geom.numbers("friction", (1, 2, 3), _FRICTION)[0]) for geom in (one, other)
+    )
     laws = np.array([geom.numbers("solref", (1, 2), _SOFT) for geom in (one, other)])
     law = laws.mean(axis=0) if (laws[:, 0] > 0).all() else laws.min(axis=0)
     dimensions = max(geom.whole("condim", 3) for geom in (one, other))
-    said = {"friction": repr(friction), "solref": " ".join(repr(float(x)) for x in law), "condim": str(dimensions)}
+    said = {
+        "friction": repr(friction),
+        "solref": " ".join(repr(float(x)) for x in law),
+        "condim": str(dimensions),
+    }
     return other.given({**other.attributes, **said})
 
 
-def _touches(k: int, shape: Shape, law: Element, node_at: Callable[[int, Array], int | None]) -> list[Touch]:
+def _touches(
+    k: int, shape: Shape, law: Element, node_at: Callable[[int, Array], int | None]
+) -> list[Touch]:
     """Return the contacts of the ends of a geom, of those that are nodes."""
     if shape.rod is None:
         return []
@@ -99,7 +121,10 @@ def _touches(k: int, shape: Shape, law: Element, node_at: Callable[[int, Array],
 def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Ground]:
     """Return the grounds that a plane is, one for all nodes of the same law."""
     normal = plane.frame.turn[:, 2]
-    touches = sorted((touch for touch in touches if weights.inverse[touch.node] > 0), key=lambda touch: touch.node)
+    touches = sorted(
+        (touch for touch in touches if weights.inverse[touch.node] > 0),
+        key=lambda touch: touch.node,
+    )
     if not touches:
         return []
     mean = float(np.mean([weights.inverse[touch.node] for touch in touches]))
@@ -107,9 +132,18 @@ def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Groun
     for touch in touches:
         solref = touch.law.numbers("solref", 2, _SOFT)
         if (solref[0] > 0) != (solref[1] > 0) and solref.any() and solref[0] > 0:
-            raise touch.law.error("has one number above 0 and one below: give a time constant and a damping ratio, or both negated", "solref")
-        friction = float(touch.law.numbers("friction", (1, 2, 3, 4, 5), _FRICTION)[0]) if touch.law.whole("condim", 3) > 1 else 0.0
-        inverse = float(weights.inverse[touch.node]) if solref[0] <= 0 else mean  # of a time constant the stiffness goes with the mass
+            raise touch.law.error(
+                "has one number above 0 and one below: give a time constant and a damping ratio, or both negated",
+                "solref",
+            )
+        friction = (
+            float(touch.law.numbers("friction", (1, 2, 3, 4, 5), _FRICTION)[0])
+            if touch.law.whole("condim", 3) > 1
+            else 0.0
+        )
+        inverse = (
+            float(weights.inverse[touch.node]) if solref[0] <= 0 else mean
+        )  # of a time constant the stiffness goes with the mass
         slow = touch.law.numbers("solreffriction", 2, (0, 0))
         numbers = ground_numbers(solref, slow, friction or None, inverse, weights.standing)
         law = {**numbers, "height": float(normal @ plane.frame.place) + touch.distance}
@@ -120,7 +154,10 @@ def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Groun
             nodes.append(touch.node)
     everywhere = len(alike) == 1 and len(touches) == int(np.count_nonzero(weights.inverse))
     try:
-        return [Ground(**law, normal=tuple(normal.tolist()), nodes=None if everywhere else nodes) for law, nodes in alike]
+        return [
+            Ground(**law, normal=tuple(normal.tolist()), nodes=None if everywhere else nodes)
+            for law, nodes in alike
+        ]
     except ValueError as error:
         raise plane.element.error(str(error)) from None
 
@@ -129,4 +166,8 @@ def _same(one: dict[str, Any], other: dict[str, Any]) -> bool:
     """Return whether two laws are one, as told in a few digits."""
     if one.keys() != other.keys() or (one["friction"] is None) != (other["friction"] is None):
         return False
-    return all(abs(one[name] - other[name]) <= _ALIKE * max(abs(one[name]), 1e-3 * (name == "height")) for name in one if one[name] is not None)
+    return all(
+        abs(one[name] - other[name]) <= _ALIKE * max(abs(one[name]), 1e-3 * (name == "height"))
+        for name in one
+        if one[name] is not None
+    )

@@ -11,8 +11,10 @@ import numpy as np
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
-DEEPEST = 100  # bars that hang from each other: files that are nested deeper are hard to read, for MuJoCo too
-MOST = 1000  # bars of a tree whose weights are computed: with a matrix of three rows and columns for each
+# bars that hang from each other: files that are nested deeper are hard to read, for MuJoCo too
+DEEPEST = 100
+# bars of a tree whose weights are computed: with a matrix of three rows and columns for each
+MOST = 1000
 NO_DIRECTION = np.zeros((0, 3))
 
 
@@ -44,7 +46,9 @@ class Hanging(NamedTuple):
 
 def held_directions(s: Structure) -> dict[int, Array]:
     """Return the orthonormal directions (k, 3) along which nodes are held, of those that are."""
-    axes = {node: np.eye(3)[["xyz".index(axis) for axis in names]] for node, names in s.pinned.items()}
+    axes = {
+        node: np.eye(3)[["xyz".index(axis) for axis in names]] for node, names in s.pinned.items()
+    }
     return axes | {node: np.array(normals) for node, normals in s.rollers.items()}
 
 
@@ -77,7 +81,10 @@ class _Tree:
 
     def grow(self) -> Hanging:
         placed = set[int]()
-        for root in sorted(range(len(self.bars)), key=lambda bar: -max(len(self.held.get(node, ())) for node in self.bars[bar])):
+        for root in sorted(
+            range(len(self.bars)),
+            key=lambda bar: -max(len(self.held.get(node, ())) for node in self.bars[bar]),
+        ):
             self.depth.setdefault(root, 0)
             waiting = deque([self._root(root)])
             while waiting:
@@ -125,14 +132,17 @@ class _Tree:
 def inverse_weights(s: Structure, hanging: Hanging) -> Array:
     """Return how much a force on the middle of each bar accelerates it, the mean over all directions, 1/kg: 1/m for a bar by itself.
 
-    Of the trees without their ties, as MuJoCo computes it. Raises ValueError where too many bars hang together.
+    Of the trees without their ties, as MuJoCo computes it. Raises ValueError where too many bars
+    hang together.
     """
     found = np.zeros(len(s.bars))
     roots = [k for k, link in enumerate(hanging.links) if link.parent is None]
     for first, end in zip(roots, [*roots[1:], len(hanging.links)], strict=True):
         tree = hanging.links[first:end]
         if len(tree) > MOST:
-            raise ValueError(f"bars: {len(tree)} of them hang together, too many to weigh what they press on the ground with: {MOST} at most")
+            raise ValueError(
+                f"bars: {len(tree)} of them hang together, too many to weigh what they press on the ground with: {MOST} at most"
+            )
         found[[link.bar for link in tree]] = _weigh(s, hanging, tree)
     return found
 
@@ -140,15 +150,30 @@ def inverse_weights(s: Structure, hanging: Hanging) -> Array:
 def _weigh(s: Structure, hanging: Hanging, tree: list[Link]) -> list[float]:
     """Return the inverse weights of the bars of one tree."""
     slides = np.eye(3) if tree[0].node is None else tree[0].slides
-    size = len(slides) + 3 * len(tree)  # velocities of the root along its slides, then rates of turning
+    size = len(slides) + 3 * len(
+        tree
+    )  # velocities of the root along its slides, then rates of turning
     M, middles = np.zeros((size, size)), []
     points: dict[tuple[int, int | None], Array] = {}
     for k, link in enumerate(tree):
-        middle, turning = s.nodes[s.bars[link.bar]].mean(axis=0), slice(len(slides) + 3 * k, len(slides) + 3 * k + 3)
+        middle, turning = (
+            s.nodes[s.bars[link.bar]].mean(axis=0),
+            slice(len(slides) + 3 * k, len(slides) + 3 * k + 3),
+        )
         place = middle if link.node is None else s.nodes[link.node]
-        base = np.pad(slides.T, ((0, 0), (0, 3 * len(tree)))) if link.parent is None else points[link.parent, link.node]
+        base = (
+            np.pad(slides.T, ((0, 0), (0, 3 * len(tree))))
+            if link.parent is None
+            else points[link.parent, link.node]
+        )
 
-        def velocity(x: Array, base: Array = base, place: Array = place, turning: slice = turning, still: bool = link.still) -> Array:
+        def velocity(
+            x: Array,
+            base: Array = base,
+            place: Array = place,
+            turning: slice = turning,
+            still: bool = link.still,
+        ) -> Array:
             found = base.copy()
             found[:, turning] = 0.0 if still else -np.cross(x - place, np.eye(3)).T  # ω × r
             return found

@@ -39,13 +39,15 @@ class String(NamedTuple):
 def import_mjcf(path: str | os.PathLike[str]) -> Scene:
     """Read a tensegrity from MuJoCo's XML, MJCF.
 
-    Bodies with two ends become bars, bodies with one place become points, spatial tendons of two sites strings, balls and ``connect``
-    nodes that bars share. What has no counterpart in a scene is refused by name.
+    Bodies with two ends become bars, bodies with one place become points, spatial tendons of two
+    sites strings, balls and ``connect`` nodes that bars share. What has no counterpart in a scene
+    is refused by name.
 
     Parameters
     ----------
     path : str or path
-        The file. Nothing in it is run, and no other file is opened: one with ``include`` is refused.
+        The file. Nothing in it is run, and no other file is opened: one with ``include`` is
+        refused.
 
     Returns
     -------
@@ -55,22 +57,31 @@ def import_mjcf(path: str | os.PathLike[str]) -> Scene:
     Raises
     ------
     SceneFileError
-        Where the file is no MJCF, or says what a scene has no counterpart for: file, line, element, value and cure.
+        Where the file is no MJCF, or says what a scene has no counterpart for: file, line, element,
+        value and cure.
     OSError
         Where there is no such file.
 
     Notes
     -----
-    - A bar ends where strings and joints hold it, or at the ends of its longest geom. Masses on its ends become masses of nodes; the radius of
-      the bar is the one that gives the inertia across that all its geoms have together. An inertia less than that of a thin rod is refused.
-    - A tendon with two spring lengths, the first of them 0, becomes a string with `Clip`, one with a single spring length has the law `Linear`. A
-      damped tendon damps in MuJoCo also while it is slack; a scene's strings do so with `Linear` alone.
-    - Position actuators on all tendons become control by rest lengths, whose start is that of the first key of the file. Ranges of
+    - A bar ends where strings and joints hold it, or at the ends of its longest geom. Masses on its
+    ends become masses of nodes; the radius of
+      the bar is the one that gives the inertia across that all its geoms have together. An inertia
+      less than that of a thin rod is refused.
+    - A tendon with two spring lengths, the first of them 0, becomes a string with `Clip`, one with
+    a single spring length has the law `Linear`. A
+      damped tendon damps in MuJoCo also while it is slack; a scene's strings do so with `Linear`
+      alone.
+    - Position actuators on all tendons become control by rest lengths, whose start is that of the
+    first key of the file. Ranges of
       controls are left out: they are bounds of a plan.
-    - Only nodes touch the ground: spheres, capsules and cylinders that end there give its distance. A time constant of contacts becomes the
-      stiffness of the mean mass. Contacts of bodies with each other, velocities of keys, and the step and solver are left out.
+    - Only nodes touch the ground: spheres, capsules and cylinders that end there give its distance.
+    A time constant of contacts becomes the
+      stiffness of the mean mass. Contacts of bodies with each other, velocities of keys, and the
+      step and solver are left out.
 
-    Nodes, bars and strings keep the numbers that `export_mjcf` names them by; others are numbered as they come.
+    Nodes, bars and strings keep the numbers that `export_mjcf` names them by; others are numbered
+    as they come.
 
     Examples
     --------
@@ -91,8 +102,16 @@ def import_mjcf(path: str | os.PathLike[str]) -> Scene:
         raise compiler.error(f"is {sequence!r}: give three of x, y, z", "eulerseq")
     units = Units(compiler.word("angle", "degree", "degree", "radian") == "degree", sequence)
     bodies = Bodies(root, defaults, units, compiler.flag("inertiafromgeom"))
-    strings = [_read_string(defaults.apply(child), bodies) for section in root.of("tendon") for child in children(section)]
-    strings = [strings[k] for k in by_number([[string.element.text("name")] for string in strings], "string") or range(len(strings))]
+    strings = [
+        _read_string(defaults.apply(child), bodies)
+        for section in root.of("tendon")
+        for child in children(section)
+    ]
+    strings = [
+        strings[k]
+        for k in by_number([[string.element.text("name")] for string in strings], "string")
+        or range(len(strings))
+    ]
     control, strings = _read_control(root, defaults, strings)
     try:
         return _Reader(root, defaults, bodies, option, strings).scene(control)
@@ -108,7 +127,11 @@ def _settings(root: Element, sections: list[Element]) -> tuple[Element, Element]
     for tag in ("compiler", "option"):
         found = root.given({})
         for element in (section for section in sections if section.tag == tag):
-            flags = {f"flag {name}": value for child in children(element) for name, value in check(child).attributes.items()}
+            flags = {
+                f"flag {name}": value
+                for child in children(element)
+                for name, value in check(child).attributes.items()
+            }
             found = check(element).given({**found.attributes, **element.attributes, **flags})
         merged.append(found)
     merged[0].word("coordinate", "local", "local")
@@ -120,55 +143,95 @@ def _read_string(tendon: Element, bodies: Bodies) -> String:
     check(tendon)
     limited = tendon.flag("limited")
     if limited or (limited is None and "range" in tendon.attributes):
-        raise tendon.error("limits the length of a tendon, which has no counterpart in a scene: leave it out", "range")
+        raise tendon.error(
+            "limits the length of a tendon, which has no counterpart in a scene: leave it out",
+            "range",
+        )
     sites = [bodies.site(child) for child in children(tendon)]
     if len(sites) != 2:
-        raise tendon.error(f"runs through {len(sites)} sites: strings join two nodes, write one for each part")
+        raise tendon.error(
+            f"runs through {len(sites)} sites: strings join two nodes, write one for each part"
+        )
     lengths = tendon.numbers("springlength", (1, 2), (-1, -1))
     low, high = lengths[0], lengths[-1]
     pushes = low == high
     if not pushes and low != 0:
         raise tendon.error(
-            f"is {tendon.text('springlength')!r}: give one length, for a spring, or 0 and one, for a string that goes slack", "springlength"
+            f"is {tendon.text('springlength')!r}: give one length, for a spring, or 0 and one, for a string that goes slack",
+            "springlength",
         )
     if high == 0:
-        raise tendon.error("is 0: a string has a length greater than 0, give a small one", "springlength")
-    stiffness, damping = tendon.numbers("stiffness", (1, 2, 3), [0])[0], tendon.numbers("damping", (1, 2, 3), [0])[0]
+        raise tendon.error(
+            "is 0: a string has a length greater than 0, give a small one", "springlength"
+        )
+    stiffness, damping = (
+        tendon.numbers("stiffness", (1, 2, 3), [0])[0],
+        tendon.numbers("damping", (1, 2, 3), [0])[0],
+    )
     for name in ("stiffness", "damping"):
         if np.any(tendon.numbers(name, (1, 2, 3), [0])[1:]):
-            raise tendon.error(f"is {tendon.text(name)!r}, a polynomial: strings are linear, give one number", name)
-    return String(tendon, (sites[0], sites[1]), float(stiffness), float(damping), None if high < 0 else float(high), pushes)
+            raise tendon.error(
+                f"is {tendon.text(name)!r}, a polynomial: strings are linear, give one number", name
+            )
+    return String(
+        tendon,
+        (sites[0], sites[1]),
+        float(stiffness),
+        float(damping),
+        None if high < 0 else float(high),
+        pushes,
+    )
 
 
-def _read_control(root: Element, defaults: Defaults, strings: list[String]) -> tuple[Control | None, list[String]]:
+def _read_control(
+    root: Element, defaults: Defaults, strings: list[String]
+) -> tuple[Control | None, list[String]]:
     """Return how strings are driven, and the strings with the law that their actuators give them. Raises SceneFileError."""
     driving, names = {}, {string.element.text("name") for string in strings}
-    actuators = [check(defaults.apply(child)) for section in root.of("actuator") for child in children(section)]
+    actuators = [
+        check(defaults.apply(child))
+        for section in root.of("actuator")
+        for child in children(section)
+    ]
     for k, actuator in enumerate(actuators):
         name = actuator.text("tendon")
         if name not in names or name in driving:
-            raise actuator.error(f"is {name!r}: give each tendon one actuator, and actuators to tendons alone", "tendon")
+            raise actuator.error(
+                f"is {name!r}: give each tendon one actuator, and actuators to tendons alone",
+                "tendon",
+            )
         driving[name] = k, actuator
     if not actuators:
         return None, strings
     if len(driving) < len(strings):
         passive = next(string for string in strings if string.element.text("name") not in driving)
-        raise passive.element.error("has no actuator, while others have: a scene drives all strings, or none")
+        raise passive.element.error(
+            "has no actuator, while others have: a scene drives all strings, or none"
+        )
     start = _start(root, len(actuators))
     found, controls = [], set[type[Control]]()
     for string in strings:
         k, actuator = driving[string.element.text("name")]
         if string.stiffness or string.damping:
-            raise string.element.error("has stiffness or damping beside an actuator: give them to the actuator, as kp and kv", "stiffness")
+            raise string.element.error(
+                "has stiffness or damping beside an actuator: give them to the actuator, as kp and kv",
+                "stiffness",
+            )
         servo = _servo(actuator)
         controls.add(ForceDensity if servo is None else RestLength)
         if len(controls) > 1:
-            raise actuator.error("drives its string in another way than others: a scene drives all in one way")
+            raise actuator.error(
+                "drives its string in another way than others: a scene drives all in one way"
+            )
         if servo is None:
-            found.append(string._replace(stiffness=100.0, rest=None))  # a structure's own: force densities need none
+            found.append(
+                string._replace(stiffness=100.0, rest=None)
+            )  # a structure's own: force densities need none
         else:
             rest = None if start is None else float(start[k])
-            found.append(String(string.element, string.ends, *servo, rest, not _pulls_alone(actuator)))
+            found.append(
+                String(string.element, string.ends, *servo, rest, not _pulls_alone(actuator))
+            )
     return controls.pop()(), found
 
 
@@ -176,13 +239,31 @@ def _servo(actuator: Element) -> tuple[float, float] | None:
     """Return stiffness and damping of an actuator that holds a length; None for one that holds a force density. Raises SceneFileError."""
     if actuator.tag == "position":
         return actuator.number("kp", 1.0), actuator.number("kv", 0.0)
-    words = [actuator.text(name, default) for name, default in (("gaintype", "fixed"), ("biastype", "none"), ("dyntype", "none"))]
-    gain, bias = (np.pad(actuator.numbers(name, range(1, 11), [first]), (0, 9))[:10] for name, first in (("gainprm", 1), ("biasprm", 0)))
-    if words == ["affine", "none", "none"] and gain[1] == -1 and np.count_nonzero(gain) == 1 and "input" not in actuator.attributes:
+    words = [
+        actuator.text(name, default)
+        for name, default in (("gaintype", "fixed"), ("biastype", "none"), ("dyntype", "none"))
+    ]
+    gain, bias = (
+        np.pad(actuator.numbers(name, range(1, 11), [first]), (0, 9))[:10]
+        for name, first in (("gainprm", 1), ("biasprm", 0))
+    )
+    if (
+        words == ["affine", "none", "none"]
+        and gain[1] == -1
+        and np.count_nonzero(gain) == 1
+        and "input" not in actuator.attributes
+    ):
         return None
-    if words == ["fixed", "affine", "none"] and not any([*gain[1:], bias[0], *bias[3:]]) and bias[1] == -gain[0]:
+    if (
+        words == ["fixed", "affine", "none"]
+        and not any([*gain[1:], bias[0], *bias[3:]])
+        and bias[1] == -gain[0]
+    ):
         return float(gain[0]), float(0.0 - bias[2])  # as MuJoCo writes position actuators
-    raise actuator.error('pulls by another law than force = −length × control: give gaintype="affine" gainprm="0 -1 0"', "gainprm")
+    raise actuator.error(
+        'pulls by another law than force = −length × control: give gaintype="affine" gainprm="0 -1 0"',
+        "gainprm",
+    )
 
 
 def _start(root: Element, count: int) -> Array | None:
@@ -201,17 +282,35 @@ def _pulls_alone(actuator: Element) -> bool:
         return False
     low, high = actuator.numbers("forcerange", 2)
     if low > -_ENDLESS or (high != 0 and high < _ENDLESS):
-        raise actuator.error(f"is {actuator.text('forcerange')!r}: give none, or one of -1e12 and 0 for a string that does not push", "forcerange")
+        raise actuator.error(
+            f"is {actuator.text('forcerange')!r}: give none, or one of -1e12 and 0 for a string that does not push",
+            "forcerange",
+        )
     return bool(high == 0)
 
 
 class _Reader:
     """Numbers nodes and members, and makes the scene of them."""
 
-    def __init__(self, root: Element, defaults: Defaults, bodies: Bodies, option: Element, strings: list[String]) -> None:
-        self.root, self.defaults, self.bodies, self.option, self.strings = root, defaults, bodies, option, strings
+    def __init__(
+        self,
+        root: Element,
+        defaults: Defaults,
+        bodies: Bodies,
+        option: Element,
+        strings: list[String],
+    ) -> None:
+        self.root, self.defaults, self.bodies, self.option, self.strings = (
+            root,
+            defaults,
+            bodies,
+            option,
+            strings,
+        )
         ties = [(*self._tied(tie), tie) for tie in self._ties()]
-        attached = [site for string in strings for site in string.ends] + [Site(*side) for *sides, _ in ties for side in sides]
+        attached = [site for string in strings for site in string.ends] + [
+            Site(*side) for *sides, _ in ties for side in sides
+        ]
         self.members = members = Members(bodies, attached)
         for one, other, tie in ties:
             members.join(*(members.place(*side, tie) for side in (one, other)))
@@ -226,27 +325,45 @@ class _Reader:
         self.bars = bars if names is None else [bars[k] for k in names]
         points = [Place(k, 0) for k in pieces if k not in set(bars)]
         held = [Place(0, k) for k in range(len(members.ends[0]))]
-        places = unique([members.node(place) for place in [*(Place(k, end) for k in self.bars for end in (0, 1)), *points, *held]])
+        places = unique(
+            [
+                members.node(place)
+                for place in [*(Place(k, end) for k in self.bars for end in (0, 1)), *points, *held]
+            ]
+        )
         self.nodes = self._numbered(places)
         self.pairs = [[self.nodes[members.node(place)] for place in both] for _, both in ends]
 
     def _ties(self) -> list[Element]:
-        flags = {name: self.option.text(f"flag {name}", "enable") for name in ("constraint", "equality")}
-        found = [check(self.defaults.apply(child)) for section in self.root.of("equality") for child in children(section)]
+        flags = {
+            name: self.option.text(f"flag {name}", "enable") for name in ("constraint", "equality")
+        }
+        found = [
+            check(self.defaults.apply(child))
+            for section in self.root.of("equality")
+            for child in children(section)
+        ]
         found = [tie for tie in found if tie.flag("active", True)]
         for name, value in flags.items():
             if found and value != "enable":
-                raise self.option.error("switches equalities off, and the file has some: leave one out", f"flag {name}")
+                raise self.option.error(
+                    "switches equalities off, and the file has some: leave one out", f"flag {name}"
+                )
         return found
 
     def _tied(self, tie: Element) -> tuple[tuple[int, Array], tuple[int, Array]]:
         """Return the two pieces, and where on them, that an equality joins. Raises SceneFileError."""
         if "site1" in tie.attributes:
             one, other = self.bodies.site(tie, "site1"), self.bodies.site(tie, "site2")
-            if np.linalg.norm(one.place - other.place) > 1e-5 * max(float(np.linalg.norm(one.place)), 1.0):
+            if np.linalg.norm(one.place - other.place) > 1e-5 * max(
+                float(np.linalg.norm(one.place)), 1.0
+            ):
                 raise tie.error("joins sites that are apart in the file: put them where they meet")
             return (one.piece, one.place), (other.piece, other.place)
-        (piece, frame), (other_piece, _) = self.bodies.named(tie, "body1"), self.bodies.named(tie, "body2")
+        (piece, frame), (other_piece, _) = (
+            self.bodies.named(tie, "body1"),
+            self.bodies.named(tie, "body2"),
+        )
         place = frame.at(tie.numbers("anchor", 3))
         return (piece, place), (other_piece, place)
 
@@ -256,7 +373,11 @@ class _Reader:
         Sites of the world that nothing is attached to are nodes where they go on with the numbers.
         """
         members, sites = self.members, self.bodies.sites
-        lone = [site.place for name, site in sites.items() if site.piece == 0 and name[:1] == "n" and members.near(0, site.place) is None]
+        lone = [
+            site.place
+            for name, site in sites.items()
+            if site.piece == 0 and name[:1] == "n" and members.near(0, site.place) is None
+        ]
         for found in ([*places, *(members.place(0, place) for place in lone)], places):
             names: dict[Place, list[str]] = {place: [] for place in found}
             for name, site in sites.items():
@@ -290,7 +411,11 @@ class _Reader:
         pinned, rollers = self._held()
         places = [members.ends[place.piece][place.end] for place in self.nodes]
         nodes = np.array([places[k] for k in np.argsort(list(self.nodes.values()))]).reshape(-1, 3)
-        rest = {} if any(string.rest is None for string in self.strings) else {"rest_length": [string.rest for string in self.strings]}
+        rest = (
+            {}
+            if any(string.rest is None for string in self.strings)
+            else {"rest_length": [string.rest for string in self.strings]}
+        )
         found = Structure(
             nodes,
             [[self._node(k, end) for end in (0, 1)] for k in self.bars],
@@ -306,7 +431,10 @@ class _Reader:
         )
         if rest or all(string.rest is None for string in self.strings):
             return found
-        lengths = [found.string_lengths[i] if string.rest is None else string.rest for i, string in enumerate(self.strings)]
+        lengths = [
+            found.string_lengths[i] if string.rest is None else string.rest
+            for i, string in enumerate(self.strings)
+        ]
         return found.replace(rest_length=lengths)
 
     def _node(self, piece: int, end: int) -> int:
@@ -321,15 +449,25 @@ class _Reader:
             node = self.nodes[members.node(place)]
             if node not in pinned:
                 directions = np.linalg.svd(np.array(slides))[2][len(slides) :]
-                free = np.abs(directions).max(axis=0) < 1e-12  # axes along which it is not held at all
-                rollers[node] = np.eye(3)[~free] if np.count_nonzero(~free) == len(directions) else directions
+                free = (
+                    np.abs(directions).max(axis=0) < 1e-12
+                )  # axes along which it is not held at all
+                rollers[node] = (
+                    np.eye(3)[~free] if np.count_nonzero(~free) == len(directions) else directions
+                )
         return pinned, rollers
 
     def scene(self, control: Control | None) -> Scene:
         """Return the scene."""
         structure = self.structure()
-        gravity = self.option.numbers("gravity", 3, (0, 0, -9.81)) if self.option.text("flag gravity", "enable") == "enable" else np.zeros(3)
-        pushing: dict[int, Any] = {i: Linear() for i, string in enumerate(self.strings) if string.pushes}
+        gravity = (
+            self.option.numbers("gravity", 3, (0, 0, -9.81))
+            if self.option.text("flag gravity", "enable") == "enable"
+            else np.zeros(3)
+        )
+        pushing: dict[int, Any] = {
+            i: Linear() for i, string in enumerate(self.strings) if string.pushes
+        }
         bare = Scene(
             structure,
             control=control,
@@ -344,8 +482,18 @@ class _Reader:
             return contact_weights(bare, hang(structure, balls))
 
         def node_at(piece: int, point: Array) -> int | None:
-            near = [end for end, known in enumerate(self.members.ends[piece]) if np.linalg.norm(known - point) <= 1e3 * self.members.close]
+            near = [
+                end
+                for end, known in enumerate(self.members.ends[piece])
+                if np.linalg.norm(known - point) <= 1e3 * self.members.close
+            ]
             return self._node(piece, near[0]) if near else None
 
         grounds = read_grounds(self.root, self.bodies, self.defaults, node_at, weigh)
-        return Scene(structure, control=control, gravity=bare.gravity, slack=bare.slack, ground=grounds or None)
+        return Scene(
+            structure,
+            control=control,
+            gravity=bare.gravity,
+            slack=bare.slack,
+            ground=grounds or None,
+        )

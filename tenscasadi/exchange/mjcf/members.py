@@ -16,7 +16,9 @@ from tenscasadi.util.validate import Array
 CLOSE = 1e-5  # times the size of a structure: places that are as close are one
 _ROUND = 1e-12  # of a bar's squared length: a squared radius that is less is rounding
 _ALIKE = 1e-3  # of a bar's inertia: by how much it may differ between two directions across
-_THIN = 1e-5  # of a squared length: how much less than a thin rod an inertia may be, by rounding of decimals in files
+# of a squared length: how much less than a thin rod an inertia may be, by rounding of decimals in
+# files
+_THIN = 1e-5
 _WORLD = 0
 
 
@@ -33,7 +35,13 @@ class Members:
     def __init__(self, bodies: Bodies, attached: list[Site]) -> None:
         self.bodies = bodies
         points = [site.place for site in bodies.sites.values()]
-        points += [end for piece in bodies.pieces for shape in piece.shapes if shape.rod for end in shape.rod.ends]
+        points += [
+            end
+            for piece in bodies.pieces
+            for shape in piece.shapes
+            if shape.rod
+            for end in shape.rod.ends
+        ]
         self.close = CLOSE * max(float(np.ptp(points, axis=0).max()) if points else 0.0, 1e-9)
         self.ends: list[list[Array]] = [[] for _ in bodies.pieces]
         self._same: dict[Place, Place] = {}
@@ -59,7 +67,9 @@ class Members:
             return found
         if piece == _WORLD:
             return self._add(_WORLD, point)
-        raise (element or self.bodies.pieces[piece].element).error(f"holds a body at {point.round(6).tolist()}, where no end of it is")
+        raise (element or self.bodies.pieces[piece].element).error(
+            f"holds a body at {point.round(6).tolist()}, where no end of it is"
+        )
 
     def join(self, one: Place, other: Place) -> None:
         """Make one node of two places; one in the world pins the other."""
@@ -83,7 +93,10 @@ class Members:
         x, y, z = (int(v) for v in np.floor(point / (2 * self.close)))
         for cell in product((x - 1, x, x + 1), (y - 1, y, y + 1), (z - 1, z, z + 1)):
             found = self._cells.get((piece, *cell))
-            if found is not None and np.linalg.norm(self.ends[piece][found.end] - point) <= self.close:
+            if (
+                found is not None
+                and np.linalg.norm(self.ends[piece][found.end] - point) <= self.close
+            ):
                 return found
         return None
 
@@ -102,17 +115,28 @@ class Members:
         ends = self.ends[k]
         if len(ends) > 2:
             where = ", ".join(str(end.round(4).tolist()) for end in ends[:4])
-            raise piece.element.error(f"has strings or joints at {len(ends)} places ({where}): a bar has two ends")
+            raise piece.element.error(
+                f"has strings or joints at {len(ends)} places ({where}): a bar has two ends"
+            )
         rods = [shape.rod for shape in piece.shapes if shape.rod and shape.rod.kind != "sphere"]
-        longest = max(rods, key=lambda rod: float(np.linalg.norm(rod.ends[1] - rod.ends[0])), default=None)
+        longest = max(
+            rods, key=lambda rod: float(np.linalg.norm(rod.ends[1] - rod.ends[0])), default=None
+        )
         if longest is not None and len(ends) < 2:
             for end in longest.ends:
                 near = float(np.linalg.norm(longest.ends[1] - longest.ends[0])) / 100
                 if not any(np.linalg.norm(known - end) <= near for known in ends):
                     self._add(k, end)
             if len(ends) != 2:
-                raise piece.element.error(f"has a string or joint at {ends[0].round(4).tolist()}: bars have them at their ends")
-        if longest is not None and len(ends) == 2 and np.linalg.norm(ends[0] - longest.ends[0]) > np.linalg.norm(ends[1] - longest.ends[0]):
+                raise piece.element.error(
+                    f"has a string or joint at {ends[0].round(4).tolist()}: bars have them at their ends"
+                )
+        if (
+            longest is not None
+            and len(ends) == 2
+            and np.linalg.norm(ends[0] - longest.ends[0])
+            > np.linalg.norm(ends[1] - longest.ends[0])
+        ):
             first, second = ends
             ends.clear()
             for end in (second, first):
@@ -129,10 +153,14 @@ class Members:
         slides = piece.slides
         rank = np.linalg.matrix_rank(np.array(slides), tol=1e-6) if slides else 0
         if rank < len(slides):
-            raise piece.element.error("slides along directions that depend on each other: give independent ones")
+            raise piece.element.error(
+                "slides along directions that depend on each other: give independent ones"
+            )
         if piece.anchor is None:
             if len(self.ends[k]) == 2:
-                raise piece.element.error("is a bar that slides without turning: give it a ball, too, or a free joint")
+                raise piece.element.error(
+                    "is a bar that slides without turning: give it a ball, too, or a free joint"
+                )
             own = Place(k, 0)
         else:
             own = self.place(k, piece.anchor)
@@ -162,39 +190,72 @@ class Members:
         centre /= rest
         if np.linalg.norm(centre - ends.mean(axis=0)) > 1e-3 * length:
             said = f"its mass has its centre at {centre.round(4).tolist()}, which is not the middle of its ends {ends.round(4).tolist()}"
-            raise piece.element.error(f"{said}: bars are even, give masses on ends by geoms of their own")
+            raise piece.element.error(
+                f"{said}: bars are even, give masses on ends by geoms of their own"
+            )
         for mass in piece.masses:
             if not any(np.linalg.norm(mass.centre - end) <= self.close for end in ends):
                 off = mass.centre - centre
                 inertia += mass.mass * (off @ off * np.eye(3) - np.outer(off, off))
         return rest, self._radius(piece, rest, length, along / length, inertia), on_ends
 
-    def _radius(self, piece: Piece, mass: float, length: float, axis: Array, inertia: Array) -> float:
+    def _radius(
+        self, piece: Piece, mass: float, length: float, axis: Array, inertia: Array
+    ) -> float:
         """Return the radius that gives a bar its inertia across (Eq. 19). Raises SceneFileError."""
         other = np.linalg.svd(axis[None])[2][1:]
         across = other @ inertia @ other.T
-        mean, uneven = np.trace(across) / 2, np.linalg.norm(across - np.trace(across) / 2 * np.eye(2))
+        mean, uneven = (
+            np.trace(across) / 2,
+            np.linalg.norm(across - np.trace(across) / 2 * np.eye(2)),
+        )
         if uneven > _ALIKE * mean:
-            raise piece.element.error("has another inertia across one direction than across the other: bars are round")
+            raise piece.element.error(
+                "has another inertia across one direction than across the other: bars are round"
+            )
         squared = 4 * (mean / mass - length**2 / 12)
         if squared < -_THIN * length**2:
-            raise piece.element.error(f"has an inertia of {mean:.4g} kg m², less than a thin rod between its ends: {mass * length**2 / 12:.4g} kg m²")
+            raise piece.element.error(
+                f"has an inertia of {mean:.4g} kg m², less than a thin rod between its ends: {mass * length**2 / 12:.4g} kg m²"
+            )
         radius = float(np.sqrt(max(squared, 0.0))) if abs(squared) > _ROUND * length**2 else 0.0
-        drawn = [shape.rod.radius for shape in piece.shapes if shape.rod and shape.rod.kind == "cylinder"]
-        return next((size for size in drawn if abs(size**2 - squared) < _ROUND * length**2), radius)  # without the rounding of its square
+        drawn = [
+            shape.rod.radius for shape in piece.shapes if shape.rod and shape.rod.kind == "cylinder"
+        ]
+        return next(
+            (size for size in drawn if abs(size**2 - squared) < _ROUND * length**2), radius
+        )  # without the rounding of its square
 
     def read_point(self, k: int, piece: Piece) -> float:
         """Return the mass of a point. Raises SceneFileError."""
         total = sum(mass.mass for mass in piece.masses)
-        if total > 0 and np.linalg.norm(sum(mass.mass * mass.centre for mass in piece.masses) / total - self.ends[k][0]) > 1e-3 * self.close / CLOSE:
-            raise piece.element.error("is a point whose mass is elsewhere: give a capsule or a cylinder to make it a bar")
+        if (
+            total > 0
+            and np.linalg.norm(
+                sum(mass.mass * mass.centre for mass in piece.masses) / total - self.ends[k][0]
+            )
+            > 1e-3 * self.close / CLOSE
+        ):
+            raise piece.element.error(
+                "is a point whose mass is elsewhere: give a capsule or a cylinder to make it a bar"
+            )
         return float(total)
 
 
 def by_number(names: list[list[str]], prefix: str) -> list[int] | None:
     """Return the order of items of which each has a name of `prefix` and its number, without gaps; None where that is not so."""
-    numbers = [next((int(name[len(prefix) :]) for name in own if re.fullmatch(prefix + "[0-9]{1,9}", name)), -1) for own in names]
-    return [int(k) for k in np.argsort(numbers)] if sorted(numbers) == list(range(len(names))) else None
+    numbers = [
+        next(
+            (int(name[len(prefix) :]) for name in own if re.fullmatch(prefix + "[0-9]{1,9}", name)),
+            -1,
+        )
+        for own in names
+    ]
+    return (
+        [int(k) for k in np.argsort(numbers)]
+        if sorted(numbers) == list(range(len(names)))
+        else None
+    )
 
 
 def unique(items: list[Any]) -> list[Any]:

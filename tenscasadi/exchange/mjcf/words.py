@@ -7,63 +7,266 @@ from collections.abc import Iterator, Mapping
 from tenscasadi.exchange.mjcf.elements import Element
 
 # Elements that draw, measure, or keep states of runs.
-SILENT = {"visual", "asset", "statistic", "size", "custom", "sensor", "keyframe", "light", "camera", "lengthrange"}
-_FLAT = ("joint", "geom", "site", "tendon", "equality", "pair", "general", "position", "motor", "velocity", "mesh", "material", "camera", "light")
+SILENT = {
+    "visual",
+    "asset",
+    "statistic",
+    "size",
+    "custom",
+    "sensor",
+    "keyframe",
+    "light",
+    "camera",
+    "lengthrange",
+}
+_FLAT = (
+    "joint",
+    "geom",
+    "site",
+    "tendon",
+    "equality",
+    "pair",
+    "general",
+    "position",
+    "motor",
+    "velocity",
+    "mesh",
+    "material",
+    "camera",
+    "light",
+)
 _DRAWN = {"name", "class", "group", "rgba", "material", "user"}
 _CONTACT = {"condim", "friction", "solref", "solimp", "margin", "gap"}
 
 # Attributes that are read, or that say nothing of a motion, of each kind of element.
 READ: dict[str, set[str]] = {
     "mujoco": {"model"},
-    "compiler": {"angle", "eulerseq", "inertiafromgeom", "autolimits", "coordinate", "discardvisual", "fusestatic", "alignfree"}
-    | {"strippath", "meshdir", "texturedir", "assetdir", "usethread", "convexhull", "exactmeshinertia", "fitaabb", "saveinertial"},
-    "option": {"gravity", "timestep", "integrator", "cone", "jacobian", "solver", "iterations", "tolerance", "impratio", "apirate", "ls_iterations"}
-    | {"ls_tolerance", "noslip_iterations", "noslip_tolerance", "ccd_iterations", "ccd_tolerance", "mpr_iterations", "mpr_tolerance", "magnetic"}
+    "compiler": {
+        "angle",
+        "eulerseq",
+        "inertiafromgeom",
+        "autolimits",
+        "coordinate",
+        "discardvisual",
+        "fusestatic",
+        "alignfree",
+    }
+    | {
+        "strippath",
+        "meshdir",
+        "texturedir",
+        "assetdir",
+        "usethread",
+        "convexhull",
+        "exactmeshinertia",
+        "fitaabb",
+        "saveinertial",
+    },
+    "option": {
+        "gravity",
+        "timestep",
+        "integrator",
+        "cone",
+        "jacobian",
+        "solver",
+        "iterations",
+        "tolerance",
+        "impratio",
+        "apirate",
+        "ls_iterations",
+    }
+    | {
+        "ls_tolerance",
+        "noslip_iterations",
+        "noslip_tolerance",
+        "ccd_iterations",
+        "ccd_tolerance",
+        "mpr_iterations",
+        "mpr_tolerance",
+        "magnetic",
+    }
     | {"sdf_iterations", "sdf_initpoints", "actuatorgroupdisable"},
-    "flag": {"gravity", "contact", "constraint", "equality", "warmstart", "energy", "fwdinv", "eulerdamp", "multiccd", "autoreset", "island"}
-    | {"refsafe", "sensor", "filterparent", "clampctrl", "nativeccd", "frictionloss", "limit", "midphase", "sensornoise", "invdiscrete", "invdisc"},
+    "flag": {
+        "gravity",
+        "contact",
+        "constraint",
+        "equality",
+        "warmstart",
+        "energy",
+        "fwdinv",
+        "eulerdamp",
+        "multiccd",
+        "autoreset",
+        "island",
+    }
+    | {
+        "refsafe",
+        "sensor",
+        "filterparent",
+        "clampctrl",
+        "nativeccd",
+        "frictionloss",
+        "limit",
+        "midphase",
+        "sensornoise",
+        "invdiscrete",
+        "invdisc",
+    },
     "worldbody": {"name"},
-    "body": {"name", "childclass", "pos", "quat", "axisangle", "euler", "xyaxes", "zaxis", "mocap", "user"},
-    "inertial": {"pos", "quat", "axisangle", "euler", "xyaxes", "zaxis", "mass", "diaginertia", "fullinertia"},
+    "body": {
+        "name",
+        "childclass",
+        "pos",
+        "quat",
+        "axisangle",
+        "euler",
+        "xyaxes",
+        "zaxis",
+        "mocap",
+        "user",
+    },
+    "inertial": {
+        "pos",
+        "quat",
+        "axisangle",
+        "euler",
+        "xyaxes",
+        "zaxis",
+        "mass",
+        "diaginertia",
+        "fullinertia",
+    },
     "freejoint": {"name", "group", "align"},
     "joint": _DRAWN
-    | {"type", "pos", "axis", "limited", "actuatorfrclimited", "range", "solreflimit", "solimplimit", "solreffriction", "solimpfriction"}
+    | {
+        "type",
+        "pos",
+        "axis",
+        "limited",
+        "actuatorfrclimited",
+        "range",
+        "solreflimit",
+        "solimplimit",
+        "solreffriction",
+        "solimpfriction",
+    }
     | {"margin", "ref", "springref"},
     "geom": _DRAWN
     | _CONTACT
-    | {"type", "size", "fromto", "pos", "quat", "axisangle", "euler", "xyaxes", "zaxis", "mass", "density", "contype"}
+    | {
+        "type",
+        "size",
+        "fromto",
+        "pos",
+        "quat",
+        "axisangle",
+        "euler",
+        "xyaxes",
+        "zaxis",
+        "mass",
+        "density",
+        "contype",
+    }
     | {"conaffinity", "priority", "solmix", "fluidcoef", "fitscale"},
-    "site": _DRAWN | {"type", "size", "pos", "fromto", "quat", "axisangle", "euler", "xyaxes", "zaxis"},
+    "site": _DRAWN
+    | {"type", "size", "pos", "fromto", "quat", "axisangle", "euler", "xyaxes", "zaxis"},
     "tendon": set(),
     "spatial": _DRAWN
-    | {"stiffness", "damping", "springlength", "limited", "actuatorfrclimited", "range", "solreflimit", "solimplimit", "margin"}
+    | {
+        "stiffness",
+        "damping",
+        "springlength",
+        "limited",
+        "actuatorfrclimited",
+        "range",
+        "solreflimit",
+        "solimplimit",
+        "margin",
+    }
     | {"solreffriction", "solimpfriction", "width"},
     "equality": set(),
-    "connect": {"name", "class", "body1", "body2", "anchor", "site1", "site2", "solref", "solimp", "active"},
+    "connect": {
+        "name",
+        "class",
+        "body1",
+        "body2",
+        "anchor",
+        "site1",
+        "site2",
+        "solref",
+        "solimp",
+        "active",
+    },
     "contact": set(),
     "pair": _CONTACT | {"name", "class", "geom1", "geom2", "solreffriction"},
     "exclude": {"name", "body1", "body2"},
     "actuator": set(),
-    "position": _DRAWN | {"tendon", "kp", "kv", "ctrllimited", "ctrlrange", "forcelimited", "forcerange", "inheritrange"},
+    "position": _DRAWN
+    | {
+        "tendon",
+        "kp",
+        "kv",
+        "ctrllimited",
+        "ctrlrange",
+        "forcelimited",
+        "forcerange",
+        "inheritrange",
+    },
     "general": _DRAWN
-    | {"tendon", "gaintype", "gainprm", "biastype", "biasprm", "dyntype", "ctrllimited", "ctrlrange"}
+    | {
+        "tendon",
+        "gaintype",
+        "gainprm",
+        "biastype",
+        "biasprm",
+        "dyntype",
+        "ctrllimited",
+        "ctrlrange",
+    }
     | {"forcelimited", "forcerange"},
 }
 
 # Attributes that have no counterpart, with the values that are as if they were not given.
 NEUTRAL: dict[str, dict[str, str]] = {
-    "compiler": {"inertiagrouprange": "0 5", "boundmass": "0", "boundinertia": "0", "settotalmass": "-1", "balanceinertia": "false"},
+    "compiler": {
+        "inertiagrouprange": "0 5",
+        "boundmass": "0",
+        "boundinertia": "0",
+        "settotalmass": "-1",
+        "balanceinertia": "false",
+    },
     "option": {"wind": "0 0 0", "density": "0", "viscosity": "0"},
-    "flag": {"passive": "enable", "spring": "enable", "damper": "enable", "actuation": "enable", "override": "disable"},
+    "flag": {
+        "passive": "enable",
+        "spring": "enable",
+        "damper": "enable",
+        "actuation": "enable",
+        "override": "disable",
+    },
     "body": {"gravcomp": "0", "sleep": "auto"},
-    "joint": {"stiffness": "0", "damping": "0", "frictionloss": "0", "armature": "0", "springdamper": "0 0"},
+    "joint": {
+        "stiffness": "0",
+        "damping": "0",
+        "frictionloss": "0",
+        "armature": "0",
+        "springdamper": "0 0",
+    },
     "geom": {"shellinertia": "false", "fluidshape": "none"},
     "spatial": {"frictionloss": "0", "armature": "0"},
     "position": {"gear": "1", "timeconst": "0", "dampratio": "0"},
     "general": {"gear": "1", "input": "pos"},  # which MuJoCo writes of position actuators
 }
 _CHILDREN: dict[str, set[str]] = {
-    "mujoco": {"compiler", "option", "default", "worldbody", "tendon", "equality", "contact", "actuator"},
+    "mujoco": {
+        "compiler",
+        "option",
+        "default",
+        "worldbody",
+        "tendon",
+        "equality",
+        "contact",
+        "actuator",
+    },
     "compiler": set(),
     "option": {"flag"},
     "worldbody": {"body", "geom", "site"},
@@ -100,7 +303,10 @@ class Defaults:
         waiting: list[tuple[Element, str, Mapping[str, dict[str, str]]]] = [(element, name, {})]
         while waiting:
             inner, name, above = waiting.pop()
-            own = {tag: dict(attributes) for tag, attributes in {**above, **self._classes.get(name, {})}.items()}
+            own = {
+                tag: dict(attributes)
+                for tag, attributes in {**above, **self._classes.get(name, {})}.items()
+            }
             for child in inner:
                 if child.tag in _FLAT:  # others are refused, or drawn, where they are used
                     own.setdefault(child.tag, {}).update(child.attributes)
@@ -114,10 +320,14 @@ class Defaults:
         """Return an element with the attributes of its class, of that of the bodies around it, or of the main one. Raises SceneFileError."""
         name = element.text("class") or childclass or self._main
         if name not in self._classes and name != self._main:
-            raise element.error(f"names the class {name!r}, which no <default> has: give one of {sorted(self._classes)}")
+            raise element.error(
+                f"names the class {name!r}, which no <default> has: give one of {sorted(self._classes)}"
+            )
         tag = {"spatial": "tendon", "connect": "equality"}.get(element.tag, element.tag)
         known = self._classes.get(name, {})
-        general = known.get("general", {}) if tag == "position" else {}  # to MuJoCo all actuators are general ones
+        general = (
+            known.get("general", {}) if tag == "position" else {}
+        )  # to MuJoCo all actuators are general ones
         return element.given({**general, **known.get(tag, {}), **element.attributes})
 
 
@@ -130,7 +340,9 @@ def check(element: Element) -> Element:
         if neutral is None:
             raise element.error("has no counterpart in a scene: leave it out", name)
         if not _same(value, neutral):
-            raise element.error(f"is {value!r}, which has no counterpart in a scene: leave it out", name)
+            raise element.error(
+                f"is {value!r}, which has no counterpart in a scene: leave it out", name
+            )
     return element
 
 
@@ -141,7 +353,9 @@ def children(element: Element) -> Iterator[Element]:
         if child.tag in known:
             yield child
         elif child.tag not in SILENT:
-            raise child.error(f"has no counterpart in a scene: {_CURES.get(child.tag, 'leave it out')}")
+            raise child.error(
+                f"has no counterpart in a scene: {_CURES.get(child.tag, 'leave it out')}"
+            )
 
 
 def _same(value: str, neutral: str) -> bool:
@@ -151,4 +365,6 @@ def _same(value: str, neutral: str) -> bool:
         given, wanted = ([float(word) for word in text.split()] for text in (value, neutral))
     except ValueError:
         return False
-    return len(given) > 0 and all(number == (wanted[k] if k < len(wanted) else 0.0) for k, number in enumerate(given))
+    return len(given) > 0 and all(
+        number == (wanted[k] if k < len(wanted) else 0.0) for k, number in enumerate(given)
+    )

@@ -130,10 +130,17 @@ def _scale(child: Assembly, factor: float) -> None:
     child.transform(lambda at: about + factor * (at - about))
 
 
-def bond_edges(parent: Assembly, names: tuple[str, str], pairs: Entry, tags: frozenset[str], is_rod: Callable[[Pair], bool]) -> None:
+def bond_edges(
+    parent: Assembly,
+    names: tuple[str, str],
+    pairs: Entry,
+    tags: frozenset[str],
+    is_rod: Callable[[Pair], bool],
+) -> None:
     """Move the second substructure so that its nodes meet the middles of the first one's strings, or the other way round, and join them.
 
-    Each string of an edge "a/b" gives way to two, from a to the node and on to b; strings between the nodes are left out.
+    Each string of an edge "a/b" gives way to two, from a to the node and on to b; strings between
+    the nodes are left out.
     """
     parts = [parent.child(name, pairs) for name in names]
     joints, edges, places = [], [], []
@@ -153,13 +160,19 @@ def bond_edges(parent: Assembly, names: tuple[str, str], pairs: Entry, tags: fro
             (edges.append((ends[0], ends[1])) if len(ends) == 2 else joints.append(ends[0]))
         places.append(place)
     _meet(parts[1], np.array(places).transpose(1, 0, 2), pairs)
-    old = {frozenset(edge) for edge in edges} | {frozenset((a, b)) for a in joints for b in joints if a is not b}
+    old = {frozenset(edge) for edge in edges} | {
+        frozenset((a, b)) for a in joints for b in joints if a is not b
+    }
     for part in parts:
         for inner in part.whole():
             for pair in list(inner.pairs):
-                if frozenset(pair.ends) in old and (frozenset(pair.ends) in map(frozenset, edges) or not is_rod(pair)):
+                if frozenset(pair.ends) in old and (
+                    frozenset(pair.ends) in map(frozenset, edges) or not is_rod(pair)
+                ):
                     if is_rod(pair):
-                        raise pairs.refusal(f"has the rod {pair.ends[0].name}/{pair.ends[1].name} for an edge: only strings can be edges")
+                        raise pairs.refusal(
+                            f"has the rod {pair.ends[0].name}/{pair.ends[1].name} for an edge: only strings can be edges"
+                        )
                     inner.pairs.remove(pair)
     for joint, (first, last) in zip(joints, edges, strict=True):
         parent.pairs += [Pair((first, joint), tags, pairs), Pair((joint, last), tags, pairs)]
@@ -169,7 +182,10 @@ def _meet(moved: Assembly, places: Array, entry: Entry) -> None:
     """Turn and move a substructure so that its places (k, 3) meet those of the other: planes first, then the first place about the normal."""
     middles = places.mean(axis=1)
     normals = np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
-    if not (np.linalg.norm(normals, axis=1) > 1e-12 * np.linalg.norm(places - middles[:, None], axis=2).max() ** 2).all():
+    if not (
+        np.linalg.norm(normals, axis=1)
+        > 1e-12 * np.linalg.norm(places - middles[:, None], axis=2).max() ** 2
+    ).all():
         raise entry.refusal("pairs places on one line: their first three must span a plane")
     first = turn_between(normals[1], normals[0], places[1, 1] - places[1, 0])
     arms = [places[0, 0] - middles[0], first @ (places[1, 0] - middles[1])]

@@ -20,41 +20,69 @@ _ROD = {"radius": 0.5, "density": 1.0}  # NTRT's defaults, in its units
 _STRING = {"stiffness": 1000.0, "damping": 10.0, "pretension": 0.0}
 _LEFT_OUT = {  # what ground, motors and NTRT's own records use
     "tgRodInfo": ("friction", "roll_friction", "restitution"),
-    "tgBasicActuatorInfo": ("history", "max_tension", "target_velocity", "min_actual_length", "min_rest_length", "rotation")
-    + ("moveCablePointAToEdge", "moveCablePointBToEdge", "radius", "motor_friction", "motor_inertia", "back_drivable"),
+    "tgBasicActuatorInfo": (
+        "history",
+        "max_tension",
+        "target_velocity",
+        "min_actual_length",
+        "min_rest_length",
+        "rotation",
+    )
+    + (
+        "moveCablePointAToEdge",
+        "moveCablePointBToEdge",
+        "radius",
+        "motor_friction",
+        "motor_inertia",
+        "back_drivable",
+    ),
 }
-_CLASSES = {"tgRodInfo": "tgRodInfo", **dict.fromkeys(("tgBasicActuatorInfo", "tgKinematicActuatorInfo"), "tgBasicActuatorInfo")}
-_CLASSES |= dict.fromkeys(("tgBasicContactCableInfo", "tgKinematicContactCableInfo"), "tgBasicActuatorInfo")
+_CLASSES = {
+    "tgRodInfo": "tgRodInfo",
+    **dict.fromkeys(("tgBasicActuatorInfo", "tgKinematicActuatorInfo"), "tgBasicActuatorInfo"),
+}
+_CLASSES |= dict.fromkeys(
+    ("tgBasicContactCableInfo", "tgKinematicContactCableInfo"), "tgBasicActuatorInfo"
+)
 _MOST = 20_000  # nodes, pairs and substructures
 _DEEPEST = 20  # substructures within substructures
 _SAME = 1e-9  # of the largest extent: nodes as near as that are one, as in NTRT
 
 
 def load_ntrt(
-    path: str | os.PathLike[str], *, length_unit: float = 1.0, ball_joints: bool = False, folder: str | os.PathLike[str] | None = None
+    path: str | os.PathLike[str],
+    *,
+    length_unit: float = 1.0,
+    ball_joints: bool = False,
+    folder: str | os.PathLike[str] | None = None,
 ) -> Structure:
     """Read a structure from a YAML file of NASA's Tensegrity Robotics Toolkit (NTRT).
 
-    Nodes, pair_groups, builders, substructures and bond_groups (node_node and node_edge) are read as NTRT reads them; rods become bars of
-    mass π r² l ρ, strings of every class elastic strings with the rest length l − pretension/stiffness. NTRT's y axis points up; here z
-    does: (x, y, z) becomes (x, −z, y). Strings end at nodes, where NTRT moves them to the surfaces of rods. Motors, contact and friction
-    are no part of a structure. It takes ``pip install 'tenscasadi[exchange]'``.
+    Nodes, pair_groups, builders, substructures and bond_groups (node_node and node_edge) are read
+    as NTRT reads them; rods become bars of mass π r² l ρ, strings of every class elastic strings
+    with the rest length l − pretension/stiffness. NTRT's y axis points up; here z does: (x, y, z)
+    becomes (x, −z, y). Strings end at nodes, where NTRT moves them to the surfaces of rods. Motors,
+    contact and friction are no part of a structure. It takes ``pip install
+    'tenscasadi[exchange]'``.
 
     Parameters
     ----------
     path : str or PathLike
         The file.
     length_unit : float
-        Length of NTRT's unit, m: its files do not say. It is 0.1 where its gravity is 98.1, and 0.01 where that is 981. Mass is in kg.
+        Length of NTRT's unit, m: its files do not say. It is 0.1 where its gravity is 98.1, and
+        0.01 where that is 981. Mass is in kg.
     ball_joints : bool
-        Whether rods that share a node may turn freely there. NTRT welds them into one rigid body, which is refused otherwise.
+        Whether rods that share a node may turn freely there. NTRT welds them into one rigid body,
+        which is refused otherwise.
     folder : str or PathLike, optional
         Folder that the files of substructures must lie in. Default: that of the file.
 
     Returns
     -------
     Structure
-        The structure; its nodes are those that rods and strings use, in the order of the file, before those of substructures.
+        The structure; its nodes are those that rods and strings use, in the order of the file,
+        before those of substructures.
 
     Raises
     ------
@@ -63,7 +91,8 @@ def load_ntrt(
     ImportError
         If PyYAML is not installed.
     TypeError, ValueError
-        An argument is wrong, or the file holds what cannot be read or modelled; the message names file, line, key and value.
+        An argument is wrong, or the file holds what cannot be read or modelled; the message names
+        file, line, key and value.
 
     Examples
     --------
@@ -102,7 +131,12 @@ class _Reader:
     """Files as they are read: the builders found so far, of which later ones win, and how much there is."""
 
     folder: Path
-    builders: list[_Builder] = field(default_factory=lambda: [_Builder(frozenset({"rod"}), _ROD), _Builder(frozenset({"string"}), _STRING)])
+    builders: list[_Builder] = field(
+        default_factory=lambda: [
+            _Builder(frozenset({"rod"}), _ROD),
+            _Builder(frozenset({"string"}), _STRING),
+        ]
+    )
     trees: dict[Path, Entry] = field(default_factory=dict)
     count: int = 0
 
@@ -116,13 +150,17 @@ class _Reader:
         if "substructures" in parts:
             self._read_substructures(whole, parts["substructures"], (*above, path))
         if "builders" in parts:
-            self.builders += [_read_builder(tags, entry) for tags, entry in parts["builders"].items()]
+            self.builders += [
+                _read_builder(tags, entry) for tags, entry in parts["builders"].items()
+            ]
         for key, entry in parts["nodes"].items() if "nodes" in parts else ():
             whole.nodes.append(Node(key, entry.vector()))
         self._counted(len(whole.nodes) + 1, root)
         for tags, pairs in parts["pair_groups"].items() if "pair_groups" in parts else ():
             self._counted(len(pairs.parts()), pairs)
-            whole.pairs += [_read_pair(row, (whole, whole), frozenset(tags.split())) for row in pairs.parts()]
+            whole.pairs += [
+                _read_pair(row, (whole, whole), frozenset(tags.split())) for row in pairs.parts()
+            ]
         if "bond_groups" in parts:
             self._read_bonds(whole, parts["bond_groups"])
         return whole
@@ -139,7 +177,9 @@ class _Reader:
             if "path" not in attributes:
                 raise given.refusal("has no path: give that of its file")
             for name in names.split("/"):
-                whole.children.append(self.read(self._below(attributes["path"], above), name, above))
+                whole.children.append(
+                    self.read(self._below(attributes["path"], above), name, above)
+                )
             groups.append((names.split("/"), attributes))
         place_children(whole, groups)
 
@@ -148,11 +188,15 @@ class _Reader:
         path = entry.path.parent / entry.word()
         whole = path.resolve()
         if not whole.is_relative_to(self.folder) or whole.suffix.lower() not in (".yaml", ".yml"):
-            raise entry.refusal(f"is {entry.shown()}: give a .yaml file in {self.folder}, or another folder by load_ntrt(..., folder=...)")
+            raise entry.refusal(
+                f"is {entry.shown()}: give a .yaml file in {self.folder}, or another folder by load_ntrt(..., folder=...)"
+            )
         if not whole.is_file():
             raise entry.refusal(f"is {entry.shown()}: there is no such file")
         if whole in {file.resolve() for file in above} or len(above) > _DEEPEST:
-            raise entry.refusal(f"is {entry.shown()}, which holds itself, or substructures deeper than {_DEEPEST} times")
+            raise entry.refusal(
+                f"is {entry.shown()}, which holds itself, or substructures deeper than {_DEEPEST} times"
+            )
         return path
 
     def _read_bonds(self, whole: Assembly, entry: Entry) -> None:
@@ -160,7 +204,9 @@ class _Reader:
         for outer, inside in entry.items():
             for inner, pairs in inside.items():
                 if ("/" in outer) == ("/" in inner):
-                    raise pairs.refusal(f"stands in {outer}: give tags and a bond, such as leg/foot/node_node, one in the other")
+                    raise pairs.refusal(
+                        f"stands in {outer}: give tags and a bond, such as leg/foot/node_node, one in the other"
+                    )
                 bond, tags = (outer, inner) if "/" in outer else (inner, outer)
                 *names, kind = bond.split("/")
                 if len(names) < 2 or kind not in ("node_node", "node_edge"):
@@ -170,10 +216,14 @@ class _Reader:
                 for first, second in pairwise(names):
                     self._counted(2 * len(pairs.parts()), pairs)
                     if kind == "node_edge":
-                        bond_edges(whole, (first, second), pairs, frozenset(tags.split()), self._is_rod)
+                        bond_edges(
+                            whole, (first, second), pairs, frozenset(tags.split()), self._is_rod
+                        )
                     else:
                         parts = whole.child(first, pairs), whole.child(second, pairs)
-                        more = frozenset({*tags.split(), first, second, f"{first}/{second}"})  # for controllers, as in NTRT
+                        more = frozenset(
+                            {*tags.split(), first, second, f"{first}/{second}"}
+                        )  # for controllers, as in NTRT
                         whole.pairs += [_read_pair(row, parts, more) for row in pairs.parts()]
 
     def _is_rod(self, pair: Pair) -> bool:
@@ -181,7 +231,9 @@ class _Reader:
 
 
 def _read_pair(row: Entry, parts: tuple[Assembly, Assembly], tags: frozenset[str]) -> Pair:
-    first, second = (part.node(word.word(), word) for part, word in zip(parts, row.parts(2), strict=True))
+    first, second = (
+        part.node(word.word(), word) for part, word in zip(parts, row.parts(2), strict=True)
+    )
     return Pair((first, second), tags, row)
 
 
@@ -191,9 +243,15 @@ def _read_builder(tags: str, entry: Entry) -> _Builder:
         raise entry.refusal(f"has no class: give one of {', '.join(_CLASSES)}")
     name = given["class"].word()
     if name not in _CLASSES:
-        raise given["class"].refusal(f"of {tags} is {name!r}: only {', '.join(_CLASSES)} can be modelled")
+        raise given["class"].refusal(
+            f"of {tags} is {name!r}: only {', '.join(_CLASSES)} can be modelled"
+        )
     values = dict(_ROD if _CLASSES[name] == "tgRodInfo" else _STRING)
-    for key, parameter in given["parameters"].items(*values, *_LEFT_OUT[_CLASSES[name]]) if "parameters" in given else ():
+    for key, parameter in (
+        given["parameters"].items(*values, *_LEFT_OUT[_CLASSES[name]])
+        if "parameters" in given
+        else ()
+    ):
         if key in values:
             values[key] = parameter.number()
             if values[key] < 0 or (values[key] == 0 and key in ("radius", "density", "stiffness")):
@@ -202,7 +260,9 @@ def _read_builder(tags: str, entry: Entry) -> _Builder:
     return _Builder(frozenset(tags.split()), values)
 
 
-def _structure(path: Path, whole: Assembly, builders: list[_Builder], unit: float, ball_joints: bool) -> Structure:
+def _structure(
+    path: Path, whole: Assembly, builders: list[_Builder], unit: float, ball_joints: bool
+) -> Structure:
     rods: list[tuple[Pair, dict[str, float]]] = []
     strings: list[tuple[Pair, dict[str, float]]] = []
     for part in whole.whole():
@@ -216,14 +276,23 @@ def _structure(path: Path, whole: Assembly, builders: list[_Builder], unit: floa
     places, index = _merged(nodes)
     bars, lines = (_pairs([pair for pair, _ in members], index) for members in (rods, strings))
     _check_joints(path, nodes, index, bars, lines, ball_joints)
-    lengths = [np.linalg.norm(places[pairs[:, 1]] - places[pairs[:, 0]], axis=1) for pairs in (bars, lines)]
-    radius, density = (np.array([values[key] for _, values in rods]) for key in ("radius", "density"))
-    stiffness, damping, pretension = (np.array([values[key] for _, values in strings]) for key in ("stiffness", "damping", "pretension"))
+    lengths = [
+        np.linalg.norm(places[pairs[:, 1]] - places[pairs[:, 0]], axis=1) for pairs in (bars, lines)
+    ]
+    radius, density = (
+        np.array([values[key] for _, values in rods]) for key in ("radius", "density")
+    )
+    stiffness, damping, pretension = (
+        np.array([values[key] for _, values in strings])
+        for key in ("stiffness", "damping", "pretension")
+    )
     rest = lengths[1] - pretension / stiffness
     for k in np.flatnonzero(rest <= 0):
         length, most = lengths[1][k], stiffness[k] * lengths[1][k]
         told = f"has the pretension {pretension[k]:g} on a length of {length:g}"
-        raise strings[k][0].entry.refusal(f"{told}: it must be less than {most:g}, stiffness times length")
+        raise strings[k][0].entry.refusal(
+            f"{told}: it must be less than {most:g}, stiffness times length"
+        )
     try:
         return Structure(
             unit * np.column_stack([places[:, 0], 0.0 - places[:, 2], places[:, 1]]),
@@ -244,7 +313,9 @@ def _builder_of(pair: Pair, name: str, builders: list[_Builder]) -> _Builder:
     fitting = [builder for builder in builders if builder.tags <= pair.tags | {name}]
     if not fitting:
         told = f"has the tags {', '.join(sorted(pair.tags))}, which no builder fits"
-        raise pair.entry.refusal(f"{told}: NTRT builds nothing there, give it a builder or leave it out")
+        raise pair.entry.refusal(
+            f"{told}: NTRT builds nothing there, give it a builder or leave it out"
+        )
     return next((builder for builder in reversed(fitting) if builder.is_rod), fitting[-1])
 
 
@@ -253,31 +324,52 @@ def _merged(nodes: list[Node]) -> tuple[Array, dict[int, int]]:
     from scipy.spatial import cKDTree  # takes a while to load
 
     places = np.array([node.at for node in nodes])
-    near = cKDTree(places).query_pairs(_SAME * float(np.ptp(places, axis=0).max()), output_type="ndarray")
-    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(nodes), len(nodes)))
+    near = cKDTree(places).query_pairs(
+        _SAME * float(np.ptp(places, axis=0).max()), output_type="ndarray"
+    )
+    links = coo_array(
+        (np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(nodes), len(nodes))
+    )
     groups = connected_components(links, directed=False)[1]
     first, index = np.unique(groups, return_index=True)[1], np.empty(groups.max() + 1, dtype=int)
     order = np.sort(first)
     index[groups[order]] = np.arange(len(order))
-    return places[order], {id(node): int(index[group]) for node, group in zip(nodes, groups, strict=True)}
+    return places[order], {
+        id(node): int(index[group]) for node, group in zip(nodes, groups, strict=True)
+    }
 
 
 def _pairs(pairs: list[Pair], index: dict[int, int]) -> Indices:
-    found = np.array([[index[id(end)] for end in pair.ends] for pair in pairs], dtype=np.intp).reshape(-1, 2)
+    found = np.array(
+        [[index[id(end)] for end in pair.ends] for pair in pairs], dtype=np.intp
+    ).reshape(-1, 2)
     for k in np.flatnonzero(found[:, 0] == found[:, 1]):
-        raise pairs[k].entry.refusal(f"joins {pairs[k].ends[0].name} and {pairs[k].ends[1].name}, which are at one place")
+        raise pairs[k].entry.refusal(
+            f"joins {pairs[k].ends[0].name} and {pairs[k].ends[1].name}, which are at one place"
+        )
     return found
 
 
-def _check_joints(path: Path, nodes: list[Node], index: dict[int, int], bars: Indices, strings: Indices, ball_joints: bool) -> None:
+def _check_joints(
+    path: Path,
+    nodes: list[Node],
+    index: dict[int, int],
+    bars: Indices,
+    strings: Indices,
+    ball_joints: bool,
+) -> None:
     """Refuse strings that end at no rod, and rods that NTRT welds together."""
     names: dict[int, list[str]] = {}
     for node in nodes:
         names.setdefault(index[id(node)], []).append(node.name)
     ends = np.bincount(bars.ravel(), minlength=len(names))
     for k in np.unique(strings)[ends[np.unique(strings)] == 0][:1].tolist():
-        raise ValueError(f"{path}: node {names[k][0]} has strings, and no rod ends there, where NTRT has nothing to fix them to: give it a rod")
+        raise ValueError(
+            f"{path}: node {names[k][0]} has strings, and no rod ends there, where NTRT has nothing to fix them to: give it a rod"
+        )
     for k in np.flatnonzero(ends > 1)[: 0 if ball_joints else 1].tolist():
         where = f"node {' = '.join(dict.fromkeys(names[k]))}"
         cure = "give ball_joints=True to let them turn freely there"
-        raise ValueError(f"{path}: {ends[k]} rods meet at {where}: NTRT welds them into one rigid body, which cannot be modelled; {cure}")
+        raise ValueError(
+            f"{path}: {ends[k]} rods meet at {where}: NTRT welds them into one rigid body, which cannot be modelled; {cure}"
+        )

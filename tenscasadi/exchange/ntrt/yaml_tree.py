@@ -17,7 +17,9 @@ _LARGEST = 1e30  # a mass is a product of four numbers
 class Entry:
     """A mapping, a list or a word of a file; its methods raise ValueError, which names file, line and key."""
 
-    def __init__(self, path: Path, line: int, key: str, value: dict[str, Entry] | list[Entry] | str) -> None:
+    def __init__(
+        self, path: Path, line: int, key: str, value: dict[str, Entry] | list[Entry] | str
+    ) -> None:
         self.path, self.line, self.key, self.value = path, line, key, value
 
     def refusal(self, text: str) -> ValueError:
@@ -40,7 +42,9 @@ class Entry:
         if self.value == "" and count is None:
             return []
         if not isinstance(self.value, list) or (count is not None and len(self.value) != count):
-            raise self.refusal(f"is {self.shown()}: give a list{'' if count is None else f' of {count}'}")
+            raise self.refusal(
+                f"is {self.shown()}: give a list{'' if count is None else f' of {count}'}"
+            )
         return self.value
 
     def word(self) -> str:
@@ -56,7 +60,9 @@ class Entry:
         except ValueError:
             raise self.refusal(f"is {self.shown()}: give a number") from None
         if not abs(found) <= _LARGEST:
-            raise self.refusal(f"is {self.shown()}: give a finite number, at most {_LARGEST:g} in size")
+            raise self.refusal(
+                f"is {self.shown()}: give a finite number, at most {_LARGEST:g} in size"
+            )
         return found
 
     def vector(self) -> Array:
@@ -65,7 +71,11 @@ class Entry:
 
     def shown(self) -> str:
         """Return the value as messages show it."""
-        return shown({dict: "a mapping", list: "a list"}.get(type(self.value), self.value) if not isinstance(self.value, str) else self.value)
+        return shown(
+            {dict: "a mapping", list: "a list"}.get(type(self.value), self.value)
+            if not isinstance(self.value, str)
+            else self.value
+        )
 
 
 def read_tree(path: Path, users: str) -> Entry:
@@ -77,21 +87,34 @@ def read_tree(path: Path, users: str) -> Entry:
     if path.exists() and not path.is_file():
         raise ValueError(f"path is {path}, no regular file: give one in YAML")
     if path.stat().st_size > _MOST_BYTES:
-        raise ValueError(f"{path} has more than {_MOST_BYTES / 1e6:g} MB: no structure needs as much")
+        raise ValueError(
+            f"{path} has more than {_MOST_BYTES / 1e6:g} MB: no structure needs as much"
+        )
     try:
         root = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
         if root is None:
             raise ValueError("there is nothing in it")
         if _count(root, {}) > _MOST_ENTRIES:
-            raise ValueError(f"it has more than {_MOST_ENTRIES} entries once its aliases are written out")
+            raise ValueError(
+                f"it has more than {_MOST_ENTRIES} entries once its aliases are written out"
+            )
         return _entry(path, "the file", root)
     except yaml.YAMLError as error:
-        mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None) or str(error)
-        raise ValueError(f"{path}{f', line {mark.line + 1}' if mark else ''}: this is no YAML: {' '.join(str(problem).split())}") from None
+        mark, problem = (
+            getattr(error, "problem_mark", None),
+            getattr(error, "problem", None) or str(error),
+        )
+        raise ValueError(
+            f"{path}{f', line {mark.line + 1}' if mark else ''}: this is no YAML: {' '.join(str(problem).split())}"
+        ) from None
     except (RecursionError, UnicodeDecodeError, ValueError) as error:
         if str(error).startswith(str(path)):
             raise
-        why = "it is nested too deeply" if isinstance(error, RecursionError) else " ".join(str(error).split())
+        why = (
+            "it is nested too deeply"
+            if isinstance(error, RecursionError)
+            else " ".join(str(error).split())
+        )
         raise ValueError(f"{path}: this is no structure: {why}") from None
 
 
@@ -100,7 +123,9 @@ def _count(node: Any, known: dict[int, int]) -> int:
     if id(node) not in known:
         known[id(node)] = -1
         inside = node.value if isinstance(node.value, list) else []
-        children = [child for item in inside for child in (item if isinstance(item, tuple) else (item,))]
+        children = [
+            child for item in inside for child in (item if isinstance(item, tuple) else (item,))
+        ]
         known[id(node)] = 1 + sum(_count(child, known) for child in children)
     if known[id(node)] < 0:
         raise ValueError(f"an alias in line {node.start_mark.line + 1} holds itself")
@@ -111,14 +136,18 @@ def _entry(path: Path, key: str, node: Any) -> Entry:
     """Entries of a node and all below it. Raises ValueError where a key is given twice or is no word."""
     line, value = node.start_mark.line + 1, node.value
     if isinstance(value, str):
-        return Entry(path, line, key, "" if value in ("~", "null") and node.style is None else value)
+        return Entry(
+            path, line, key, "" if value in ("~", "null") and node.style is None else value
+        )
     if value and isinstance(value[0], tuple):
         found: dict[str, Entry] = {}
         for name, inside in value:
             entry = _entry(path, str(name.value), inside)
             entry.line = name.start_mark.line + 1  # where the key is
             if not isinstance(name.value, str) or name.value in found:
-                raise entry.refusal("is given twice: leave one out" if isinstance(name.value, str) else "is no word")
+                raise entry.refusal(
+                    "is given twice: leave one out" if isinstance(name.value, str) else "is no word"
+                )
             found[name.value] = entry
         return Entry(path, line, key, found)
     if node.id == "mapping":

@@ -66,7 +66,15 @@ class Live:
     >>> motion.close()
     """
 
-    def __init__(self, simulation: LiveSimulation, server: Any, groups: Groups, save: FilePath | None, title: str, speed: float) -> None:
+    def __init__(
+        self,
+        simulation: LiveSimulation,
+        server: Any,
+        groups: Groups,
+        save: FilePath | None,
+        title: str,
+        speed: float,
+    ) -> None:
         self.simulation, self._server, self._save_to = simulation, server, save
         self.url = address(server)
         self._orders: queue.SimpleQueue[Callable[[], Any]] = queue.SimpleQueue()
@@ -75,7 +83,9 @@ class Live:
         server.gui.set_panel_label(title)
         self._stage = Stage(server, simulation)
         self.panel = Panel(server, self._stage, self._pace, sliders_of(simulation, groups), self.do)
-        self.panel.add_saving(server.gui, None if save is None else str(save), self._save, self._download)
+        self.panel.add_saving(
+            server.gui, None if save is None else str(save), self._save, self._download
+        )
         self._add_dragging()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -86,7 +96,8 @@ class Live:
         Parameters
         ----------
         order : callable
-            What to do; what it raises as TypeError, ValueError, IndexError or OverflowError is dropped: it came from a page.
+            What to do; what it raises as TypeError, ValueError, IndexError or OverflowError is
+            dropped: it came from a page.
         """
         self._orders.put(order)
         self._ordered.set()
@@ -130,7 +141,12 @@ class Live:
     def __enter__(self) -> Live:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     # --- the thread ---
@@ -142,7 +158,11 @@ class Live:
             stopped = bool(self.simulation.fault)
             ticked = self._tick() if self.panel.running and not stopped else 0
             now = clock.perf_counter()
-            if obeyed or (ticked and now - shown >= _FRAME) or stopped != bool(self.simulation.fault):
+            if (
+                obeyed
+                or (ticked and now - shown >= _FRAME)
+                or stopped != bool(self.simulation.fault)
+            ):
                 with self._server.atomic():
                     self.panel.show()
                 shown = now
@@ -150,7 +170,9 @@ class Live:
                 self.panel.tell()
                 told = now
             moving = self.panel.running and not self.simulation.fault
-            self._ordered.wait(self._pace.wait(clock.perf_counter()) if moving else None if not obeyed else _WORDS)
+            self._ordered.wait(
+                self._pace.wait(clock.perf_counter()) if moving else None if not obeyed else _WORDS
+            )
 
     def _obey(self) -> bool:
         self._ordered.clear()
@@ -161,7 +183,9 @@ class Live:
             except queue.Empty:
                 break
             obeyed = True
-            with contextlib.suppress(TypeError, ValueError, IndexError, OverflowError):  # whatever a page has sent
+            with contextlib.suppress(
+                TypeError, ValueError, IndexError, OverflowError
+            ):  # whatever a page has sent
                 order()
         return obeyed
 
@@ -183,13 +207,22 @@ class Live:
 
     def _add_dragging(self) -> None:
         layer = self._stage.layer
-        for part, batch in (("nodes", layer.nodes), ("bars", layer.bars), ("strings", layer.strings)):
+        for part, batch in (
+            ("nodes", layer.nodes),
+            ("bars", layer.bars),
+            ("strings", layer.strings),
+        ):
             if batch is not None and self.simulation.pullable.any():
                 batch.on_drag(self._dragged(part))
 
     def _dragged(self, part: str) -> Callable[[Any], Any]:
         async def drag(event: Any) -> None:  # in the order in which the pointer moves
-            phase, index, begin, end = event.phase, event.instance_index, event.start_position, event.end_position
+            phase, index, begin, end = (
+                event.phase,
+                event.instance_index,
+                event.start_position,
+                event.end_position,
+            )
             self.do(lambda: self._pull(part, phase, index, begin, end))
 
         return drag
@@ -217,7 +250,9 @@ class Live:
 
     def _download(self, client: Any) -> None:
         if client is not None:
-            client.send_file_download("live.npz", self.simulation.trajectory().to_bytes(), save_immediately=True)
+            client.send_file_download(
+                "live.npz", self.simulation.trajectory().to_bytes(), save_immediately=True
+            )
         self._pace.rest()
 
 
@@ -248,13 +283,16 @@ def live(  # noqa: PLR0913  the options of a run, and of a page
     control : array_like, shape (nu,), optional
         Control at the start. Default: the model's initial control.
     groups : mapping of str to sequence of int, optional
-        Strings that share a slider, by its name. Default: each its own, or where there are many, those that are alike.
+        Strings that share a slider, by its name. Default: each its own, or where there are many,
+        those that are alike.
     stepping : Stepping
         Step, scheme and correction.
     save : path-like, optional
-        File that the button "Save" writes, as `Trajectory.save` does. Default: there is no such button; the browser can download the motion.
+        File that the button "Save" writes, as `Trajectory.save` does. Default: there is no such
+        button; the browser can download the motion.
     host : str
-        Address to listen on; others than 127.0.0.1 let other machines see and drive the motion, of which it warns.
+        Address to listen on; others than 127.0.0.1 let other machines see and drive the motion, of
+        which it warns.
     port : int, optional
         Port. Default: one that is free.
     title : str
@@ -284,7 +322,8 @@ def live(  # noqa: PLR0913  the options of a run, and of a page
 
     Notes
     -----
-    A motion that this machine cannot compute in real time goes slower, and says by how much. One that breaks down stops and says why.
+    A motion that this machine cannot compute in real time goes slower, and says by how much. One
+    that breaks down stops and says why.
 
     Examples
     --------

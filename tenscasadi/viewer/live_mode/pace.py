@@ -12,8 +12,8 @@ _AS_ASKED = 0.95  # of the speed that was asked for: less is said
 class Pace:
     """Tells how many ticks are due, and measures how many are done.
 
-    Time is given by the caller, s by any clock that increases. What cannot be caught up in a tenth of a second is let go: the motion is then
-    slower than was asked for, and `words` says so.
+    Time is given by the caller, s by any clock that increases. What cannot be caught up in a tenth
+    of a second is let go: the motion is then slower than was asked for, and `words` says so.
 
     Parameters
     ----------

@@ -37,15 +37,24 @@ class Recording:
         row : ndarray, shape (width,)
             The numbers.
         """
-        while (self._ticks and self._ticks[-1] >= tick) or (len(self._ticks) > 1 and self._ticks[-1] % self.every):
+        while (self._ticks and self._ticks[-1] >= tick) or (
+            len(self._ticks) > 1 and self._ticks[-1] % self.every
+        ):
             self._ticks.pop()
             self._rows.pop()
         self._ticks.append(tick)
         self._rows.append(row.copy())
         while len(self._rows) > self._most:
             self.every *= 2
-            chosen = [k for k, at in enumerate(self._ticks) if at % self.every == 0 or k == len(self._ticks) - 1]
-            self._ticks, self._rows = [self._ticks[k] for k in chosen], [self._rows[k] for k in chosen]
+            chosen = [
+                k
+                for k, at in enumerate(self._ticks)
+                if at % self.every == 0 or k == len(self._ticks) - 1
+            ]
+            self._ticks, self._rows = (
+                [self._ticks[k] for k in chosen],
+                [self._rows[k] for k in chosen],
+            )
 
     def rows(self) -> tuple[Indices, Array]:
         """Return the ticks (T,) and rows (T, width) that are kept.

@@ -24,7 +24,14 @@ from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence,
 from tenscasadi.simulation.steppers import StepFailure, Task, make_stepper
 from tenscasadi.simulation.trajectory import Trajectory, observe_states, record_trajectory
 from tenscasadi.util.compile import Compiled
-from tenscasadi.util.validate import SMALLEST, Array, finite_array, instance, node_index, positive_number
+from tenscasadi.util.validate import (
+    SMALLEST,
+    Array,
+    finite_array,
+    instance,
+    node_index,
+    positive_number,
+)
 from tenscasadi.viewer.live_mode.recording import Recording
 
 _STEP, _BOUNCE = 1e-3, 0.1  # s; radians of a node's bounce in a step
@@ -80,14 +87,17 @@ class Pull:
 
     def force(self, place: Array, velocity: Array) -> Array:
         """Return the force (3,) on the node, N."""
-        return np.asarray(self.stiffness * (np.array(self.target) - place) - self.damping * velocity)
+        return np.asarray(
+            self.stiffness * (np.array(self.target) - place) - self.damping * velocity
+        )
 
 
 class LiveSimulation:
     """The motion of a model, driven while it goes on.
 
-    Between ticks the control may be changed, and a node be pulled at by a spring. In a tick both are held. What has happened can be read as
-    a trajectory at any time. A motion that breaks down stays at its last good state and says so in `fault`, until it is reset.
+    Between ticks the control may be changed, and a node be pulled at by a spring. In a tick both
+    are held. What has happened can be read as a trajectory at any time. A motion that breaks down
+    stays at its last good state and says so in `fault`, until it is reset.
 
     Parameters
     ----------
@@ -121,23 +131,57 @@ class LiveSimulation:
     (0.05, '')
     """
 
-    def __init__(self, model: Model | Scene, state: Any = None, control: Any = None, stepping: Stepping = Stepping(), parameters: Any = None) -> None:
+    def __init__(
+        self,
+        model: Model | Scene,
+        state: Any = None,
+        control: Any = None,
+        stepping: Stepping = Stepping(),
+        parameters: Any = None,
+    ) -> None:
         instance("model", model, (Model, Scene), "a tenscasadi.Model or Scene")
         own = (Model(model) if isinstance(model, Scene) else model).fixed(parameters)
         self.model = model = _driven(own)
-        self.start_state = np.array(model.initial_state if state is None else finite_array("state", state, (model.nx,)))
-        self.start_control = np.array(model.initial_control if control is None else finite_array("control", control, (model.nu,)))
+        self.start_state = np.array(
+            model.initial_state if state is None else finite_array("state", state, (model.nx,))
+        )
+        self.start_control = np.array(
+            model.initial_control
+            if control is None
+            else finite_array("control", control, (model.nu,))
+        )
         self._check_lengths(self.start_control)
         self.stepping, self.tick = stepping, stepping.tick
-        largest = _default_step(model, stepping.scheme, self.start_state, self.start_control) if stepping.step is None else stepping.step
+        largest = (
+            _default_step(model, stepping.scheme, self.start_state, self.start_control)
+            if stepping.step is None
+            else stepping.step
+        )
         self.substeps = _substeps(stepping, largest)
         self.step = self.tick / self.substeps
-        task = Task(model, stepping.scheme, stepping.correction, model.power is not None, jumps=False, chunk=self.substeps)
+        task = Task(
+            model,
+            stepping.scheme,
+            stepping.correction,
+            model.power is not None,
+            jumps=False,
+            chunk=self.substeps,
+        )
         held = np.concatenate([self.start_control, model.parameters.nominal])
-        inputs = SampledControl(self.substeps, self.tick, True, lambda first, count: np.broadcast_to(held, (count, model.nw)))
+        inputs = SampledControl(
+            self.substeps,
+            self.tick,
+            True,
+            lambda first, count: np.broadcast_to(held, (count, model.nw)),
+        )
         self._stepper, self.compiled, self.note = make_stepper(task, inputs, stepping.compiled)
         self._energy = model.stacked(model.energy_function)
-        self._bars, self._lengths = model.structure.bars, np.linalg.norm(np.diff(model.structure.nodes[model.structure.bars], axis=1)[:, 0], axis=1)
+        self._bars, self._lengths = (
+            model.structure.bars,
+            np.linalg.norm(
+                np.diff(model.structure.nodes[model.structure.bars], axis=1)[:, 0], axis=1
+            ),
+        )
         mass = float(model.mechanism.M.sum())
         self._least_mass = lightest_mass(model) if self.pullable.any() else 0.0
         #: stiffness of the spring at the pointer, N/m
@@ -200,7 +244,9 @@ class LiveSimulation:
         """
         place = node_index("node", node, len(self.pullable))
         if not self.pullable[place]:
-            raise ValueError(f"node {place} cannot be pulled: give one of {np.flatnonzero(self.pullable).tolist()}")
+            raise ValueError(
+                f"node {place} cannot be pulled: give one of {np.flatnonzero(self.pullable).tolist()}"
+            )
         x, y, z = finite_array("target", target, (3,)).tolist()
         damping = float(np.sqrt(self.pull_stiffness * self._least_mass))
         self.pull = Pull(place, (x, y, z), self.pull_stiffness, damping)
@@ -297,7 +343,9 @@ class LiveSimulation:
         if self.pull is None:
             return np.zeros(3)
         node = self.pull.node
-        return self.pull.force(self.nodes[node], np.asarray(self.model.velocities(self.state))[node])
+        return self.pull.force(
+            self.nodes[node], np.asarray(self.model.velocities(self.state))[node]
+        )
 
     @property
     def observed(self) -> dict[str, Array]:
@@ -313,7 +361,10 @@ class LiveSimulation:
         """Record the state at which a tick begins, with the control in it: a change of the control changes the energy at once."""
         if np.any(self.control != self._last_control):
             p, x = self.model.parameters.nominal, self.state
-            before, after = (float(self._energy(x, np.concatenate([u, p]))) for u in (self._last_control, self.control))
+            before, after = (
+                float(self._energy(x, np.concatenate([u, p])))
+                for u in (self._last_control, self.control)
+            )
             self._jumps += after - before
             self._last_control, self._seen = self.control.copy(), None
         supplied = self._jumps + (float(self._z[-1]) if self.model.power is not None else 0.0)
@@ -322,18 +373,22 @@ class LiveSimulation:
     def trajectory(self) -> Trajectory:
         """Return what has been recorded, with its errors, up to the present state.
 
-        Long recordings keep fewer rows, spread over all of it. The work of pulls is in the balance of the energy; their forces are not kept.
+        Long recordings keep fewer rows, spread over all of it. The work of pulls is in the balance
+        of the energy; their forces are not kept.
 
         Returns
         -------
         Trajectory
-            The motion. `success` is False where it broke down or cannot be trusted, and `message` says why.
+            The motion. `success` is False where it broke down or cannot be trusted, and `message`
+            says why.
         """
         self._keep()
         ticks, rows = self._recording.rows()
         model, stepping = self.model, self.stepping
         nx = model.nx
-        held = np.hstack([rows[:, nx + 1 :], np.broadcast_to(model.parameters.nominal, (len(rows), model.np))])
+        held = np.hstack(
+            [rows[:, nx + 1 :], np.broadcast_to(model.parameters.nominal, (len(rows), model.np))]
+        )
         kept = record_trajectory(
             model,
             np.asarray(ticks * self.tick, dtype=float),
@@ -347,39 +402,72 @@ class LiveSimulation:
         if stepping.correction is not None:
             shift = np.full((2, len(rows)), np.nan)
             if not stepping.scheme.adaptive:
-                shift = np.array(measure_correction(model, stepping.scheme, stepping.correction, kept.states, held, self.step))
+                shift = np.array(
+                    measure_correction(
+                        model, stepping.scheme, stepping.correction, kept.states, held, self.step
+                    )
+                )
             kept = replace(kept, correction_shift=shift[0], correction_energy=shift[1])
         success, message = not self.fault, self.fault
         if success:
-            doubts, success = describe_doubts(model, stepping.scheme, kept, stepping.compiled) if len(rows) > 1 else ("", True)
+            doubts, success = (
+                describe_doubts(model, stepping.scheme, kept, stepping.compiled)
+                if len(rows) > 1
+                else ("", True)
+            )
             message = f"driven by hand for {self.ticks * self.substeps} steps of {self.step:.3g} s{self.note}{doubts}"
         attempts = self.ticks * self.substeps
-        return replace(kept, success=success, message=message, compiled=self.compiled, attempts=attempts, parameters=np.zeros(0))
+        return replace(
+            kept,
+            success=success,
+            message=message,
+            compiled=self.compiled,
+            attempts=attempts,
+            parameters=np.zeros(0),
+        )
 
     def _check_lengths(self, control: Array) -> None:
         if isinstance(self.model.scene.control, RestLength) and np.any(control < SMALLEST):
-            raise ValueError(f"control has the rest length {control.min():g} m: give lengths greater than 0")
+            raise ValueError(
+                f"control has the rest length {control.min():g} m: give lengths greater than 0"
+            )
 
 
 def _driven(model: Model) -> Model:
     """Return the model with a control and with a push on each node as parameters, so that one compiled loop serves all of them."""
     scene = model.scene
-    control = scene.control if scene.control is not None or not len(scene.structure.strings) else RestLength()
-    forces = NodalForce(np.zeros((len(scene.structure.nodes), 3))) if scene.forces is None else scene.forces
+    control = (
+        scene.control
+        if scene.control is not None or not len(scene.structure.strings)
+        else RestLength()
+    )
+    forces = (
+        NodalForce(np.zeros((len(scene.structure.nodes), 3)))
+        if scene.forces is None
+        else scene.forces
+    )
     if forces.varies:
         scene = replace(scene, control=control)
     else:
         scene = replace(scene, control=control, forces=forces, parameters=Parameters("forces"))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RedundantConstraints)  # the model that was given has said so
-        return Model(scene, model.coordinates, "constant" if model.mechanism.constant_length else "current")
+        warnings.simplefilter(
+            "ignore", RedundantConstraints
+        )  # the model that was given has said so
+        return Model(
+            scene, model.coordinates, "constant" if model.mechanism.constant_length else "current"
+        )
 
 
 def _default_step(model: Model, scheme: Scheme, x: Array, u: Array) -> float:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # NaN where the start has no derivative
         stable = 0.5 * stable_step(model, x, u, scheme, safety=1.0)
-    limits = [_STEP, stable, _BOUNCE / (contact_rate(model) or np.inf) if contact_rate(model) else np.inf]
+    limits = [
+        _STEP,
+        stable,
+        _BOUNCE / (contact_rate(model) or np.inf) if contact_rate(model) else np.inf,
+    ]
     return float(np.nanmin([limit for limit in limits if limit > 0]))
 
 

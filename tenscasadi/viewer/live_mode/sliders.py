@@ -25,7 +25,8 @@ Groups = Mapping[str, Sequence[int]] | None
 class Slider:
     """A slider for some strings, from `low` to `high`.
 
-    It gives each the same rest length, m, or force density, N/m; with `factor` it multiplies what each has at the start.
+    It gives each the same rest length, m, or force density, N/m; with `factor` it multiplies what
+    each has at the start.
     """
 
     name: str
@@ -46,7 +47,10 @@ class Slider:
 
     def read(self, simulation: LiveSimulation) -> float:
         """Return where the slider stands for the control of a simulation: the mean over its strings."""
-        now, start = (control[list(self.strings)] for control in (simulation.control, simulation.start_control))
+        now, start = (
+            control[list(self.strings)]
+            for control in (simulation.control, simulation.start_control)
+        )
         if self.factor:
             now = now[start != 0] / start[start != 0] if np.any(start) else np.ones(1)
         return float(np.clip(now.mean(), self.low, self.high))
@@ -66,8 +70,8 @@ def sliders_of(simulation: LiveSimulation, groups: Groups = None) -> list[Slider
     simulation : LiveSimulation
         What is driven.
     groups : mapping of str to sequence of int, optional
-        Strings that share a slider, by its name. Default: each has its own where they are at most 12; else strings of one length and control
-        share one, if these are at most 12.
+        Strings that share a slider, by its name. Default: each has its own where they are at most
+        12; else strings of one length and control share one, if these are at most 12.
 
     Returns
     -------
@@ -88,8 +92,14 @@ def sliders_of(simulation: LiveSimulation, groups: Groups = None) -> list[Slider
     for name, strings in named.items():
         own = start[list(strings)]
         equal = bool(np.ptp(own) <= 1e-9 * abs(own).max())
-        low, high = _limits(simulation, own) if equal else (_LENGTHS if _by_length(simulation) else (0.0, _FORCES))
-        found.append(Slider(name if equal else f"{name} (factor)", strings, low, high, factor=not equal))
+        low, high = (
+            _limits(simulation, own)
+            if equal
+            else (_LENGTHS if _by_length(simulation) else (0.0, _FORCES))
+        )
+        found.append(
+            Slider(name if equal else f"{name} (factor)", strings, low, high, factor=not equal)
+        )
     if count > 1 and np.any(start > 0) and not (len(found) == 1 and len(found[0].strings) == count):
         low, high = _LENGTHS if _by_length(simulation) else (0.0, _FORCES)
         found.insert(0, Slider("all (factor)", tuple(range(count)), low, high, factor=True))
@@ -120,27 +130,44 @@ def _alike(simulation: LiveSimulation) -> dict[str, tuple[int, ...]]:
     if count <= MOST:
         return {f"string {k}": (k,) for k in range(count)}
     scales = [np.abs(values).max() or 1.0 for values in (start, structure.string_lengths)]
-    rows = np.round(np.column_stack([start / scales[0], structure.string_lengths / scales[1]]), _ALIKE)
+    rows = np.round(
+        np.column_stack([start / scales[0], structure.string_lengths / scales[1]]), _ALIKE
+    )
     _, kind = np.unique(rows, axis=0, return_inverse=True)
     order = list(dict.fromkeys(kind.ravel().tolist()))
     if len(order) > MOST:
         return {"all": tuple(range(count))}
-    return {_described(np.flatnonzero(kind.ravel() == one)): tuple(np.flatnonzero(kind.ravel() == one).tolist()) for one in order}
+    return {
+        _described(np.flatnonzero(kind.ravel() == one)): tuple(
+            np.flatnonzero(kind.ravel() == one).tolist()
+        )
+        for one in order
+    }
 
 
 def _described(strings: Any) -> str:
     first = ", ".join(map(str, strings[:3]))
-    return f"{len(strings)} strings: {first}{' …' if len(strings) > 3 else ''}" if len(strings) > 1 else f"string {first}"
+    return (
+        f"{len(strings)} strings: {first}{' …' if len(strings) > 3 else ''}"
+        if len(strings) > 1
+        else f"string {first}"
+    )
 
 
 def _read(groups: Any, count: int) -> dict[str, tuple[int, ...]]:
     if not isinstance(groups, Mapping) or not groups:
-        raise TypeError(f"groups is {shown(groups)}: give a mapping of names to strings, such as {{'top': [0, 1, 2]}}")
+        raise TypeError(
+            f"groups is {shown(groups)}: give a mapping of names to strings, such as {{'top': [0, 1, 2]}}"
+        )
     read = {}
     for name, strings in groups.items():
         text("groups", name)
         given = listed(f"groups[{shown(name)}]", strings, "[0, 1, 2] of indices of strings")
         if not given:
             raise ValueError(f"groups[{shown(name)}] is empty: give at least one string")
-        read[name] = tuple(dict.fromkeys(node_index(f"groups[{shown(name)}]", string, count, "string") for string in given))
+        read[name] = tuple(
+            dict.fromkeys(
+                node_index(f"groups[{shown(name)}]", string, count, "string") for string in given
+            )
+        )
     return read

@@ -25,7 +25,8 @@ class Stage:
     Attributes
     ----------
     followed : bool
-        Whether the middle of the structure stays where it is at the start: by default where nothing holds it against gravity.
+        Whether the middle of the structure stays where it is at the start: by default where nothing
+        holds it against gravity.
     colour : str
         What the colour of strings tells.
     """
@@ -35,8 +36,16 @@ class Stage:
         self.canvas = Canvas(server, exhibit_of(simulation.model.scene))
         self.layer = self.canvas.layers[0]
         scene = simulation.model.scene
-        held = bool(scene.grounds) or scene.gravity is None or bool(scene.structure.fixed.any()) or bool(scene.structure.rollers)
-        self.followed, self.colour = not held, "tension"  # what falls without end would be out of sight
+        held = (
+            bool(scene.grounds)
+            or scene.gravity is None
+            or bool(scene.structure.fixed.any())
+            or bool(scene.structure.rollers)
+        )
+        self.followed, self.colour = (
+            not held,
+            "tension",
+        )  # what falls without end would be out of sight
         self._root = self.canvas.root
         self._grounded, self._shift = bool(scene.grounds), np.zeros(3)
         self._middle = simulation.nodes.mean(axis=0)
@@ -68,7 +77,8 @@ class Stage:
         simulation = self.simulation
         nodes, changed = simulation.nodes, self._grow()
         away = self._middle - nodes.mean(axis=0) if self.followed else np.zeros(3)
-        # Pages move a frame and what is in it one picture apart, which shows in a fast fall: a ground alone needs the frame.
+        # Pages move a frame and what is in it one picture apart, which shows in a fast fall: a
+        # ground alone needs the frame.
         self._root.position = tuple(away) if self._grounded else (0.0, 0.0, 0.0)
         self._shift = np.zeros(3) if self._grounded else away
         nodes = nodes + self._shift
@@ -80,7 +90,9 @@ class Stage:
         pull = simulation.pull
         self._arrow.visible = pull is not None
         if pull is not None:
-            self._arrow.points = np.array([nodes[pull.node], pull.target + self._shift], dtype=np.float32)[None]
+            self._arrow.points = np.array(
+                [nodes[pull.node], pull.target + self._shift], dtype=np.float32
+            )[None]
         return changed
 
     def place(self, seen: Any) -> Array:
@@ -99,7 +111,9 @@ class Stage:
         return int(ends[np.argmin(np.einsum("ij,ij->i", away, away))])
 
     def _values(self) -> Array:
-        return np.nan_to_num(self.simulation.observed["tension" if self.colour == "tension" else "force_density"])
+        return np.nan_to_num(
+            self.simulation.observed["tension" if self.colour == "tension" else "force_density"]
+        )
 
     def _grow(self) -> bool:
         """Fit the scale to the largest force so far; tell whether it, or what there is besides, has changed."""
@@ -115,5 +129,12 @@ class Stage:
         if not larger and now.slack <= scale.slack and now.pushing <= scale.pushing:
             return False
         largest = now.largest if larger else scale.largest
-        self.canvas.scale = Scale(label, unit, largest, scale.slack or now.slack, scale.pushing or now.pushing, min(scale.least, now.least))
+        self.canvas.scale = Scale(
+            label,
+            unit,
+            largest,
+            scale.slack or now.slack,
+            scale.pushing or now.pushing,
+            min(scale.least, now.least),
+        )
         return True

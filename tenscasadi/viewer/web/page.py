@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 FRAMES_PER_SECOND = 30
 MOST_FRAMES = 3000
-_GRAIN = 3e-5  # of the size, what places are rounded to: a small part of a pixel; pages of large structures are then half as long
+# of the size, what places are rounded to: a small part of a pixel; pages of large structures are
+# then half as long
+_GRAIN = 3e-5
 
 _STYLE = """
 #shown{position:fixed;right:12px;top:12px;width:300px;max-height:calc(100vh - 90px);overflow:auto;z-index:5;background:#fffffff0;
@@ -26,7 +28,8 @@ border:1px solid #ddd;border-radius:6px;font:13px/1.45 system-ui,sans-serif}
 #shown summary{cursor:pointer;padding:6px 8px;font-weight:600}
 """
 
-# The player tells its time by its slider: the panel shows it in the motion's seconds, and moves the line in the curves.
+# The player tells its time by its slider: the panel shows it in the motion's seconds, and moves the
+# line in the curves.
 _FOLLOW = """
 (function () {
   var times = %s, clock = document.getElementById("shown-time");
@@ -46,7 +49,12 @@ _FOLLOW = """
 """
 
 
-def record(server: viser.ViserServer, canvas: Canvas, speed: float, frames_per_second: int = FRAMES_PER_SECOND) -> str:
+def record(
+    server: viser.ViserServer,
+    canvas: Canvas,
+    speed: float,
+    frames_per_second: int = FRAMES_PER_SECOND,
+) -> str:
     """Return the page of all that a canvas shows, from its first time to its last."""
     first, last = canvas.exhibit.start, canvas.exhibit.end
     for layer in canvas.layers:
@@ -69,7 +77,9 @@ def frame_times(first: float, last: float, speed: float, frames_per_second: int)
     count = 1 + max(1, round((last - first) / speed * frames_per_second))
     if count > MOST_FRAMES:
         faster = speed * count / MOST_FRAMES
-        raise ValueError(f"speed is {speed:g}: {last - first:g} s would take {count} frames in the page, give a speed of at least {faster:.2g}")
+        raise ValueError(
+            f"speed is {speed:g}: {last - first:g} s would take {count} frames in the page, give a speed of at least {faster:.2g}"
+        )
     return np.linspace(first, last, count)
 
 
@@ -78,8 +88,16 @@ def with_panel(page: str, canvas: Canvas, title: str, speed: float) -> str:
     moves = canvas.exhibit.end > canvas.exhibit.start
     clock = '<div style="padding:0 8px">t = <span id="shown-time"></span></div>' if moves else ""
     panel = f'<details id="shown" open><summary>{escape(title)}</summary>{clock}{legend(canvas)}{charts(canvas.exhibit, marked=True)}</details>'
-    digits = int(np.clip(2 - np.floor(np.log10(canvas.exhibit.end - canvas.exhibit.start)), 0, 9)) if moves else 0
-    script = f"<script>{_FOLLOW % json.dumps([canvas.exhibit.start, speed, digits])}</script>" if moves else ""
+    digits = (
+        int(np.clip(2 - np.floor(np.log10(canvas.exhibit.end - canvas.exhibit.start)), 0, 9))
+        if moves
+        else 0
+    )
+    script = (
+        f"<script>{_FOLLOW % json.dumps([canvas.exhibit.start, speed, digits])}</script>"
+        if moves
+        else ""
+    )
     end = page.rindex("</body>")
     named = page[:end] + f"<style>{_STYLE}</style>{panel}{script}" + page[end:]
     start, stop = named.index("<title>"), named.index("</title>")

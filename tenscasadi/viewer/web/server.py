@@ -18,10 +18,18 @@ from tenscasadi.viewer.web.frames import with_frames
 
 LOOPBACK = "127.0.0.1"
 _FIRST_PORT, _PORTS = 8080, 1000
-_LARGEST_MESSAGE = 2**20  # bytes of what a page may send at once: a pointer's place takes some hundred
+_LARGEST_MESSAGE = (
+    2**20
+)  # bytes of what a page may send at once: a pointer's place takes some hundred
 _LARGEST_TEXT, _MOST_VALUES = 4096, 64
 # All that a page may say: where its camera is, what was clicked or dragged, the value of an input.
-_HEARD = {"ViewerCameraMessage", "SceneNodeClickMessage", "SceneNodeDragMessage", "ScenePointerMessage", "GuiUpdateMessage"}
+_HEARD = {
+    "ViewerCameraMessage",
+    "SceneNodeClickMessage",
+    "SceneNodeDragMessage",
+    "ScenePointerMessage",
+    "GuiUpdateMessage",
+}
 _PAGE = ("/", "/index.html")
 _starting = threading.Lock()
 
@@ -36,20 +44,24 @@ def import_viser() -> Any:
         import viser
         import viser.infra
     except ImportError as error:
-        raise ImportError(f"the viewer needs viser ({error}): pip install 'tenscasadi[view]'") from error
+        raise ImportError(
+            f"the viewer needs viser ({error}): pip install 'tenscasadi[view]'"
+        ) from error
     return viser
 
 
 def start_server(host: str = LOOPBACK, port: int | None = None) -> Any:
     """Start a web server of viser's.
 
-    Pages of other sites, and names that resolve to this machine, are refused. Of what a page sends the server hears the place of its camera,
-    clicks, drags and values of inputs: no uploads, no request to be published, nothing that would read or write a file.
+    Pages of other sites, and names that resolve to this machine, are refused. Of what a page sends
+    the server hears the place of its camera, clicks, drags and values of inputs: no uploads, no
+    request to be published, nothing that would read or write a file.
 
     Parameters
     ----------
     host : str
-        Address to listen on: 127.0.0.1 is reached from this machine alone. Other ones are reached from elsewhere, without a password.
+        Address to listen on: 127.0.0.1 is reached from this machine alone. Other ones are reached
+        from elsewhere, without a password.
     port : int, optional
         Port. Default: the first free one from 8080 on.
 
@@ -96,7 +108,9 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> Any:
             else f"viser {viser.__version__} starts its server in a way that cannot be guarded: install 1.1"
         )
     _restrict(connection)
-    connection.on_client_connect(_restrict)  # what a page says is heard twice: by the server, and by its own connection
+    connection.on_client_connect(
+        _restrict
+    )  # what a page says is heard twice: by the server, and by its own connection
     connection.disconnect_all_clients()  # who came before that comes again
     return server
 
@@ -130,18 +144,32 @@ def address(server: Any) -> str:
     host = server.get_host()
     if host in ("0.0.0.0", "::", ""):
         host = LOOPBACK
-    return f"http://[{host}]:{server.get_port()}" if ":" in host else f"http://{host}:{server.get_port()}"
+    return (
+        f"http://[{host}]:{server.get_port()}"
+        if ":" in host
+        else f"http://{host}:{server.get_port()}"
+    )
 
 
 def _addresses(host: str) -> list[tuple[Any, ...]]:
     try:
-        return [(family, place) for family, _, _, _, place in socket.getaddrinfo(host or None, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)]
+        return [
+            (family, place)
+            for family, _, _, _, place in socket.getaddrinfo(
+                host or None, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+            )
+        ]
     except (OSError, UnicodeError) as error:
-        raise OSError(f"host is {shown(host)}: there is no such address on this machine ({error}), give {LOOPBACK}") from None
+        raise OSError(
+            f"host is {shown(host)}: there is no such address on this machine ({error}), give {LOOPBACK}"
+        ) from None
 
 
 def _is_local(host: str) -> bool:
-    return all(ipaddress.ip_address(place[0].partition("%")[0]).is_loopback for _, place in _addresses(host))
+    return all(
+        ipaddress.ip_address(place[0].partition("%")[0]).is_loopback
+        for _, place in _addresses(host)
+    )
 
 
 def _free_port(host: str, port: int | None) -> int:
@@ -159,8 +187,12 @@ def _free_port(host: str, port: int | None) -> int:
         except OSError as error:
             reason = error
     if port is not None:
-        raise OSError(f"port {port} of {host} cannot be had ({reason}): give another one, or None for a free one")
-    raise OSError(f"host is {shown(host)}: none of its ports {_FIRST_PORT} to {_FIRST_PORT + _PORTS - 1} can be had ({reason})")
+        raise OSError(
+            f"port {port} of {host} cannot be had ({reason}): give another one, or None for a free one"
+        )
+    raise OSError(
+        f"host is {shown(host)}: none of its ports {_FIRST_PORT} to {_FIRST_PORT + _PORTS - 1} can be had ({reason})"
+    )
 
 
 @contextlib.contextmanager
@@ -178,9 +210,15 @@ def _guarded_serve(local: bool) -> Iterator[list[bool]]:
             if refusal:
                 return connection.respond(403, refusal + "\n")
             response = process_request(connection, request)
-            return response if response is None or request.path.partition("?")[0] not in _PAGE else _with_frames(response)
+            return (
+                response
+                if response is None or request.path.partition("?")[0] not in _PAGE
+                else _with_frames(response)
+            )
 
-        return original(*arguments, process_request=checked, **{**options, "max_size": _LARGEST_MESSAGE})
+        return original(
+            *arguments, process_request=checked, **{**options, "max_size": _LARGEST_MESSAGE}
+        )
 
     module.serve = serve  # type: ignore[assignment, misc]
     try:
@@ -192,7 +230,9 @@ def _guarded_serve(local: bool) -> Iterator[list[bool]]:
 def _with_frames(response: Any) -> Any:
     """Return the answer that holds the page with what `with_frames` adds to it."""
     packed = response.headers.get("Content-Encoding") == "gzip"
-    body = with_frames((gzip.decompress(response.body) if packed else response.body).decode()).encode()
+    body = with_frames(
+        (gzip.decompress(response.body) if packed else response.body).decode()
+    ).encode()
     response.body = gzip.compress(body, 1) if packed else body
     del response.headers["Content-Length"]
     response.headers["Content-Length"] = str(len(response.body))
@@ -209,7 +249,8 @@ def refuse(path: str, headers: Any, local: bool) -> str:
     headers : mapping
         Headers of the request.
     local : bool
-        Whether the server is for this machine alone: the name that the page knows it by must then be this machine's own.
+        Whether the server is for this machine alone: the name that the page knows it by must then
+        be this machine's own.
 
     Returns
     -------
@@ -222,9 +263,13 @@ def refuse(path: str, headers: Any, local: bool) -> str:
         site = None if origin is None else urlsplit(origin).netloc
     except ValueError:
         return "no such host"
-    if local and name != "localhost" and not _is_loopback(name):  # a site whose name resolves to this machine
+    if (
+        local and name != "localhost" and not _is_loopback(name)
+    ):  # a site whose name resolves to this machine
         return f"this viewer is for the machine that it runs on, not for {shown(name)}"
-    if site is not None and site.lower() != host.lower():  # browsers let any site connect, and tell which one
+    if (
+        site is not None and site.lower() != host.lower()
+    ):  # browsers let any site connect, and tell which one
         return "pages of other sites are refused"
     if ":" in path.replace("%3a", ":").replace("%3A", ":").partition("?")[0]:  # a drive of Windows
         return "no such file"
@@ -271,7 +316,11 @@ def is_plain(value: Any) -> bool:
         Whether it is.
     """
     if isinstance(value, (list, tuple)):
-        return len(value) <= _MOST_VALUES and all(not isinstance(entry, (list, tuple)) and is_plain(entry) for entry in value)
+        return len(value) <= _MOST_VALUES and all(
+            not isinstance(entry, (list, tuple)) and is_plain(entry) for entry in value
+        )
     if isinstance(value, str):
         return len(value) <= _LARGEST_TEXT
-    return isinstance(value, bool) or (isinstance(value, (int, float)) and math.isfinite(value) and abs(value) < 1e300)
+    return isinstance(value, bool) or (
+        isinstance(value, (int, float)) and math.isfinite(value) and abs(value) < 1e300
+    )

@@ -19,7 +19,9 @@ def check_serving(browser: bool | None, wait: bool | None) -> None:
             flag(field, value)
 
 
-def open_and_wait(url: str, hold: Callable[[], None], browser: bool | None, wait: bool | None) -> None:
+def open_and_wait(
+    url: str, hold: Callable[[], None], browser: bool | None, wait: bool | None
+) -> None:
     """Open the browser, where there is a display or it is asked for, and `hold`, in scripts or where `wait` asks for it."""
     if browser if browser is not None else _has_display():
         webbrowser.open(url)
@@ -43,4 +45,6 @@ def in_notebook() -> bool:
 
 
 def _has_display() -> bool:
-    return sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return sys.platform in ("darwin", "win32") or any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    )

@@ -20,8 +20,12 @@ GRAVITY = tc.Gravity((0.0, 0.0, -9.81))
 
 def lower(height, twist=None):
     """The prism of another height with the bars of PRISM."""
-    chord = 2 * np.sin((np.radians(150) if twist is None else twist) / 2)  # of a bar seen from above, for radius 1
-    return tc.shapes.prism(height=height, radius=np.sqrt(PRISM.bar_lengths[0] ** 2 - height**2) / chord, twist=twist)
+    chord = 2 * np.sin(
+        (np.radians(150) if twist is None else twist) / 2
+    )  # of a bar seen from above, for radius 1
+    return tc.shapes.prism(
+        height=height, radius=np.sqrt(PRISM.bar_lengths[0] ** 2 - height**2) / chord, twist=twist
+    )
 
 
 def target(model, goals, duration=1.0, **options):
@@ -35,15 +39,27 @@ def spun(model, axis=(0, 0, 1.0), drift=(0, 0, 0)):
 
 
 COUNTS = {
-    "whole state of a prism": (driven(PRISM), [ocp.NodePositions(PRISM.nodes), ocp.AtRest()], "36 → 21 rows: 6 bar, 9 momentum"),
+    "whole state of a prism": (
+        driven(PRISM),
+        [ocp.NodePositions(PRISM.nodes), ocp.AtRest()],
+        "36 → 21 rows: 6 bar, 9 momentum",
+    ),
     "equilibrium lengths": (
         driven(PRISM),
         [ocp.StringLengths(PRISM.string_lengths), ocp.AtRest()],
         "27 → 18 rows: 4 bar, 6 momentum, 1 added for the shape",
     ),
-    "lengths twice": (driven(PRISM), [ocp.StringLengths({0: 0.8}), ocp.StringLengths({0: 0.8})], "2 → 1 rows: 1 another"),
+    "lengths twice": (
+        driven(PRISM),
+        [ocp.StringLengths({0: 0.8}), ocp.StringLengths({0: 0.8})],
+        "2 → 1 rows: 1 another",
+    ),
     "some lengths": (driven(PRISM), [ocp.StringLengths({6: 0.8, 7: 0.8, 8: 0.8})], "3 → 3 rows"),
-    "whole state of a ball": (driven(BALL), [ocp.NodePositions(BALL.nodes), ocp.AtRest()], "72 → 51 rows: 12 bar, 9 momentum"),
+    "whole state of a ball": (
+        driven(BALL),
+        [ocp.NodePositions(BALL.nodes), ocp.AtRest()],
+        "72 → 51 rows: 12 bar, 9 momentum",
+    ),
     "ball at equilibrium": (
         driven(BALL),
         [ocp.StringLengths(BALL.string_lengths), ocp.AtRest()],
@@ -70,7 +86,9 @@ def test_rows_are_counted(name):
     assert found.describe() == text
     if goals:
         assert np.abs(found.rows(found.state).full()).max() < 1e-9
-        assert all(np.abs(misfit.full()).max(initial=0.0) < 1e-9 for misfit in found.misfit(found.state))
+        assert all(
+            np.abs(misfit.full()).max(initial=0.0) < 1e-9 for misfit in found.misfit(found.state)
+        )
         assert model.bar_length_error(found.state) < 1e-12
 
 
@@ -81,12 +99,16 @@ def test_lengths_find_their_shape_from_an_equilibrium(twist, digits):
     model, wanted = driven(PRISM), lower(0.6, twist)
     found = target(model, [ocp.StringLengths(wanted.string_lengths.round(digits)), ocp.AtRest()])
     nodes = model.nodes(found.state)
-    assert np.linalg.norm(nodes[PRISM.strings[:, 1]] - nodes[PRISM.strings[:, 0]], axis=1) == pytest.approx(wanted.string_lengths, abs=2e-4)
+    assert np.linalg.norm(
+        nodes[PRISM.strings[:, 1]] - nodes[PRISM.strings[:, 0]], axis=1
+    ) == pytest.approx(wanted.string_lengths, abs=2e-4)
     assert found.adjusted < (1e-4 if digits == 4 else 1e-9)
     assert found.count == 18
     assert nodes.mean(axis=0) == pytest.approx(PRISM.nodes.mean(axis=0), abs=1e-9)
     if twist is None:  # the way there keeps the symmetry, and turns nothing
-        turned = np.cross(PRISM.nodes - PRISM.nodes.mean(axis=0), nodes - nodes.mean(axis=0)).sum(axis=0)
+        turned = np.cross(PRISM.nodes - PRISM.nodes.mean(axis=0), nodes - nodes.mean(axis=0)).sum(
+            axis=0
+        )
         assert turned == pytest.approx(np.zeros(3), abs=1e-6)
 
 
@@ -95,7 +117,9 @@ def test_nodes_inside_strings_stay_on_the_line():
     found = target(model, [ocp.StringLengths(lower(0.6).string_lengths)])
     nodes, s = model.nodes(found.state), model.structure
     chords = nodes[PRISM.strings[:, 1]] - nodes[PRISM.strings[:, 0]]
-    assert nodes[s.strings[:, 1]] - nodes[s.strings[:, 0]] == pytest.approx(np.repeat(chords, 3, axis=0) / 3, abs=1e-6)
+    assert nodes[s.strings[:, 1]] - nodes[s.strings[:, 0]] == pytest.approx(
+        np.repeat(chords, 3, axis=0) / 3, abs=1e-6
+    )
     assert np.linalg.norm(chords, axis=1) == pytest.approx(lower(0.6).string_lengths, abs=1e-9)
 
 
@@ -107,21 +131,66 @@ def test_a_clock_runs_to_the_end():
 
 
 REFUSED = {
-    "centre of mass": (driven(PRISM), [ocp.NodePositions(PRISM.nodes + (0, 0, 1))], {}, "NodePositions.*centre of mass.*along z"),
-    "fall": (driven(PRISM, gravity=GRAVITY), [ocp.NodePositions(PRISM.nodes)], {}, "NodePositions.*centre of mass follows its path along z"),
-    "rest in a fall": (driven(PRISM, gravity=GRAVITY), [ocp.AtRest()], {}, "AtRest: .* z misses its goal by .* m/s.*keeps its speed along z"),
-    "rest of a drift": (driven(PRISM), [ocp.AtRest()], {"start": spun(driven(PRISM), (0, 0, 0), (1, 0, 0))}, "AtRest.*keeps its speed along x"),
-    "rest of a spin": (driven(PRISM), [ocp.AtRest()], {"start": spun(driven(PRISM))}, r"AtRest.*angular momentum about \(0, 0, 1\)"),
+    "centre of mass": (
+        driven(PRISM),
+        [ocp.NodePositions(PRISM.nodes + (0, 0, 1))],
+        {},
+        "NodePositions.*centre of mass.*along z",
+    ),
+    "fall": (
+        driven(PRISM, gravity=GRAVITY),
+        [ocp.NodePositions(PRISM.nodes)],
+        {},
+        "NodePositions.*centre of mass follows its path along z",
+    ),
+    "rest in a fall": (
+        driven(PRISM, gravity=GRAVITY),
+        [ocp.AtRest()],
+        {},
+        "AtRest: .* z misses its goal by .* m/s.*keeps its speed along z",
+    ),
+    "rest of a drift": (
+        driven(PRISM),
+        [ocp.AtRest()],
+        {"start": spun(driven(PRISM), (0, 0, 0), (1, 0, 0))},
+        "AtRest.*keeps its speed along x",
+    ),
+    "rest of a spin": (
+        driven(PRISM),
+        [ocp.AtRest()],
+        {"start": spun(driven(PRISM))},
+        r"AtRest.*angular momentum about \(0, 0, 1\)",
+    ),
     "too short a fall": (
         driven(PRISM, gravity=GRAVITY),
         [ocp.NodePositions(PRISM.nodes - (0, 0, 9.81 / 8))],
         {"duration": (0.6, 0.8)},
         "NodePositions.*along z",
     ),
-    "bars": (driven(PRISM), [ocp.NodePositions({0: (0, 0, 0), 4: (5, 5, 5)})], {}, "NodePositions: node . . misses.*bar 0 keeps its length"),
-    "lengths": (driven(PRISM), [ocp.StringLengths(0.8 * PRISM.string_lengths)], {}, "StringLengths: string .*bar . keeps its length"),
-    "contradiction": (driven(PRISM), [ocp.StringLengths({0: 0.8}), ocp.StringLengths({0: 0.9})], {}, "string 0 .*contradict"),
-    "out of the plane": (driven(D_BAR), [ocp.NodePositions({2: (None, None, 0.1), 0: (None, None, 0.1)})], {}, "node . z .*plane of the start"),
+    "bars": (
+        driven(PRISM),
+        [ocp.NodePositions({0: (0, 0, 0), 4: (5, 5, 5)})],
+        {},
+        "NodePositions: node . . misses.*bar 0 keeps its length",
+    ),
+    "lengths": (
+        driven(PRISM),
+        [ocp.StringLengths(0.8 * PRISM.string_lengths)],
+        {},
+        "StringLengths: string .*bar . keeps its length",
+    ),
+    "contradiction": (
+        driven(PRISM),
+        [ocp.StringLengths({0: 0.8}), ocp.StringLengths({0: 0.9})],
+        {},
+        "string 0 .*contradict",
+    ),
+    "out of the plane": (
+        driven(D_BAR),
+        [ocp.NodePositions({2: (None, None, 0.1), 0: (None, None, 0.1)})],
+        {},
+        "node . z .*plane of the start",
+    ),
     "lengths that leave the plane": (
         driven(tc.shapes.t_bar()),
         [ocp.StringLengths(tc.shapes.t_bar().string_lengths * (0.95, 1.03, 0.95, 1.03))],
@@ -144,18 +213,32 @@ def test_a_free_fall_is_accounted_for():
     assert target(model, [ocp.NodePositions(fallen)], duration=0.5).count
     with pytest.raises(ocp.UnreachableGoal):
         target(model, [ocp.NodePositions(fallen)], duration=0.4)
-    assert target(model, [ocp.NodePositions(fallen)], duration=(0.3, 0.8)).count  # and so is its duration
+    assert target(
+        model, [ocp.NodePositions(fallen)], duration=(0.3, 0.8)
+    ).count  # and so is its duration
 
 
 def test_a_target_near_a_motion_has_the_rows_of_its_end():
     """A bar on a hinge comes to rest at half its height, wherever. Rows that leave out what the bar keeps on one side let it move on another."""
-    structure = tc.Structure([(0, 0, 0), (0.6, 0, 0.8), (0, 0, -1), (0, 1, -1)], [(0, 1)], [(1, 2), (1, 3)], pinned=[0, 2, 3])
-    problem = ocp.Problem(driven(structure), 1.0, goals=[ocp.NodePositions({1: (None, None, 0.5)}), ocp.AtRest()])
+    structure = tc.Structure(
+        [(0, 0, 0), (0.6, 0, 0.8), (0, 0, -1), (0, 1, -1)],
+        [(0, 1)],
+        [(1, 2), (1, 3)],
+        pinned=[0, 2, 3],
+    )
+    problem = ocp.Problem(
+        driven(structure), 1.0, goals=[ocp.NodePositions({1: (None, None, 0.5)}), ocp.AtRest()]
+    )
     around = np.arccos(-1 / 3)
-    tip = np.array([np.sqrt(0.75) * np.cos(around), np.sqrt(0.75) * np.sin(around), 0.5])  # across the bar of the target
+    tip = np.array(
+        [np.sqrt(0.75) * np.cos(around), np.sqrt(0.75) * np.sin(around), 0.5]
+    )  # across the bar of the target
     first = find_target(problem, Scales.of(problem))
     assert problem.model.nodes(first.state)[1] == pytest.approx([np.sqrt(0.75), 0, 0.5], abs=1e-6)
-    moving = problem.model.state([(0, 0, 0), tip, *structure.nodes[2:]], [(0, 0, 0), (np.sqrt(0.75), 0, 0.5), (0, 0, 0), (0, 0, 0)])
+    moving = problem.model.state(
+        [(0, 0, 0), tip, *structure.nodes[2:]],
+        [(0, 0, 0), (np.sqrt(0.75), 0, 0.5), (0, 0, 0), (0, 0, 0)],
+    )
     assert first.rows(moving).full() == pytest.approx(0, abs=1e-6)
     near = find_target(problem, Scales.of(problem), lambda share: moving)
     assert near.count == first.count

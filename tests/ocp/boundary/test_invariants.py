@@ -28,16 +28,30 @@ KEPT = {
     "free prism falls": (driven(PRISM, gravity=GRAVITY), 6 + 9),
     "prism on a pin": (driven(PRISM.replace(pinned=[0])), 6 + 3),
     "prism on a pin, heavy": (driven(PRISM.replace(pinned=[0]), gravity=GRAVITY), 6 + 1),
-    "prism on a pin, weight aslant": (driven(PRISM.replace(pinned=[0]), gravity=tc.Gravity((1.0, 2.0, 3.0))), 6 + 1),
+    "prism on a pin, weight aslant": (
+        driven(PRISM.replace(pinned=[0]), gravity=tc.Gravity((1.0, 2.0, 3.0))),
+        6 + 1,
+    ),
     "prism on two pins": (driven(PRISM.replace(pinned=[0, 1])), 6 + 1),
     "prism on two pins, heavy": (driven(PRISM.replace(pinned=[0, 1]), gravity=GRAVITY), 6),
     "prism on three pins": (driven(PRISM.replace(pinned=[0, 1, 2])), 6),
-    "prism on a floor": (driven(PRISM.replace(pinned={0: "z", 1: "z", 2: "z"}), gravity=GRAVITY), 6 + 5),
-    "prism on a slope": (driven(PRISM.replace(pinned={0: "z", 1: "z", 2: "z"}), gravity=tc.Gravity((5.0, 0, -5.0))), 6 + 5),
+    "prism on a floor": (
+        driven(PRISM.replace(pinned={0: "z", 1: "z", 2: "z"}), gravity=GRAVITY),
+        6 + 5,
+    ),
+    "prism on a slope": (
+        driven(PRISM.replace(pinned={0: "z", 1: "z", 2: "z"}), gravity=tc.Gravity((5.0, 0, -5.0))),
+        6 + 5,
+    ),
     "prism on a rail": (driven(PRISM.replace(pinned={0: "yz", 1: "z"}), gravity=GRAVITY), 6 + 2),
     "ball": (driven(BALL), 12 + 9),
     "pressed ball": (driven(BALL, pressure=tc.Pressure([(0, 4, 8)], 5.0)), 12),
-    "d-bar in full coordinates": (tc.Model(tc.Scene(D_BAR.replace(pinned=[0]), control=tc.ForceDensity()), coordinates="full"), None),
+    "d-bar in full coordinates": (
+        tc.Model(
+            tc.Scene(D_BAR.replace(pinned=[0]), control=tc.ForceDensity()), coordinates="full"
+        ),
+        None,
+    ),
     "two prisms": (driven(TWO), 2 * (6 + 9)),
     "two prisms, each on a pin": (driven(TWO.replace(pinned=[0, 6])), 2 * (6 + 3)),
     "flat d-bar": (driven(D_BAR), None),
@@ -51,7 +65,12 @@ def moving_start(model):
     flat = not np.ptp(model.structure.nodes[:, 2])
     speeds = rng.normal(size=model.structure.nodes.shape) * (1.0, 1.0, 0.0 if flat else 1.0)
     speeds[model.structure.fixed] = 0.0
-    return tc.Projection(iterations=10).step(model)(model.state(model.structure.nodes, speeds)).full().ravel()
+    return (
+        tc.Projection(iterations=10)
+        .step(model)(model.state(model.structure.nodes, speeds))
+        .full()
+        .ravel()
+    )
 
 
 @pytest.mark.parametrize("name", KEPT)
@@ -82,7 +101,9 @@ def test_invariants_are_all_that_the_strings_cannot_change(name):
     A = ca.Function("A", [x], [ca.vertcat(*gradients)])(states[-1]).full()
     free = null_space(A / np.linalg.norm(A, axis=1, keepdims=True))
     assert free.shape[1] == model.nx - count
-    sensitivity = reach.of_rows(ca.Function("state", [x], [x]), np.eye(model.nx), start, controls, 1.0)
+    sensitivity = reach.of_rows(
+        ca.Function("state", [x], [x]), np.eye(model.nx), start, controls, 1.0
+    )
     assert len(find_controlled(sensitivity)) == model.nx - count
     assert np.abs(A @ sensitivity).max() < 1e-4 * np.abs(A).max() * np.abs(sensitivity).max()
 
@@ -100,7 +121,9 @@ def test_free_motions():
 
 def test_bodies_end_at_pins():
     nodes = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (5, 5, 5), (1, 1, 0)]
-    structure = tc.Structure(nodes, bars=[(0, 1), (0, 2)], strings=[(1, 4)], node_mass=[0, 0, 0, 1, 1], pinned=[0])
+    structure = tc.Structure(
+        nodes, bars=[(0, 1), (0, 2)], strings=[(1, 4)], node_mass=[0, 0, 0, 1, 1], pinned=[0]
+    )
     found = bodies(structure, np.zeros(3))
     assert [body.nodes.tolist() for body in found] == [[1, 4], [2], [3]]
     assert [body.along.all() for body in found] == [False, False, True]

@@ -40,18 +40,34 @@ def test_steps_are_linearised_as_finite_differences_say(moving):
     random = np.random.default_rng(0)
     for _ in range(3):
         dx, du = random.normal(size=model.nx), random.normal(size=model.nu)
-        ends = [advanced(model, states[k] + sign * tiny * dx, gamma[k] + sign * tiny * du, lengths[k]) for sign in (1, -1)]
-        assert by_state @ dx + by_control @ du == pytest.approx((ends[0] - ends[1]) / (2 * tiny), rel=1e-5, abs=1e-5)
+        ends = [
+            advanced(model, states[k] + sign * tiny * dx, gamma[k] + sign * tiny * du, lengths[k])
+            for sign in (1, -1)
+        ]
+        assert by_state @ dx + by_control @ du == pytest.approx(
+            (ends[0] - ends[1]) / (2 * tiny), rel=1e-5, abs=1e-5
+        )
 
 
 def test_gains_of_a_long_time_are_those_of_the_algebraic_equation():
     random = np.random.default_rng(1)
-    A, B, C = 1.3 * random.normal(size=(4, 4)) / 2, random.normal(size=(4, 2)), random.normal(size=(3, 4))
+    A, B, C = (
+        1.3 * random.normal(size=(4, 4)) / 2,
+        random.normal(size=(4, 2)),
+        random.normal(size=(3, 4)),
+    )
     R = np.diag([2.0, 3.0])
     P = scipy.linalg.solve_discrete_are(A, B, C.T @ C, R)
     expected = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
     count = 200
-    gains = riccati_gains(np.tile(A, (count, 1, 1)), np.tile(B, (count, 1, 1)), [np.eye(4)] * (count + 1), [C] * (count + 1), np.zeros((4, 4)), R)
+    gains = riccati_gains(
+        np.tile(A, (count, 1, 1)),
+        np.tile(B, (count, 1, 1)),
+        [np.eye(4)] * (count + 1),
+        [C] * (count + 1),
+        np.zeros((4, 4)),
+        R,
+    )
     assert gains[0] == pytest.approx(expected, rel=1e-9)
 
 

@@ -26,7 +26,10 @@ def test_imposed_rows_are_independent_of_the_invariants():
     model = driven(PRISM)
     found = target(model, [ocp.NodePositions(PRISM.nodes), ocp.AtRest()])
     x = ca.SX.sym("x", model.nx)
-    rows = [found.rows(x), *(group.value for group in invariants(model, model.initial_state, x, ca.SX(1.0)))]
+    rows = [
+        found.rows(x),
+        *(group.value for group in invariants(model, model.initial_state, x, ca.SX(1.0))),
+    ]
     J = ca.Function("J", [x], [ca.jacobian(ca.vertcat(*rows), x)])(found.state).full()
     values = np.linalg.svd(J / np.linalg.norm(J, axis=1, keepdims=True))[1]
     assert len(J) == 36
@@ -38,13 +41,19 @@ def test_shape_rows_feel_the_flex_that_lengths_do_not():
     x = ca.SX.sym("x", model.nx)
     nodes = model.nodes(x)
     goal = ocp.StringLengths(PRISM.string_lengths).rows(PRISM, nodes, model.velocities(x)).value
-    bars = [group.value for group in invariants(model, model.initial_state, x, ca.SX(0.0)) if group.kind == "bar"]
+    bars = [
+        group.value
+        for group in invariants(model, model.initial_state, x, ca.SX(0.0))
+        if group.kind == "bar"
+    ]
     value = ca.vertcat(goal, *bars)
     rows = RowFunction(x, [value], np.ones(value.shape[0]), np.ones(model.nx))
     directions, _, curvature = soft_directions(rows, model.initial_state)
     assert directions.shape == (36, 1)
     assert abs(curvature).max() > 0.1
-    assert np.abs(rows.select(slice(goal.shape[0]))(model.initial_state)[1] @ directions).max() < 1e-9
+    assert (
+        np.abs(rows.select(slice(goal.shape[0]))(model.initial_state)[1] @ directions).max() < 1e-9
+    )
     found = target(model, [ocp.StringLengths(PRISM.string_lengths)])
     moved = model.initial_state + 1e-3 * directions[:, 0]
     assert np.abs(goal_misfit(goal, x, moved)).max() < 1e-5
@@ -72,7 +81,9 @@ def test_curvatures_are_second_derivatives():
     at, weights, basis = rng.normal(size=5), rng.normal(size=(3, 2)), rng.normal(size=(5, 4))
     found = rows.curvatures(at, weights, basis)
     for w, form in zip(weights.T, found, strict=True):
-        H = ca.Function("H", [y], [ca.hessian(ca.dot(ca.DM(w / [2.0, 1.0, 0.5]), ca.vertcat(*groups)), y)[0]])(at).full()
+        H = ca.Function(
+            "H", [y], [ca.hessian(ca.dot(ca.DM(w / [2.0, 1.0, 0.5]), ca.vertcat(*groups)), y)[0]]
+        )(at).full()
         assert form == pytest.approx(basis.T @ (H * np.outer(scale, scale)) @ basis)
     one = rows.select(slice(0, 2)).curvatures(at, weights[:2], basis)
     both = rows.curvatures(at, np.vstack([weights[:2], np.zeros((1, 2))]), basis)
@@ -89,7 +100,10 @@ def test_parts_that_share_nothing_are_taken_apart():
     A[40] = 0.0
     rows, columns = rng.permutation(80), rng.permutation(90)
     A = A[rows][:, columns]
-    assert [(len(own), len(other)) for own, other in sorted(separate_parts(A), key=lambda part: -len(part[1]))] == [(30, 40), (39, 20)]
+    assert [
+        (len(own), len(other))
+        for own, other in sorted(separate_parts(A), key=lambda part: -len(part[1]))
+    ] == [(30, 40), (39, 20)]
     free = null_space(A)
     rank = np.linalg.matrix_rank(A)
     assert free.shape == (90, 90 - rank)

@@ -43,10 +43,16 @@ def test_derivatives_of_the_motion_are_exact():
         own = Motion(model, 1, 2)
         for column in (0, 20, 35):
             step = np.eye(36)[column] * eps
-            slope = (own.states(states[k] + step, u[k : k + 1], 0.05)[0][1] - own.states(states[k] - step, u[k : k + 1], 0.05)[0][1]) / (2 * eps)
+            slope = (
+                own.states(states[k] + step, u[k : k + 1], 0.05)[0][1]
+                - own.states(states[k] - step, u[k : k + 1], 0.05)[0][1]
+            ) / (2 * eps)
             assert A[k][:, column] == pytest.approx(slope, abs=1e-7)
         step = np.eye(9)[4] * eps
-        slope = (own.states(states[k], u[k : k + 1] + step, 0.05)[0][1] - own.states(states[k], u[k : k + 1] - step, 0.05)[0][1]) / (2 * eps)
+        slope = (
+            own.states(states[k], u[k : k + 1] + step, 0.05)[0][1]
+            - own.states(states[k], u[k : k + 1] - step, 0.05)[0][1]
+        ) / (2 * eps)
         assert B[k][:, 4] == pytest.approx(slope, abs=1e-7)
 
 

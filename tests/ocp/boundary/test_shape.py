@@ -26,13 +26,20 @@ def test_rows_feel_a_direction(moved, near):
     structure = CHAIN if near else TWO_PARTS
     direction = np.zeros((6, 3))
     direction[[moved] if near else [3, 4, 5]] = 0.4, 0.5, 0.0
-    weights, gradient, pairs = feel(structure.nodes, sp.eye_array(18, format="csr"), direction.reshape(18, 1), neighbours(structure))
+    weights, gradient, pairs = feel(
+        structure.nodes,
+        sp.eye_array(18, format="csr"),
+        direction.reshape(18, 1),
+        neighbours(structure),
+    )
     assert len(pairs) == (len(neighbours(structure)) if near else 15)
 
     def value(nodes):
         return weights @ squared_distances(nodes, pairs)
 
-    along = (value(structure.nodes + 1e-6 * direction) - value(structure.nodes - 1e-6 * direction)) / 2e-6
+    along = (
+        value(structure.nodes + 1e-6 * direction) - value(structure.nodes - 1e-6 * direction)
+    ) / 2e-6
     assert np.abs(along).min() > 0.1
     assert gradient @ direction.ravel() == pytest.approx(along, rel=1e-6)
     shift = np.tile([0.3, -0.2, 0.5], 6)

@@ -19,13 +19,31 @@ from tests.ocp.condensed.test_reduced import LIMITS, RISE, driven
 
 def test_rows_with_infinite_barriers_do_not_count_among_those_that_are_met():
     """Their stiffness overflows where slacks come near to limits; steps then keep them where they are, and all others stay in order."""
-    problem = ocp.Problem(driven(tc.shapes.prism()), goals=RISE, bounds=[LIMITS, ocp.TensionLimits(upper=300.0)], costs=[ocp.Effort()])
+    problem = ocp.Problem(
+        driven(tc.shapes.prism()),
+        goals=RISE,
+        bounds=[LIMITS, ocp.TensionLimits(upper=300.0)],
+        costs=[ocp.Effort()],
+    )
     transcription, scales = ocp.Variational(5), Scales.of(problem)
     target = find_target(problem, scales)
     guess = evaluate_guess(None, problem, target, transcription.count)
-    reduced = ReducedProblem(problem, transcription, target, scales, 2.0, 10.0, Limited(problem, transcription, target, scales, guess))
+    reduced = ReducedProblem(
+        problem,
+        transcription,
+        target,
+        scales,
+        2.0,
+        10.0,
+        Limited(problem, transcription, target, scales, guess),
+    )
     w = 0.6 + 0.1 * np.random.default_rng(0).uniform(size=reduced.size)
-    search = Search(reduced, w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states), 1e-6)
+    search = Search(
+        reduced,
+        w,
+        first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], guess.states),
+        1e-6,
+    )
     met, row = len(search.multipliers), search.chosen[0]
     near, point = search.point.slack.copy(), search.point
     near[row] = reduced.paths.limits.upper[row] - 0.5

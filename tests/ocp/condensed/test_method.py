@@ -23,31 +23,56 @@ D_BAR = tc.shapes.d_bar(pinned=[0])
 
 
 CASES = {
-    "prism": (ocp.Problem(driven(PRISM), goals=RISE, bounds=[LIMITS], costs=[ocp.Effort()]), ocp.Variational(20)),
+    "prism": (
+        ocp.Problem(driven(PRISM), goals=RISE, bounds=[LIMITS], costs=[ocp.Effort()]),
+        ocp.Variational(20),
+    ),
     "ball": (
-        ocp.Problem(driven(BALL), goals=[ocp.StringLengths({0: 1.05 * BALL.string_lengths[0]}), ocp.AtRest()], bounds=[LIMITS], costs=[ocp.Effort()]),
+        ocp.Problem(
+            driven(BALL),
+            goals=[ocp.StringLengths({0: 1.05 * BALL.string_lengths[0]}), ocp.AtRest()],
+            bounds=[LIMITS],
+            costs=[ocp.Effort()],
+        ),
         ocp.Variational(20),
     ),
     "planar, pinned, no limits": (
-        ocp.Problem(driven(D_BAR), goals=[ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()], costs=[ocp.Effort()]),
+        ocp.Problem(
+            driven(D_BAR),
+            goals=[ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()],
+            costs=[ocp.Effort()],
+        ),
         ocp.Variational(10),
     ),
     "free duration, waypoint, all costs": (
-        ocp.Problem(driven(PRISM), (0.5, 1.5), goals=[*RISE, ON_THE_WAY], bounds=[LIMITS], costs=EVERY),
+        ocp.Problem(
+            driven(PRISM), (0.5, 1.5), goals=[*RISE, ON_THE_WAY], bounds=[LIMITS], costs=EVERY
+        ),
         ocp.Variational(15),
     ),
     "linear profile, groups": (
-        ocp.Problem(driven(PRISM), (0.5, 1.5), goals=[*RISE, ON_THE_WAY], bounds=[LIMITS], costs=EVERY),
+        ocp.Problem(
+            driven(PRISM), (0.5, 1.5), goals=[*RISE, ON_THE_WAY], bounds=[LIMITS], costs=EVERY
+        ),
         ocp.Variational(15, control=ocp.PiecewiseLinear(groups=[(0, 1, 2)])),
     ),
-    "no goals": (ocp.Problem(driven(PRISM), 0.3, bounds=[LIMITS], costs=[ocp.Prestress(5.0)]), ocp.Variational(20)),
+    "no goals": (
+        ocp.Problem(driven(PRISM), 0.3, bounds=[LIMITS], costs=[ocp.Prestress(5.0)]),
+        ocp.Variational(20),
+    ),
     "few changes": (
-        ocp.Problem(driven(PRISM), goals=RISE, bounds=[LIMITS], costs=[ocp.Effort(), ocp.Smoothness(0.01)]),
+        ocp.Problem(
+            driven(PRISM), goals=RISE, bounds=[LIMITS], costs=[ocp.Effort(), ocp.Smoothness(0.01)]
+        ),
         ocp.Variational(20, control=ocp.PiecewiseConstant(changes=5)),
     ),
     "pins of axes, loads that change": (
         ocp.Problem(
-            driven(tc.shapes.prism(pinned={0: "xyz", 1: "z", 2: "z"}), gravity=tc.Gravity((0, 0, -3.0)), forces=PUSH),
+            driven(
+                tc.shapes.prism(pinned={0: "xyz", 1: "z", 2: "z"}),
+                gravity=tc.Gravity((0, 0, -3.0)),
+                forces=PUSH,
+            ),
             (0.5, 1.5),
             goals=[ocp.NodePositions({5: (None, None, 1.02)})],
             costs=[ocp.Effort()],
@@ -65,7 +90,8 @@ def test_finds_what_ipopt_finds(case):
     known = ocp.solve(problem, transcription, ocp.Ipopt())
     assert plan.success, plan.message
     assert plan.objective == pytest.approx(known.objective, rel=5e-3, abs=1e-2)
-    # what is found is a motion of the same rows: IPOPT started there has no goal and no row of the motion to mend
+    # what is found is a motion of the same rows: IPOPT started there has no goal and no row of the
+    # motion to mend
     again = ocp.solve(problem, transcription, ocp.Ipopt(), guess=plan)
     assert again.objective == pytest.approx(plan.objective, rel=5e-3, abs=1e-2)
     assert np.abs(again.trajectory.states - plan.trajectory.states).max() < 0.05
@@ -93,34 +119,57 @@ def test_supports_may_be_moved(duration, limited):
 def test_multipliers_are_what_costs_change_by():
     def plan_for(length, solver):
         goals = [ocp.StringLengths({6: length}), ocp.AtRest()]
-        return ocp.solve(ocp.Problem(driven(PRISM), goals=goals, bounds=[LIMITS], costs=[ocp.Effort()]), ocp.Variational(15), solver)
+        return ocp.solve(
+            ocp.Problem(driven(PRISM), goals=goals, bounds=[LIMITS], costs=[ocp.Effort()]),
+            ocp.Variational(15),
+            solver,
+        )
 
     found = plan_for(0.95, ocp.CondensedNewton())
     e = 1e-3
     longer, shorter = (plan_for(0.95 + sign * e, ocp.Ipopt()).objective for sign in (1, -1))
     assert found.duals is not None
-    assert -(longer - shorter) / (2 * e) == pytest.approx(float(found.duals["StringLengths: string 6"].sum()), rel=0.05)
+    assert -(longer - shorter) / (2 * e) == pytest.approx(
+        float(found.duals["StringLengths: string 6"].sum()), rel=0.05
+    )
     assert found.duals["force density of string 0"].shape == (15,)
 
 
 def reaching(*bounds, duration=1.0, goals=()):
     """An arm of one bar, hinged on the ground, leans over; the straight way leads through what the bounds forbid."""
     around = [(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0)]
-    arm = tc.Structure([(0, 0, 0), (0, 0, 1), *around], [(0, 1)], [(1, k) for k in range(2, 6)], pinned=[0, 2, 3, 4, 5])
+    arm = tc.Structure(
+        [(0, 0, 0), (0, 0, 1), *around],
+        [(0, 1)],
+        [(1, k) for k in range(2, 6)],
+        pinned=[0, 2, 3, 4, 5],
+    )
     asked = [*goals, ocp.NodePositions({1: (0.6, 0.2, None)}), ocp.AtRest()]
-    return ocp.Problem(driven(arm), duration, goals=asked, bounds=[ocp.ForceDensityLimits(1.0, 300.0), *bounds], costs=[ocp.Effort()])
+    return ocp.Problem(
+        driven(arm),
+        duration,
+        goals=asked,
+        bounds=[ocp.ForceDensityLimits(1.0, 300.0), *bounds],
+        costs=[ocp.Effort()],
+    )
 
 
 PASSING = ocp.Waypoint([ocp.NodePositions({1: (0.0, 0.3, None)})], share=0.4)
 RISING = {"goals": RISE, "costs": [ocp.Effort()]}
 BOUNDED = {
     "obstacle": reaching(ocp.Obstacle((0.3, 0.12, 0.95), 0.12, nodes=[1])),
-    "obstacle, waypoint, free duration": reaching(ocp.Obstacle((0.3, 0.34, 0.92), 0.14, nodes=[1]), duration=(0.8, 1.5), goals=[PASSING]),
+    "obstacle, waypoint, free duration": reaching(
+        ocp.Obstacle((0.3, 0.34, 0.92), 0.14, nodes=[1]), duration=(0.8, 1.5), goals=[PASSING]
+    ),
     "speed": reaching(ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities), upper=0.6)),
     "tension and rates": reaching(ocp.TensionLimits(upper=4.6), ocp.ForceDensityRateLimits(5.0)),
     "lengths, and bars apart": ocp.Problem(
         driven(PRISM),
-        bounds=[LIMITS, ocp.Constraint("length", lambda now: now.lengths, upper=[0.89] * 6 + [1.2] * 3), ocp.BarClearance(0.02)],
+        bounds=[
+            LIMITS,
+            ocp.Constraint("length", lambda now: now.lengths, upper=[0.89] * 6 + [1.2] * 3),
+            ocp.BarClearance(0.02),
+        ],
         **RISING,
     ),
     "limits that are equal, and others": ocp.Problem(
@@ -133,7 +182,12 @@ BOUNDED = {
         **RISING,
     ),
     "limits that are equal, at the end": ocp.Problem(
-        driven(PRISM), bounds=[LIMITS, ocp.Constraint(ocp.AtEnd("x", lambda end: end.nodes[0, 4]), lower=-0.2, upper=-0.2)], **RISING
+        driven(PRISM),
+        bounds=[
+            LIMITS,
+            ocp.Constraint(ocp.AtEnd("x", lambda end: end.nodes[0, 4]), lower=-0.2, upper=-0.2),
+        ],
+        **RISING,
     ),
 }
 
@@ -142,8 +196,13 @@ BOUNDED = {
 def test_limits_along_the_way_are_kept_at_what_ipopt_pays(case):
     problem = BOUNDED[case]
     assert applies(problem) == ""
-    plan, known = (ocp.solve(problem, ocp.Variational(24), solver) for solver in (ocp.CondensedNewton(), ocp.Ipopt()))
-    free = ocp.solve(replace(problem, bounds=problem.bounds[:1]), ocp.Variational(24), ocp.CondensedNewton())
+    plan, known = (
+        ocp.solve(problem, ocp.Variational(24), solver)
+        for solver in (ocp.CondensedNewton(), ocp.Ipopt())
+    )
+    free = ocp.solve(
+        replace(problem, bounds=problem.bounds[:1]), ocp.Variational(24), ocp.CondensedNewton()
+    )
     assert plan.success, plan.message
     assert plan.objective == pytest.approx(known.objective, rel=5e-3)
     assert free.objective < 0.999 * plan.objective  # the limits matter
@@ -164,12 +223,20 @@ def test_limits_that_leave_no_way_are_named():
 
 def test_limits_that_bars_share_are_kept_by_fine_steps_of_scipy():
     """A tower of four prisms that rises: its bars, which come within 3 cm, stay 8 cm apart, and no node is too fast."""
-    limits = [ocp.BarClearance(0.08), ocp.Constraint("speed", lambda now: ca.sum1(now.velocities**2).T, upper=2.0)]
+    limits = [
+        ocp.BarClearance(0.08),
+        ocp.Constraint("speed", lambda now: ca.sum1(now.velocities**2).T, upper=2.0),
+    ]
     goals = [ocp.StringLengths(tower_of(4, 0.88).string_lengths), ocp.AtRest()]
-    problem = ocp.Problem(driven(tower_of(4, 0.8)), goals=goals, bounds=[LIMITS, *limits], costs=[ocp.Effort()])
+    problem = ocp.Problem(
+        driven(tower_of(4, 0.8)), goals=goals, bounds=[LIMITS, *limits], costs=[ocp.Effort()]
+    )
     plan = ocp.solve(problem, ocp.Variational(30, accuracy=1e-6), ocp.CondensedNewton())
     assert plan.success, plan.message
-    state, functions = plan.trajectory.states[0], [limit.constraint(problem.model) for limit in limits]
+    state, functions = (
+        plan.trajectory.states[0],
+        [limit.constraint(problem.model) for limit in limits],
+    )
     for k, (begin, end) in enumerate(pairwise(plan.time)):
         state = integrated(problem.model, state, begin, end, plan.control[k], plan.control[k])
         for limited in functions:
@@ -182,9 +249,16 @@ def beyond(plan, limited):
     states, control, time = plan.trajectory.states, plan.control, plan.time
     if len(limited.symbols) == 3:
         first = -1 if limited.ends == ("last",) else 0
-        values = [limited.function(states[k + 1], control[k], time[k + 1]) for k in range(len(control))][first:]
+        values = [
+            limited.function(states[k + 1], control[k], time[k + 1]) for k in range(len(control))
+        ][first:]
     else:
-        values = [limited.function(*states[k : k + 1], control[k], *states[k + 1 : k + 2], control[k + 1], time[1]) for k in range(len(control) - 1)]
+        values = [
+            limited.function(
+                *states[k : k + 1], control[k], *states[k + 1 : k + 2], control[k + 1], time[1]
+            )
+            for k in range(len(control) - 1)
+        ]
     found = np.array([np.ravel(value.full()) for value in values])
     return np.maximum(limited.lower - found, found - limited.upper).max()
 
@@ -193,15 +267,26 @@ def beyond(plan, limited):
     ("change", "words"),
     [
         ({"costs": [ocp.Work()]}, "it has the cost Work"),
-        ({"costs": [ocp.Smoothness()]}, "its cost, Smoothness alone, leaves open how large force densities are"),
+        (
+            {"costs": [ocp.Smoothness()]},
+            "its cost, Smoothness alone, leaves open how large force densities are",
+        ),
         ({"start": ocp.FreeStart()}, "its start is free"),
-        ({"model": tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), ground=tc.Ground()))}, "its scene has a ground"),
+        (
+            {"model": tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), ground=tc.Ground()))},
+            "its scene has a ground",
+        ),
     ],
 )
 def test_what_it_does_not_take_is_said(change, words):
-    problem = ocp.Problem(**{"model": driven(PRISM), "goals": RISE, "costs": [ocp.Effort()], **change})
+    problem = ocp.Problem(
+        **{"model": driven(PRISM), "goals": RISE, "costs": [ocp.Effort()], **change}
+    )
     assert words in applies(problem)
-    with pytest.raises(ValueError, match=rf"solver is CondensedNewton, which does not take this problem: {words}.*: give|; give ocp.Ipopt"):
+    with pytest.raises(
+        ValueError,
+        match=rf"solver is CondensedNewton, which does not take this problem: {words}.*: give|; give ocp.Ipopt",
+    ):
         ocp.solve(problem, ocp.Variational(8), ocp.CondensedNewton())
 
 
@@ -240,7 +325,9 @@ def test_slow_descent_ends_with_a_plan_and_is_said(monkeypatch):
 def test_what_a_limit_ends_is_corrected():
     """It is no success, but its replay ends at the goals."""
     problem, _ = CASES["ball"]
-    plan = ocp.solve(problem, ocp.Variational(15, accuracy=1e-6), ocp.CondensedNewton(max_iterations=8))
+    plan = ocp.solve(
+        problem, ocp.Variational(15, accuracy=1e-6), ocp.CondensedNewton(max_iterations=8)
+    )
     assert not plan.success
     assert "stopped at the iteration limit" in plan.message
     assert plan.replay_error < 2e-6
@@ -252,24 +339,34 @@ def test_singular_matrices_are_no_exception(monkeypatch):
 
     monkeypatch.setattr(method, "solve", singular)
     for control in (ocp.PiecewiseConstant(), ocp.PiecewiseLinear()):
-        plan = ocp.solve(CASES["ball"][0], ocp.Variational(8, control=control), ocp.CondensedNewton())
+        plan = ocp.solve(
+            CASES["ball"][0], ocp.Variational(8, control=control), ocp.CondensedNewton()
+        )
         assert not plan.success
         assert "the solver could not go on" in plan.message
 
 
 def test_goes_with_variational_alone():
     problem, _ = CASES["prism"]
-    with pytest.raises(ValueError, match=r"solver is CondensedNewton, and transcription is MultipleShooting: give ocp.Variational"):
+    with pytest.raises(
+        ValueError,
+        match=r"solver is CondensedNewton, and transcription is MultipleShooting: give ocp.Variational",
+    ):
         ocp.solve(problem, ocp.MultipleShooting(8), ocp.CondensedNewton())
 
 
 def test_corrections_make_the_motion_that_of_fine_steps():
     problem, _ = CASES["ball"]
-    plain, fine = (ocp.solve(problem, ocp.Variational(15, accuracy=accuracy), ocp.CondensedNewton()) for accuracy in (None, 1e-6))
+    plain, fine = (
+        ocp.solve(problem, ocp.Variational(15, accuracy=accuracy), ocp.CondensedNewton())
+        for accuracy in (None, 1e-6)
+    )
     assert fine.success, fine.message
     assert plain.replay_error > 1e-5
     assert fine.replay_error < 2e-6
-    assert fine.objective == pytest.approx(ocp.solve(problem, ocp.Variational(15, accuracy=1e-6)).objective, rel=5e-3)
+    assert fine.objective == pytest.approx(
+        ocp.solve(problem, ocp.Variational(15, accuracy=1e-6)).objective, rel=5e-3
+    )
 
 
 def test_corrections_that_do_not_get_there_are_said(monkeypatch):
@@ -280,11 +377,23 @@ def test_corrections_that_do_not_get_there_are_said(monkeypatch):
     assert "give more intervals" in plan.message
 
 
-@pytest.mark.parametrize("case", ["free duration, waypoint, all costs", "linear profile, groups", "pins of axes, loads that change", "few changes"])
+@pytest.mark.parametrize(
+    "case",
+    [
+        "free duration, waypoint, all costs",
+        "linear profile, groups",
+        "pins of axes, loads that change",
+        "few changes",
+    ],
+)
 def test_few_intervals_are_corrected_to_the_motion_of_fine_steps(case):
     """Fine steps of SciPy under the planned force densities, which know nothing of the program."""
     problem, given = CASES[case]
-    plan = ocp.solve(problem, replace(given, intervals=5 if given.control.changes is None else 10, accuracy=1e-8), ocp.CondensedNewton())
+    plan = ocp.solve(
+        problem,
+        replace(given, intervals=5 if given.control.changes is None else 10, accuracy=1e-8),
+        ocp.CondensedNewton(),
+    )
     assert plan.success, plan.message
     state = plan.trajectory.states[0]
     for k, (begin, end) in enumerate(pairwise(plan.time)):
@@ -307,8 +416,13 @@ def test_motions_along_which_errors_grow_are_corrected():
     nodes = dict.fromkeys((6, 7, 8), (None, None, 1.7))
     model = driven(stacked(0.8).replace(pinned=[0, 1, 2]), gravity=tc.Gravity())
     limits = ocp.ForceDensityLimits(1.0, 500.0)
-    problem = ocp.Problem(model, goals=[ocp.NodePositions(nodes), ocp.AtRest()], bounds=[limits], costs=[ocp.Effort()])
-    plain, fine = (ocp.solve(problem, ocp.Variational(60, accuracy=accuracy), ocp.CondensedNewton()) for accuracy in (None, 1e-6))
+    problem = ocp.Problem(
+        model, goals=[ocp.NodePositions(nodes), ocp.AtRest()], bounds=[limits], costs=[ocp.Effort()]
+    )
+    plain, fine = (
+        ocp.solve(problem, ocp.Variational(60, accuracy=accuracy), ocp.CondensedNewton())
+        for accuracy in (None, 1e-6)
+    )
     assert plain.replay_error > 0.1
     assert fine.success, fine.message
     assert "open-loop unstable" in fine.message
@@ -322,7 +436,9 @@ def test_ends_at_rest_also_where_bars_point_another_way_than_thought():
     tower = tower_of(4, 0.8, pinned=range(3))
     goals = [ocp.NodePositions(dict.fromkeys((12, 13, 14), (None, None, 3.4))), ocp.AtRest()]
     limits = [ocp.ForceDensityLimits(1.0, 500.0)]
-    problem = ocp.Problem(driven(tower, gravity=tc.Gravity()), goals=goals, bounds=limits, costs=[ocp.Effort()])
+    problem = ocp.Problem(
+        driven(tower, gravity=tc.Gravity()), goals=goals, bounds=limits, costs=[ocp.Effort()]
+    )
     plan = ocp.solve(problem, ocp.Variational(60, accuracy=1e-4), ocp.CondensedNewton())
     assert plan.success, plan.message
     assert np.abs(plan.trajectory.velocities[-1]).max() < 1e-3
@@ -347,11 +463,17 @@ def stacked(height):
 def tower_of(count, height, **options):
     """The same of any number of prisms."""
     radius, levels = np.sqrt(1.4**2 - height**2) / (2 * np.sin(5 * np.pi / 12)), range(count + 1)
-    angles = np.array([0.0, np.pi / 6] * count + [0.0])[: count + 1, None] + 2 * np.pi * np.arange(3) / 3
-    nodes = [(radius * np.cos(a), radius * np.sin(a), j * height) for j in levels for a in angles[j]]
+    angles = (
+        np.array([0.0, np.pi / 6] * count + [0.0])[: count + 1, None] + 2 * np.pi * np.arange(3) / 3
+    )
+    nodes = [
+        (radius * np.cos(a), radius * np.sin(a), j * height) for j in levels for a in angles[j]
+    ]
     rings = [(3 * j + i, 3 * j + (i + 1) % 3) for j in levels for i in range(3)]
     upright = [(3 * j + i, 3 * j + 3 + i) for j in range(count) for i in range(3)]
-    bars = [(3 * j + i, 3 * j + 3 + (i + (1, -1)[j % 2]) % 3) for j in range(count) for i in range(3)]
+    bars = [
+        (3 * j + i, 3 * j + 3 + (i + (1, -1)[j % 2]) % 3) for j in range(count) for i in range(3)
+    ]
     return tc.Structure(nodes, bars, rings + upright, **options)
 
 
@@ -362,17 +484,28 @@ def scattered(bars):
     ways /= 2 * np.linalg.norm(ways, axis=1)[:, None]
     nodes = np.vstack([middles - ways, middles + ways])
     apart = np.linalg.norm(nodes[:, None] - nodes, axis=2)
-    pairs = {(min(a, b), max(a, b)) for a in range(2 * bars) for b in np.argsort(apart[a])[1:5].tolist() if abs(a - b) != bars}
+    pairs = {
+        (min(a, b), max(a, b))
+        for a in range(2 * bars)
+        for b in np.argsort(apart[a])[1:5].tolist()
+        if abs(a - b) != bars
+    }
     return tc.Structure(nodes, [(k, k + bars) for k in range(bars)], sorted(pairs), pinned=[0])
 
 
 def test_steps_are_taken_whose_corrections_lead_out_of_the_funnel():
     structure = scattered(6)
-    goals = [ocp.NodePositions({5: (None, None, structure.nodes[5, 2] + 0.3)}), ocp.NodeVelocities({5: (0.3, -0.2, 0.1)})]
+    goals = [
+        ocp.NodePositions({5: (None, None, structure.nodes[5, 2] + 0.3)}),
+        ocp.NodeVelocities({5: (0.3, -0.2, 0.1)}),
+    ]
     limits, costs = [ocp.ForceDensityLimits(0.05, 400.0)], [ocp.Effort(), ocp.Duration(100.0)]
     problem = ocp.Problem(driven(structure), (0.08, 12.0), goals=goals, bounds=limits, costs=costs)
     plan = ocp.solve(problem, ocp.Variational(20), ocp.CondensedNewton())
     assert plan.success, plan.message
     end = planning.integrated(plan)
-    missed = np.append(plan.model.nodes(end)[5, 2] - structure.nodes[5, 2] - 0.3, plan.model.velocities(end)[5] - [0.3, -0.2, 0.1])
+    missed = np.append(
+        plan.model.nodes(end)[5, 2] - structure.nodes[5, 2] - 0.3,
+        plan.model.velocities(end)[5] - [0.3, -0.2, 0.1],
+    )
     assert abs(missed).max() < 1.01 * max(plan.replay_error, plan.replay_speed_error) + 1e-6

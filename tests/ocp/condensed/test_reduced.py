@@ -41,22 +41,49 @@ def shaken(**scene: object) -> tc.Model:
     """A prism with three pinned feet, of which two are moved."""
     (a, b, c), (d, e, f) = tc.shapes.prism().nodes[:2].tolist()
     moved = {0: lambda t: (a + 0.1 * ca.sin(3 * t), b, c), 1: lambda t: (d, e, f + 0.1 * t**3)}
-    return driven(tc.shapes.prism(pinned=[0, 1, 2], string_mass=0.05), supports=tc.SupportMotion(moved), **scene)
+    return driven(
+        tc.shapes.prism(pinned=[0, 1, 2], string_mass=0.05),
+        supports=tc.SupportMotion(moved),
+        **scene,
+    )
 
 
 CASES = {
-    "class two": (ocp.Problem(driven(class_two()), goals=[ocp.StringLengths({0: 0.83}), ocp.AtRest()], costs=[ocp.Effort()]), ocp.Variational(8)),
+    "class two": (
+        ocp.Problem(
+            driven(class_two()),
+            goals=[ocp.StringLengths({0: 0.83}), ocp.AtRest()],
+            costs=[ocp.Effort()],
+        ),
+        ocp.Variational(8),
+    ),
     "free duration, waypoint": (
-        ocp.Problem(driven(tc.shapes.prism()), (0.5, 1.5), goals=[*RISE, ON_THE_WAY], bounds=[LIMITS], costs=EVERY),
+        ocp.Problem(
+            driven(tc.shapes.prism()),
+            (0.5, 1.5),
+            goals=[*RISE, ON_THE_WAY],
+            bounds=[LIMITS],
+            costs=EVERY,
+        ),
         ocp.Variational([1, 2, 1, 1, 1.5, 1, 1, 0.5]),
     ),
     "linear profile, groups": (
-        ocp.Problem(driven(tc.shapes.prism()), (0.5, 1.5), goals=[*RISE, ON_THE_WAY], bounds=[LIMITS], costs=EVERY),
+        ocp.Problem(
+            driven(tc.shapes.prism()),
+            (0.5, 1.5),
+            goals=[*RISE, ON_THE_WAY],
+            bounds=[LIMITS],
+            costs=EVERY,
+        ),
         ocp.Variational(8, control=ocp.PiecewiseLinear(groups=[(0, 1, 2)])),
     ),
     "pins of axes, loads that change": (
         ocp.Problem(
-            driven(tc.shapes.prism(pinned={0: "xyz", 1: "z", 2: "z"}), gravity=tc.Gravity((0, 0, -3.0)), forces=PUSH),
+            driven(
+                tc.shapes.prism(pinned={0: "xyz", 1: "z", 2: "z"}),
+                gravity=tc.Gravity((0, 0, -3.0)),
+                forces=PUSH,
+            ),
             (0.5, 1.5),
             goals=[ocp.NodePositions({5: (None, None, 1.02)})],
             costs=[ocp.Effort()],
@@ -67,7 +94,11 @@ CASES = {
         ocp.Problem(
             shaken(gravity=tc.Gravity((0, 0, -3.0)), segments=2),
             (0.5, 1.5),
-            goals=[ocp.NodePositions({5: (None, None, 1.02)}), ocp.NodeVelocities({4: (0.0, None, None)}), ON_THE_WAY],
+            goals=[
+                ocp.NodePositions({5: (None, None, 1.02)}),
+                ocp.NodeVelocities({4: (0.0, None, None)}),
+                ON_THE_WAY,
+            ],
             bounds=[LIMITS],
             costs=EVERY,
         ),
@@ -83,7 +114,9 @@ CASES = {
     ),
     "segments with masses": (
         ocp.Problem(
-            tc.Model(tc.Scene(tc.shapes.prism(string_mass=0.05), control=tc.ForceDensity(), segments=2)),
+            tc.Model(
+                tc.Scene(tc.shapes.prism(string_mass=0.05), control=tc.ForceDensity(), segments=2)
+            ),
             goals=[ocp.NodePositions({5: (None, None, 1.02)})],
             costs=[ocp.Effort()],
         ),
@@ -98,7 +131,14 @@ def meet(reduced: ReducedProblem, w, motion):
     point = point_at(reduced, w, motion, slack)
     for _ in range(30):
         step = reduced.about(w, point.motion).follow(None, point.left.rows)
-        point = point_at(reduced, w, point.motion.moved(type(motion)(*(a.reshape(b.shape) for a, b in zip(step, motion, strict=True)))), slack)
+        point = point_at(
+            reduced,
+            w,
+            point.motion.moved(
+                type(motion)(*(a.reshape(b.shape) for a, b in zip(step, motion, strict=True)))
+            ),
+            slack,
+        )
         if max(np.abs(one).max(initial=0.0) for one in step) < 1e-13:
             return point
     raise AssertionError("the motion was not found")
@@ -118,21 +158,31 @@ def test_goals_and_costs_have_exact_first_and_second_derivatives(case):
     still = np.repeat(target.start[None], count + 1, axis=0)
     if problem.model.scene.has_clock:
         still[:, -1] += reduced.split(w)[1] * reduced.chain.time
-    known = meet(reduced, w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], still)).motion
+    known = meet(
+        reduced, w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], still)
+    ).motion
     direction, y, e = rng.normal(size=reduced.size), rng.normal(size=reduced.goals.count), 1e-5
 
     def at(share):
         moved = w + share * direction
         point = meet(reduced, moved, known)
-        return point.left.goals, reduced.about(moved, point.motion).jacobian.T @ y + reduced.slope(moved), point.cost
+        return (
+            point.left.goals,
+            reduced.about(moved, point.motion).jacobian.T @ y + reduced.slope(moved),
+            point.cost,
+        )
 
     (goals, slope, cost), (goals_before, slope_before, cost_before) = at(e), at(-e)
     expansion = reduced.about(w, known)
-    assert (goals - goals_before) / (2 * e) == pytest.approx(expansion.jacobian @ direction, abs=1e-6 * np.abs(expansion.jacobian).max())
+    assert (goals - goals_before) / (2 * e) == pytest.approx(
+        expansion.jacobian @ direction, abs=1e-6 * np.abs(expansion.jacobian).max()
+    )
     assert (cost - cost_before) / (2 * e) == pytest.approx(reduced.slope(w) @ direction, rel=1e-6)
     expansion.weigh(y, np.zeros(0), np.zeros(0))
     curved = expansion.curvature(direction, expansion.follow(direction, None))
-    assert (slope - slope_before) / (2 * e) == pytest.approx(curved, abs=1e-6 * np.abs(curved).max())
+    assert (slope - slope_before) / (2 * e) == pytest.approx(
+        curved, abs=1e-6 * np.abs(curved).max()
+    )
 
 
 def heavy_limits() -> list[Bound]:
@@ -151,11 +201,23 @@ def heavy_limits() -> list[Bound]:
 
 @pytest.mark.parametrize("linear", [False, True])
 @pytest.mark.parametrize(
-    ("duration", "moved"), [(1.0, False), ((0.5, 1.5), False), ((0.5, 1.5), True)], ids=["fixed", "free duration", "free duration, moved supports"]
+    ("duration", "moved"),
+    [(1.0, False), ((0.5, 1.5), False), ((0.5, 1.5), True)],
+    ids=["fixed", "free duration", "free duration, moved supports"],
 )
 def test_limits_along_the_way_have_exact_first_and_second_derivatives(duration, moved, linear):
-    model = shaken(gravity=tc.Gravity()) if moved else driven(tc.shapes.prism(), gravity=tc.Gravity(), forces=PUSH)
-    problem = ocp.Problem(model, duration, goals=RISE[: 1 if moved else 2], bounds=[LIMITS, *heavy_limits()], costs=EVERY)
+    model = (
+        shaken(gravity=tc.Gravity())
+        if moved
+        else driven(tc.shapes.prism(), gravity=tc.Gravity(), forces=PUSH)
+    )
+    problem = ocp.Problem(
+        model,
+        duration,
+        goals=RISE[: 1 if moved else 2],
+        bounds=[LIMITS, *heavy_limits()],
+        costs=EVERY,
+    )
     control = ocp.PiecewiseLinear(groups=[(0, 1, 2)]) if linear else ocp.PiecewiseConstant()
     transcription = ocp.Variational([1, 2, 1, 1, 1.5, 1], control=control)
     scales = Scales.of(problem)
@@ -169,13 +231,17 @@ def test_limits_along_the_way_have_exact_first_and_second_derivatives(duration, 
         w[-1] = 0.5
     still = np.repeat(target.start[None], transcription.count + 1, axis=0)
     still[:, -1] += reduced.split(w)[1] * reduced.chain.time
-    known = meet(reduced, w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], still)).motion
+    known = meet(
+        reduced, w, first_motion(reduced.chain, reduced.strings(w), reduced.split(w)[1], still)
+    ).motion
     direction, y, e = rng.normal(size=reduced.size), rng.normal(size=reduced.paths.count), 1e-5
 
     def at(share):
         moved = w + share * direction
         point = meet(reduced, moved, known)
-        return point.left.paths, reduced.about(moved, point.motion).of_paths(y[:, None])[0] + reduced.slope(moved)
+        return point.left.paths, reduced.about(moved, point.motion).of_paths(y[:, None])[
+            0
+        ] + reduced.slope(moved)
 
     (rows, slope), (rows_before, slope_before) = at(e), at(-e)
     expansion = reduced.about(w, known)
@@ -185,5 +251,9 @@ def test_limits_along_the_way_have_exact_first_and_second_derivatives(duration, 
     assert expansion.of_paths(y[:, None])[0] @ direction == pytest.approx(y @ change, rel=1e-9)
     stiffness = rng.uniform(size=reduced.paths.count)
     expansion.weigh(np.zeros(reduced.goals.count), y, stiffness)
-    curved = expansion.curvature(direction, moved) - expansion.of_paths((stiffness * change)[:, None])[0]
-    assert (slope - slope_before) / (2 * e) == pytest.approx(curved, abs=1e-6 * np.abs(curved).max())
+    curved = (
+        expansion.curvature(direction, moved) - expansion.of_paths((stiffness * change)[:, None])[0]
+    )
+    assert (slope - slope_before) / (2 * e) == pytest.approx(
+        curved, abs=1e-6 * np.abs(curved).max()
+    )

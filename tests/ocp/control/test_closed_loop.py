@@ -29,16 +29,31 @@ def test_what_bars_do_not_allow_of_a_push_is_taken_off(plan):
     assert held.bar_length_error.max() < 1e-6
 
 
-@pytest.mark.parametrize("make", [lambda asked, plan: ocp.Mpc(asked, 0.05, 8, plan=plan), lambda asked, plan: ocp.track(plan)], ids=["mpc", "track"])
+@pytest.mark.parametrize(
+    "make",
+    [lambda asked, plan: ocp.Mpc(asked, 0.05, 8, plan=plan), lambda asked, plan: ocp.track(plan)],
+    ids=["mpc", "track"],
+)
 def test_a_clock_runs_on_from_the_start(make):
     def wind(time):
-        return ca.vertcat(ca.DM.zeros(1, 3), ca.horzcat(20 * ca.sin(4 * time), 0, 0), ca.DM.zeros(4, 3))
+        return ca.vertcat(
+            ca.DM.zeros(1, 3), ca.horzcat(20 * ca.sin(4 * time), 0, 0), ca.DM.zeros(4, 3)
+        )
 
     model = driven(ARM, forces=tc.NodalForce(wind))
     start = np.append(model.initial_state[:-1], 0.7)
     goals = [ocp.NodePositions({1: (0.3, 0.1, None)}), ocp.AtRest()]
-    asked = ocp.Problem(model, 1.0, start, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 200.0)], costs=[ocp.Effort()])
-    held = ocp.run(make(asked, ocp.solve(asked, ocp.MultipleShooting(20, substeps=2))), 1.0, state=start).trajectory
+    asked = ocp.Problem(
+        model,
+        1.0,
+        start,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(1.0, 200.0)],
+        costs=[ocp.Effort()],
+    )
+    held = ocp.run(
+        make(asked, ocp.solve(asked, ocp.MultipleShooting(20, substeps=2))), 1.0, state=start
+    ).trajectory
     assert held.states[[0, -1], -1] == pytest.approx([0.7, 1.7])
     assert held.nodes[-1, 1, :2] == pytest.approx([0.3, 0.1], abs=0.02)
 
@@ -60,29 +75,71 @@ STATE = MODEL.initial_state
 
 
 BAD = {
-    "run with bars of other lengths": (lambda plan: ocp.run(ocp.track(plan), 0.1, state=2 * STATE), ValueError, "state is off the lengths"),
+    "run with bars of other lengths": (
+        lambda plan: ocp.run(ocp.track(plan), 0.1, state=2 * STATE),
+        ValueError,
+        "state is off the lengths",
+    ),
     "run for ever": (lambda plan: ocp.run(ocp.track(plan), 1e99), ValueError, "t_end is 1e.99"),
-    "run back in time": (lambda plan: ocp.run(Own(lambda time, x: np.ones(9), -1.0), 0.1), ValueError, "controller.period is -1"),
+    "run back in time": (
+        lambda plan: ocp.run(Own(lambda time, x: np.ones(9), -1.0), 0.1),
+        ValueError,
+        "controller.period is -1",
+    ),
     "run of a number": (lambda plan: ocp.run(Own(5), 0.1), TypeError, "controller is"),
     "run of a controller without model": (
-        lambda plan: ocp.run(type("Blind", (Own,), {"model": None})(lambda time, x: np.ones(9)), 0.1),
+        lambda plan: ocp.run(
+            type("Blind", (Own,), {"model": None})(lambda time, x: np.ones(9)), 0.1
+        ),
         TypeError,
         "controller.model is None",
     ),
-    "run of other strings": (decided(np.ones(4)), ValueError, r"controller.control\(time, state\) has shape"),
+    "run of other strings": (
+        decided(np.ones(4)),
+        ValueError,
+        r"controller.control\(time, state\) has shape",
+    ),
     "run of nothing decided": (decided(None), TypeError, "controller.control"),
-    "run of NaN": (decided(np.full(9, np.nan)), ValueError, r"controller.control\(time, state\)\[0\] is nan"),
-    "disturbance no function": (lambda plan: ocp.run(ocp.track(plan), 0.1, disturbance=5), TypeError, "disturbance is 5"),
+    "run of NaN": (
+        decided(np.full(9, np.nan)),
+        ValueError,
+        r"controller.control\(time, state\)\[0\] is nan",
+    ),
+    "disturbance no function": (
+        lambda plan: ocp.run(ocp.track(plan), 0.1, disturbance=5),
+        TypeError,
+        "disturbance is 5",
+    ),
     "run of a wound plant": (
-        lambda plan: ocp.run(ocp.track(plan), 0.1, tc.Model(tc.Scene(prism(1.0, stiffness=1e3), control=tc.RestLength()))),
+        lambda plan: ocp.run(
+            ocp.track(plan),
+            0.1,
+            tc.Model(tc.Scene(prism(1.0, stiffness=1e3), control=tc.RestLength())),
+        ),
         ValueError,
         "model has the control RestLength",
     ),
-    "run of another plant": (lambda plan: ocp.run(ocp.track(plan), 1.0, driven(tc.shapes.d_bar())), ValueError, "model has other nodes"),
-    "run of no controller": (lambda plan: ocp.run(ocp.Mpc, 1.0), TypeError, "controller is <class .*: give an ocp.Mpc"),
+    "run of another plant": (
+        lambda plan: ocp.run(ocp.track(plan), 1.0, driven(tc.shapes.d_bar())),
+        ValueError,
+        "model has other nodes",
+    ),
+    "run of no controller": (
+        lambda plan: ocp.run(ocp.Mpc, 1.0),
+        TypeError,
+        "controller is <class .*: give an ocp.Mpc",
+    ),
     "run for no time": (lambda plan: ocp.run(ocp.track(plan), 0.0), ValueError, "t_end"),
-    "disturbance that raises": (lambda plan: ocp.run(ocp.track(plan), 1.0, disturbance=lambda t: 1), ValueError, "disturbance fails with TypeError"),
-    "disturbance of wrong size": (lambda plan: ocp.run(ocp.track(plan), 1.0, disturbance=lambda t, x: x[:3]), ValueError, "disturbance"),
+    "disturbance that raises": (
+        lambda plan: ocp.run(ocp.track(plan), 1.0, disturbance=lambda t: 1),
+        ValueError,
+        "disturbance fails with TypeError",
+    ),
+    "disturbance of wrong size": (
+        lambda plan: ocp.run(ocp.track(plan), 1.0, disturbance=lambda t, x: x[:3]),
+        ValueError,
+        "disturbance",
+    ),
 }
 
 

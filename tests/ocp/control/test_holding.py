@@ -20,7 +20,13 @@ MASS = 2.0
 
 def leaning_bar(**options):
     nodes = [(0, 0, 0), (np.sin(LEAN), 0, np.cos(LEAN)), (-1, 0, 0), (1, 0, 0)]
-    structure = tc.Structure(nodes, bars=[(0, 1)], strings=[(1, 2), (1, 3)], bar_mass=MASS, pinned={0: "xyz", 1: "y", 2: "xyz", 3: "xyz"})
+    structure = tc.Structure(
+        nodes,
+        bars=[(0, 1)],
+        strings=[(1, 2), (1, 3)],
+        bar_mass=MASS,
+        pinned={0: "xyz", 1: "y", 2: "xyz", 3: "xyz"},
+    )
     return driven(structure, gravity=tc.Gravity(), **options)
 
 
@@ -29,7 +35,9 @@ def test_a_leaning_bar_is_held_against_its_weight():
     model = leaning_bar()
     found = equilibrium(model, model.initial_state, np.array([0.0, 3.0]), np.array([100.0, 100.0]))
     assert found.exact
-    assert found.force_density == pytest.approx([MASS * 9.81 * np.tan(LEAN) / 2 + 3.0, 3.0], rel=1e-6)
+    assert found.force_density == pytest.approx(
+        [MASS * 9.81 * np.tan(LEAN) / 2 + 3.0, 3.0], rel=1e-6
+    )
 
 
 def test_what_no_limits_allow_is_said():
@@ -38,14 +46,22 @@ def test_what_no_limits_allow_is_said():
     assert rest.state is None
     assert "no force densities within their limits do" in rest.message
     assert "accelerates by" in rest.message
-    moving = model.state(model.structure.nodes, np.array([(0, 0, 0), (np.cos(LEAN), 0, -np.sin(LEAN)), (0, 0, 0), (0, 0, 0)]))
-    assert "the end is not held: it moves at" in find_rest(model, moving, np.zeros(2), np.full(2, 100.0), 1e-3).message
+    moving = model.state(
+        model.structure.nodes,
+        np.array([(0, 0, 0), (np.cos(LEAN), 0, -np.sin(LEAN)), (0, 0, 0), (0, 0, 0)]),
+    )
+    assert (
+        "the end is not held: it moves at"
+        in find_rest(model, moving, np.zeros(2), np.full(2, 100.0), 1e-3).message
+    )
 
 
 def test_the_cost_of_holding_is_that_of_the_algebraic_equation():
     a, b = np.array([[1.0, 0.1], [0.3, 1.0]]), np.array([[0.005], [0.1]])
     Q, R = np.diag([1.0, 0.1]), np.array([[0.5]])
-    np.testing.assert_allclose(stationary_cost(a, b, Q, R), scipy.linalg.solve_discrete_are(a, b, Q, R), rtol=1e-8)
+    np.testing.assert_allclose(
+        stationary_cost(a, b, Q, R), scipy.linalg.solve_discrete_are(a, b, Q, R), rtol=1e-8
+    )
 
 
 def test_what_nothing_steadies_does_not_spoil_the_rest():
@@ -98,7 +114,10 @@ def test_the_goal_of_a_predicting_controller_is_held_where_equilibrium_is_possib
 
 
 def test_an_end_in_motion_is_kept_to_as_before(plan):
-    motion = replace(plan.trajectory, states=plan.trajectory.states + np.repeat([[0.0, 0.1]], [MODEL.nq, MODEL.nq], axis=1))
+    motion = replace(
+        plan.trajectory,
+        states=plan.trajectory.states + np.repeat([[0.0, 0.1]], [MODEL.nq, MODEL.nq], axis=1),
+    )
     tracker = ocp.track(replace(plan, trajectory=motion))
     assert tracker.hold is None
     assert "it moves at" in tracker.message

@@ -42,12 +42,23 @@ def test_without_disturbance_the_regulator_is_the_plan(plan):
 def test_many_motions_roll_out_as_one_does(plan):
     """Plants of three masses under the regulator, beyond the end of the plan: all at once, and one by one."""
     tracker, start = ocp.track(plan, decisions=10), plan.trajectory.states[0]
-    plants = tc.Model(tc.Scene(MODEL.structure, control=tc.ForceDensity(), parameters=tc.Parameters(scale=["bar_mass"])))
+    plants = tc.Model(
+        tc.Scene(
+            MODEL.structure, control=tc.ForceDensity(), parameters=tc.Parameters(scale=["bar_mass"])
+        )
+    )
     scales = np.array([[0.9], [1.0], [1.2]])
-    many = tc.rollouts(plants, 1.2, 0.01, start, tracker.feedback, scales, correction=tc.Projection(every=10))
+    many = tc.rollouts(
+        plants, 1.2, 0.01, start, tracker.feedback, scales, correction=tc.Projection(every=10)
+    )
     assert many.success.all(), many.summary()
     for scale, final in zip(scales[:, 0], many.final, strict=True):
-        plant = tc.Model(tc.Scene(MODEL.structure.replace(bar_mass=scale * MODEL.structure.bar_mass), control=tc.ForceDensity()))
+        plant = tc.Model(
+            tc.Scene(
+                MODEL.structure.replace(bar_mass=scale * MODEL.structure.bar_mass),
+                control=tc.ForceDensity(),
+            )
+        )
         alone = ocp.run(tracker, 1.2, plant, start, steps=10).trajectory
         np.testing.assert_allclose(final, alone.states[-1], rtol=0, atol=1e-9)
 
@@ -65,11 +76,27 @@ STATE = MODEL.initial_state
 
 BAD = {
     "track above NaN": (lambda plan: ocp.track(plan, lower=np.nan), ValueError, "lower is nan"),
-    "track within nothing": (lambda plan: ocp.track(plan, lower=50.0, upper=10.0), ValueError, "lower is 50 and upper is 10 for string 0"),
-    "track that pushes": (lambda plan: ocp.track(plan, lower=-5.0, upper=-5.0), ValueError, "lower of string 0 is -5"),
+    "track within nothing": (
+        lambda plan: ocp.track(plan, lower=50.0, upper=10.0),
+        ValueError,
+        "lower is 50 and upper is 10 for string 0",
+    ),
+    "track that pushes": (
+        lambda plan: ocp.track(plan, lower=-5.0, upper=-5.0),
+        ValueError,
+        "lower of string 0 is -5",
+    ),
     "track above a word": (lambda plan: ocp.track(plan, lower="a"), TypeError, "lower"),
-    "track at a state too short": (lambda plan: ocp.track(plan).control(0.0, STATE[:3]), ValueError, r"state has shape \(3,\)"),
-    "track at NaN": (lambda plan: ocp.track(plan).control(np.nan, STATE), ValueError, "time is nan"),
+    "track at a state too short": (
+        lambda plan: ocp.track(plan).control(0.0, STATE[:3]),
+        ValueError,
+        r"state has shape \(3,\)",
+    ),
+    "track at NaN": (
+        lambda plan: ocp.track(plan).control(np.nan, STATE),
+        ValueError,
+        "time is nan",
+    ),
     "track no plan": (lambda plan: ocp.track(1), TypeError, "plan"),
     "track at no place": (lambda plan: ocp.track(plan, place=-1.0), ValueError, "place"),
 }
@@ -85,7 +112,12 @@ def test_bad_arguments_are_refused_by_name(plan, name):
 @pytest.mark.parametrize("success", [True, False])
 def test_a_plan_along_which_departures_explode_is_refused(plan, monkeypatch, success):
     derivatives = lqr.Motion.derivatives
-    monkeypatch.setattr(lqr.Motion, "derivatives", lambda *given: [1e200 * slope for slope in derivatives(*given)])
+    monkeypatch.setattr(
+        lqr.Motion, "derivatives", lambda *given: [1e200 * slope for slope in derivatives(*given)]
+    )
     told = "motion" if success else "motion of a plan that failed"
-    with pytest.raises(ValueError, match=rf"decisions is 20: departures along the {told} grow too fast.* more decisions"):
+    with pytest.raises(
+        ValueError,
+        match=rf"decisions is 20: departures along the {told} grow too fast.* more decisions",
+    ):
         ocp.track(replace(plan, success=success))

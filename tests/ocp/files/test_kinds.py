@@ -23,7 +23,11 @@ LISTS = {Goal: kinds.GOALS, Bound: kinds.BOUNDS, Cost: kinds.COSTS}
 def offered(kind: type) -> dict[str, Any]:
     """The public classes of a kind by name."""
     public = {name: getattr(ocp, name) for name in ocp.__all__}
-    return {name: value for name, value in public.items() if inspect.isclass(value) and issubclass(value, kind) and name not in FUNCTIONS}
+    return {
+        name: value
+        for name, value in public.items()
+        if inspect.isclass(value) and issubclass(value, kind) and name not in FUNCTIONS
+    }
 
 
 def defined(form: Any) -> dict[str, Any]:
@@ -33,7 +37,9 @@ def defined(form: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("kind", LISTS, ids=lambda kind: kind.__name__)
 def test_all_are_defined(kind):
-    wanted = set(offered(kind)) - ({"SoftGoal"} if kind is Cost else set())  # which is among the goals
+    wanted = set(offered(kind)) - (
+        {"SoftGoal"} if kind is Cost else set()
+    )  # which is among the goals
     assert wanted <= set(defined(LISTS[kind]))
 
 
@@ -46,7 +52,11 @@ def test_all_ways_to_solve_are_defined():
 FORMS = [*LISTS.values(), kinds.TRANSCRIPTION, kinds.SOLVER, kinds.GUESS, kinds.PHASES]
 
 
-@pytest.mark.parametrize("definition", [each for form in FORMS for each in defined(form).values()], ids=lambda each: each.kind)
+@pytest.mark.parametrize(
+    "definition",
+    [each for form in FORMS for each in defined(form).values()],
+    ids=lambda each: each.kind,
+)
 def test_every_field_is_defined(definition):
     if dataclasses.is_dataclass(definition.build):
         fields = {field.name for field in dataclasses.fields(definition.build)} - NOT_IN_FILES

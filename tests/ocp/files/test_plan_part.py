@@ -20,13 +20,19 @@ else:
 
 ROOT = Path(__file__).parents[3]
 VALIDATOR = jsonschema.Draft202012Validator(file_schema())
-FILES = [*sorted((ROOT / "tenscasadi/cli/starting_files").glob("*.toml")), *sorted((ROOT / "examples/scenes").glob("*.toml"))]
+FILES = [
+    *sorted((ROOT / "tenscasadi/cli/starting_files").glob("*.toml")),
+    *sorted((ROOT / "examples/scenes").glob("*.toml")),
+]
 HEAD = 'format = 1\nunits = "SI"\n[structure]\nshape = "prism"\n[plan]\n'
 
 
 def test_it_is_a_schema_with_units():
     jsonschema.Draft202012Validator.check_schema(VALIDATOR.schema)
-    assert "N/m" in VALIDATOR.schema["$defs"]["ocp.ForceDensityLimits"]["properties"]["upper"]["description"]
+    assert (
+        "N/m"
+        in VALIDATOR.schema["$defs"]["ocp.ForceDensityLimits"]["properties"]["upper"]["description"]
+    )
 
 
 def test_the_command_line_prints_it(capsys):

@@ -6,7 +6,16 @@ import casadi as ca
 import numpy as np
 import pytest
 from ocp_problems.shape_changes import ball, free_prism, heavy_strings, standing_prism
-from ocp_problems.tasks import in_full_coordinates, limited, prism_by_way_of, quickest, reach, slow, there_and_back, within
+from ocp_problems.tasks import (
+    in_full_coordinates,
+    limited,
+    prism_by_way_of,
+    quickest,
+    reach,
+    slow,
+    there_and_back,
+    within,
+)
 
 import ocp
 import tenscasadi as tc
@@ -39,17 +48,36 @@ def plane(friction=0.6):
 
 def jump():
     """Feet push off and fly: a problem of two phases."""
-    standing = tc.Scene(tc.shapes.prism(bar_mass=0.3), control=tc.ForceDensity(), gravity=tc.Gravity(), ground=plane())
+    standing = tc.Scene(
+        tc.shapes.prism(bar_mass=0.3),
+        control=tc.ForceDensity(),
+        gravity=tc.Gravity(),
+        ground=plane(),
+    )
     push = ocp.Phase((0.1, 0.5), stands=[0, 1, 2], bounds=[ocp.ForceDensityLimits(2.0, 400.0)])
     flight = ocp.Phase((0.05, 0.5), goals=[ocp.CentreOfMass((None, None, 0.7))])
-    return ocp.Problem(tc.Model(standing), goals=[ocp.NodeVelocities({0: (None, None, 0.0)})], phases=[push, flight], costs=[ocp.Effort()])
+    return ocp.Problem(
+        tc.Model(standing),
+        goals=[ocp.NodeVelocities({0: (None, None, 0.0)})],
+        phases=[push, flight],
+        costs=[ocp.Effort()],
+    )
 
 
 def wished():
     """Soft goals, at the end and on the way."""
     asked = free_prism(3, 1.0, 1.1)
-    soft = [ocp.StringLengths({0: 0.8}).soft(1e4), ocp.Waypoint([ocp.NodePositions({5: (None, None, 1.05)}).soft(10.0)], share=0.5)]
-    return ocp.Problem(asked.model, 1.0, goals=[*asked.goals, *soft], bounds=asked.bounds, costs=[ocp.Smoothness(1e-3)])
+    soft = [
+        ocp.StringLengths({0: 0.8}).soft(1e4),
+        ocp.Waypoint([ocp.NodePositions({5: (None, None, 1.05)}).soft(10.0)], share=0.5),
+    ]
+    return ocp.Problem(
+        asked.model,
+        1.0,
+        goals=[*asked.goals, *soft],
+        bounds=asked.bounds,
+        costs=[ocp.Smoothness(1e-3)],
+    )
 
 
 def gait():
@@ -58,9 +86,15 @@ def gait():
     return ocp.Problem(
         model,
         (0.5, 1.0),
-        start=ocp.FreeStart(near=model.structure.nodes + [0.125, 0, 0], goals=[ocp.NodePositions({0: (0.5, None, None)})]),
+        start=ocp.FreeStart(
+            near=model.structure.nodes + [0.125, 0, 0],
+            goals=[ocp.NodePositions({0: (0.5, None, None)})],
+        ),
         goals=[ocp.Periodic(shift=(0.1, None, 0.0))],
-        bounds=[ocp.ForceDensityLimits(1.0, 100.0), ocp.AboveSurface(tc.Ground(height=-5.0), 0.1, nodes=[3])],
+        bounds=[
+            ocp.ForceDensityLimits(1.0, 100.0),
+            ocp.AboveSurface(tc.Ground(height=-5.0), 0.1, nodes=[3]),
+        ],
     )
 
 
@@ -69,13 +103,20 @@ def wound():
     prism = tc.shapes.prism(stiffness=1000.0, prestress=50.0)
     goals = [ocp.StringLengths(tc.shapes.prism(height=1.02, radius=0.49).string_lengths)]
     limits = [ocp.RestLengthLimits(upper=2.0), ocp.TensionLimits(upper=np.linspace(50.0, 90.0, 9))]
-    return ocp.Problem(tc.Model(tc.Scene(prism, control=tc.RestLength())), 0.4, goals=goals, bounds=limits)
+    return ocp.Problem(
+        tc.Model(tc.Scene(prism, control=tc.RestLength())), 0.4, goals=goals, bounds=limits
+    )
 
 
 def tracked_path():
     """A tip is led along a line, around an obstacle and within a box."""
     asked = reach(0.4)
-    bounds = [*asked.bounds, ocp.Obstacle((0.3, 0.8, 0.9), 0.1, nodes=[1]), ocp.InsideBox(upper=(None, None, 1.2)), ocp.ForceDensityRateLimits(1e4)]
+    bounds = [
+        *asked.bounds,
+        ocp.Obstacle((0.3, 0.8, 0.9), 0.1, nodes=[1]),
+        ocp.InsideBox(upper=(None, None, 1.2)),
+        ocp.ForceDensityRateLimits(1e4),
+    ]
     costs = [ocp.Tracking({1: (0.2, 0.1, None)}, weight=3.0), ocp.Prestress(20.0), ocp.Work(1e-3)]
     return ocp.Problem(asked.model, 1.0, goals=asked.goals, bounds=bounds, costs=costs)
 
@@ -89,8 +130,14 @@ PROBLEMS = {
     "waypoints": lambda: prism_by_way_of(1.1, 0.9),
     "least time": lambda: quickest(reach(0.4)),
     "arm under its weight": lambda: reach(0.4, True),
-    "bars apart": lambda: within(free_prism(3, 1.0, 1.1), ocp.BarClearance(0.05, pairs=[(0, 1)]), ocp.BarForceLimits(compression=30.0)),
-    "winding": lambda: limited(ocp.RestLengthRateLimits(0.4, stiffness=1000.0), ocp.TensionLimits(upper=12.0)),
+    "bars apart": lambda: within(
+        free_prism(3, 1.0, 1.1),
+        ocp.BarClearance(0.05, pairs=[(0, 1)]),
+        ocp.BarForceLimits(compression=30.0),
+    ),
+    "winding": lambda: limited(
+        ocp.RestLengthRateLimits(0.4, stiffness=1000.0), ocp.TensionLimits(upper=12.0)
+    ),
     "massive strings": lambda: heavy_strings(3, 2),
     "full coordinates": lambda: in_full_coordinates(reach(0.4)),
     "phases": jump,
@@ -110,10 +157,18 @@ def told(problem):
         if isinstance(value, (list, tuple)):
             return [plain(entry) for entry in value]
         if hasattr(value, "__dataclass_fields__"):
-            return type(value).__name__, {name: plain(getattr(value, name)) for name in value.__dataclass_fields__}
-        return {key: plain(entry) for key, entry in value.items()} if isinstance(value, dict) else value
+            return type(value).__name__, {
+                name: plain(getattr(value, name)) for name in value.__dataclass_fields__
+            }
+        return (
+            {key: plain(entry) for key, entry in value.items()}
+            if isinstance(value, dict)
+            else value
+        )
 
-    return {name: plain(getattr(problem, name)) for name in ("duration", "goals", "bounds", "phases")}
+    return {
+        name: plain(getattr(problem, name)) for name in ("duration", "goals", "bounds", "phases")
+    }
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
@@ -126,7 +181,10 @@ def test_problems_come_back(name, tmp_path):
     assert [type(cost) for cost in again.costs] == [type(cost) for cost in problem.costs]
     x, u = np.linspace(0.3, 1.7, problem.model.nx), np.linspace(0.5, 2.0, problem.model.nu)
     assert np.array_equal(np.asarray(again.model.ode(x, u)), np.asarray(problem.model.ode(x, u)))
-    assert ocp.save_problem(again, tmp_path / "again.toml").read_text() == (tmp_path / "problem.toml").read_text()
+    assert (
+        ocp.save_problem(again, tmp_path / "again.toml").read_text()
+        == (tmp_path / "problem.toml").read_text()
+    )
 
 
 @pytest.mark.parametrize("name", ["prism on its feet", "waypoints", "soft goals", "tracking"])
@@ -134,18 +192,50 @@ def test_problems_that_come_back_have_the_same_plan(name, tmp_path):
     problem = PROBLEMS[name]()
     way = {"transcription": ocp.Variational(10), "solver": ocp.Ipopt(options={"mu_init": 0.05})}
     plan = ocp.solve(problem, **way)
-    again = ocp.solve(**ocp.load_arguments(ocp.save_problem(problem, tmp_path / "problem.toml", **way)))
+    again = ocp.solve(
+        **ocp.load_arguments(ocp.save_problem(problem, tmp_path / "problem.toml", **way))
+    )
     assert np.array_equal(again.force_density, plan.force_density)
     assert np.array_equal(again.trajectory.states, plan.trajectory.states)
 
 
 WAYS = [
-    {"transcription": ocp.MultipleShooting(7, accuracy=1e-6, scheme=tc.DormandPrince54(), substeps=2)},
-    {"transcription": ocp.ImplicitMidpoint(5, control=ocp.PiecewiseLinear(groups=[(0, 1), (2, 3)]))},
-    {"transcription": ocp.Collocation([1.0, 2.0, 1.0], control=ocp.PiecewiseConstant(changes=1), degree=3), "solver": ocp.Fatrop(tolerance=1e-6)},
-    {"solver": ocp.CondensedNewton(max_iterations=9), "guess": ocp.InverseDynamics(noise=0.1, seed=3), "tolerance": 1e-3},
-    {"solver": ocp.Sampling(groups=[(0, 1)], samples=64), "guess": ocp.Equilibrium(), "starts": 3, "seconds": 9.0, "tracked": True},
-    {"solver": ocp.Ipopt(50, options={"linear_solver": "mumps", "mu_init": 0.1, "mehrotra_algorithm": "no"}, seconds=4.0, warm=True)},
+    {
+        "transcription": ocp.MultipleShooting(
+            7, accuracy=1e-6, scheme=tc.DormandPrince54(), substeps=2
+        )
+    },
+    {
+        "transcription": ocp.ImplicitMidpoint(
+            5, control=ocp.PiecewiseLinear(groups=[(0, 1), (2, 3)])
+        )
+    },
+    {
+        "transcription": ocp.Collocation(
+            [1.0, 2.0, 1.0], control=ocp.PiecewiseConstant(changes=1), degree=3
+        ),
+        "solver": ocp.Fatrop(tolerance=1e-6),
+    },
+    {
+        "solver": ocp.CondensedNewton(max_iterations=9),
+        "guess": ocp.InverseDynamics(noise=0.1, seed=3),
+        "tolerance": 1e-3,
+    },
+    {
+        "solver": ocp.Sampling(groups=[(0, 1)], samples=64),
+        "guess": ocp.Equilibrium(),
+        "starts": 3,
+        "seconds": 9.0,
+        "tracked": True,
+    },
+    {
+        "solver": ocp.Ipopt(
+            50,
+            options={"linear_solver": "mumps", "mu_init": 0.1, "mehrotra_algorithm": "no"},
+            seconds=4.0,
+            warm=True,
+        )
+    },
     {"guess": ocp.Arrays(np.arange(12.0).reshape(2, 6), np.ones((3, 4)), 0.5)},
 ]
 
@@ -161,15 +251,23 @@ def test_how_it_is_solved_comes_back(way, tmp_path):
 def test_what_no_file_holds_is_refused_by_name(tmp_path):
     cases = {
         r"Problem.bounds\[1\] is Constraint 'speed'": limited(slow(0.2)),
-        r"Problem.costs\[1\] is AtEnd 'height'": limited(costs=(ocp.Effort(), ocp.AtEnd("height", lambda end: -end.nodes[2, 3]))),
-        r"Problem.costs\[0\] is Integral 'height'": limited(costs=(ocp.Integral("height", lambda now: now.nodes[2, 3]),)),
-        "Tracking.positions: a function of time": limited(costs=(ocp.Tracking({3: lambda t: (ca.cos(t), None, None)}),)),
+        r"Problem.costs\[1\] is AtEnd 'height'": limited(
+            costs=(ocp.Effort(), ocp.AtEnd("height", lambda end: -end.nodes[2, 3]))
+        ),
+        r"Problem.costs\[0\] is Integral 'height'": limited(
+            costs=(ocp.Integral("height", lambda now: now.nodes[2, 3]),)
+        ),
+        "Tracking.positions: a function of time": limited(
+            costs=(ocp.Tracking({3: lambda t: (ca.cos(t), None, None)}),)
+        ),
     }
     for named, problem in cases.items():
         with pytest.raises(ValueError, match=f"problem cannot be written, .*{named}"):
             ocp.save_problem(problem, tmp_path / "problem.toml")
     with pytest.raises(ValueError, match=r"solver: Ipopt.options: .*no number, flag or word"):
-        ocp.save_problem(reach(0.4), tmp_path / "problem.toml", solver=ocp.Ipopt(options={"mu_init": np.ones(2)}))
+        ocp.save_problem(
+            reach(0.4), tmp_path / "problem.toml", solver=ocp.Ipopt(options={"mu_init": np.ones(2)})
+        )
     with pytest.raises(ValueError, match=r"Ipopt\.watch is a function in Python: leave it out"):
         ocp.save_problem(reach(0.4), tmp_path / "problem.toml", solver=ocp.Ipopt(watch=print))
     with pytest.raises(TypeError, match="'method': give transcription"):
@@ -207,14 +305,24 @@ def test_names_groups_and_shapes_stand_for_numbers(written):
     assert place.positions == {1: (0.4, None, None)}
     assert lengths.lengths == {0: 1.3, 1: 1.3, 2: 1.3, 3: 1.3}
     assert problem.force_density_limits[1].tolist() == [10, 20, np.inf, 30]
-    assert [float(entry) if entry is not None else None for entry in problem.costs[0].positions[1](2.0)] == [0.8, None, 0.0]
+    assert [
+        float(entry) if entry is not None else None for entry in problem.costs[0].positions[1](2.0)
+    ] == [0.8, None, 0.0]
     prism = '[structure]\nshape = "prism"\n[plan]\nbounds = [{ kind = "ForceDensityLimits", upper = 100 }]\n'
-    shaped = ocp.load_problem(written(prism + 'goals = [{ kind = "Shape", nodes = { shape = "prism", radius = 0.5 } }]', "shape.toml"))
+    shaped = ocp.load_problem(
+        written(
+            prism + 'goals = [{ kind = "Shape", nodes = { shape = "prism", radius = 0.5 } }]',
+            "shape.toml",
+        )
+    )
     assert np.array_equal(shaped.goals[0].nodes, tc.shapes.prism(radius=0.5).nodes)
 
 
 def test_the_start_is_that_of_the_scene_unless_the_plan_has_its_own(written):
-    moving = ARM + "[start]\nvelocities = { tip = [0.5, 0, 0] }\n[plan]\ncosts = ['Effort']\nbounds = ['ForceDensityLimits']\n"
+    moving = (
+        ARM
+        + "[start]\nvelocities = { tip = [0.5, 0, 0] }\n[plan]\ncosts = ['Effort']\nbounds = ['ForceDensityLimits']\n"
+    )
     problem = ocp.load_problem(written(moving))
     assert problem.model.velocities(problem.first_state)[1].tolist() == [0.5, 0, 0]
     problem = ocp.load_problem(written(moving + "start = 'structure'"))
@@ -227,15 +335,33 @@ WRONG = {  # what stands in [plan]: the key, and words of the message
     "duration = [2, 1]": ("plan.duration", "shortest, longest"),
     "duration = 'side'": ("plan.duration", "'side' is not declared"),
     "goals = [{ kind = 'AtREst' }]": ("plan.goals[0].kind", "did you mean 'AtRest'?"),
-    "goals = ['AtRest', { kind = 'NodePositions', positions = { top = [0, 0, 1] } }]": ("plan.goals[1].positions.top", "did you mean 'tip'?"),
-    "goals = [{ kind = 'NodePositions', positions = { 9 = [0, 0, 1] } }]": ("plan.goals[0].positions.9", "run from 0 to 5"),
-    "goals = [{ kind = 'NodePositions', positions = { west = [0, 0, 1] } }]": ("plan.goals[0]", "leave that axis None"),
+    "goals = ['AtRest', { kind = 'NodePositions', positions = { top = [0, 0, 1] } }]": (
+        "plan.goals[1].positions.top",
+        "did you mean 'tip'?",
+    ),
+    "goals = [{ kind = 'NodePositions', positions = { 9 = [0, 0, 1] } }]": (
+        "plan.goals[0].positions.9",
+        "run from 0 to 5",
+    ),
+    "goals = [{ kind = 'NodePositions', positions = { west = [0, 0, 1] } }]": (
+        "plan.goals[0]",
+        "leave that axis None",
+    ),
     "goals = [{ kind = 'StringLengths', lengths = [1, 2] }]": ("plan.goals[0]", "give"),
-    "goals = [{ kind = 'StringLengths', lengths = { shape = 'prisn' } }]": ("plan.goals[0].lengths.shape", "did you mean 'prism'?"),
+    "goals = [{ kind = 'StringLengths', lengths = { shape = 'prisn' } }]": (
+        "plan.goals[0].lengths.shape",
+        "did you mean 'prism'?",
+    ),
     "goals = [{ kind = 'Waypoint', goals = ['AtRest'] }]": ("plan.goals[0]", "give one of them"),
     "goals = 'AtRest'": ("plan.goals", "give a list"),
-    "bounds = [{ kind = 'ForceDensityLimits', lower = 5, upper = 1 }]": ("plan.bounds[0]", "give lower"),
-    "bounds = [{ kind = 'Obstacle', centre = [0, 0], radius = 1 }]": ("plan.bounds[0].centre", "3 numbers"),
+    "bounds = [{ kind = 'ForceDensityLimits', lower = 5, upper = 1 }]": (
+        "plan.bounds[0]",
+        "give lower",
+    ),
+    "bounds = [{ kind = 'Obstacle', centre = [0, 0], radius = 1 }]": (
+        "plan.bounds[0].centre",
+        "3 numbers",
+    ),
     "bounds = [{ kind = 'Constraint', name = 'x' }]": ("plan.bounds[0].kind", "give one of"),
     "costs = [{ kind = 'Effort', weight = 0 }]": ("plan.costs[0].weight", "must be"),
     "costs = [{ kind = 'Effort', wight = 1 }]": ("plan.costs[0].wight", "did you mean 'weight'?"),
@@ -243,11 +369,26 @@ WRONG = {  # what stands in [plan]: the key, and words of the message
     "start = 'here'": ("plan.start", "give"),
     "start = [[0, 0, 0]]": ("plan.start", "give"),
     "control = 'Thrust'": ("plan.control", "ForceDensity"),
-    "transcription = { kind = 'Variational', intervals = 2.5 }": ("plan.transcription.intervals", "whole number"),
-    "transcription = { kind = 'Variational', intervals = 1000000000 }": ("plan.transcription.intervals", "must be"),
-    "solver = { kind = 'Ipopt', options = { hsllib = 'evil.so' } }": ("plan.solver.options.hsllib", "leave it out"),
-    "solver = { kind = 'Ipopt', options = { output_file = 'out' } }": ("plan.solver.options.output_file", "leave it out"),
-    "solver = { kind = 'Ipopt', options = { ma97_dump_matrix = 'yes' } }": ("plan.solver.options.ma97_dump_matrix", "leave it out"),
+    "transcription = { kind = 'Variational', intervals = 2.5 }": (
+        "plan.transcription.intervals",
+        "whole number",
+    ),
+    "transcription = { kind = 'Variational', intervals = 1000000000 }": (
+        "plan.transcription.intervals",
+        "must be",
+    ),
+    "solver = { kind = 'Ipopt', options = { hsllib = 'evil.so' } }": (
+        "plan.solver.options.hsllib",
+        "leave it out",
+    ),
+    "solver = { kind = 'Ipopt', options = { output_file = 'out' } }": (
+        "plan.solver.options.output_file",
+        "leave it out",
+    ),
+    "solver = { kind = 'Ipopt', options = { ma97_dump_matrix = 'yes' } }": (
+        "plan.solver.options.ma97_dump_matrix",
+        "leave it out",
+    ),
     "solver = { kind = 'Ipopt', watch = 1 }": ("plan.solver.watch", "is no field"),
     "starts = 1e9": ("plan.starts", "must be"),
     "tolerance = 0": ("plan.tolerance", "must be"),

@@ -35,7 +35,11 @@ def test_a_flight_is_a_parabola():
     model = task.parts[0].model
     speed = model.velocities(air.states[0])[:, 2].mean()
     t = np.linspace(0.0, air.duration, len(air.states))
-    assert np.allclose(heights(model, air.states), heights(model, air.states[0]) + speed * t - GRAVITY * t**2 / 2, atol=1e-7)
+    assert np.allclose(
+        heights(model, air.states),
+        heights(model, air.states[0]) + speed * t - GRAVITY * t**2 / 2,
+        atol=1e-7,
+    )
     assert heights(model, air.states[-1]) == pytest.approx(HEIGHT / 2 + 0.2, abs=1e-6)
 
 
@@ -45,19 +49,28 @@ def test_the_push_makes_the_momentum_of_the_flight():
     model = task.parts[0].model
     h = stance.duration / (len(stance.states) - 1)
     pushed = stance.reactions.sum(axis=1)
-    impulse = h * (pushed.sum(axis=0) - (pushed[0] + pushed[-1]) / 2) - [0, 0, 0.9 * GRAVITY * stance.duration]
+    impulse = h * (pushed.sum(axis=0) - (pushed[0] + pushed[-1]) / 2) - [
+        0,
+        0,
+        0.9 * GRAVITY * stance.duration,
+    ]
     assert np.allclose(impulse, 0.9 * model.velocities(air.states[0]).mean(axis=0), atol=1e-6)
 
 
 def pinned_model():
-    return tc.Model(tc.Scene(low_prism().replace(pinned=FEET), control=tc.ForceDensity(), gravity=tc.Gravity()))
+    return tc.Model(
+        tc.Scene(low_prism().replace(pinned=FEET), control=tc.ForceDensity(), gravity=tc.Gravity())
+    )
 
 
 def test_reactions_are_those_of_pins():
     """Ω of the pinned model at the same states: the discrete reactions approach it with the square of the step."""
     pinned, errors = pinned_model(), []
     for count in (20, 40):
-        squat = jumping(push(duration=0.4, goals=[ocp.CentreOfMass((None, None, 0.25)), ocp.AtRest()]), costs=[ocp.Smoothness()])
+        squat = jumping(
+            push(duration=0.4, goals=[ocp.CentreOfMass((None, None, 0.25)), ocp.AtRest()]),
+            costs=[ocp.Smoothness()],
+        )
         task = link_problem(squat, ocp.Variational(count))
         solution = ocp.Ipopt().solve(task.linked.program)
         assert solution.success
@@ -66,7 +79,10 @@ def test_reactions_are_those_of_pins():
         model = task.parts[0].model
         x = pinned.state(model.nodes(stance.states[k]), model.velocities(stance.states[k]))
         omega = pinned.multipliers(x, stance.force_density[k - 1 : k + 1].mean(axis=0)).joint_force
-        errors.append(np.abs(np.abs(omega[:, -3:].T) - np.abs(stance.reactions[k])).max() / np.abs(omega).max())
+        errors.append(
+            np.abs(np.abs(omega[:, -3:].T) - np.abs(stance.reactions[k])).max()
+            / np.abs(omega).max()
+        )
     assert errors[1] < 0.01
     assert errors[1] < errors[0]
 
@@ -75,7 +91,14 @@ def test_the_stance_is_the_motion_of_a_pinned_structure():
     task, (stance, _) = jump()
     model, pinned = task.parts[0].model, pinned_model()
     start = pinned.state(model.nodes(stance.states[0]))
-    motion = tc.simulate(pinned, stance.duration, stance.duration / 400, tc.DormandPrince54(), state=start, control=stance.force_density)
+    motion = tc.simulate(
+        pinned,
+        stance.duration,
+        stance.duration / 400,
+        tc.DormandPrince54(),
+        state=start,
+        control=stance.force_density,
+    )
     assert np.allclose(motion.nodes[-1], model.nodes(stance.states[-1]), atol=1e-3)
 
 
@@ -92,7 +115,12 @@ def landing():
     model = standing()
     nodes = low_prism().nodes + [0, 0, 0.3]
     velocities = np.cross([0.3, 0.2, 0.5], nodes - nodes.mean(axis=0)) + [0.2, 0.1, -0.5]
-    problem = jumping(ocp.Phase((0.05, 0.6)), push(goals=[ocp.AtRest()]), start=np.asarray(model.state(nodes, velocities)), costs=[ocp.Effort()])
+    problem = jumping(
+        ocp.Phase((0.05, 0.6)),
+        push(goals=[ocp.AtRest()]),
+        start=np.asarray(model.state(nodes, velocities)),
+        costs=[ocp.Effort()],
+    )
     task = link_problem(problem, PLAN)
     solution = ocp.Ipopt().solve(task.linked.program)
     assert solution.success, solution.status
@@ -110,7 +138,11 @@ def test_an_impact_keeps_momenta_but_for_the_impulses_on_the_feet():
     nodes, M = model.nodes(after), model.mechanism.M
     change = M @ (model.velocities(after) - model.velocities(before))
     assert np.allclose(change.sum(axis=0), impulses.sum(axis=0), atol=1e-8)
-    assert np.allclose(np.cross(nodes, change).sum(axis=0), np.cross(nodes[list(FEET)], impulses).sum(axis=0), atol=1e-8)
+    assert np.allclose(
+        np.cross(nodes, change).sum(axis=0),
+        np.cross(nodes[list(FEET)], impulses).sum(axis=0),
+        atol=1e-8,
+    )
 
 
 def test_an_impact_is_the_projection_onto_what_feet_and_bars_allow():
@@ -174,12 +206,21 @@ def test_a_plan_in_phases_refines():
 
 def test_limits_of_the_end_are_of_the_end_alone():
     """A limit that the end of the first phase breaks, as asked."""
-    low = ocp.Constraint("height", lambda now: ca.sum2(now.nodes[2, :]) / 6, upper=0.25, at_end=True)
+    low = ocp.Constraint(
+        "height", lambda now: ca.sum2(now.nodes[2, :]) / 6, upper=0.25, at_end=True
+    )
     rising = push(goals=[ocp.CentreOfMass((None, None, 0.35))])
-    plan = ocp.solve(jumping(rising, push(goals=[ocp.AtRest()]), bounds=[ocp.ForceDensityLimits(5.0, 500.0), low]), PLAN)
+    plan = ocp.solve(
+        jumping(
+            rising, push(goals=[ocp.AtRest()]), bounds=[ocp.ForceDensityLimits(5.0, 500.0), low]
+        ),
+        PLAN,
+    )
     assert plan.status == "Solve_Succeeded"
     own = heights(plan.model, plan.trajectory.states)
-    assert own[10] == pytest.approx(0.35, abs=0.01)  # goals move a little against what the replay misses
+    assert own[10] == pytest.approx(
+        0.35, abs=0.01
+    )  # goals move a little against what the replay misses
     assert own[-1] < 0.25 + 0.01
 
 
@@ -200,7 +241,10 @@ def test_other_ways_to_solve_are_refused_by_name():
 def test_a_shape_is_a_goal_of_nodes_that_land():
     """Lengths between nodes that land are not kept from where they come from: they decide where it is."""
     wanted = low_prism().string_lengths
-    air, stance = ocp.Phase((0.05, 0.6)), push(duration=(0.1, 0.6), goals=[ocp.StringLengths({0: 0.9 * wanted[0]})])
+    air, stance = (
+        ocp.Phase((0.05, 0.6)),
+        push(duration=(0.1, 0.6), goals=[ocp.StringLengths({0: 0.9 * wanted[0]})]),
+    )
     nodes = low_prism().nodes + [0, 0, 0.1]
     task = link_problem(jumping(air, stance, start=nodes), PLAN)
     solution = ocp.Ipopt().solve(task.linked.program)
@@ -214,14 +258,21 @@ def test_a_shape_is_a_goal_of_nodes_that_land():
 @pytest.mark.parametrize("stiffness", [1e4, 1e5])
 @pytest.mark.parametrize("rise", [0.1, 0.2, 0.3, 0.4])
 def test_jumps_of_all_heights_on_hard_grounds(rise, stiffness):
-    plan = ocp.solve(jumping(push(), flight(rise), model=standing(stiffness, 0.2 * np.sqrt(stiffness))))
+    plan = ocp.solve(
+        jumping(push(), flight(rise), model=standing(stiffness, 0.2 * np.sqrt(stiffness)))
+    )
     assert plan.success, plan.message
-    assert heights(plan.model, plan.replay().states).max() - HEIGHT / 2 == pytest.approx(rise, abs=0.02)
+    assert heights(plan.model, plan.replay().states).max() - HEIGHT / 2 == pytest.approx(
+        rise, abs=0.02
+    )
 
 
 @pytest.mark.slow
 def test_a_prism_jumps_and_lands_at_rest():
-    plan = ocp.solve(jumping(push(), flight(0.3), ocp.Phase((0.02, 0.5)), push(goals=[ocp.AtRest()])), tolerance=0.05)
+    plan = ocp.solve(
+        jumping(push(), flight(0.3), ocp.Phase((0.02, 0.5)), push(goals=[ocp.AtRest()])),
+        tolerance=0.05,
+    )
     assert plan.success, plan.message
     replay = plan.replay()
     assert np.abs(replay.velocities[-1]).max() < 0.1
@@ -236,7 +287,13 @@ def test_a_prism_crawls_three_cycles():
     for cycle in range(1, 4):
         for foot in (2, 0, 1):
             place = (low_prism().nodes[foot, 0] + cycle * ahead, None, None)
-            phases.append(ocp.Phase((0.03, 0.4), [other for other in FEET if other != foot], [ocp.NodePositions({foot: place})]))
+            phases.append(
+                ocp.Phase(
+                    (0.03, 0.4),
+                    [other for other in FEET if other != foot],
+                    [ocp.NodePositions({foot: place})],
+                )
+            )
             phases.append(push(duration=(0.05, 0.5)))
     plan = ocp.solve(jumping(*phases, goals=[ocp.AtRest()]), PLAN, tolerance=0.05)
     assert plan.success, plan.message

@@ -24,42 +24,90 @@ LEAST = ocp.ForceDensityLimits(5.0, 100.0)
 
 def arm():
     nodes = [(0, 0, 0), (0, 0, 1.0), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)]
-    return tc.Structure(nodes, bars=[(0, 1)], strings=[(1, 2), (1, 3), (1, 4), (1, 5)], pinned=[0, 2, 3, 4, 5])
+    return tc.Structure(
+        nodes, bars=[(0, 1)], strings=[(1, 2), (1, 3), (1, 4), (1, 5)], pinned=[0, 2, 3, 4, 5]
+    )
 
 
 def asked(*bounds, goals=RISE, duration=1.0, model=MODEL, start=None):
-    return ocp.Problem(model, duration, start, goals=goals, bounds=[LEAST, *bounds], costs=[ocp.Effort()])
+    return ocp.Problem(
+        model, duration, start, goals=goals, bounds=[LEAST, *bounds], costs=[ocp.Effort()]
+    )
 
 
 FAILED = {
-    "too little force": (lambda: asked(ocp.ForceDensityLimits(5.0, 7.5)), ("upper limits hold", "most often the force density of string")),
-    "too little time": (lambda: asked(ocp.ForceDensityLimits(5.0, 20.0), duration=0.1), ("upper limits hold", "longer duration")),
-    "too little tension": (lambda: asked(ocp.TensionLimits(upper=6.5)), ("upper limits hold", "tension of string")),
-    "bars too slender": (lambda: asked(ocp.Buckling(3.9e9)), ("upper limits hold", "buckling of bar")),
+    "too little force": (
+        lambda: asked(ocp.ForceDensityLimits(5.0, 7.5)),
+        ("upper limits hold", "most often the force density of string"),
+    ),
+    "too little time": (
+        lambda: asked(ocp.ForceDensityLimits(5.0, 20.0), duration=0.1),
+        ("upper limits hold", "longer duration"),
+    ),
+    "too little tension": (
+        lambda: asked(ocp.TensionLimits(upper=6.5)),
+        ("upper limits hold", "tension of string"),
+    ),
+    "bars too slender": (
+        lambda: asked(ocp.Buckling(3.9e9)),
+        ("upper limits hold", "buckling of bar"),
+    ),
     "a slow motor": (
         lambda: asked(ocp.RestLengthRateLimits(0.01)),
-        ("limits of rates leave no way that was found", "allow a faster rest length rate of string", "longer duration"),
+        (
+            "limits of rates leave no way that was found",
+            "allow a faster rest length rate of string",
+            "longer duration",
+        ),
     ),
     "too few iterations": (lambda: asked(), ("raise max_iterations", "largest violation")),
     "vibrations are faster than steps": (
         lambda: asked(ocp.ForceDensityLimits(90.0), goals=[ocp.AtRest()]),
-        ("steps of 0.12 s are too long for the fastest vibration", "give at least", "intervals or substeps"),
+        (
+            "steps of 0.12 s are too long for the fastest vibration",
+            "give at least",
+            "intervals or substeps",
+        ),
     ),
     "a cost is not a number": (
-        lambda: ocp.Problem(MODEL, goals=RISE, costs=[ocp.Integral("log", lambda now: ca.log(now.control[0] - 50.0))]),
+        lambda: ocp.Problem(
+            MODEL,
+            goals=RISE,
+            costs=[ocp.Integral("log", lambda now: ca.log(now.control[0] - 50.0))],
+        ),
         ("the sum of Problem.costs is not a number", "logarithms"),
     ),
     "a cost has no derivative": (
-        lambda: ocp.Problem(MODEL, goals=RISE, costs=[ocp.Integral("root", lambda now: ca.sqrt(ca.fmax(0.0, now.control[0] - 1e6)))]),
-        ("the derivative of Problem.costs by force density of string 0", "is not a number", "roots"),
+        lambda: ocp.Problem(
+            MODEL,
+            goals=RISE,
+            costs=[ocp.Integral("root", lambda now: ca.sqrt(ca.fmax(0.0, now.control[0] - 1e6)))],
+        ),
+        (
+            "the derivative of Problem.costs by force density of string 0",
+            "is not a number",
+            "roots",
+        ),
     ),
     "nothing holds the force densities": (
-        lambda: ocp.Problem(driven(arm()), goals=[ocp.AtRest()], costs=[ocp.Integral("more", lambda now: -now.control[0])]),
+        lambda: ocp.Problem(
+            driven(arm()),
+            goals=[ocp.AtRest()],
+            costs=[ocp.Integral("more", lambda now: -now.control[0])],
+        ),
         ("force density of string", "with nothing to hold it: give it a limit"),
     ),
     "a wind blows past the waypoint": (
-        lambda: asked(goals=[ocp.Waypoint([ocp.AtRest()], share=0.5)], model=driven(prism(1.0), forces=tc.NodalForce([[0.5, 0.0, 0.0]] * 6))),
-        ("waypoint at 0.5 of the duration, AtRest: node", "misses its goal by 0.5 m/s", "no string moves it there", "3 out of control"),
+        lambda: asked(
+            goals=[ocp.Waypoint([ocp.AtRest()], share=0.5)],
+            model=driven(prism(1.0), forces=tc.NodalForce([[0.5, 0.0, 0.0]] * 6)),
+        ),
+        (
+            "waypoint at 0.5 of the duration, AtRest: node",
+            "misses its goal by 0.5 m/s",
+            "no string moves it there",
+            "3 out of control",
+        ),
     ),
 }
 
@@ -67,11 +115,19 @@ FAILED = {
 def test_long_intervals_are_no_lack_of_control():
     """Bars and momenta that coarse steps do not keep are missed, which more intervals cure."""
     turning = MODEL.state(prism(1.0).nodes, np.cross([0, 0, 6.0], prism(1.0).nodes))
-    problem = ocp.Problem(MODEL, start=turning, goals=[ocp.Shape(prism(1.1).nodes)], bounds=[ocp.ForceDensityLimits(5, 200)], costs=[ocp.Effort()])
+    problem = ocp.Problem(
+        MODEL,
+        start=turning,
+        goals=[ocp.Shape(prism(1.1).nodes)],
+        bounds=[ocp.ForceDensityLimits(5, 200)],
+        costs=[ocp.Effort()],
+    )
     lost = ocp.solve(problem, ocp.MultipleShooting(3), ocp.Ipopt(max_iterations=20))
     coarse, fine = (ocp.solve(problem, ocp.MultipleShooting(intervals)) for intervals in (8, 20))
     assert [plan.success for plan in (lost, coarse, fine)] == [False, False, True]
-    advised = re.search("steps of 0.33 s are too long .* give at least ([0-9]+) of them", lost.message)
+    advised = re.search(
+        "steps of 0.33 s are too long .* give at least ([0-9]+) of them", lost.message
+    )
     assert advised is not None
     assert 3 < int(advised[1]) <= 20
     assert coarse.message.startswith("too coarse: a plan was found")
@@ -80,14 +136,27 @@ def test_long_intervals_are_no_lack_of_control():
 
 
 def test_violations_are_told_in_their_units():
-    bounds = ocp.RestLengthRateLimits(0.01), ocp.BarForceLimits(compression=9.5), ocp.TensionLimits(upper=6.5), ocp.AboveGround(-1.0)
+    bounds = (
+        ocp.RestLengthRateLimits(0.01),
+        ocp.BarForceLimits(compression=9.5),
+        ocp.TensionLimits(upper=6.5),
+        ocp.AboveGround(-1.0),
+    )
     units = units_of(asked(*bounds))
-    told = {"rest length rate of string 0": "m/s", "compression of bar 0": "N", "tension of string 0": "N", "z of node 0": "m"}
+    told = {
+        "rest length rate of string 0": "m/s",
+        "compression of bar 0": "N",
+        "tension of string 0": "N",
+        "z of node 0": "m",
+    }
     assert {name: units[name] for name in told} == told
-    plan = ocp.solve(asked(ocp.TensionLimits(upper=6.5)), ocp.MultipleShooting(8), ocp.Ipopt(max_iterations=2))
+    plan = ocp.solve(
+        asked(ocp.TensionLimits(upper=6.5)), ocp.MultipleShooting(8), ocp.Ipopt(max_iterations=2)
+    )
     assert "in its unit" not in plan.message
     assert re.search(
-        "largest violation: (tension of string [^;]*, by [0-9.e+-]+ N|[^;]* misses its goal by [0-9.e+-]+ m|[^;]* of its scale)", plan.message
+        "largest violation: (tension of string [^;]*, by [0-9.e+-]+ N|[^;]* misses its goal by [0-9.e+-]+ m|[^;]* of its scale)",
+        plan.message,
     )
 
 

@@ -14,22 +14,38 @@ from ocp.plan.error_growth import grown_errors
 
 def test_a_free_mass_drifts():
     """From speeds of m per duration to as many m: [[1, 1], [0, 1]], whose largest singular value is the golden ratio."""
-    structure = tc.Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 2.0], pinned=[0])
+    structure = tc.Structure(
+        [(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 2.0], pinned=[0]
+    )
     model = driven(structure)
     time = np.linspace(0.0, 0.7, 8)
     states = np.repeat(model.initial_state[None], 8, axis=0)
-    assert grown_errors(model, time, states, np.zeros((7, 1))) == pytest.approx((1 + np.sqrt(5)) / 2)
+    assert grown_errors(model, time, states, np.zeros((7, 1))) == pytest.approx(
+        (1 + np.sqrt(5)) / 2
+    )
 
 
 @pytest.mark.parametrize("intervals", [12, 40])
 def test_an_inverted_pendulum_falls(intervals):
     """x¨ = σ² x about the top, σ² = 3 g / 2 l of a bar: [[cosh σT, sinh σT / σT], [σT sinh σT, cosh σT]]."""
-    structure = tc.Structure([(0, 0, 0), (0, 0, 1.0), (-1, 0, 0)], [(0, 1)], [(1, 2)], pinned={0: "xyz", 1: "y", 2: "xyz"})
+    structure = tc.Structure(
+        [(0, 0, 0), (0, 0, 1.0), (-1, 0, 0)],
+        [(0, 1)],
+        [(1, 2)],
+        pinned={0: "xyz", 1: "y", 2: "xyz"},
+    )
     model = driven(structure, gravity=tc.Gravity())
     T, angle = 2.0, np.sqrt(1.5 * 9.81) * 2.0
     time = np.linspace(0.0, T, intervals + 1)
-    grown = grown_errors(model, time, np.repeat(model.initial_state[None], intervals + 1, axis=0), np.zeros((intervals, 1)))
-    expected = np.linalg.norm([[np.cosh(angle), np.sinh(angle) / angle], [angle * np.sinh(angle), np.cosh(angle)]], 2)
+    grown = grown_errors(
+        model,
+        time,
+        np.repeat(model.initial_state[None], intervals + 1, axis=0),
+        np.zeros((intervals, 1)),
+    )
+    expected = np.linalg.norm(
+        [[np.cosh(angle), np.sinh(angle) / angle], [angle * np.sinh(angle), np.cosh(angle)]], 2
+    )
     assert grown == pytest.approx(expected, rel=1e-2)
 
 
@@ -48,10 +64,14 @@ def test_growth_is_that_of_replays_that_start_otherwise(arm):
 
     def end(change):
         x = np.asarray(tc.projection(model, 5)(start + change / scale).full()).ravel()
-        return tc.simulate(model, T, T / 400, tc.DormandPrince853(), x, arm.force_density, compiled=False).states[-1]
+        return tc.simulate(
+            model, T, T / 400, tc.DormandPrince853(), x, arm.force_density, compiled=False
+        ).states[-1]
 
     h = 1e-6
-    slopes = np.column_stack([scale * (end(h * column) - end(-h * column)) / (2 * h) for column in basis.T])
+    slopes = np.column_stack(
+        [scale * (end(h * column) - end(-h * column)) / (2 * h) for column in basis.T]
+    )
     assert arm.error_growth == pytest.approx(np.linalg.norm(slopes, 2), rel=1e-2)
     assert arm.error_growth > 1e3
 
@@ -79,7 +99,9 @@ def test_success_in_closed_loop(arm):
     assert "under ocp.track" in loose.message
     kept = loose.replay(tracked=True)
     assert abs(kept.nodes[-1, 3, :2] - [0.8, 0.1]).max() <= 3e-3
-    assert loose.replay_error == pytest.approx(abs(kept.nodes[-1, 3, :2] - [0.8, 0.1]).max(), abs=1e-9)
+    assert loose.replay_error == pytest.approx(
+        abs(kept.nodes[-1, 3, :2] - [0.8, 0.1]).max(), abs=1e-9
+    )
     alone = loose.replay()
     assert abs(alone.nodes[-1, 3, :2] - [0.8, 0.1]).max() > 1e-2
 

@@ -21,13 +21,22 @@ def test_a_refined_plan_meets_its_tolerance(coarse):
     assert fine.replay_error <= 1e-6
     assert fine.replay_speed_error <= 1e-6
     assert np.diff(fine.time).max() > 1.5 * np.diff(fine.time).min()  # cut where it is needed
-    gaps = [defects(plan.model, plan.time, plan.trajectory.states, plan.force_density).max() for plan in (fine, coarse)]
+    gaps = [
+        defects(plan.model, plan.time, plan.trajectory.states, plan.force_density).max()
+        for plan in (fine, coarse)
+    ]
     assert gaps[0] < 1e-2 * gaps[1]
 
 
 def test_refining_goes_on_from_what_was_found():
     goals = [ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest()]
-    asked = ocp.Problem(driven(prism(1.0, stiffness=1000.0)), 0.5, goals=goals, bounds=[ocp.ForceDensityLimits(2.0, 200.0)], costs=[ocp.Effort()])
+    asked = ocp.Problem(
+        driven(prism(1.0, stiffness=1000.0)),
+        0.5,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(2.0, 200.0)],
+        costs=[ocp.Effort()],
+    )
     fine = ocp.solve(asked, ocp.ImplicitMidpoint(12)).refine(3e-5)
     assert fine.success
     assert fine.worst_error <= 3e-5
@@ -56,14 +65,23 @@ def test_refining_stops_where_it_no_longer_helps(coarse, lowered, monkeypatch):
 
     def solve(problem, transcription, solver, plan, tolerance):
         asked.append(transcription.count)
-        return replace(plan, replay_error=lowered * plan.replay_error, replay_speed_error=lowered * plan.replay_speed_error)
+        return replace(
+            plan,
+            replay_error=lowered * plan.replay_error,
+            replay_speed_error=lowered * plan.replay_speed_error,
+        )
 
     monkeypatch.setattr(importlib.import_module("ocp.solve"), "solve", solve)
     plan = replace(coarse, solver=ocp.Fatrop()).refine(1e-9)  # which takes no corrections
     assert len(asked) == 1
     assert not plan.success
-    assert plan.worst_error == min(coarse.worst_error, np.nan_to_num(lowered * coarse.worst_error, nan=np.inf))
-    assert "the tolerance of 1e-09 m was not met and 8 intervals in place of 8 do not halve the error" in plan.message
+    assert plan.worst_error == min(
+        coarse.worst_error, np.nan_to_num(lowered * coarse.worst_error, nan=np.inf)
+    )
+    assert (
+        "the tolerance of 1e-09 m was not met and 8 intervals in place of 8 do not halve the error"
+        in plan.message
+    )
 
 
 def test_corrections_go_where_intervals_do_not(coarse):
@@ -73,7 +91,9 @@ def test_corrections_go_where_intervals_do_not(coarse):
     assert found.worst_error <= 1e-9
     assert len(found.time) == 41
     end = raising().model.nodes(integrated(found))
-    assert tc.Structure(end, prism(1.1).bars, prism(1.1).strings).string_lengths == pytest.approx(prism(1.1).string_lengths, abs=2e-9)
+    assert tc.Structure(end, prism(1.1).bars, prism(1.1).strings).string_lengths == pytest.approx(
+        prism(1.1).string_lengths, abs=2e-9
+    )
 
 
 def test_refining_does_not_advise_itself(coarse):

@@ -16,9 +16,15 @@ PRESTRESS = ocp.ForceDensityLimits(5.0, 100.0)
 
 def test_the_replay_is_what_simulate_computes(plan):
     model = driven(prism(1.0))
-    for run in (plan.replay(), tc.simulate(model, 1.0, 1.0 / 120, control=plan.force_density, compiled=False)):
+    for run in (
+        plan.replay(),
+        tc.simulate(model, 1.0, 1.0 / 120, control=plan.force_density, compiled=False),
+    ):
         assert len(run.time) == 121
-        lengths = np.linalg.norm(run.nodes[-1][prism(1.0).strings[:, 1]] - run.nodes[-1][prism(1.0).strings[:, 0]], axis=1)
+        lengths = np.linalg.norm(
+            run.nodes[-1][prism(1.0).strings[:, 1]] - run.nodes[-1][prism(1.0).strings[:, 0]],
+            axis=1,
+        )
         assert np.abs(lengths - prism(1.1).string_lengths).max() <= plan.replay_error * (1 + 1e-9)
         assert np.abs(run.velocities[-1]).max() == pytest.approx(plan.replay_speed_error, rel=1e-6)
     finer = plan.replay(step=1e-3)
@@ -37,7 +43,9 @@ def test_rest_lengths_give_the_force_densities_back(plan):
     rest = plan.rest_lengths(k)
     assert rest.shape == (12, 9)
     assert k * (1 - rest / plan.lengths()[:-1]) == pytest.approx(plan.force_density, rel=1e-9)
-    assert plan.rest_lengths() == pytest.approx(plan.rest_lengths(100.0))  # the structure's own stiffness
+    assert plan.rest_lengths() == pytest.approx(
+        plan.rest_lengths(100.0)
+    )  # the structure's own stiffness
     with pytest.raises(ValueError, match="stiffness of string 6 is 8 N/m: it must exceed"):
         plan.rest_lengths([100.0] * 6 + [8.0] * 3)
 
@@ -45,7 +53,16 @@ def test_rest_lengths_give_the_force_densities_back(plan):
 def test_a_saved_plan_comes_back(plan, tmp_path):
     path = plan.save(tmp_path / "plan.npz")
     loaded = ocp.Plan.load(path)
-    for name in ("success", "status", "message", "objective", "iterations", "seconds", "replay_error", "replay_speed_error"):
+    for name in (
+        "success",
+        "status",
+        "message",
+        "objective",
+        "iterations",
+        "seconds",
+        "replay_error",
+        "replay_speed_error",
+    ):
         assert getattr(loaded, name) == getattr(plan, name)
         assert type(getattr(loaded, name)) is type(getattr(plan, name))
     for name in ("time", "force_density"):
@@ -73,13 +90,19 @@ def test_a_saved_plan_knows_its_scene(tmp_path):
     "model",
     [
         lambda: driven(prism(1.0, string_mass=0.3), segments=2, fractions=(0.2, 0.8)),
-        lambda: driven(prism(1.0), ground=tc.Ground(height=-5.0), forces=tc.NodalForce(np.ones((2, 6, 3)), times=[0.0, 1.0])),
+        lambda: driven(
+            prism(1.0),
+            ground=tc.Ground(height=-5.0),
+            forces=tc.NodalForce(np.ones((2, 6, 3)), times=[0.0, 1.0]),
+        ),
         lambda: tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()), "full"),
     ],
     ids=["segments", "loads", "full coordinates"],
 )
 def test_a_saved_plan_loads_with_the_model_that_it_was_made_with(model, tmp_path):
-    plan = ocp.solve(ocp.Problem(model(), 0.1, costs=[ocp.Effort()], bounds=[PRESTRESS]), ocp.MultipleShooting(2))
+    plan = ocp.solve(
+        ocp.Problem(model(), 0.1, costs=[ocp.Effort()], bounds=[PRESTRESS]), ocp.MultipleShooting(2)
+    )
     loaded = ocp.Plan.load(plan.save(tmp_path / "plan.npz"))
     assert np.array_equal(loaded.replay().states, plan.replay().states)
     assert np.array_equal(loaded.bar_forces(), plan.bar_forces())
@@ -94,7 +117,10 @@ def test_a_plan_is_not_loaded_for_a_problem_with_another_model(plan, tmp_path):
         "Model.coordinates": tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity()), "full"),
     }
     for name, model in others.items():
-        with pytest.raises(ValueError, match=f"^problem.model is not the plan's, other in {name}.*: give the problem that the plan was made for"):
+        with pytest.raises(
+            ValueError,
+            match=f"^problem.model is not the plan's, other in {name}.*: give the problem that the plan was made for",
+        ):
             ocp.Plan.load(path, ocp.Problem(model))
     assert ocp.Plan.load(path, ocp.Problem(driven(prism(1.0)))).replay().success
 
@@ -102,12 +128,21 @@ def test_a_plan_is_not_loaded_for_a_problem_with_another_model(plan, tmp_path):
 def test_a_plan_with_a_field_of_another_kind_is_refused_by_name(plan, tmp_path):
     path = plan.save(tmp_path / "plan.npz")
     with np.load(path) as archive:
-        content = {name: archive[name] for name in archive.files if not name.startswith("trajectory.")}
+        content = {
+            name: archive[name] for name in archive.files if not name.startswith("trajectory.")
+        }
         trajectory = {name: archive[name] for name in archive.files if name not in content}
     messages = []
     for name in content:
         for wrong in (None, np.asarray("x"), np.asarray(np.nan), np.ones(content[name].shape) * 1j):
-            np.savez(path, **{key: value for key, value in {**trajectory, **content, name: wrong}.items() if value is not None})
+            np.savez(
+                path,
+                **{
+                    key: value
+                    for key, value in {**trajectory, **content, name: wrong}.items()
+                    if value is not None
+                },
+            )
             try:
                 ocp.Plan.load(path)
             except ValueError as error:  # anything else would be a fault of ours
@@ -140,7 +175,11 @@ def test_numbers_that_no_plan_can_have_are_refused_by_name(plan, tmp_path):
         np.savez(path, **content | {name: change(content[name])})
         with pytest.raises(ValueError, match=rf"plan\.npz is not a plan: field '{name}' "):
             ocp.Plan.load(path)
-    for name, change in {"time": lambda old: old[::-1], "nodes": lambda old: old * np.nan, "step": lambda old: old * 0}.items():
+    for name, change in {
+        "time": lambda old: old[::-1],
+        "nodes": lambda old: old * np.nan,
+        "step": lambda old: old * 0,
+    }.items():
         np.savez(path, **content | {f"trajectory.{name}": change(content[f"trajectory.{name}"])})
         with pytest.raises(ValueError, match=rf"plan\.npz is not a plan: field '{name}' is "):
             ocp.Plan.load(path)
@@ -149,15 +188,28 @@ def test_numbers_that_no_plan_can_have_are_refused_by_name(plan, tmp_path):
 
 
 def test_a_plan_that_failed_is_loaded_with_what_is_not_finite(plan, tmp_path):
-    failed = replace(plan, success=False, force_density=plan.force_density * np.nan, objective=np.nan, replay_error=np.nan)
+    failed = replace(
+        plan,
+        success=False,
+        force_density=plan.force_density * np.nan,
+        objective=np.nan,
+        replay_error=np.nan,
+    )
     assert np.isnan(ocp.Plan.load(failed.save(tmp_path / "plan.npz")).force_density).all()
 
 
 def blown(rate=4.0):
     """A bar on a ball joint, held by four strings, in a wind that changes with time."""
     nodes = [(0, 0, 0), (0, 0, 1.0), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)]
-    arm = tc.Structure(nodes, bars=[(0, 1)], strings=[(1, k) for k in range(2, 6)], pinned=[0, 2, 3, 4, 5])
-    return driven(arm, forces=tc.NodalForce(lambda t: [[0, 0, 0], [20 * np.sin(rate * t), 0, 0]] + [[0, 0, 0]] * 4))
+    arm = tc.Structure(
+        nodes, bars=[(0, 1)], strings=[(1, k) for k in range(2, 6)], pinned=[0, 2, 3, 4, 5]
+    )
+    return driven(
+        arm,
+        forces=tc.NodalForce(
+            lambda t: [[0, 0, 0], [20 * np.sin(rate * t), 0, 0]] + [[0, 0, 0]] * 4
+        ),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -166,14 +218,23 @@ def late():
     model = blown()
     start = np.append(model.initial_state[:-1], 0.7)
     goals = [ocp.NodePositions({1: (0.3, 0.1, None)}), ocp.AtRest()]
-    problem = ocp.Problem(model, 1.0, start, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 200.0)], costs=[ocp.Effort()])
+    problem = ocp.Problem(
+        model,
+        1.0,
+        start,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(1.0, 200.0)],
+        costs=[ocp.Effort()],
+    )
     return ocp.solve(problem, ocp.MultipleShooting(20, substeps=2))
 
 
 def test_a_plan_is_replayed_from_the_clock_that_it_starts_at(late):
     assert late.success
     assert late.replay_error < 1e-3
-    linear = replace(late, force_density=np.concatenate([late.force_density, late.force_density[-1:]]))
+    linear = replace(
+        late, force_density=np.concatenate([late.force_density, late.force_density[-1:]])
+    )
     for motion in (late.replay(), linear.replay(), ocp.replay_wound(late, 1000.0, 1.0)):
         assert motion.states[[0, -1], -1] == pytest.approx([0.7, 1.7])
         assert motion.time[[0, -1]] == pytest.approx([0.0, 1.0])
@@ -184,7 +245,10 @@ def test_a_plan_under_functions_of_time_needs_its_problem(late, tmp_path):
     path = late.save(tmp_path / "plan.npz")
     alone = ocp.Plan.load(path)
     for use in (alone.replay, alone.bar_forces, lambda: ocp.replay_wound(alone)):
-        with pytest.raises(ValueError, match=r"needs the model, .* functions of time; give Plan.load\(path, problem=...\)"):
+        with pytest.raises(
+            ValueError,
+            match=r"needs the model, .* functions of time; give Plan.load\(path, problem=...\)",
+        ):
             use()
     assert np.array_equal(ocp.Plan.load(path, late.problem).replay().states, late.replay().states)
     for other in (blown(4.1), driven(late.structure)):
@@ -193,10 +257,15 @@ def test_a_plan_under_functions_of_time_needs_its_problem(late, tmp_path):
 
 
 def test_replays_take_schemes_only(plan):
-    linear = replace(plan, force_density=np.concatenate([plan.force_density, plan.force_density[-1:]]))
+    linear = replace(
+        plan, force_density=np.concatenate([plan.force_density, plan.force_density[-1:]])
+    )
     for one in (plan, linear):
         for scheme in ("rk4", tc.RungeKutta4, 0):
-            with pytest.raises(TypeError, match=r"scheme is .*: give an integration scheme, such as RungeKutta4\(\)"):
+            with pytest.raises(
+                TypeError,
+                match=r"scheme is .*: give an integration scheme, such as RungeKutta4\(\)",
+            ):
                 one.replay(scheme)
         assert one.replay(tc.DormandPrince853()).success
 
@@ -214,9 +283,23 @@ def test_files_that_are_no_plans_are_refused(plan, tmp_path):
     plan.save(path)
     with np.load(path) as archive:
         content = dict(archive)
-    wrong = {"force_density": np.zeros((3, 9)), "structure.bars": np.array([[0, 99]]), "iterations": np.zeros(3), "scene.segments": np.zeros(9, int)}
-    for name, value in {**wrong, "time": None, "structure.fixed": None, "scene.slack": None, "scene.gravity": None, "scene.slack.laws": None}.items():
-        kept = {key: entry for key, entry in content.items() if key != name} | ({} if value is None else {name: value})
+    wrong = {
+        "force_density": np.zeros((3, 9)),
+        "structure.bars": np.array([[0, 99]]),
+        "iterations": np.zeros(3),
+        "scene.segments": np.zeros(9, int),
+    }
+    for name, value in {
+        **wrong,
+        "time": None,
+        "structure.fixed": None,
+        "scene.slack": None,
+        "scene.gravity": None,
+        "scene.slack.laws": None,
+    }.items():
+        kept = {key: entry for key, entry in content.items() if key != name} | (
+            {} if value is None else {name: value}
+        )
         np.savez_compressed(path, **kept)
         with pytest.raises(ValueError, match="is not a plan"):
             ocp.Plan.load(path)

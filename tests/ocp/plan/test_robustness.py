@@ -27,26 +27,40 @@ def stiff():
     """The same with strings that can be wound."""
     asked = folding()
     model = driven(tc.shapes.d_bar(pinned=[0], stiffness=300.0))
-    return ocp.solve(ocp.Problem(model, goals=asked.goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10))
+    return ocp.solve(
+        ocp.Problem(model, goals=asked.goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10)
+    )
 
 
 def missed(plan, state):
     """How far the string lengths are from those of the goal, m, and the greatest velocity, m/s."""
     goal = plan.problem.goals[0].lengths
     nodes, model = plan.model.nodes(state), plan.model
-    lengths = np.linalg.norm(nodes[model.structure.strings[:, 1]] - nodes[model.structure.strings[:, 0]], axis=1)
+    lengths = np.linalg.norm(
+        nodes[model.structure.strings[:, 1]] - nodes[model.structure.strings[:, 0]], axis=1
+    )
     return abs(lengths - goal).max(), abs(model.velocities(state)).max()
 
 
 def scaled(plan, control, *names):
-    return tc.Model(tc.Scene(plan.structure, control=control, parameters=tc.Parameters(scale=names)))
+    return tc.Model(
+        tc.Scene(plan.structure, control=control, parameters=tc.Parameters(scale=names))
+    )
 
 
 @pytest.mark.parametrize("k", [0, 3])
 def test_replays_are_those_of_simulate(plan, k):
     found = plan.robustness({"bar_mass": 0.05}, start=(0.01, 0.02), samples=4)
     model = scaled(plan, tc.ForceDensity(), "bar_mass")
-    once = tc.simulate(model, 1.0, 1 / 120, state=found.starts[k], control=plan.force_density, parameters=found.factors[k], compiled=False)
+    once = tc.simulate(
+        model,
+        1.0,
+        1 / 120,
+        state=found.starts[k],
+        control=plan.force_density,
+        parameters=found.factors[k],
+        compiled=False,
+    )
     place, speed = missed(plan, once.states[-1])
     assert found.error[k] >= place - 1e-12  # goals also name what strings leave open
     assert found.speed_error[k] == pytest.approx(speed, rel=1e-9)
@@ -61,7 +75,11 @@ def test_nothing_that_varies_is_the_plan_s_own_replay(plan, cross):
 
 
 @pytest.mark.parametrize(
-    "transcription", [ocp.MultipleShooting(8, control=ocp.PiecewiseLinear()), ocp.Variational(intervals=(0.1, 0.2, 0.3, 0.4, 0.5))]
+    "transcription",
+    [
+        ocp.MultipleShooting(8, control=ocp.PiecewiseLinear()),
+        ocp.Variational(intervals=(0.1, 0.2, 0.3, 0.4, 0.5)),
+    ],
 )
 def test_profiles_of_any_kind_are_replayed(transcription):
     plan = ocp.solve(folding(), transcription)
@@ -76,7 +94,15 @@ def test_tracked_replays_are_those_of_the_tracker(plan, k):
     x = found.starts[k]
     for time in tracker.time[:-1]:
         decided = tracker.control(time, x)
-        x = tc.simulate(model, tracker.period, tracker.period / 10, state=x, control=decided, parameters=found.factors[k], compiled=False).states[-1]
+        x = tc.simulate(
+            model,
+            tracker.period,
+            tracker.period / 10,
+            state=x,
+            control=decided,
+            parameters=found.factors[k],
+            compiled=False,
+        ).states[-1]
     assert found.speed_error[k] == pytest.approx(missed(plan, x)[1], rel=1e-6)
 
 
@@ -86,7 +112,15 @@ def test_stiffness_acts_through_wound_strings(stiff):
     time, rest = wind(stiff, stiff.structure.stiffness, 10)
     assert len(time) == 101
     for k in range(3):
-        once = tc.simulate(model, 1.0, 1 / 500, state=found.starts[k], control=rest, parameters=found.factors[k], compiled=False)
+        once = tc.simulate(
+            model,
+            1.0,
+            1 / 500,
+            state=found.starts[k],
+            control=rest,
+            parameters=found.factors[k],
+            compiled=False,
+        )
         assert found.speed_error[k] == pytest.approx(missed(stiff, once.states[-1])[1], rel=1e-6)
     assert np.ptp(found.error) > 1e-5
     nominal = stiff.robustness({"stiffness": 1e-12}, samples=1)
@@ -103,35 +137,68 @@ def test_wound_strings_pull_as_the_tracker_decides_at_the_planned_lengths(stiff)
     for k, s in enumerate(lengths[:-1]):
         pull = tracker.force_density[k] - tracker.gains[k] @ (x - tracker.states[k])
         wound = rest_length(pull, s, 300.0)
-        x = tc.simulate(model, 0.01, 0.002, state=x, control=wound, parameters=found.factors[0], compiled=False).states[-1]
+        x = tc.simulate(
+            model, 0.01, 0.002, state=x, control=wound, parameters=found.factors[0], compiled=False
+        ).states[-1]
     assert found.speed_error[0] == pytest.approx(missed(stiff, x)[1], rel=1e-6)
 
 
 def test_tracking_helps_where_the_start_is_off(plan):
-    free, held = (plan.robustness(start=0.005, samples=200, tracked=tracked, tolerance=0.02) for tracked in (False, True))
+    free, held = (
+        plan.robustness(start=0.005, samples=200, tracked=tracked, tolerance=0.02)
+        for tracked in (False, True)
+    )
     assert free.share < 0.5 < held.share
     assert (free.matters_most, held.matters_most) == ("start", "start")
 
 
 @pytest.mark.slow
 def test_waypoints_count():
-    goals = [ocp.NodePositions({1: (0.3, 0.1, None)}), ocp.AtRest(), ocp.Waypoint([ocp.NodePositions({1: (-0.2, 0.2, None)})], share=0.5)]
-    asked = ocp.Problem(driven(ARM), 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 200.0)], costs=[ocp.Effort()])
+    goals = [
+        ocp.NodePositions({1: (0.3, 0.1, None)}),
+        ocp.AtRest(),
+        ocp.Waypoint([ocp.NodePositions({1: (-0.2, 0.2, None)})], share=0.5),
+    ]
+    asked = ocp.Problem(
+        driven(ARM),
+        1.0,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(1.0, 200.0)],
+        costs=[ocp.Effort()],
+    )
     plan = ocp.solve(asked, ocp.MultipleShooting(20))
     found = plan.robustness({"bar_mass": 0.05}, samples=3)
     weighed = scaled(plan, tc.ForceDensity(), "bar_mass")
     for k in range(3):
-        once = tc.simulate(weighed, 1.0, 0.005, state=found.starts[k], control=plan.force_density, parameters=found.factors[k], compiled=False)
-        way, end = abs(once.nodes[100, 1, :2] - [-0.2, 0.2]).max(), abs(once.nodes[-1, 1, :2] - [0.3, 0.1]).max()
+        once = tc.simulate(
+            weighed,
+            1.0,
+            0.005,
+            state=found.starts[k],
+            control=plan.force_density,
+            parameters=found.factors[k],
+            compiled=False,
+        )
+        way, end = (
+            abs(once.nodes[100, 1, :2] - [-0.2, 0.2]).max(),
+            abs(once.nodes[-1, 1, :2] - [0.3, 0.1]).max(),
+        )
         assert found.error[k] == pytest.approx(max(way, end), rel=1e-6)
 
 
 def test_without_a_problem_the_planned_end_counts(plan):
     found = replace(plan, problem=None).robustness({"bar_mass": 0.05}, samples=2)
     once = tc.simulate(
-        scaled(plan, tc.ForceDensity(), "bar_mass"), 1.0, 1 / 120, control=plan.force_density, parameters=found.factors[1], compiled=False
+        scaled(plan, tc.ForceDensity(), "bar_mass"),
+        1.0,
+        1 / 120,
+        control=plan.force_density,
+        parameters=found.factors[1],
+        compiled=False,
     )
-    assert found.error[1] == pytest.approx(np.linalg.norm(once.nodes[-1] - plan.trajectory.nodes[-1], axis=1).max(), rel=1e-9)
+    assert found.error[1] == pytest.approx(
+        np.linalg.norm(once.nodes[-1] - plan.trajectory.nodes[-1], axis=1).max(), rel=1e-9
+    )
 
 
 def test_the_share_of_the_variance_in_closed_form():
@@ -139,10 +206,17 @@ def test_the_share_of_the_variance_in_closed_form():
     a, b, c = rng.uniform(-1, 1, (3, 20000, 1))
     both = rng.uniform(-1, 1, (20000, 3))
     misses = np.hstack([3 * a + 2 * b, 4 * both[:, [1]], 5 * c**2])
-    variances = {"a": 9 / 3, "b": 4 / 3, "start": 16 / 3, "c": 25 * 4 / 45}  # of uniform draws, and of their squares
+    variances = {
+        "a": 9 / 3,
+        "b": 4 / 3,
+        "start": 16 / 3,
+        "c": 25 * 4 / 45,
+    }  # of uniform draws, and of their squares
     total = sum(variances.values())
     shares = share_variance({"a": a, "b": b, "start": both, "c": c}, misses)
-    assert shares == pytest.approx({name: value / total for name, value in variances.items()}, abs=0.01)
+    assert shares == pytest.approx(
+        {name: value / total for name, value in variances.items()}, abs=0.01
+    )
 
 
 def test_a_start_that_brings_about_more_than_slopes_tell_has_its_share():
@@ -180,7 +254,9 @@ def test_few_replays_do_not_tell_what_matters(plan):
 
 
 def test_the_same_seed_draws_the_same_within_the_spread(plan):
-    one, again, other = (plan.robustness({"bar_mass": 0.05}, start=0.01, samples=50, seed=seed) for seed in (0, 0, 1))
+    one, again, other = (
+        plan.robustness({"bar_mass": 0.05}, start=0.01, samples=50, seed=seed) for seed in (0, 0, 1)
+    )
     assert np.array_equal(one.error, again.error)
     assert not np.array_equal(one.error, other.error)
     assert 0.04 < abs(one.factors - 1).max() <= 0.05
@@ -199,20 +275,64 @@ def test_quantiles_and_text(plan):
 
 
 BAD = {
-    "nothing varies": (lambda plan: plan.robustness(), ValueError, "parameters is empty and start is 0"),
-    "a list": (lambda plan: plan.robustness(["bar_mass"]), TypeError, "parameters is .'bar_mass'.: give spreads by name"),
-    "no such parameter": (lambda plan: plan.robustness({"weight": 0.1}), ValueError, "Parameters got 'weight'"),
-    "what the scene has not": (lambda plan: plan.robustness({"gravity": 0.1}), ValueError, "Scene.gravity is None"),
-    "a spread too wide": (lambda plan: plan.robustness({"bar_mass": 1.0}), ValueError, "parameters.'bar_mass'. is 1: give a spread relative"),
-    "a spread below zero": (lambda plan: plan.robustness({"bar_mass": -0.1}), ValueError, "parameters.'bar_mass'. is -0.1"),
+    "nothing varies": (
+        lambda plan: plan.robustness(),
+        ValueError,
+        "parameters is empty and start is 0",
+    ),
+    "a list": (
+        lambda plan: plan.robustness(["bar_mass"]),
+        TypeError,
+        "parameters is .'bar_mass'.: give spreads by name",
+    ),
+    "no such parameter": (
+        lambda plan: plan.robustness({"weight": 0.1}),
+        ValueError,
+        "Parameters got 'weight'",
+    ),
+    "what the scene has not": (
+        lambda plan: plan.robustness({"gravity": 0.1}),
+        ValueError,
+        "Scene.gravity is None",
+    ),
+    "a spread too wide": (
+        lambda plan: plan.robustness({"bar_mass": 1.0}),
+        ValueError,
+        "parameters.'bar_mass'. is 1: give a spread relative",
+    ),
+    "a spread below zero": (
+        lambda plan: plan.robustness({"bar_mass": -0.1}),
+        ValueError,
+        "parameters.'bar_mass'. is -0.1",
+    ),
     "start below zero": (lambda plan: plan.robustness(start=-1.0), ValueError, "start is -1"),
-    "start of three": (lambda plan: plan.robustness(start=(1.0, 1.0, 1.0)), ValueError, "start has shape"),
-    "rest lengths": (lambda plan: plan.robustness({"rest_length": 0.1}), ValueError, "'rest_length', which a plan commands.*vary 'stiffness'"),
+    "start of three": (
+        lambda plan: plan.robustness(start=(1.0, 1.0, 1.0)),
+        ValueError,
+        "start has shape",
+    ),
+    "rest lengths": (
+        lambda plan: plan.robustness({"rest_length": 0.1}),
+        ValueError,
+        "'rest_length', which a plan commands.*vary 'stiffness'",
+    ),
     "no samples": (lambda plan: plan.robustness(start=0.1, samples=0), ValueError, "samples is 0"),
     "seed no number": (lambda plan: plan.robustness(start=0.1, seed="a"), TypeError, "seed"),
-    "tracked no flag": (lambda plan: plan.robustness(start=0.1, tracked=1), TypeError, "tracked is 1"),
-    "tolerance zero": (lambda plan: plan.robustness(start=0.1, tolerance=0.0), ValueError, "tolerance is 0"),
-    "shares beyond": (lambda plan: plan.robustness(start=0.1, samples=2).quantiles([2.0]), ValueError, "shares is"),
+    "tracked no flag": (
+        lambda plan: plan.robustness(start=0.1, tracked=1),
+        TypeError,
+        "tracked is 1",
+    ),
+    "tolerance zero": (
+        lambda plan: plan.robustness(start=0.1, tolerance=0.0),
+        ValueError,
+        "tolerance is 0",
+    ),
+    "shares beyond": (
+        lambda plan: plan.robustness(start=0.1, samples=2).quantiles([2.0]),
+        ValueError,
+        "shares is",
+    ),
 }
 
 

@@ -37,21 +37,37 @@ BOUNDS = [
     ocp.Buckling(7e10),
     ocp.InsideBox((None, -9.0, None), (9.0, None, None), nodes=[0, 1]),
     ocp.AboveGround(-1.0),
-    ocp.AboveSurface(tc.Ground(normal=(0.1, 0.2, 1.0), height=-2.0, friction=0.3), -0.1, nodes=[0, 2]),
+    ocp.AboveSurface(
+        tc.Ground(normal=(0.1, 0.2, 1.0), height=-2.0, friction=0.3), -0.1, nodes=[0, 2]
+    ),
     ocp.AboveSurface(tc.Terrain([[-5.0, -4.0], [-3.0, -4.0]], (-1, -1), (1, 1))),
     ocp.BarClearance(0.001, pairs=[(0, 1)]),
     ocp.Obstacle((5.0, 5.0, 5.0), 0.1),
 ]
-COSTS = [ocp.Effort(0.1), ocp.Smoothness(), ocp.Prestress(NINE), ocp.Tracking({1: (0.0, None, 1.0)}), ocp.Duration(), ocp.Work(0.5)]
+COSTS = [
+    ocp.Effort(0.1),
+    ocp.Smoothness(),
+    ocp.Prestress(NINE),
+    ocp.Tracking({1: (0.0, None, 1.0)}),
+    ocp.Duration(),
+    ocp.Work(0.5),
+]
 TRANSCRIPTIONS = [
-    ocp.MultipleShooting(7, scheme=tc.Collocation(degree=3), substeps=2, control=ocp.PiecewiseLinear(groups=((0, 1, 2),))),
+    ocp.MultipleShooting(
+        7,
+        scheme=tc.Collocation(degree=3),
+        substeps=2,
+        control=ocp.PiecewiseLinear(groups=((0, 1, 2),)),
+    ),
     ocp.MultipleShooting((1.0, 2.0, 3.0), scheme=tc.DormandPrince853()),
     ocp.ImplicitMidpoint(np.int64(5), accuracy=1e-5),
     ocp.Variational(3),
     ocp.Collocation(4, degree=3),
 ]
 SOLVERS = [
-    ocp.Ipopt(50, seconds=2.0, options={"mu_strategy": "adaptive", "acceptable_tol": np.float64(1e-6)}),
+    ocp.Ipopt(
+        50, seconds=2.0, options={"mu_strategy": "adaptive", "acceptable_tol": np.float64(1e-6)}
+    ),
     ocp.Fatrop(tolerance=1e-7),
     ocp.CondensedNewton(50),
 ]
@@ -60,9 +76,15 @@ SOLVERS = [
 def same(one: Any, other: Any) -> bool:
     """Equal in type and value, bit by bit."""
     if hasattr(one, "__dataclass_fields__"):
-        return type(one) is type(other) and all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
+        return type(one) is type(other) and all(
+            same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one)
+        )
     if isinstance(one, np.ndarray):
-        return isinstance(other, np.ndarray) and one.dtype == other.dtype and np.array_equal(one, other, equal_nan=True)
+        return (
+            isinstance(other, np.ndarray)
+            and one.dtype == other.dtype
+            and np.array_equal(one, other, equal_nan=True)
+        )
     if isinstance(one, (list, tuple)):
         return type(one) is type(other) and len(one) == len(other) and all(map(same, one, other))
     if isinstance(one, dict):
@@ -72,12 +94,37 @@ def same(one: Any, other: Any) -> bool:
 
 def again(parts: dict[str, Any]) -> dict[str, Any]:
     """How a plan was solved, through a file's arrays."""
-    whole: dict[str, Any] = {"transcription": ocp.Variational(2), "solver": ocp.Ipopt(), "unknown": "", **parts}
+    whole: dict[str, Any] = {
+        "transcription": ocp.Variational(2),
+        "solver": ocp.Ipopt(),
+        "unknown": "",
+        **parts,
+    }
     plan = {
-        name: np.zeros(1) for name in ("success", "status", "message", "objective", "iterations", "seconds", "replay_error", "replay_speed_error")
+        name: np.zeros(1)
+        for name in (
+            "success",
+            "status",
+            "message",
+            "objective",
+            "iterations",
+            "seconds",
+            "replay_error",
+            "replay_speed_error",
+        )
     }
     run = tc.simulate(MODEL, 0.01, 0.01, compiled=False)
-    content = plan_arrays({**plan, **whole, "time": run.time, "force_density": NINE, "trajectory": run, "model": MODEL, "duals": None})
+    content = plan_arrays(
+        {
+            **plan,
+            **whole,
+            "time": run.time,
+            "force_density": NINE,
+            "trajectory": run,
+            "model": MODEL,
+            "duals": None,
+        }
+    )
     return rebuilt(content, MODEL, None)
 
 
@@ -93,7 +140,9 @@ def test_problems_come_back(field):
 
 
 def test_a_free_start_comes_back():
-    asked = ocp.Problem(MODEL, start=ocp.FreeStart(goals=[ocp.NodePositions({0: (0.1, None, None)})]))
+    asked = ocp.Problem(
+        MODEL, start=ocp.FreeStart(goals=[ocp.NodePositions({0: (0.1, None, None)})])
+    )
     found = again({"problem": asked})["problem"]
     assert same(found.start.goals, asked.start.goals)
     assert np.abs(found.start.near - asked.start.near).max() < 1e-14
@@ -129,14 +178,19 @@ def without(path, *names, **others):
 
 
 @pytest.mark.parametrize("many", [1_000_000_000, 200_000])
-def test_a_file_that_asks_for_too_many_intervals_is_a_plan_that_cannot_be_refined(coarse, many, tmp_path):
+def test_a_file_that_asks_for_too_many_intervals_is_a_plan_that_cannot_be_refined(
+    coarse, many, tmp_path
+):
     path = coarse.save(tmp_path / "plan.npz")
     with np.load(path) as archive:
         text = re.sub(r'"intervals": \d+', f'"intervals": {many}', archive["solved"].item())
     loaded = ocp.Plan.load(without(path, "solved", solved=np.asarray(text)))
     assert loaded.success
     assert loaded.transcription is None
-    with pytest.raises(ValueError, match=r"refine needs to know how the plan was solved \(\w+\.intervals is .*: it must be at most 100000\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"refine needs to know how the plan was solved \(\w+\.intervals is .*: it must be at most 100000\)",
+    ):
         loaded.refine(1e-4)
 
 
@@ -147,7 +201,10 @@ def test_a_plan_of_an_older_version_says_how_it_is_refined(coarse, tmp_path):
     with pytest.raises(ValueError, match=r"older version.*Plan.load\(path, problem=...\)"):
         loaded.report()
     for plan in (loaded, ocp.Plan.load(path, taller())):
-        with pytest.raises(ValueError, match=r"how the plan was solved \(its file is of an older version\).*guess=plan"):
+        with pytest.raises(
+            ValueError,
+            match=r"how the plan was solved \(its file is of an older version\).*guess=plan",
+        ):
             plan.refine(1e-6)
     assert str(ocp.Plan.load(path, taller()).report()) == str(coarse.report())
 
@@ -158,11 +215,22 @@ class OwnScheme(tc.RungeKutta4):
 
 @pytest.mark.parametrize("own", ["cost", "scheme"])
 def test_what_no_file_holds_is_said_where_it_is_needed(own, tmp_path):
-    costs = [ocp.Effort(), *([ocp.Integral("low", lambda now: now.nodes[2, 0] ** 2)] if own == "cost" else [])]
+    costs = [
+        ocp.Effort(),
+        *([ocp.Integral("low", lambda now: now.nodes[2, 0] ** 2)] if own == "cost" else []),
+    ]
     asked = replace(taller(), costs=costs)
-    transcription = ocp.MultipleShooting(8, scheme=OwnScheme() if own == "scheme" else tc.RungeKutta4())
-    path = ocp.solve(asked, transcription, ocp.Ipopt(watch=lambda progress: True)).save(tmp_path / "plan.npz")
-    said = "Problem.costs[1].expression is a function" if own == "cost" else "Transcription.scheme is of an own class, OwnScheme"
+    transcription = ocp.MultipleShooting(
+        8, scheme=OwnScheme() if own == "scheme" else tc.RungeKutta4()
+    )
+    path = ocp.solve(asked, transcription, ocp.Ipopt(watch=lambda progress: True)).save(
+        tmp_path / "plan.npz"
+    )
+    said = (
+        "Problem.costs[1].expression is a function"
+        if own == "cost"
+        else "Transcription.scheme is of an own class, OwnScheme"
+    )
     with pytest.raises(ValueError, match=f"{re.escape(said)}.*guess=plan"):
         ocp.Plan.load(path).refine(1e-4)
     if own == "cost":
@@ -181,7 +249,9 @@ def test_what_no_file_holds_is_said_where_it_is_needed(own, tmp_path):
     ids=["no text", "deep", "nothing", "another class", "a library"],
 )
 def test_nothing_in_a_file_is_run(coarse, text, tmp_path):
-    loaded = ocp.Plan.load(without(coarse.save(tmp_path / "plan.npz"), "solved", solved=np.asarray(text)))
+    loaded = ocp.Plan.load(
+        without(coarse.save(tmp_path / "plan.npz"), "solved", solved=np.asarray(text))
+    )
     assert loaded.problem is None
     assert loaded.transcription is None
     assert loaded.solver is None

@@ -26,7 +26,9 @@ MODEL = wound()
 
 def planned(*bounds, model=MODEL, transcription=None, **changes):
     given = {"goals": GOALS, "bounds": [PULLS, *bounds], "costs": [ocp.Effort()], **changes}
-    return ocp.solve(ocp.Problem(model, **given), ocp.Variational(24) if transcription is None else transcription)
+    return ocp.solve(
+        ocp.Problem(model, **given), ocp.Variational(24) if transcription is None else transcription
+    )
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +41,9 @@ def motion(plan):
     states = [plan.trajectory.states[0]]
     for begin, end, rest in zip(plan.time, plan.time[1:], plan.rest_lengths(), strict=False):
         rate = lambda t, x, rest=rest: plan.model.ode(x, rest).full().ravel()  # noqa: E731
-        states.append(solve_ivp(rate, (begin, end), states[-1], "DOP853", rtol=1e-9, atol=1e-9).y[:, -1])
+        states.append(
+            solve_ivp(rate, (begin, end), states[-1], "DOP853", rtol=1e-9, atol=1e-9).y[:, -1]
+        )
     return np.array(states)
 
 
@@ -57,9 +61,14 @@ def test_wound_strings_meet_the_goal(plan):
     assert plan.rest_lengths().shape == plan.force_density.shape == (24, 9)
     assert plan.rest_lengths() is not plan.force_density
     s = plan.lengths()[:-1]
-    ends = plan.trajectory.nodes[:-1, plan.structure.strings], plan.trajectory.velocities[:-1, plan.structure.strings]
+    ends = (
+        plan.trajectory.nodes[:-1, plan.structure.strings],
+        plan.trajectory.velocities[:-1, plan.structure.strings],
+    )
     along, rates = (value[:, :, 1] - value[:, :, 0] for value in ends)
-    law = 500.0 * (1 - plan.rest_lengths() / s) + 5.0 * np.sum(along * rates, axis=2) / s**2  # Eq. 99
+    law = (
+        500.0 * (1 - plan.rest_lengths() / s) + 5.0 * np.sum(along * rates, axis=2) / s**2
+    )  # Eq. 99
     assert plan.force_density == pytest.approx(law, rel=1e-9)
     assert plan.force_density.min() > 5.0 - 1e-5
 
@@ -67,7 +76,9 @@ def test_wound_strings_meet_the_goal(plan):
 def test_effort_is_that_of_the_force_densities_that_follow(plan):
     fine = plan.replay()
     power = np.sum(fine.force_density**2, axis=1)
-    assert plan.objective == pytest.approx(np.sum((power[1:] + power[:-1]) / 2 * np.diff(fine.time)), rel=0.05)
+    assert plan.objective == pytest.approx(
+        np.sum((power[1:] + power[:-1]) / 2 * np.diff(fine.time)), rel=0.05
+    )
 
 
 def test_the_default_finds_them(plan):
@@ -81,8 +92,14 @@ def test_motors_have_a_speed(plan):
     fastest = np.abs(np.diff(plan.rest_lengths(), axis=0)).max() * 24
     slow = planned(ocp.RestLengthRateLimits(0.93 * fastest), ocp.RestLengthLimits(0.2, 2.0))
     assert slow.success, slow.message
-    assert np.abs(np.diff(slow.rest_lengths(), axis=0)).max() * 24 == pytest.approx(0.93 * fastest, rel=1e-3)
-    assert {finding.unit for finding in slow.report().active if finding.name.startswith("rest length rate of string")} == {"m/s"}
+    assert np.abs(np.diff(slow.rest_lengths(), axis=0)).max() * 24 == pytest.approx(
+        0.93 * fastest, rel=1e-3
+    )
+    assert {
+        finding.unit
+        for finding in slow.report().active
+        if finding.name.startswith("rest length rate of string")
+    } == {"m/s"}
     assert slow.objective > plan.objective
 
 
@@ -91,7 +108,9 @@ def test_limits_of_rest_lengths_hold_exactly(plan):
     short = planned(ocp.RestLengthLimits(upper=most))
     assert short.success, short.message
     assert short.rest_lengths().max() <= most
-    assert ("rest length of string 8", "upper", "m") in {(one.name, one.side, one.unit) for one in short.report().active}
+    assert ("rest length of string 8", "upper", "m") in {
+        (one.name, one.side, one.unit) for one in short.report().active
+    }
 
 
 def test_shooting_finds_the_same(plan):
@@ -104,7 +123,12 @@ def test_strings_that_hardly_pull_lower_a_load():
     structure = prism(1.0, stiffness=500.0, damping=5.0, prestress=50.0, pinned=[0, 1, 2])
     model = tc.Model(tc.Scene(structure, control=tc.RestLength(), gravity=tc.Gravity()))
     goals = [ocp.NodePositions({3: (None, None, 0.97)}), ocp.AtRest()]
-    plan = planned(model=model, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 200.0)], transcription=ocp.Variational(30))
+    plan = planned(
+        model=model,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(1.0, 200.0)],
+        transcription=ocp.Variational(30),
+    )
     assert plan.success, plan.message
     assert plan.model.nodes(motion(plan)[-1])[3, 2] == pytest.approx(0.97, abs=2e-3)
 
@@ -117,20 +141,44 @@ def test_files_copies_guesses_and_trackers_know_them(plan, tmp_path):
     repeated = ocp.solve(deepcopy(again.problem), plan.transcription, guess=again)
     assert repeated.iterations < plan.iterations
     tracker = ocp.track(plan)
-    assert np.abs(tracker.control(0.0, plan.trajectory.states[0]) - plan.rest_lengths()[0]).max() < 1e-3
+    assert (
+        np.abs(tracker.control(0.0, plan.trajectory.states[0]) - plan.rest_lengths()[0]).max()
+        < 1e-3
+    )
 
 
 def limp():
-    return tc.Model(tc.Scene(prism(1.0, stiffness=[500.0] * 3 + [0.0] * 6), control=tc.RestLength()))
+    return tc.Model(
+        tc.Scene(prism(1.0, stiffness=[500.0] * 3 + [0.0] * 6), control=tc.RestLength())
+    )
 
 
 BAD = {
     "no control": (lambda: ocp.Problem(tc.Model(tc.Scene(prism(1.0)))), "give a model of Scene"),
-    "no stiffness": (lambda: ocp.Problem(limp()), "string 3 without stiffness, which no rest length pulls: give Structure"),
-    "Mpc": (lambda: ocp.Mpc(ocp.Problem(MODEL, goals=GOALS), 0.05), r"Mpc is for force densities, and the model has control=RestLength\(\)"),
-    "crossed": (lambda: ocp.Problem(MODEL, bounds=[ocp.RestLengthLimits(0.5), ocp.RestLengthLimits(upper=0.4)]), "RestLengthLimits leave string 0"),
-    "condensed": (lambda: ocp.solve(ocp.Problem(MODEL, goals=GOALS), ocp.Variational(8), ocp.CondensedNewton()), "rest lengths are decided"),
-    "few intervals": (lambda: planned(transcription=ocp.Variational(1)), "9 rest lengths in each cannot meet 18 rows"),
+    "no stiffness": (
+        lambda: ocp.Problem(limp()),
+        "string 3 without stiffness, which no rest length pulls: give Structure",
+    ),
+    "Mpc": (
+        lambda: ocp.Mpc(ocp.Problem(MODEL, goals=GOALS), 0.05),
+        r"Mpc is for force densities, and the model has control=RestLength\(\)",
+    ),
+    "crossed": (
+        lambda: ocp.Problem(
+            MODEL, bounds=[ocp.RestLengthLimits(0.5), ocp.RestLengthLimits(upper=0.4)]
+        ),
+        "RestLengthLimits leave string 0",
+    ),
+    "condensed": (
+        lambda: ocp.solve(
+            ocp.Problem(MODEL, goals=GOALS), ocp.Variational(8), ocp.CondensedNewton()
+        ),
+        "rest lengths are decided",
+    ),
+    "few intervals": (
+        lambda: planned(transcription=ocp.Variational(1)),
+        "9 rest lengths in each cannot meet 18 rows",
+    ),
 }
 
 

@@ -10,7 +10,11 @@ import ocp
 
 
 def test_a_weight_on_time_shortens_the_plan(free):
-    quick = raised(ocp.ForceDensityLimits(5.0, 15.0), costs=[ocp.Duration(100.0), ocp.Effort(1e-4)], duration=(0.5, 1.5))
+    quick = raised(
+        ocp.ForceDensityLimits(5.0, 15.0),
+        costs=[ocp.Duration(100.0), ocp.Effort(1e-4)],
+        duration=(0.5, 1.5),
+    )
     assert quick.success
     assert quick.time[-1] < 0.7
 
@@ -35,7 +39,11 @@ def test_work_is_what_the_strings_do(free):
 
 
 BAD = {
-    "prestress of wrong size": (lambda: raised(costs=[ocp.Prestress([1.0, 2.0])]), ValueError, "Prestress.level"),
+    "prestress of wrong size": (
+        lambda: raised(costs=[ocp.Prestress([1.0, 2.0])]),
+        ValueError,
+        "Prestress.level",
+    ),
     "work without width": (lambda: ocp.Work(smoothing=0.0), ValueError, "Work.smoothing"),
 }
 

@@ -30,16 +30,40 @@ def test_a_phase_refuses_by_name(given, named):
     ("phases", "changes", "named"),
     [
         ([push(stands=[0, 9])], {}, r"Problem\.phases\[0\]\.stands.*9"),
-        ([push(stands=[0, 4])], {}, r"phases\[0\]\.stands has node 4, which starts 0\.6 m above the ground"),
-        ([push(goals=[ocp.Waypoint([ocp.AtRest()], share=0.5)])], {}, r"phases\[0\]\.goals has a Waypoint"),
+        (
+            [push(stands=[0, 4])],
+            {},
+            r"phases\[0\]\.stands has node 4, which starts 0\.6 m above the ground",
+        ),
+        (
+            [push(goals=[ocp.Waypoint([ocp.AtRest()], share=0.5)])],
+            {},
+            r"phases\[0\]\.goals has a Waypoint",
+        ),
         ([push(goals=[ocp.StringLengths({12: 1.0})])], {}, "names string 12"),
         ([push()], {"goals": [ocp.Periodic()]}, r"Problem\.goals has a Periodic"),
-        ([push()], {"duration": 2.0}, r"Problem\.duration is 2\.0, and phases have durations of their own"),
+        (
+            [push()],
+            {"duration": 2.0},
+            r"Problem\.duration is 2\.0, and phases have durations of their own",
+        ),
         ([push()], {"start": ocp.FreeStart()}, r"Problem\.start is free"),
         ([push()], {"costs": [ocp.Tracking({0: (0.0, 0.0, 0.0)})]}, "Problem has Tracking"),
-        ([push()], {"costs": [ocp.Integral("late", lambda now: now.time * now.nodes[2, 3] ** 2)]}, "Integral, which depends on the time"),
-        ([push(bounds=[ocp.RestLengthRateLimits(0.1, 100.0)])], {}, r"phases\[0\]\.bounds has RestLengthRateLimits"),
-        ([push()], {"model": tc.Model(standing().scene, coordinates="full")}, r'Problem\.phases needs Model\(scene, coordinates="reduced"\)'),
+        (
+            [push()],
+            {"costs": [ocp.Integral("late", lambda now: now.time * now.nodes[2, 3] ** 2)]},
+            "Integral, which depends on the time",
+        ),
+        (
+            [push(bounds=[ocp.RestLengthRateLimits(0.1, 100.0)])],
+            {},
+            r"phases\[0\]\.bounds has RestLengthRateLimits",
+        ),
+        (
+            [push()],
+            {"model": tc.Model(standing().scene, coordinates="full")},
+            r'Problem\.phases needs Model\(scene, coordinates="reduced"\)',
+        ),
         ([0.5], {}, r"Problem\.phases\[0\]"),
     ],
 )
@@ -53,19 +77,28 @@ def test_a_problem_refuses_phases_that_do_not_fit(phases, changes, named):
     [
         (None, "the scene has no ground"),
         (tc.Ground(), "the ground has no friction"),
-        ([tc.Ground(friction=0.5), tc.Ground(friction=0.5, normal=(1, 0, 0), height=-9)], "the scene has 2 grounds"),
+        (
+            [tc.Ground(friction=0.5), tc.Ground(friction=0.5, normal=(1, 0, 0), height=-9)],
+            "the scene has 2 grounds",
+        ),
         (tc.Ground(friction=0.5, nodes=[0, 1]), "node 2, on which the ground does not act"),
     ],
 )
 def test_nodes_stand_on_one_ground_with_friction(ground, named):
-    model = tc.Model(tc.Scene(low_prism(), control=tc.ForceDensity(), gravity=tc.Gravity(), ground=ground))
+    model = tc.Model(
+        tc.Scene(low_prism(), control=tc.ForceDensity(), gravity=tc.Gravity(), ground=ground)
+    )
     with pytest.raises(ValueError, match=named):
         jumping(push(), model=model)
 
 
 def test_a_pinned_node_cannot_stand():
     pinned = low_prism().replace(pinned=[0])
-    model = tc.Model(tc.Scene(pinned, control=tc.ForceDensity(), gravity=tc.Gravity(), ground=tc.Ground(friction=0.5)))
+    model = tc.Model(
+        tc.Scene(
+            pinned, control=tc.ForceDensity(), gravity=tc.Gravity(), ground=tc.Ground(friction=0.5)
+        )
+    )
     with pytest.raises(ValueError, match="node 0, which is pinned"):
         jumping(push(), model=model)
 

@@ -46,26 +46,59 @@ def followed(place):
 
 BAD = {
     "model is no model": (lambda: ocp.Problem(FORCED), TypeError, "Problem.model"),
-    "control is none": (lambda: ocp.Problem(tc.Model(tc.Scene(PRISM))), ValueError, "Problem.model has the control None"),
-    "no strings": (lambda: ocp.Problem(tc.Model(tc.Scene(tc.shapes.pendulum(), control=tc.ForceDensity()))), ValueError, "no strings"),
+    "control is none": (
+        lambda: ocp.Problem(tc.Model(tc.Scene(PRISM))),
+        ValueError,
+        "Problem.model has the control None",
+    ),
+    "no strings": (
+        lambda: ocp.Problem(tc.Model(tc.Scene(tc.shapes.pendulum(), control=tc.ForceDensity()))),
+        ValueError,
+        "no strings",
+    ),
     "no free node": (
-        lambda: ocp.Problem(tc.Model(tc.Scene(PRISM.replace(pinned=range(6)), control=tc.ForceDensity()))),
+        lambda: ocp.Problem(
+            tc.Model(tc.Scene(PRISM.replace(pinned=range(6)), control=tc.ForceDensity()))
+        ),
         ValueError,
         "all nodes pinned",
     ),
     "duration zero": (lambda: problem(duration=0.0), ValueError, "Problem.duration is 0"),
     "duration nan": (lambda: problem(duration=float("nan")), ValueError, "Problem.duration"),
     "duration text": (lambda: problem(duration="long"), TypeError, "Problem.duration"),
-    "duration backwards": (lambda: problem(duration=(2.0, 1.0)), ValueError, r"Problem.duration is \(2, 1\)"),
-    "duration of three": (lambda: problem(duration=(1.0, 2.0, 3.0)), ValueError, "Problem.duration"),
+    "duration backwards": (
+        lambda: problem(duration=(2.0, 1.0)),
+        ValueError,
+        r"Problem.duration is \(2, 1\)",
+    ),
+    "duration of three": (
+        lambda: problem(duration=(1.0, 2.0, 3.0)),
+        ValueError,
+        "Problem.duration",
+    ),
     "start of wrong size": (lambda: problem(start=np.zeros((5, 3))), ValueError, "Problem.start"),
     "start state of wrong size": (lambda: problem(start=np.zeros(7)), ValueError, "Problem.start"),
     "start ragged": (lambda: problem(start=[[0, 0, 0], [1, 2]]), TypeError, "Problem.start"),
-    "start not finite": (lambda: problem(start=np.full((6, 3), np.inf)), ValueError, "Problem.start"),
-    "start with other bars": (lambda: problem(start=bad_nodes()), ValueError, "Problem.start makes bar 0"),
-    "start that stretches bars": (lambda: problem(start=stretching()), ValueError, "Problem.start stretches bar 0"),
+    "start not finite": (
+        lambda: problem(start=np.full((6, 3), np.inf)),
+        ValueError,
+        "Problem.start",
+    ),
+    "start with other bars": (
+        lambda: problem(start=bad_nodes()),
+        ValueError,
+        "Problem.start makes bar 0",
+    ),
+    "start that stretches bars": (
+        lambda: problem(start=stretching()),
+        ValueError,
+        "Problem.start stretches bar 0",
+    ),
     "start moves a pin": (
-        lambda: ocp.Problem(tc.Model(tc.Scene(PRISM.replace(pinned=[0]), control=tc.ForceDensity())), start=PRISM.nodes + 1.0),
+        lambda: ocp.Problem(
+            tc.Model(tc.Scene(PRISM.replace(pinned=[0]), control=tc.ForceDensity())),
+            start=PRISM.nodes + 1.0,
+        ),
         ValueError,
         "Problem.start",
     ),
@@ -73,69 +106,190 @@ BAD = {
     "goals no goals": (lambda: problem(goals=[1.0]), TypeError, r"Problem.goals\[0\]"),
     "bounds no bounds": (lambda: problem(bounds=[ocp.AtRest()]), TypeError, r"Problem.bounds\[0\]"),
     "costs no costs": (lambda: problem(costs=[ocp.Effort]), TypeError, r"Problem.costs\[0\]"),
-    "lengths of wrong size": (lambda: problem(goals=[ocp.StringLengths([1.0, 2.0])]), ValueError, "StringLengths.lengths"),
-    "lengths ragged": (lambda: ocp.StringLengths([[1.0], [1.0, 2.0]]), TypeError, "StringLengths.lengths"),
+    "lengths of wrong size": (
+        lambda: problem(goals=[ocp.StringLengths([1.0, 2.0])]),
+        ValueError,
+        "StringLengths.lengths",
+    ),
+    "lengths ragged": (
+        lambda: ocp.StringLengths([[1.0], [1.0, 2.0]]),
+        TypeError,
+        "StringLengths.lengths",
+    ),
     "lengths empty": (lambda: ocp.StringLengths({}), ValueError, "StringLengths.lengths is empty"),
     "length negative": (lambda: ocp.StringLengths({0: -1.0}), ValueError, "StringLengths.lengths"),
     "length nan": (lambda: ocp.StringLengths([1.0, np.nan]), ValueError, "StringLengths.lengths"),
-    "string unknown": (lambda: problem(goals=[ocp.StringLengths({9: 1.0})]), ValueError, "StringLengths.lengths names string 9"),
-    "string no index": (lambda: problem(goals=[ocp.StringLengths({"a": 1.0})]), TypeError, "StringLengths.lengths"),
-    "positions of wrong size": (lambda: problem(goals=[ocp.NodePositions(np.zeros((2, 3)))]), ValueError, "NodePositions.positions"),
-    "positions empty": (lambda: ocp.NodePositions({}), ValueError, "NodePositions.positions is empty"),
-    "place of two": (lambda: ocp.NodePositions({0: (1.0, 2.0)}), ValueError, r"NodePositions.positions\[0\]"),
-    "place of nothing": (lambda: ocp.NodePositions({0: (None, None, None)}), ValueError, r"NodePositions.positions\[0\]"),
-    "place no place": (lambda: ocp.NodePositions({0: 1.0}), TypeError, r"NodePositions.positions\[0\]"),
-    "node unknown": (lambda: problem(goals=[ocp.NodePositions({6: (0, 0, 0)})]), ValueError, "NodePositions.positions: node is 6"),
+    "string unknown": (
+        lambda: problem(goals=[ocp.StringLengths({9: 1.0})]),
+        ValueError,
+        "StringLengths.lengths names string 9",
+    ),
+    "string no index": (
+        lambda: problem(goals=[ocp.StringLengths({"a": 1.0})]),
+        TypeError,
+        "StringLengths.lengths",
+    ),
+    "positions of wrong size": (
+        lambda: problem(goals=[ocp.NodePositions(np.zeros((2, 3)))]),
+        ValueError,
+        "NodePositions.positions",
+    ),
+    "positions empty": (
+        lambda: ocp.NodePositions({}),
+        ValueError,
+        "NodePositions.positions is empty",
+    ),
+    "place of two": (
+        lambda: ocp.NodePositions({0: (1.0, 2.0)}),
+        ValueError,
+        r"NodePositions.positions\[0\]",
+    ),
+    "place of nothing": (
+        lambda: ocp.NodePositions({0: (None, None, None)}),
+        ValueError,
+        r"NodePositions.positions\[0\]",
+    ),
+    "place no place": (
+        lambda: ocp.NodePositions({0: 1.0}),
+        TypeError,
+        r"NodePositions.positions\[0\]",
+    ),
+    "node unknown": (
+        lambda: problem(goals=[ocp.NodePositions({6: (0, 0, 0)})]),
+        ValueError,
+        "NodePositions.positions: node is 6",
+    ),
     "pinned node elsewhere": (
         lambda: ocp.Problem(
-            tc.Model(tc.Scene(PRISM.replace(pinned=[0]), control=tc.ForceDensity())), goals=[ocp.NodePositions({0: (None, 1.0, None)})]
+            tc.Model(tc.Scene(PRISM.replace(pinned=[0]), control=tc.ForceDensity())),
+            goals=[ocp.NodePositions({0: (None, 1.0, None)})],
         ),
         ValueError,
         r"NodePositions.positions\[0\] wants y = 1 m of a node that is pinned at 0 m",
     ),
-    "limits of nothing": (lambda: ocp.TensionLimits(), ValueError, "TensionLimits.lower and .upper"),
-    "limits below zero": (lambda: ocp.ForceDensityLimits(-1.0, 1.0), ValueError, "ForceDensityLimits.lower"),
-    "limits crossed": (lambda: problem(bounds=[ocp.ForceDensityLimits(2.0, 1.0)]), ValueError, "ForceDensityLimits: lower is 2"),
+    "limits of nothing": (
+        lambda: ocp.TensionLimits(),
+        ValueError,
+        "TensionLimits.lower and .upper",
+    ),
+    "limits below zero": (
+        lambda: ocp.ForceDensityLimits(-1.0, 1.0),
+        ValueError,
+        "ForceDensityLimits.lower",
+    ),
+    "limits crossed": (
+        lambda: problem(bounds=[ocp.ForceDensityLimits(2.0, 1.0)]),
+        ValueError,
+        "ForceDensityLimits: lower is 2",
+    ),
     "limits crossed in two": (
         lambda: problem(bounds=[ocp.TensionLimits(lower=2.0), ocp.TensionLimits(upper=1.0)]),
         ValueError,
         "Problem.bounds: TensionLimits leave string 0 nothing",
     ),
-    "limits of wrong size": (lambda: problem(bounds=[ocp.TensionLimits(upper=[1.0, 2.0])]), ValueError, "TensionLimits.upper"),
-    "lower limit infinite": (lambda: ocp.ForceDensityLimits(np.inf, np.inf), ValueError, "ForceDensityLimits.lower"),
+    "limits of wrong size": (
+        lambda: problem(bounds=[ocp.TensionLimits(upper=[1.0, 2.0])]),
+        ValueError,
+        "TensionLimits.upper",
+    ),
+    "lower limit infinite": (
+        lambda: ocp.ForceDensityLimits(np.inf, np.inf),
+        ValueError,
+        "ForceDensityLimits.lower",
+    ),
     "weight zero": (lambda: ocp.Effort(0.0), ValueError, "Effort.weight is 0"),
     "weight negative": (lambda: ocp.Smoothness(-1.0), ValueError, "Smoothness.weight"),
-    "constraint of a node that is none": (lambda: limited(lambda now: now.nodes[2, 77]), ValueError, "Constraint 'own' fails .* Slice .* 3×6"),
+    "constraint of a node that is none": (
+        lambda: limited(lambda now: now.nodes[2, 77]),
+        ValueError,
+        "Constraint 'own' fails .* Slice .* 3×6",
+    ),
     "constraint of shapes that differ": (
         lambda: limited(lambda now: now.nodes + now.tension),
         ValueError,
         "Constraint 'own' fails .* Dimension mismatch",
     ),
-    "constraint with an if": (lambda: limited(lambda now: now.time if now.time > 0 else 0), ValueError, "Constraint 'own' fails .* casadi.if_else"),
+    "constraint with an if": (
+        lambda: limited(lambda now: now.time if now.time > 0 else 0),
+        ValueError,
+        "Constraint 'own' fails .* casadi.if_else",
+    ),
     "constraint of what is none": (
         lambda: limited(lambda now: now.position),
         ValueError,
         "Constraint 'own' fails .*'position': an instant has nodes",
     ),
-    "constraint of nothing": (lambda: limited(lambda now: now.nodes[:, []]), TypeError, "Constraint 'own' gives nothing"),
-    "constraint with a symbol": (lambda: limited(lambda now: now.time + ca.SX.sym("z")), ValueError, "Constraint 'own' has the symbol 'z'"),
+    "constraint of nothing": (
+        lambda: limited(lambda now: now.nodes[:, []]),
+        TypeError,
+        "Constraint 'own' gives nothing",
+    ),
+    "constraint with a symbol": (
+        lambda: limited(lambda now: now.time + ca.SX.sym("z")),
+        ValueError,
+        "Constraint 'own' has the symbol 'z'",
+    ),
     "constraint not a number": (
         lambda: limited(lambda now: ca.log(now.nodes[2, 0] - 5)),
         ValueError,
         "Problem.bounds: own is not a number at the start",
     ),
-    "cost with a symbol": (lambda: counted(lambda now: now.time + ca.SX.sym("z")), ValueError, "Integral 'own' has the symbol 'z'"),
-    "cost of another kind": (lambda: counted(lambda now: ca.MX.sym("q")), TypeError, "Integral 'own' gives MX, and the instant is SX"),
-    "cost not a number": (lambda: counted(lambda now: 1 / now.nodes[2, 0]), ValueError, "Problem.costs: Integral 'own' is not a number at the start"),
-    "final cost that fails": (lambda: problem(costs=[ocp.AtEnd("own", lambda end: end.nodes[7, 7])]), ValueError, "AtEnd 'own' fails"),
-    "path of text": (lambda: followed(lambda time: "abc"), TypeError, r"Tracking.positions\[0\]\(time\) is not a real number"),
-    "path that fails": (lambda: followed(lambda time: (time.hour, 0, 0)), ValueError, r"Tracking.positions\[0\]\(time\) fails"),
-    "path of other symbols": (lambda: followed(lambda time: (ca.MX.sym("q"), 0, 0)), TypeError, r"Tracking.positions\[0\]\(time\) has the entry q"),
-    "path not a number": (lambda: followed(lambda time: (np.nan, 0, 0)), ValueError, r"Tracking.positions\[0\]\(time\) is nan"),
-    "path without a start": (lambda: followed(lambda time: (1 / time, 0, 0)), ValueError, "Problem.costs: Tracking is not a number at the start"),
+    "cost with a symbol": (
+        lambda: counted(lambda now: now.time + ca.SX.sym("z")),
+        ValueError,
+        "Integral 'own' has the symbol 'z'",
+    ),
+    "cost of another kind": (
+        lambda: counted(lambda now: ca.MX.sym("q")),
+        TypeError,
+        "Integral 'own' gives MX, and the instant is SX",
+    ),
+    "cost not a number": (
+        lambda: counted(lambda now: 1 / now.nodes[2, 0]),
+        ValueError,
+        "Problem.costs: Integral 'own' is not a number at the start",
+    ),
+    "final cost that fails": (
+        lambda: problem(costs=[ocp.AtEnd("own", lambda end: end.nodes[7, 7])]),
+        ValueError,
+        "AtEnd 'own' fails",
+    ),
+    "path of text": (
+        lambda: followed(lambda time: "abc"),
+        TypeError,
+        r"Tracking.positions\[0\]\(time\) is not a real number",
+    ),
+    "path that fails": (
+        lambda: followed(lambda time: (time.hour, 0, 0)),
+        ValueError,
+        r"Tracking.positions\[0\]\(time\) fails",
+    ),
+    "path of other symbols": (
+        lambda: followed(lambda time: (ca.MX.sym("q"), 0, 0)),
+        TypeError,
+        r"Tracking.positions\[0\]\(time\) has the entry q",
+    ),
+    "path not a number": (
+        lambda: followed(lambda time: (np.nan, 0, 0)),
+        ValueError,
+        r"Tracking.positions\[0\]\(time\) is nan",
+    ),
+    "path without a start": (
+        lambda: followed(lambda time: (1 / time, 0, 0)),
+        ValueError,
+        "Problem.costs: Tracking is not a number at the start",
+    ),
     "intervals zero": (lambda: ocp.MultipleShooting(0), ValueError, "MultipleShooting.intervals"),
-    "intervals a fraction": (lambda: ocp.MultipleShooting(1.5), TypeError, "MultipleShooting.intervals"),
-    "substeps zero": (lambda: ocp.MultipleShooting(substeps=0), ValueError, "MultipleShooting.substeps"),
+    "intervals a fraction": (
+        lambda: ocp.MultipleShooting(1.5),
+        TypeError,
+        "MultipleShooting.intervals",
+    ),
+    "substeps zero": (
+        lambda: ocp.MultipleShooting(substeps=0),
+        ValueError,
+        "MultipleShooting.substeps",
+    ),
     "scheme unknown": (lambda: ocp.MultipleShooting(scheme="rk4"), TypeError, "scheme"),
     "scheme of whole models": (
         lambda: ocp.MultipleShooting(scheme=tc.Rattle()),
@@ -143,7 +297,11 @@ BAD = {
         r"MultipleShooting.scheme is Rattle\(\), .* give RungeKutta4\(\), .* or Collocation\(\)",
     ),
     "guess of bars without a length": (
-        lambda: ocp.solve(problem(), ocp.MultipleShooting(8), guess=ocp.Arrays(np.zeros((9, MODEL.nx)), np.ones((8, MODEL.nu)))),
+        lambda: ocp.solve(
+            problem(),
+            ocp.MultipleShooting(8),
+            guess=ocp.Arrays(np.zeros((9, MODEL.nx)), np.ones((8, MODEL.nu))),
+        ),
         ValueError,
         "guess has states at 0.125 of the duration that are no motion, such as bars without a length",
     ),
@@ -151,18 +309,32 @@ BAD = {
     "tolerance negative": (lambda: ocp.Ipopt(tolerance=-1.0), ValueError, "Ipopt.tolerance"),
     "verbose a number": (lambda: ocp.Ipopt(verbose=1), TypeError, "Ipopt.verbose"),
     "options no mapping": (lambda: ocp.Ipopt(options=["tol"]), TypeError, "Ipopt.options"),
-    "solver library missing": (lambda: ocp.Ipopt(options={"linear_solver": "ma57", "hsllib": "none.so"}), ValueError, "Ipopt.options.*ma57"),
-    "option unknown": (lambda: ocp.solve(problem(), ocp.MultipleShooting(5), ocp.Ipopt(options={"speed": 11})), ValueError, "Ipopt.options"),
+    "solver library missing": (
+        lambda: ocp.Ipopt(options={"linear_solver": "ma57", "hsllib": "none.so"}),
+        ValueError,
+        "Ipopt.options.*ma57",
+    ),
+    "option unknown": (
+        lambda: ocp.solve(problem(), ocp.MultipleShooting(5), ocp.Ipopt(options={"speed": 11})),
+        ValueError,
+        "Ipopt.options",
+    ),
     "solve no problem": (lambda: ocp.solve(MODEL), TypeError, "problem"),
     "solve swapped": (lambda: ocp.solve(problem(), ocp.Ipopt()), TypeError, "transcription"),
     "solve without solver": (lambda: ocp.solve(problem(), None, "ipopt"), TypeError, "solver"),
     "too few intervals": (
-        lambda: ocp.solve(problem(goals=[ocp.AtRest(), ocp.StringLengths({0: 0.8})]), ocp.MultipleShooting(1)),
+        lambda: ocp.solve(
+            problem(goals=[ocp.AtRest(), ocp.StringLengths({0: 0.8})]), ocp.MultipleShooting(1)
+        ),
         ValueError,
         "MultipleShooting.intervals is 1",
     ),
     "load nothing": (lambda: ocp.Plan.load("nowhere.npz"), FileNotFoundError, "nowhere"),
-    "load for no problem": (lambda: ocp.Plan.load("nowhere.npz", problem=MODEL), TypeError, "problem"),
+    "load for no problem": (
+        lambda: ocp.Plan.load("nowhere.npz", problem=MODEL),
+        TypeError,
+        "problem",
+    ),
 }
 
 
@@ -175,7 +347,14 @@ def test_bad_input_is_refused_by_name(name):
 
 def test_a_problem_keeps_what_it_was_given():
     state = spinning()
-    given = ocp.Problem(MODEL, (1.0, 2.0), state, goals=iter([ocp.AtRest()]), bounds=[ocp.ForceDensityLimits(1.0, np.inf)], costs=(ocp.Effort(),))
+    given = ocp.Problem(
+        MODEL,
+        (1.0, 2.0),
+        state,
+        goals=iter([ocp.AtRest()]),
+        bounds=[ocp.ForceDensityLimits(1.0, np.inf)],
+        costs=(ocp.Effort(),),
+    )
     assert (given.shortest, given.longest) == (1.0, 2.0)
     assert given.start == pytest.approx(state, abs=1e-14)
     assert len(given.goals) == len(given.bounds) == len(given.costs) == 1
@@ -190,7 +369,11 @@ def test_a_start_off_by_rounding_is_put_right():
 
 
 def test_limits_combine_and_strings_never_push():
-    bounds = [ocp.ForceDensityLimits(upper=5.0), ocp.ForceDensityLimits(np.arange(9.0) / 9, 4.0), ocp.TensionLimits(upper=7.0)]
+    bounds = [
+        ocp.ForceDensityLimits(upper=5.0),
+        ocp.ForceDensityLimits(np.arange(9.0) / 9, 4.0),
+        ocp.TensionLimits(upper=7.0),
+    ]
     lower, upper = problem(bounds=bounds).force_density_limits
     assert lower == pytest.approx(np.arange(9.0) / 9)
     assert upper == pytest.approx(np.full(9, 4.0))
@@ -217,6 +400,10 @@ def test_costs_are_added_only_where_nothing_else_keeps_force_densities_small():
     assert ocp.Problem(MODEL, bounds=[ocp.ForceDensityLimits(0.0, 50.0)]).costs == ()
 
 
-@pytest.mark.parametrize(("limits", "typical"), [(2.0, 2.0), ((0.5, 1.5), 1.0), ((0.1, 1.0), 0.55), ((0.01, 100.0), 1.0)])
+@pytest.mark.parametrize(
+    ("limits", "typical"), [(2.0, 2.0), ((0.5, 1.5), 1.0), ((0.1, 1.0), 0.55), ((0.01, 100.0), 1.0)]
+)
 def test_motions_begin_with_a_typical_duration(limits, typical):
-    assert ocp.Problem(MODEL, limits, goals=[ocp.AtRest()]).typical_duration == pytest.approx(typical)
+    assert ocp.Problem(MODEL, limits, goals=[ocp.AtRest()]).typical_duration == pytest.approx(
+        typical
+    )

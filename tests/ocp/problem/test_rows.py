@@ -14,7 +14,12 @@ def test_places_come_before_speeds():
     found = stack([mixed, one])
     assert found.names == ("b", "d", "a", "c")
     assert found.units == ("m", "m", "m/s", "m/s")
-    assert ca.Function("value", [x], [found.value])([0, 1, 2, 3]).full().ravel().tolist() == [1, 3, 0, 2]
+    assert ca.Function("value", [x], [found.value])([0, 1, 2, 3]).full().ravel().tolist() == [
+        1,
+        3,
+        0,
+        2,
+    ]
     assert found.sizes({"m": 2.0, "m/s": 0.5}) == pytest.approx([2.0, 2.0, 0.5, 0.5])
 
 

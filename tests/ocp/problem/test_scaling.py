@@ -15,7 +15,9 @@ def test_scales_are_those_of_the_structure_and_the_longest_duration():
     scales, model = Scales.of(problem), problem.model
     assert scales.length == pytest.approx(np.linalg.norm(np.ptp(model.structure.nodes, axis=0)))
     assert scales.mass == pytest.approx(3.0)
-    assert scales.units == pytest.approx({"m": scales.length, "m/s": scales.length / 2, "m²/s": scales.length**2 / 2, "s": 2.0})
+    assert scales.units == pytest.approx(
+        {"m": scales.length, "m/s": scales.length / 2, "m²/s": scales.length**2 / 2, "s": 2.0}
+    )
     assert scales.state == pytest.approx(np.repeat([scales.length, scales.length / 2], model.nq))
 
 
@@ -24,8 +26,13 @@ def test_a_typical_cost_does_not_grow_with_the_intervals():
     problem = raising(costs=[ocp.Effort()])
     state = problem.first_state
     for count in (8, 40):
-        found = typical_cost(problem, 3.0, np.tile(state, (count + 1, 1)), np.zeros((count, 9)), 1.0)
+        found = typical_cost(
+            problem, 3.0, np.tile(state, (count + 1, 1)), np.zeros((count, 9)), 1.0
+        )
         assert found == pytest.approx(9 * 9 * 1.25)
     smooth = raising(costs=[ocp.Smoothness()])
-    coarse, fine = (typical_cost(smooth, 3.0, np.tile(state, (count + 1, 1)), np.zeros((count, 9)), 1.0) for count in (20, 80))
+    coarse, fine = (
+        typical_cost(smooth, 3.0, np.tile(state, (count + 1, 1)), np.zeros((count, 9)), 1.0)
+        for count in (20, 80)
+    )
     assert fine == pytest.approx(coarse, rel=0.1)

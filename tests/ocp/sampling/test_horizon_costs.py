@@ -17,9 +17,18 @@ PERIOD, COUNT, STEPS = 0.1, 4, 5
 
 def costs(**asked):
     """Those of three samples, and their force densities and motions."""
-    controller = ocp.Mppi(ocp.Problem(CROSS, 0.8, **{"bounds": [ocp.ForceDensityLimits(0.0, 20.0)], **asked}), PERIOD, 0.4, 3, steps=STEPS, place=0.1)
+    controller = ocp.Mppi(
+        ocp.Problem(CROSS, 0.8, **{"bounds": [ocp.ForceDensityLimits(0.0, 20.0)], **asked}),
+        PERIOD,
+        0.4,
+        3,
+        steps=STEPS,
+        place=0.1,
+    )
     tried = np.random.default_rng(0).uniform(2.0, 6.0, (3, COUNT, 2))
-    runs = [tc.simulate(CROSS, 0.4, PERIOD / STEPS, control=gamma, compiled=False) for gamma in tried]
+    runs = [
+        tc.simulate(CROSS, 0.4, PERIOD / STEPS, control=gamma, compiled=False) for gamma in tried
+    ]
     return controller._costs(0.7, CROSS.initial_state, tried), tried, runs
 
 
@@ -28,26 +37,43 @@ def at_ends(run):
 
 
 def test_running_costs_are_those_of_the_periods_ends_in_time():
-    wanted = [ocp.Tracking({1: lambda t: (ca.sin(t), None, None)}, 2.0), ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities))]
+    wanted = [
+        ocp.Tracking({1: lambda t: (ca.sin(t), None, None)}, 2.0),
+        ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities)),
+    ]
     found, _, runs = costs(costs=wanted)
     times = 0.7 + PERIOD * np.arange(1, COUNT + 1)
     for cost, run in zip(found, runs, strict=True):
         nodes, velocities = at_ends(run)
-        assert cost == pytest.approx(PERIOD * (2.0 * (nodes[:, 1, 0] - np.sin(times)) ** 2 + (velocities**2).sum(axis=(1, 2))).sum(), rel=1e-9)
+        assert cost == pytest.approx(
+            PERIOD
+            * (
+                2.0 * (nodes[:, 1, 0] - np.sin(times)) ** 2 + (velocities**2).sum(axis=(1, 2))
+            ).sum(),
+            rel=1e-9,
+        )
 
 
 def test_costs_of_force_densities_are_those_of_plans():
     found, tried, _ = costs(costs=[ocp.Effort(0.5), ocp.Smoothness(0.1), ocp.Prestress([1.0, 2.0])])
     for cost, gamma in zip(found, tried, strict=True):
         smooth = (np.diff(gamma, axis=0) ** 2).sum() / PERIOD
-        assert cost == pytest.approx(PERIOD * (0.5 * (gamma**2).sum() + ((gamma - [1.0, 2.0]) ** 2).sum()) + 0.1 * smooth, rel=1e-9)
+        assert cost == pytest.approx(
+            PERIOD * (0.5 * (gamma**2).sum() + ((gamma - [1.0, 2.0]) ** 2).sum()) + 0.1 * smooth,
+            rel=1e-9,
+        )
 
 
 def test_goals_count_on_the_way_and_at_the_end():
-    found, _, runs = costs(goals=[ocp.NodePositions({1: (0.2, None, None)}), ocp.AtRest()], costs=[ocp.AtEnd("x", lambda end: 3 * end.nodes[0, 1])])
+    found, _, runs = costs(
+        goals=[ocp.NodePositions({1: (0.2, None, None)}), ocp.AtRest()],
+        costs=[ocp.AtEnd("x", lambda end: 3 * end.nodes[0, 1])],
+    )
     for cost, run in zip(found, runs, strict=True):
         nodes, velocities = at_ends(run)
-        missed = ((nodes[:, 1, 0] - 0.2) / 0.1) ** 2 + ((velocities / (10 * 0.1 / 0.8)) ** 2).sum(axis=(1, 2))
+        missed = ((nodes[:, 1, 0] - 0.2) / 0.1) ** 2 + ((velocities / (10 * 0.1 / 0.8)) ** 2).sum(
+            axis=(1, 2)
+        )
         assert cost == pytest.approx(missed.mean() + missed[-1] + 3 * nodes[-1, 1, 0], rel=1e-9)
 
 
@@ -70,23 +96,41 @@ def test_limits_of_rates_hold_from_the_last_decision_on():
     first, tried, _ = costs(bounds=[ocp.ForceDensityLimits(0.0, 20.0), rate])
     assert first.min() > 100.0
     steady = np.full_like(tried, 3.0)
-    controller = ocp.Mppi(ocp.Problem(CROSS, bounds=[ocp.ForceDensityLimits(0.0, 20.0), ocp.RestLengthRateLimits(50.0, 1000.0)]), PERIOD, 0.4, 3)
+    controller = ocp.Mppi(
+        ocp.Problem(
+            CROSS,
+            bounds=[ocp.ForceDensityLimits(0.0, 20.0), ocp.RestLengthRateLimits(50.0, 1000.0)],
+        ),
+        PERIOD,
+        0.4,
+        3,
+    )
     assert controller._costs(0.0, CROSS.initial_state, steady).max() == 0.0
-    controller._last = _Decision(0.0, CROSS.initial_state, np.array([2e5, 3.0]))  # another γ was decided before: its rest length is far away
+    controller._last = _Decision(
+        0.0, CROSS.initial_state, np.array([2e5, 3.0])
+    )  # another γ was decided before: its rest length is far away
     assert controller._costs(0.0, CROSS.initial_state, steady).min() > 100.0
 
 
 @pytest.mark.slow  # to compile
 def test_models_of_matrices_have_the_same_costs():
     chain = tc.Structure(
-        [(k, 0, 0.1 * (-1) ** k) for k in range(9)], bars=[(k, k + 1) for k in range(8)], strings=[(k, k + 2) for k in range(7)], pinned=[0]
+        [(k, 0, 0.1 * (-1) ** k) for k in range(9)],
+        bars=[(k, k + 1) for k in range(8)],
+        strings=[(k, k + 2) for k in range(7)],
+        pinned=[0],
     )
-    asked = {"goals": [ocp.NodePositions({8: (7.5, 0.0, None)})], "bounds": [ocp.ForceDensityLimits(0.0, 9.0), ocp.TensionLimits(upper=1.0)]}
+    asked = {
+        "goals": [ocp.NodePositions({8: (7.5, 0.0, None)})],
+        "bounds": [ocp.ForceDensityLimits(0.0, 9.0), ocp.TensionLimits(upper=1.0)],
+    }
     found = []
     for coordinates in ("reduced", "full"):
         model = tc.Model(tc.Scene(chain, control=tc.ForceDensity()), coordinates=coordinates)
         assert model.ode.is_a("MXFunction")
-        problem = ocp.Problem(model, costs=[ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities))], **asked)
+        problem = ocp.Problem(
+            model, costs=[ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities))], **asked
+        )
         controller = ocp.Mppi(problem, 0.05, 0.1, samples=4)
         found.append(controller._costs(0.0, model.initial_state, controller._perturbed()))
     assert found[0].min() > 1.0
@@ -94,11 +138,17 @@ def test_models_of_matrices_have_the_same_costs():
 
 
 def test_parameters_have_the_values_of_the_problem():
-    parametric = tc.Model(tc.Scene(CROSS.structure, control=tc.ForceDensity(), parameters=tc.Parameters("bar_mass")))
+    parametric = tc.Model(
+        tc.Scene(CROSS.structure, control=tc.ForceDensity(), parameters=tc.Parameters("bar_mass"))
+    )
     heavy = driven(CROSS.structure.replace(bar_mass=3.0))
     found = []
     for model, given in ((heavy, None), (parametric, {"bar_mass": 3.0})):
-        asked = {"bounds": [ocp.ForceDensityLimits(0.0, 9.0)], "costs": [ocp.Tracking({1: lambda t: (t, None, None)})], "parameters": given}
+        asked = {
+            "bounds": [ocp.ForceDensityLimits(0.0, 9.0)],
+            "costs": [ocp.Tracking({1: lambda t: (t, None, None)})],
+            "parameters": given,
+        }
         controller = ocp.Mppi(ocp.Problem(model, **asked), samples=4)
         found.append(controller._costs(0.3, model.initial_state, controller._perturbed()))
     assert found[1] == pytest.approx(found[0], rel=1e-9)

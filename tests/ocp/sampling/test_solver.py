@@ -12,7 +12,11 @@ BAD = {
     "a negative seed": ({"seed": -1}, ValueError, r"Sampling\.seed is -1"),
     "no knots": ({"knots": 0}, ValueError, r"Sampling\.knots is 0"),
     "no threads": ({"threads": 0}, ValueError, r"Sampling\.threads is 0"),
-    "groups that overlap": ({"groups": [(0, 1), (1, 2)]}, ValueError, r"Sampling\.groups has string 1 twice"),
+    "groups that overlap": (
+        {"groups": [(0, 1), (1, 2)]},
+        ValueError,
+        r"Sampling\.groups has string 1 twice",
+    ),
     "groups that are numbers": ({"groups": 3}, TypeError, r"Sampling\.groups"),
     "a flag that is none": ({"verbose": 1}, TypeError, r"Sampling\.verbose"),
     "no function": ({"watch": "me"}, TypeError, r"Sampling\.watch"),
@@ -35,5 +39,7 @@ def test_verbose_tells_each_round(capsys):
     from loading import load_example
 
     problem = load_example("contact_problems").prism_jumps(0.2)
-    ocp.solve(problem, solver=ocp.Sampling(samples=16, rounds=2, iterations=1, attempts=1, verbose=True))
+    ocp.solve(
+        problem, solver=ocp.Sampling(samples=16, rounds=2, iterations=1, attempts=1, verbose=True)
+    )
     assert capsys.readouterr().out.startswith("sampling, round 1: misses its goals by")

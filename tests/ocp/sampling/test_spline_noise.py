@@ -8,7 +8,9 @@ import pytest
 import ocp
 
 
-@pytest.mark.parametrize(("knots", "intervals"), [(1, 5), (2, 10), (4, 10), (8, 20), (6, 3), (3, 1)])
+@pytest.mark.parametrize(
+    ("knots", "intervals"), [(1, 5), (2, 10), (4, 10), (8, 20), (6, 3), (3, 1)]
+)
 def test_its_deviation_is_the_same_at_all_times(knots, intervals):
     basis = ocp.SplineNoise(1.0, knots).basis(intervals)
     noise = np.random.default_rng(0).standard_normal((20000, basis.shape[1])) @ basis.T
@@ -36,18 +38,58 @@ def test_a_group_changes_together():
 
 
 BAD = {
-    "negative": (lambda: ocp.SplineNoise(-1.0), ValueError, "SplineNoise.deviation of string 0 is -1"),
+    "negative": (
+        lambda: ocp.SplineNoise(-1.0),
+        ValueError,
+        "SplineNoise.deviation of string 0 is -1",
+    ),
     "a word": (lambda: ocp.SplineNoise("much"), TypeError, "SplineNoise.deviation"),
     "no knots": (lambda: ocp.SplineNoise(1.0, 0), ValueError, "SplineNoise.knots"),
-    "finer than nothing": (lambda: ocp.SplineNoise(1.0, finest=0.0), ValueError, "SplineNoise.finest is 0"),
-    "finer than all": (lambda: ocp.SplineNoise(1.0, finest=2.0), ValueError, "SplineNoise.finest is 2: give a share"),
-    "groups of a number": (lambda: ocp.SplineNoise(1.0, groups=3), TypeError, "SplineNoise.groups is 3"),
-    "a group of a number": (lambda: ocp.SplineNoise(1.0, groups=[3]), TypeError, r"SplineNoise.groups\[0\] is 3"),
-    "no groups": (lambda: ocp.SplineNoise(1.0, groups=[]), ValueError, "give strings to each group"),
-    "an empty group": (lambda: ocp.SplineNoise(1.0, groups=[[0], []]), ValueError, "give strings to each group"),
-    "a string twice": (lambda: ocp.SplineNoise(1.0, groups=[[0, 1], [2, 1]]), ValueError, "string 1 twice"),
-    "no such string": (lambda: ocp.SplineNoise(1.0, groups=[[7]]).directions(4), ValueError, "string 7: strings run from 0 to 3"),
-    "other strings": (lambda: ocp.SplineNoise([1.0, 2.0]).directions(4), ValueError, "SplineNoise.deviation has shape"),
+    "finer than nothing": (
+        lambda: ocp.SplineNoise(1.0, finest=0.0),
+        ValueError,
+        "SplineNoise.finest is 0",
+    ),
+    "finer than all": (
+        lambda: ocp.SplineNoise(1.0, finest=2.0),
+        ValueError,
+        "SplineNoise.finest is 2: give a share",
+    ),
+    "groups of a number": (
+        lambda: ocp.SplineNoise(1.0, groups=3),
+        TypeError,
+        "SplineNoise.groups is 3",
+    ),
+    "a group of a number": (
+        lambda: ocp.SplineNoise(1.0, groups=[3]),
+        TypeError,
+        r"SplineNoise.groups\[0\] is 3",
+    ),
+    "no groups": (
+        lambda: ocp.SplineNoise(1.0, groups=[]),
+        ValueError,
+        "give strings to each group",
+    ),
+    "an empty group": (
+        lambda: ocp.SplineNoise(1.0, groups=[[0], []]),
+        ValueError,
+        "give strings to each group",
+    ),
+    "a string twice": (
+        lambda: ocp.SplineNoise(1.0, groups=[[0, 1], [2, 1]]),
+        ValueError,
+        "string 1 twice",
+    ),
+    "no such string": (
+        lambda: ocp.SplineNoise(1.0, groups=[[7]]).directions(4),
+        ValueError,
+        "string 7: strings run from 0 to 3",
+    ),
+    "other strings": (
+        lambda: ocp.SplineNoise([1.0, 2.0]).directions(4),
+        ValueError,
+        "SplineNoise.deviation has shape",
+    ),
 }
 
 

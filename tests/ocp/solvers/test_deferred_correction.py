@@ -13,7 +13,13 @@ import tenscasadi as tc
 def rising(duration: float | tuple[float, float] = 1.0, *more: object) -> ocp.Problem:
     goals = [ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest()]
     model = tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity()))
-    return ocp.Problem(model, duration, goals=goals, bounds=[ocp.ForceDensityLimits(5.0, 100.0), *more], costs=[ocp.Effort()])
+    return ocp.Problem(
+        model,
+        duration,
+        goals=goals,
+        bounds=[ocp.ForceDensityLimits(5.0, 100.0), *more],
+        costs=[ocp.Effort()],
+    )
 
 
 METHODS = {
@@ -31,7 +37,9 @@ def test_the_replay_is_as_exact_as_was_asked(name):
     plan = ocp.solve(rising(), METHODS[name])
     assert plan.success, plan.message
     replay = plan.replay(step=plan.time[-1] / 2000)
-    rounded = 1e-5 if plan.linear else 0.0  # a replay holds linear force densities in each of its steps
+    rounded = (
+        1e-5 if plan.linear else 0.0
+    )  # a replay holds linear force densities in each of its steps
     assert np.abs(replay.states[-1] - plan.trajectory.states[-1]).max() < 2e-9 + rounded
     assert plan.replay_error < 3e-9 + rounded
     assert plan.trajectory.bar_length_error.max() < 1e-7
@@ -40,7 +48,9 @@ def test_the_replay_is_as_exact_as_was_asked(name):
 def test_states_in_between_are_those_of_fine_steps():
     plan = ocp.solve(rising(), ocp.Variational(20, accuracy=1e-9))
     replay = plan.replay()
-    assert np.abs(replay.states[:: (len(replay.time) - 1) // 20] - plan.trajectory.states).max() < 1e-7
+    assert (
+        np.abs(replay.states[:: (len(replay.time) - 1) // 20] - plan.trajectory.states).max() < 1e-7
+    )
 
 
 def test_the_duration_may_be_free_and_limits_hold():
@@ -57,7 +67,11 @@ def test_the_duration_may_be_free_and_limits_hold():
         rising(1.0, ocp.Constraint("speed", lambda now: now.velocities[2, 3:6].T, upper=0.13)),
         ocp.Problem(
             tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity())),
-            goals=[ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest(), ocp.Waypoint([ocp.AtRest()], share=0.5)],
+            goals=[
+                ocp.StringLengths(prism(1.1).string_lengths),
+                ocp.AtRest(),
+                ocp.Waypoint([ocp.AtRest()], share=0.5),
+            ],
             bounds=[ocp.ForceDensityLimits(5.0, 100.0)],
             costs=[ocp.Effort()],
         ),
@@ -71,16 +85,27 @@ def test_velocities_on_the_way_are_corrected_too(asked):
 
 
 def test_corrections_cost_the_order_of_the_scheme_and_no_more():
-    coarse, exact = (ocp.solve(rising(), ocp.Variational(20, accuracy=accuracy)).objective for accuracy in (None, 1e-9))
-    fine = ocp.solve(rising(), ocp.MultipleShooting(20, substeps=8)).objective  # the same force densities, the motion itself
+    coarse, exact = (
+        ocp.solve(rising(), ocp.Variational(20, accuracy=accuracy)).objective
+        for accuracy in (None, 1e-9)
+    )
+    fine = ocp.solve(
+        rising(), ocp.MultipleShooting(20, substeps=8)
+    ).objective  # the same force densities, the motion itself
     assert exact == pytest.approx(fine, rel=1e-5)
     assert abs(coarse - fine) > abs(exact - fine)
 
 
-@pytest.mark.parametrize(("bars", "lean", "weight"), [(3, 0.5, True), (5, 1.0, False)], ids=["under its weight", "five bars"])
+@pytest.mark.parametrize(
+    ("bars", "lean", "weight"),
+    [(3, 0.5, True), (5, 1.0, False)],
+    ids=["under its weight", "five bars"],
+)
 def test_motions_along_which_errors_grow_are_corrected(bars, lean, weight):
     """Fine steps under the first force densities fall over, a metre from the plan: errors grow a millionfold."""
-    plan = ocp.solve(leaning_arm(bars, lean, weight), ocp.Variational(50, accuracy=3e-4), tolerance=1e-3)
+    plan = ocp.solve(
+        leaning_arm(bars, lean, weight), ocp.Variational(50, accuracy=3e-4), tolerance=1e-3
+    )
     assert plan.success, plan.message
     assert "open-loop unstable" in plan.message
     replay = plan.replay(step=plan.time[-1] / 4000)
@@ -97,7 +122,9 @@ def test_more_than_corrections_can_do_is_said():
 def test_a_solver_that_cannot_start_again_is_refused():
     words = r"ImplicitMidpoint\.accuracy is 1e-08, and solver is Fatrop, .*: give ocp\.Ipopt\(\), or accuracy=None and more intervals"
     with pytest.raises(ValueError, match=words):
-        ocp.solve(rising(), ocp.ImplicitMidpoint(20, accuracy=1e-8), ocp.Fatrop(options={"mu_init": 0.1}))
+        ocp.solve(
+            rising(), ocp.ImplicitMidpoint(20, accuracy=1e-8), ocp.Fatrop(options={"mu_init": 0.1})
+        )
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, "exact"])

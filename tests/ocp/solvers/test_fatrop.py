@@ -12,7 +12,10 @@ from ocp.solvers.fatrop import cut_into_stages
 CASES = {
     "shooting": (ocp.MultipleShooting(8), {}),
     "midpoint": (ocp.ImplicitMidpoint(8), {}),
-    "tension": (ocp.MultipleShooting(8), {"bounds": [ocp.ForceDensityLimits(5.0, 100.0), ocp.TensionLimits(upper=12.0)]}),
+    "tension": (
+        ocp.MultipleShooting(8),
+        {"bounds": [ocp.ForceDensityLimits(5.0, 100.0), ocp.TensionLimits(upper=12.0)]},
+    ),
     "smooth": (ocp.MultipleShooting(8), {"costs": [ocp.Effort(), ocp.Smoothness(1e-2)]}),
     "duration": (ocp.MultipleShooting(8), {"duration": (0.9, 1.1)}),
     "linear": (ocp.Variational(8, control=ocp.PiecewiseLinear()), {}),
@@ -23,7 +26,9 @@ CASES = {
 def test_fatrop_finds_the_plan_of_ipopt(case):
     transcription, changes = CASES[case]
     problem = raising(**changes)
-    one, other = (ocp.solve(problem, transcription, solver) for solver in (ocp.Ipopt(), ocp.Fatrop()))
+    one, other = (
+        ocp.solve(problem, transcription, solver) for solver in (ocp.Ipopt(), ocp.Fatrop())
+    )
     assert one.success
     assert other.success
     assert other.status == "Solve_Succeeded"

@@ -25,14 +25,25 @@ def test_it_finds_what_another_solver_finds(seed):
     H, g = root.T @ root + 0.1 * np.eye(n), 50 * rng.normal(size=n)
     G = np.vstack([rng.normal(size=(m, n)), -np.eye(n)])
     b = np.append(rng.uniform(0, 1, m), np.zeros(n))  # corners: many limits meet at 0
-    reference = ca.conic("qp", "daqp", {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(m + n, n)})(h=H, g=g, a=G, lba=-np.inf, uba=b)
+    reference = ca.conic(
+        "qp", "daqp", {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(m + n, n)}
+    )(h=H, g=g, a=G, lba=-np.inf, uba=b)
     assert value(solved(H, g, G, b)) == pytest.approx(reference["x"].full().ravel(), abs=1e-5)
 
 
 def test_an_entry_without_room_stays():
-    x = value(solved(np.eye(2), [-3.0, -2.0], np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]]), [1.0, -1.0, 5.0]))
+    x = value(
+        solved(
+            np.eye(2),
+            [-3.0, -2.0],
+            np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]]),
+            [1.0, -1.0, 5.0],
+        )
+    )
     assert x == pytest.approx([1.0, 2.0], abs=1e-5)
 
 
 def test_limits_that_contradict_each_other_leave_numbers():
-    assert np.all(np.isfinite(value(solved(np.eye(1), [0.0], np.array([[1.0], [-1.0]]), [-1.0, -1.0]))))
+    assert np.all(
+        np.isfinite(value(solved(np.eye(1), [0.0], np.array([[1.0], [-1.0]]), [-1.0, -1.0])))
+    )

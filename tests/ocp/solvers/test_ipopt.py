@@ -33,10 +33,17 @@ def test_progress_is_told_and_a_stop_keeps_the_best():
 def begins(problem, guess=None):
     """How often the solver begins, and the plan."""
     seen = []
-    plan = ocp.solve(problem, ocp.Variational(20), ocp.Ipopt(watch=lambda now: seen.append(now.iteration)), guess=guess)
+    plan = ocp.solve(
+        problem,
+        ocp.Variational(20),
+        ocp.Ipopt(watch=lambda now: seen.append(now.iteration)),
+        guess=guess,
+    )
     assert plan.success, plan.message
     last = seen[::-1].index(0)  # iterations of the last run
-    assert plan.iterations == last if seen.count(0) == 1 else plan.iterations > last  # those of all runs count
+    assert (
+        plan.iterations == last if seen.count(0) == 1 else plan.iterations > last
+    )  # those of all runs count
     return seen.count(0), plan
 
 

@@ -9,7 +9,9 @@ import ocp
 from ocp.solvers import ipopt
 
 
-@pytest.mark.parametrize(("intervals", "given", "order"), [(20, {}, 0), (800, {}, 5), (20, {"mumps_pivot_order": 7}, 7)])
+@pytest.mark.parametrize(
+    ("intervals", "given", "order"), [(20, {}, 0), (800, {}, 5), (20, {"mumps_pivot_order": 7}, 7)]
+)
 def test_pivots_are_ordered_by_size(intervals, given, order, monkeypatch):
     asked = {}
 

@@ -21,17 +21,26 @@ MODEL = tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity()))
 def problem(to=1.15, most=MOST, least=5.0, goals=None, **changes):
     goals = [ocp.Shape(prism(to).nodes), ocp.AtRest()] if goals is None else goals
     bounds = [ocp.ForceDensityLimits(least, 100.0), ocp.TensionLimits(upper=most)]
-    return ocp.Problem(MODEL, **{"goals": goals, "bounds": bounds, "costs": [ocp.Effort()], **changes})
+    return ocp.Problem(
+        MODEL, **{"goals": goals, "bounds": bounds, "costs": [ocp.Effort()], **changes}
+    )
 
 
 def slope(transcription, name, value, change):
     """How the least cost changes with an argument of `problem`, by difference."""
-    up, down = (ocp.solve(problem(**{name: value + step}), transcription, SHARP).objective for step in (change, -change))
+    up, down = (
+        ocp.solve(problem(**{name: value + step}), transcription, SHARP).objective
+        for step in (change, -change)
+    )
     return (up - down) / (2 * change)
 
 
 SHARP = ocp.Ipopt(tolerance=1e-10)
-TRANSCRIPTIONS = [ocp.MultipleShooting(10), ocp.Variational(12), ocp.Variational(12, control=ocp.PiecewiseLinear())]
+TRANSCRIPTIONS = [
+    ocp.MultipleShooting(10),
+    ocp.Variational(12),
+    ocp.Variational(12, control=ocp.PiecewiseLinear()),
+]
 
 
 @pytest.mark.parametrize("transcription", TRANSCRIPTIONS, ids=["shooting", "variational", "linear"])
@@ -45,7 +54,9 @@ def test_multipliers_are_what_giving_way_saves(transcription):
     assert density < -1.0  # lower limits hold
     assert slope(transcription, "least", 5.0, 1e-3) == pytest.approx(-density, rel=1e-3)
     prices = {(one.name, one.side): one.price for one in plan.report().active}
-    assert prices["tension of string 6", "upper"] == pytest.approx(plan.duals["tension of string 6"].sum(), rel=1e-3)
+    assert prices["tension of string 6", "upper"] == pytest.approx(
+        plan.duals["tension of string 6"].sum(), rel=1e-3
+    )
     assert "costs" in str(plan.report())
 
 
@@ -70,15 +81,27 @@ def test_waypoints_have_multipliers_too():
 
     plans = [ocp.solve(through(height), ocp.Variational(12), SHARP) for height in (1.07, 1.0701)]
     assert all(plan.success for plan in plans)
-    names = [name for name in plans[0].duals.names if name.startswith("waypoint at 0.5 of the duration, Shape: ")]
+    names = [
+        name
+        for name in plans[0].duals.names
+        if name.startswith("waypoint at 0.5 of the duration, Shape: ")
+    ]
     pairs = [tuple(map(int, name.split("nodes ")[1].split(" and "))) for name in names]
-    moved = [np.diff([np.linalg.norm(prism(h).nodes[a] - prism(h).nodes[b]) for h in (1.07, 1.0701)])[0] for a, b in pairs]
-    predicted = -sum(plans[0].duals[name][0] * distance for name, distance in zip(names, moved, strict=True))
+    moved = [
+        np.diff([np.linalg.norm(prism(h).nodes[a] - prism(h).nodes[b]) for h in (1.07, 1.0701)])[0]
+        for a, b in pairs
+    ]
+    predicted = -sum(
+        plans[0].duals[name][0] * distance for name, distance in zip(names, moved, strict=True)
+    )
     assert plans[1].objective - plans[0].objective == pytest.approx(predicted, rel=2e-2)
 
 
 def test_fatrop_has_the_multipliers_of_ipopt():
-    one, other = (ocp.solve(problem(), ocp.MultipleShooting(10), solver).duals for solver in (ocp.Ipopt(), ocp.Fatrop()))
+    one, other = (
+        ocp.solve(problem(), ocp.MultipleShooting(10), solver).duals
+        for solver in (ocp.Ipopt(), ocp.Fatrop())
+    )
     assert one.names == other.names
     assert np.abs(one.values).max() > 1.0
     assert other.values == pytest.approx(one.values, abs=1e-3 * np.abs(one.values).max())
@@ -88,7 +111,9 @@ def test_fatrop_has_the_multipliers_of_ipopt():
 WARM = {
     "shooting": ocp.MultipleShooting(10),
     "variational": ocp.Variational(12),
-    "linear, unequal": ocp.Variational((1.0, 2.0, 2.0, 3.0, 2.0, 2.0, 1.0), control=ocp.PiecewiseLinear()),
+    "linear, unequal": ocp.Variational(
+        (1.0, 2.0, 2.0, 3.0, 2.0, 2.0, 1.0), control=ocp.PiecewiseLinear()
+    ),
 }
 
 
@@ -96,14 +121,22 @@ WARM = {
 def test_a_start_from_multipliers_saves_most_iterations(name):
     cold = ocp.solve(problem(), WARM[name], tolerance=0.1)
     nearby = problem(to=1.16, most=10.35)
-    again, other = (ocp.solve(asked, WARM[name], ocp.Ipopt(warm=True), guess=cold, tolerance=0.1) for asked in (problem(), nearby))
+    again, other = (
+        ocp.solve(asked, WARM[name], ocp.Ipopt(warm=True), guess=cold, tolerance=0.1)
+        for asked in (problem(), nearby)
+    )
     assert cold.success
     assert again.success
     assert other.success
     assert again.iterations <= 2
     assert other.iterations <= cold.iterations / 2
-    assert ocp.solve(problem(), WARM[name], guess=cold, tolerance=0.1).iterations > 2 * again.iterations  # without keeping to it
-    assert other.objective == pytest.approx(ocp.solve(nearby, WARM[name], tolerance=0.1).objective, rel=1e-5)
+    assert (
+        ocp.solve(problem(), WARM[name], guess=cold, tolerance=0.1).iterations
+        > 2 * again.iterations
+    )  # without keeping to it
+    assert other.objective == pytest.approx(
+        ocp.solve(nearby, WARM[name], tolerance=0.1).objective, rel=1e-5
+    )
 
 
 def test_multipliers_of_another_grid_are_left_alone():
@@ -129,7 +162,9 @@ def test_names_without_multiplier_are_refused():
     duals = ocp.solve(problem(), ocp.Variational(6)).duals
     with pytest.raises(TypeError, match=r"Duals\[name\] is 0: give one of Duals.names"):
         duals[0]
-    with pytest.raises(KeyError, match=r"tension of string 9.*has no multiplier.*tension of string 0"):
+    with pytest.raises(
+        KeyError, match=r"tension of string 9.*has no multiplier.*tension of string 0"
+    ):
         duals["tension of string 9"]
     assert len(duals["tension of string 1"]) == 12
     assert not replace(duals, names=(), values=np.zeros(0)).names

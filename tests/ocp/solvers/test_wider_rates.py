@@ -15,11 +15,22 @@ from ocp.solvers.wider_rates import TOO_SLOW, widened, widening
 
 def leaning(rate):
     asked = leaning_arm(1, 0.4)
-    return ocp.Problem(asked.model, 1.0, goals=asked.goals, bounds=[*asked.bounds, ocp.ForceDensityRateLimits(rate)], costs=asked.costs)
+    return ocp.Problem(
+        asked.model,
+        1.0,
+        goals=asked.goals,
+        bounds=[*asked.bounds, ocp.ForceDensityRateLimits(rate)],
+        costs=asked.costs,
+    )
 
 
 def winding(speed):
-    return raising(bounds=[ocp.ForceDensityLimits(5.0, 100.0), ocp.RestLengthRateLimits(speed, stiffness=1000.0)])
+    return raising(
+        bounds=[
+            ocp.ForceDensityLimits(5.0, 100.0),
+            ocp.RestLengthRateLimits(speed, stiffness=1000.0),
+        ]
+    )
 
 
 def fastest(plan):
@@ -33,7 +44,8 @@ def test_what_is_told_suffices(problem):
     assert not none.success
     assert none.status == TOO_SLOW
     told = re.search(
-        r"allow a faster [a-z ]+ of string \d, or a longer duration; with limits of rates ([\d.e+]+) times as wide this mesh has", none.message
+        r"allow a faster [a-z ]+ of string \d, or a longer duration; with limits of rates ([\d.e+]+) times as wide this mesh has",
+        none.message,
     )
     assert told is not None, none.message
     times = float(told[1])
@@ -62,7 +74,11 @@ def test_the_program_of_the_share():
     rates = np.concatenate([np.arange(rows.start, rows.stop) for rows in wider.rows("rate")])
     broken = []
     for factor in (0.99, 1.01):
-        g = wider.derivatives()["nlp_jac_g"](np.append(w, factor * share), [])[0].full().ravel()[rates]
+        g = (
+            wider.derivatives()["nlp_jac_g"](np.append(w, factor * share), [])[0]
+            .full()
+            .ravel()[rates]
+        )
         broken.append(bool(np.any(g > wider.upper[rates]) or np.any(g < wider.lower[rates])))
     assert share > 0
     assert broken == [True, False]

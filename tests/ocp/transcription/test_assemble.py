@@ -17,7 +17,11 @@ from ocp.transcription.initial_guess import make_guess
 PRISM = tc.shapes.prism()
 MODEL = tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), gravity=tc.Gravity()))
 LENGTHS = ocp.StringLengths({0: 0.8, 6: 1.0})
-FULL = {"bounds": [ocp.TensionLimits(1.0, 50.0)], "costs": [ocp.Effort(2.0), ocp.Smoothness(0.1)], "duration": (0.3, 0.5)}
+FULL = {
+    "bounds": [ocp.TensionLimits(1.0, 50.0)],
+    "costs": [ocp.Effort(2.0), ocp.Smoothness(0.1)],
+    "duration": (0.3, 0.5),
+}
 LINEAR = ocp.PiecewiseLinear()
 
 
@@ -35,14 +39,18 @@ def test_derivatives_agree_with_differences():
     weights = ca.DM(np.random.default_rng(0).normal(size=g.shape[0]))
     lagrangian = f + ca.dot(weights, g)
     values = ca.Function("values", [w], [f, g, ca.gradient(lagrangian, w)])
-    exact = ca.Function("exact", [w], [ca.jacobian(f, w), ca.jacobian(g, w), ca.hessian(lagrangian, w)[0]])
+    exact = ca.Function(
+        "exact", [w], [ca.jacobian(f, w), ca.jacobian(g, w), ca.hessian(lagrangian, w)[0]]
+    )
     rng = np.random.default_rng(1)
     at = built.first + 0.1 * rng.normal(size=built.first.shape)
     along = rng.normal(size=built.first.shape)
     e = 1e-5
     up, down = values(at + e * along), values(at - e * along)
     for derivative, more, less in zip(exact(at), up, down, strict=True):
-        assert derivative.full() @ along == pytest.approx((more - less).full().ravel() / (2 * e), rel=1e-6, abs=1e-6)
+        assert derivative.full() @ along == pytest.approx(
+            (more - less).full().ravel() / (2 * e), rel=1e-6, abs=1e-6
+        )
 
 
 def test_the_guess_comes_back():
@@ -52,7 +60,13 @@ def test_the_guess_comes_back():
     assert controls == pytest.approx(guess.force_density, abs=1e-12)
     assert float(duration.squeeze()) == pytest.approx(0.4)
     assert states[0] == pytest.approx(target.start, abs=0)
-    assert len(built.first) == len(built.w_names) == len(built.w_lower) == len(built.w_upper) == 4 * (9 + 36) + 1
+    assert (
+        len(built.first)
+        == len(built.w_names)
+        == len(built.w_lower)
+        == len(built.w_upper)
+        == 4 * (9 + 36) + 1
+    )
 
 
 def names(built, start):
@@ -83,13 +97,20 @@ def test_costs_are_what_they_say():
 
 
 def test_costs_of_rates_are_no_smaller_beside_the_tolerance_on_finer_grids():
-    found, tight = (ocp.solve(raising(costs=[ocp.Smoothness()]), ocp.Variational(60), ocp.Ipopt(tolerance=each)) for each in (1e-8, 1e-12))
+    found, tight = (
+        ocp.solve(raising(costs=[ocp.Smoothness()]), ocp.Variational(60), ocp.Ipopt(tolerance=each))
+        for each in (1e-8, 1e-12)
+    )
     assert found.success
     assert found.objective == pytest.approx(tight.objective, rel=1e-4)
 
 
 @pytest.mark.parametrize("control", [ocp.PiecewiseConstant(), LINEAR], ids=["constant", "linear"])
-@pytest.mark.parametrize("make", [ocp.ImplicitMidpoint, ocp.Variational, ocp.MultipleShooting], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "make",
+    [ocp.ImplicitMidpoint, ocp.Variational, ocp.MultipleShooting],
+    ids=lambda kind: kind.__name__,
+)
 def test_work_is_not_hidden_by_force_densities_that_jump(make, control):
     """Seen at nodes alone, or by central differences, strings seem to work less where γ and motion swing from interval to interval."""
     plan = ocp.solve(raising(costs=[ocp.Work(), ocp.Effort(1e-4)]), make(24, control=control))
@@ -107,7 +128,10 @@ def test_work_is_what_the_replay_works():
     work = 0.0
     for k, gamma in enumerate(plan.force_density):
         states = fine[40 * k : 40 * k + 41]
-        work += np.trapezoid(rate(states.T, np.tile(gamma[:, None], 41)).full().ravel(), dx=plan.time[-1] / len(fine[1:]))
+        work += np.trapezoid(
+            rate(states.T, np.tile(gamma[:, None], 41)).full().ravel(),
+            dx=plan.time[-1] / len(fine[1:]),
+        )
     effort = 1e-4 * (plan.force_density**2).mean(axis=0).sum()
     assert work + effort == pytest.approx(plan.objective, rel=1e-3)
 
@@ -116,7 +140,9 @@ def test_work_is_what_the_replay_works():
 def test_limits_of_velocities_hold_in_the_replay(intervals):
     quick = ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities[:, 3]), upper=0.006)
     problem = raising(bounds=[ocp.ForceDensityLimits(5.0, 100.0), quick])
-    leapfrog, reference = (ocp.solve(problem, make(intervals)) for make in (ocp.Variational, ocp.MultipleShooting))
+    leapfrog, reference = (
+        ocp.solve(problem, make(intervals)) for make in (ocp.Variational, ocp.MultipleShooting)
+    )
     assert leapfrog.success
     assert leapfrog.objective == pytest.approx(reference.objective, rel=5e-3)
     highest = (leapfrog.replay().states[:, 27:30] ** 2).sum(axis=1).max()

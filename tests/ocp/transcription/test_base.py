@@ -17,7 +17,11 @@ from ocp.transcription.sparse_nlp import Block, split_symbol
 from ocp.transcription.variables import interval_names, state_names
 
 
-@pytest.mark.parametrize("make", [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "make",
+    [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation],
+    ids=lambda kind: kind.__name__,
+)
 def test_all_find_the_same_plan(make):
     """On one grid the planned force densities differ by the methods' errors only."""
     problem = raising()
@@ -53,7 +57,9 @@ def test_replay_errors_fall_at_the_order(make, order, grids):
 
 
 @pytest.mark.parametrize(
-    "transcription", [ocp.ImplicitMidpoint(30), ocp.Variational(30), ocp.Collocation(15, degree=2)], ids=lambda v: type(v).__name__
+    "transcription",
+    [ocp.ImplicitMidpoint(30), ocp.Variational(30), ocp.Collocation(15, degree=2)],
+    ids=lambda v: type(v).__name__,
 )
 def test_joined_and_pinned_bars(transcription):
     found = ocp.solve(folding(), transcription)
@@ -85,16 +91,22 @@ def test_supports_may_be_moved(transcription, free):
     assert found.time[-1] == pytest.approx(known.time[-1], rel=5e-3)
     assert found.trajectory.bar_length_error.max() < 1e-8
     if transcription.accuracy is not None and not transcription.control.linear:
-        nodes, velocities = (read(integrated(found)) for read in (problem.model.nodes, problem.model.velocities))
+        nodes, velocities = (
+            read(integrated(found)) for read in (problem.model.nodes, problem.model.velocities)
+        )
         assert nodes[5, 2] == pytest.approx(1.05, abs=1e-6)
         assert velocities[4, 2] == pytest.approx(0.0, abs=1e-6)
         assert nodes == pytest.approx(found.trajectory.nodes[-1], abs=1e-6)
     if free:
         assert 0.5 < found.time[-1] < 1.9
-        assert np.linalg.norm(found.trajectory.velocities[:, 5], axis=1).max() == pytest.approx(0.1, rel=1e-3)
+        assert np.linalg.norm(found.trajectory.velocities[:, 5], axis=1).max() == pytest.approx(
+            0.1, rel=1e-3
+        )
 
 
-@pytest.mark.parametrize("make", [ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "make", [ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation], ids=lambda kind: kind.__name__
+)
 def test_programs_in_full_coordinates_are_refused_by_name(make):
     model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()), "full")
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths)]
@@ -108,10 +120,19 @@ class Trapezoidal(Transcription):
 
     def defects(self, variables, used):
         v, model = variables, variables.model
-        z, (x, c, after, duration, share) = split_symbol(ca.MX, model.nx, v.interval_controls.shape[1], model.nx, 1, 1)
+        z, (x, c, after, duration, share) = split_symbol(
+            ca.MX, model.nx, v.interval_controls.shape[1], model.nx, 1, 1
+        )
         slope = (model.ode(x, v.gamma(c, 0.0)) + model.ode(after, v.gamma(c, 1.0))) / 2
-        gap = unrolled(model, ca.Function("gap", [z], [(after - x - duration * share * slope) / ca.DM(v.scales.state)]))
-        index = np.hstack([v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share])
+        gap = unrolled(
+            model,
+            ca.Function(
+                "gap", [z], [(after - x - duration * share * slope) / ca.DM(v.scales.state)]
+            ),
+        )
+        index = np.hstack(
+            [v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share]
+        )
         return Defects([Block(gap, index, interval_names(v.count, state_names(model)))])
 
 

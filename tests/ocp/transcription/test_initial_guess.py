@@ -18,7 +18,9 @@ LENGTHS = ocp.StringLengths({0: 0.8, 6: 1.0})
 
 
 def test_the_guess_keeps_bars_and_limits_and_follows_the_path():
-    problem = ocp.Problem(MODEL, 0.4, goals=[LENGTHS], bounds=[ocp.ForceDensityLimits(1.0, [30.0] * 8 + [1.0])])
+    problem = ocp.Problem(
+        MODEL, 0.4, goals=[LENGTHS], bounds=[ocp.ForceDensityLimits(1.0, [30.0] * 8 + [1.0])]
+    )
     target = find_target(problem, Scales.of(problem))
     guess = make_guess(problem, target, 8)
     assert max(MODEL.bar_length_error(state) for state in guess.states) < 1e-12
@@ -33,9 +35,14 @@ def test_the_guess_keeps_bars_and_limits_and_follows_the_path():
 def test_noise_parts_what_symmetry_makes_equal_in_the_same_way_for_any_number_of_intervals():
     problem = growing()
     target = find_target(problem, Scales.of(problem))
-    even, coarse, fine = (ocp.InverseDynamics(noise=noise).guess(problem, target, count) for noise, count in ((0.0, 8), (0.3, 8), (0.3, 16)))
+    even, coarse, fine = (
+        ocp.InverseDynamics(noise=noise).guess(problem, target, count)
+        for noise, count in ((0.0, 8), (0.3, 8), (0.3, 16))
+    )
     lower, upper = problem.force_density_limits
-    assert np.ptp(even.force_density[:, :3], axis=1) == pytest.approx(0.0, abs=1e-6)  # the strings of a ring
+    assert np.ptp(even.force_density[:, :3], axis=1) == pytest.approx(
+        0.0, abs=1e-6
+    )  # the strings of a ring
     assert np.ptp(coarse.force_density[:, :3], axis=1).min() > 0.02 * even.force_density.max()
     assert np.all((lower <= coarse.force_density) & (coarse.force_density <= upper))
     added = coarse.force_density - even.force_density
@@ -45,12 +52,18 @@ def test_noise_parts_what_symmetry_makes_equal_in_the_same_way_for_any_number_of
     assert np.array_equal(waiting.force_density, even.force_density)
     assert np.array_equal(waiting.disturbed(problem).force_density, coarse.force_density)
     other = ocp.InverseDynamics(seed=1).guess(problem, target, 8)
-    assert np.abs(other.force_density - coarse.force_density).max() > 0.02 * even.force_density.max()
+    assert (
+        np.abs(other.force_density - coarse.force_density).max() > 0.02 * even.force_density.max()
+    )
 
 
 @pytest.mark.parametrize(("lower", "duration"), [(2.0, 5.0), (50.0, 1.0)])
-def test_slow_plans_of_free_structures_are_found_as_their_guesses_are_hardly_disturbed(lower, duration):
-    plan = ocp.solve(raising(duration=duration, bounds=[ocp.ForceDensityLimits(lower, 200.0)]), seconds=60)
+def test_slow_plans_of_free_structures_are_found_as_their_guesses_are_hardly_disturbed(
+    lower, duration
+):
+    plan = ocp.solve(
+        raising(duration=duration, bounds=[ocp.ForceDensityLimits(lower, 200.0)]), seconds=60
+    )
     assert plan.success, plan.message
 
 
@@ -78,13 +91,37 @@ def test_all_guesses_lead_to_the_same_plan():
 
 BAD = {
     "no guess": (lambda: 1.0, TypeError, "guess is 1.0"),
-    "path of one instant": (lambda: ocp.InverseDynamics(np.zeros((1, 6, 3))), ValueError, "InverseDynamics.path has 1"),
+    "path of one instant": (
+        lambda: ocp.InverseDynamics(np.zeros((1, 6, 3))),
+        ValueError,
+        "InverseDynamics.path has 1",
+    ),
     "noise below 0": (lambda: ocp.InverseDynamics(noise=-0.1), ValueError, "InverseDynamics.noise"),
-    "seed of half a number": (lambda: ocp.InverseDynamics(seed=0.5), TypeError, "InverseDynamics.seed"),
-    "path of other nodes": (lambda: ocp.InverseDynamics(np.zeros((3, 5, 3))), ValueError, "InverseDynamics.path"),
-    "states of other size": (lambda: ocp.Arrays(np.zeros((3, 5)), np.zeros((2, 9))), ValueError, "Arrays.states"),
-    "forces of other size": (lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 8))), ValueError, "Arrays.force_density"),
-    "duration zero": (lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 9)), 0.0), ValueError, "Arrays.duration"),
+    "seed of half a number": (
+        lambda: ocp.InverseDynamics(seed=0.5),
+        TypeError,
+        "InverseDynamics.seed",
+    ),
+    "path of other nodes": (
+        lambda: ocp.InverseDynamics(np.zeros((3, 5, 3))),
+        ValueError,
+        "InverseDynamics.path",
+    ),
+    "states of other size": (
+        lambda: ocp.Arrays(np.zeros((3, 5)), np.zeros((2, 9))),
+        ValueError,
+        "Arrays.states",
+    ),
+    "forces of other size": (
+        lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 8))),
+        ValueError,
+        "Arrays.force_density",
+    ),
+    "duration zero": (
+        lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 9)), 0.0),
+        ValueError,
+        "Arrays.duration",
+    ),
 }
 
 

@@ -11,7 +11,11 @@ import ocp
 LINEAR = ocp.PiecewiseLinear()
 
 
-@pytest.mark.parametrize("make", [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "make",
+    [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational],
+    ids=lambda kind: kind.__name__,
+)
 def test_linear_force_densities(make):
     problem = raising(costs=[ocp.Effort(), ocp.Smoothness(1e-3)])
     found = ocp.solve(problem, make(12, control=LINEAR))
@@ -24,29 +28,47 @@ def test_linear_force_densities(make):
     assert found.replay(step=1e-3).nodes[-1] == pytest.approx(found.replay().nodes[-1], abs=1e-4)
 
 
-@pytest.mark.parametrize("make", [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "make",
+    [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational],
+    ids=lambda kind: kind.__name__,
+)
 def test_few_changes(make):
     problem = raising()
-    few, fewer, many = (ocp.solve(problem, make(14, control=ocp.PiecewiseConstant(changes=n))) for n in (6, 3, 13))
+    few, fewer, many = (
+        ocp.solve(problem, make(14, control=ocp.PiecewiseConstant(changes=n))) for n in (6, 3, 13)
+    )
     assert few.success
     assert fewer.success
     assert few.force_density == pytest.approx(np.repeat(few.force_density[::2], 2, axis=0), abs=0)
     assert [len(np.unique(plan.force_density, axis=0)) for plan in (few, fewer, many)] == [7, 4, 14]
     assert len(fewer.duals["force density of string 0"]) == 4
-    assert fewer.objective > few.objective > many.objective == pytest.approx(ocp.solve(problem, make(14)).objective, rel=1e-9)
+    assert (
+        fewer.objective
+        > few.objective
+        > many.objective
+        == pytest.approx(ocp.solve(problem, make(14)).objective, rel=1e-9)
+    )
     assert np.abs(fewer.model.nodes(integrated(fewer)) - fewer.trajectory.nodes[-1]).max() < 5e-3
 
 
 def test_goals_need_changes():
-    with pytest.raises(ValueError, match="changes is 0: 9 force densities in each of the 1 up to there cannot meet 18 rows of goals, allow"):
+    with pytest.raises(
+        ValueError,
+        match="changes is 0: 9 force densities in each of the 1 up to there cannot meet 18 rows of goals, allow",
+    ):
         ocp.solve(raising(), ocp.Variational(14, control=ocp.PiecewiseConstant(changes=0)))
     with pytest.raises(ValueError, match="Fatrop finds no plan of few changes"):
-        ocp.solve(raising(), ocp.Variational(14, control=ocp.PiecewiseConstant(changes=3)), ocp.Fatrop())
+        ocp.solve(
+            raising(), ocp.Variational(14, control=ocp.PiecewiseConstant(changes=3)), ocp.Fatrop()
+        )
     with pytest.raises(ValueError, match=r"PiecewiseConstant.changes"):
         ocp.PiecewiseConstant(changes=-1)
 
 
-@pytest.mark.parametrize("make", [ocp.MultipleShooting, ocp.Variational], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "make", [ocp.MultipleShooting, ocp.Variational], ids=lambda kind: kind.__name__
+)
 def test_unequal_intervals(make, tmp_path):
     shares = np.linspace(1.0, 3.0, 12)
     found = ocp.solve(raising(), make(shares))
@@ -60,7 +82,10 @@ def test_unequal_intervals(make, tmp_path):
 
 
 def test_equal_shares_are_equal_intervals():
-    even, shares = ocp.solve(raising(), ocp.Variational(10)), ocp.solve(raising(), ocp.Variational([2.0] * 10))
+    even, shares = (
+        ocp.solve(raising(), ocp.Variational(10)),
+        ocp.solve(raising(), ocp.Variational([2.0] * 10)),
+    )
     assert shares.force_density == pytest.approx(even.force_density, rel=1e-9)
 
 
@@ -69,10 +94,16 @@ def test_groups_share_their_force_density():
     assert found.success
     for group in GROUPS:
         assert np.ptp(found.force_density[:, group], axis=1).max() == 0.0
-    assert found.objective == pytest.approx(ocp.solve(raising(), ocp.Variational(12)).objective, rel=1e-4)  # which is symmetric by itself
-    assert "out of control" in found.message  # rows that only single strings could move are not imposed on groups
+    assert found.objective == pytest.approx(
+        ocp.solve(raising(), ocp.Variational(12)).objective, rel=1e-4
+    )  # which is symmetric by itself
+    assert (
+        "out of control" in found.message
+    )  # rows that only single strings could move are not imposed on groups
     assert "out of control" not in ocp.solve(raising(), ocp.Variational(12)).message
-    with pytest.raises(ValueError, match=r"PiecewiseConstant.groups has string 9: strings run from 0 to 8"):
+    with pytest.raises(
+        ValueError, match=r"PiecewiseConstant.groups has string 9: strings run from 0 to 8"
+    ):
         ocp.solve(raising(), ocp.Variational(12, control=ocp.PiecewiseConstant(((0, 9),))))
 
 
@@ -82,7 +113,10 @@ def test_groups_share_their_force_density():
         (lambda: ocp.Variational(0), "Variational.intervals is 0: it must be at least 1"),
         (lambda: ocp.Variational([]), "Variational.intervals is empty"),
         (lambda: ocp.Variational([1.0, -1.0]), r"Variational.intervals\[1\] is -1"),
-        (lambda: ocp.PiecewiseLinear(((0, 1), (1, 2))), "PiecewiseLinear.groups has string 1 twice"),
+        (
+            lambda: ocp.PiecewiseLinear(((0, 1), (1, 2))),
+            "PiecewiseLinear.groups has string 1 twice",
+        ),
     ],
 )
 def test_wrong_values_are_refused(make, words):

@@ -30,7 +30,16 @@ def test_gaps_close_on_a_simulated_motion():
     shooting = ocp.MultipleShooting(4, substeps=5)
     built, _, target = growing(shooting)
     controls = np.random.default_rng(2).uniform(0, 20, size=(4, 9))
-    run = tc.simulate(MODEL, 0.4, 0.02, state=target.start, control=controls, correction=tc.Projection(every=5), save_every=5, compiled=False)
+    run = tc.simulate(
+        MODEL,
+        0.4,
+        0.02,
+        state=target.start,
+        control=controls,
+        correction=tc.Projection(every=5),
+        save_every=5,
+        compiled=False,
+    )
     unscaled = built.unpack(np.ones_like(built.first))
     scales = np.concatenate([unscaled[1].full(), unscaled[0].full()[:, 1:]]).T
     w = (np.concatenate([controls, run.states[1:]], axis=1) / scales).ravel()

@@ -25,21 +25,44 @@ METHODS = [
 
 ASKED = {
     "duration": (0.8, 1.2),
-    "costs": [ocp.Effort(2.0), ocp.Smoothness(0.1), ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities)), ocp.Duration(1.0)],
+    "costs": [
+        ocp.Effort(2.0),
+        ocp.Smoothness(0.1),
+        ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities)),
+        ocp.Duration(1.0),
+    ],
     "bounds": [ocp.ForceDensityLimits(5.0, 100.0), ocp.TensionLimits(upper=50.0)],
 }
 
 
-@pytest.mark.parametrize("transcription", METHODS, ids=lambda value: f"{type(value).__name__}-{type(value.control).__name__}")
+@pytest.mark.parametrize(
+    "transcription",
+    METHODS,
+    ids=lambda value: f"{type(value).__name__}-{type(value.control).__name__}",
+)
 def test_derivatives_put_together_from_blocks_are_those_of_the_whole(transcription):
-    built = program(raising(model=driven(prism(1.0), forces=tc.NodalForce(lambda t: np.full((6, 3), 0.1) * t)), **ASKED), transcription)
+    built = program(
+        raising(
+            model=driven(prism(1.0), forces=tc.NodalForce(lambda t: np.full((6, 3), 0.1) * t)),
+            **ASKED,
+        ),
+        transcription,
+    )
     w, f, g = (built.problem[name] for name in "xfg")
     rng = np.random.default_rng(0)
     at, weights = built.first + 0.1 * rng.normal(size=w.shape[0]), rng.normal(size=g.shape[0])
     lam = ca.MX.sym("lam", g.shape[0])
-    whole = ca.Function("whole", [w, lam], [ca.gradient(f, w), ca.jacobian(g, w), ca.triu(ca.hessian(0.7 * f + ca.dot(lam, g), w)[0])])(at, weights)
+    whole = ca.Function(
+        "whole",
+        [w, lam],
+        [ca.gradient(f, w), ca.jacobian(g, w), ca.triu(ca.hessian(0.7 * f + ca.dot(lam, g), w)[0])],
+    )(at, weights)
     exact = built.derivatives()
-    parts = exact["nlp_grad_f"](at, [])[1], exact["nlp_jac_g"](at, [])[1], exact["nlp_hess_l"](at, [], 0.7, weights)
+    parts = (
+        exact["nlp_grad_f"](at, [])[1],
+        exact["nlp_jac_g"](at, [])[1],
+        exact["nlp_hess_l"](at, [], 0.7, weights),
+    )
     for one, other in zip(parts, whole, strict=True):
         size = np.abs(other.full()).max()
         assert one.full() == pytest.approx(other.full(), rel=1e-9, abs=1e-12 * size)
@@ -49,8 +72,15 @@ def test_derivatives_put_together_from_blocks_are_those_of_the_whole(transcripti
 
 def test_rows_are_found_by_kind():
     goals = [ocp.Waypoint([ocp.AtRest()], share=0.5), *raising().goals]
-    built = program(raising(goals=goals, bounds=[ocp.TensionLimits(upper=12.0)]), ocp.MultipleShooting(4))
-    beginnings = {"defect": "dynamics of", "path": "tension of", "waypoint": "goal of waypoint 0,", "end": "goal, "}
+    built = program(
+        raising(goals=goals, bounds=[ocp.TensionLimits(upper=12.0)]), ocp.MultipleShooting(4)
+    )
+    beginnings = {
+        "defect": "dynamics of",
+        "path": "tension of",
+        "waypoint": "goal of waypoint 0,",
+        "end": "goal, ",
+    }
     for kind, beginning in beginnings.items():
         found = [name for rows in built.rows(kind) for name in built.names[rows]]
         assert found
@@ -59,7 +89,11 @@ def test_rows_are_found_by_kind():
     assert not built.rows("start", "periodic")
 
 
-@pytest.mark.parametrize("make", [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "make",
+    [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational],
+    ids=lambda kind: kind.__name__,
+)
 def test_large_structures_have_the_same_derivatives(make, monkeypatch):
     """Their equations are kept as vector operations, which CasADi differentiates by whole symbols."""
     values = []

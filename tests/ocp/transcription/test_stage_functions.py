@@ -12,7 +12,11 @@ from ocp.transcription.stage_functions import Places, _semidefinite_inverse, end
 from tenscasadi.util.casadi_tools import solve_semidefinite
 
 MEETING = tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity())
-MODELS = {"alone": driven(prism(1.0)), "reduced": tc.Model(MEETING), "full": tc.Model(MEETING, coordinates="full")}
+MODELS = {
+    "alone": driven(prism(1.0)),
+    "reduced": tc.Model(MEETING),
+    "full": tc.Model(MEETING, coordinates="full"),
+}
 
 
 @pytest.mark.parametrize("kind", MODELS)
@@ -25,9 +29,13 @@ def test_values_are_those_of_the_model(kind):
     inputs = np.hstack([x[:, :nq], h * x[:, nq:], u, np.full((count, 1), h)])
     places = Places(nq, False, model.nu, False)
     rate = np.array([model.ode(*given).full().ravel() for given in zip(x, u, strict=True)])
-    assert stage_curve(model, np.eye(model.nu), places, count).at(inputs).value == pytest.approx(h**2 * rate[:, nq:], rel=1e-10, abs=1e-12)
+    assert stage_curve(model, np.eye(model.nu), places, count).at(inputs).value == pytest.approx(
+        h**2 * rate[:, nq:], rel=1e-10, abs=1e-12
+    )
     projected = np.array([tc.projection(model, 1)(state).full().ravel() for state in x])
-    assert end_curve(model, places, count).at(inputs).value == pytest.approx(projected, rel=1e-10, abs=1e-12)
+    assert end_curve(model, places, count).at(inputs).value == pytest.approx(
+        projected, rel=1e-10, abs=1e-12
+    )
 
 
 def test_repeated_rows_have_a_solution():

@@ -26,7 +26,9 @@ MODELS = {
     "a clock": lambda: driven(prism(1.0), forces=tc.NodalForce(pulled)),
     "a ground": lambda: driven(prism(1.0), gravity=tc.Gravity(), ground=tc.Ground()),
     "bars that meet": lambda: driven(tc.shapes.d_bar(**PINNED)),
-    "full coordinates": lambda: tc.Model(tc.Scene(tc.shapes.d_bar(**PINNED), control=tc.ForceDensity()), coordinates="full"),
+    "full coordinates": lambda: tc.Model(
+        tc.Scene(tc.shapes.d_bar(**PINNED), control=tc.ForceDensity()), coordinates="full"
+    ),
 }
 RK4, TWICE = tc.RungeKutta4(), 2
 
@@ -52,15 +54,28 @@ class Point:
     def inputs(self, z=None):
         z = self.z if z is None else z
         nx = self.x.shape[1]
-        return np.ascontiguousarray(z[:, :nx]), np.ascontiguousarray(z[:, nx:-1]), np.ascontiguousarray(z[:, -1:]), SHARE
+        return (
+            np.ascontiguousarray(z[:, :nx]),
+            np.ascontiguousarray(z[:, nx:-1]),
+            np.ascontiguousarray(z[:, -1:]),
+            SHARE,
+        )
 
     def whole(self):
         """Jacobian and Hessian that CasADi derives from the whole step."""
         function = self.end.expand() if self.scalar else self.end
         kind = ca.SX if function.is_a("SXFunction") else ca.MX
-        z, share, weights = kind.sym("z", self.z.shape[1]), kind.sym("share"), kind.sym("weights", self.x.shape[1])
+        z, share, weights = (
+            kind.sym("z", self.z.shape[1]),
+            kind.sym("share"),
+            kind.sym("weights", self.x.shape[1]),
+        )
         end = function(z, share)
-        both = ca.Function("both", [z, share, weights], [ca.jacobian(end, z), ca.hessian(ca.dot(weights, end), z)[0]])
+        both = ca.Function(
+            "both",
+            [z, share, weights],
+            [ca.jacobian(end, z), ca.hessian(ca.dot(weights, end), z)[0]],
+        )
         values = [both(*given) for given in zip(self.z, SHARE, self.weights, strict=True)]
         return tuple(np.array([value[k].full() for value in values]) for k in (0, 1))
 
@@ -91,22 +106,39 @@ def test_derivatives_are_those_of_the_whole_step(make, scheme, substeps, linear,
     J, H = point.whole()
     own = parts.jacobian(*point.inputs()).transpose(0, 2, 1)
     assert close(own, J[:, :, : parts.size], 1e-11)
-    assert close(parts.hessian(*point.inputs(), point.weights), H[:, : parts.size, : parts.size], 1e-10)
+    assert close(
+        parts.hessian(*point.inputs(), point.weights), H[:, : parts.size, : parts.size], 1e-10
+    )
 
 
 def test_derivatives_are_differences():
     """Of a step that runs as a plan does, with groups of strings and ramps."""
-    model, groups = driven(prism(1.0, stiffness=500.0), gravity=tc.Gravity()), group_matrix(ocp.PiecewiseLinear(GROUPS), 9)
+    model, groups = (
+        driven(prism(1.0, stiffness=500.0), gravity=tc.Gravity()),
+        group_matrix(ocp.PiecewiseLinear(GROUPS), 9),
+    )
     point = Point(model, RK4, TWICE, True, groups)
     parts = StepDerivatives(model, groups, RK4, TWICE, True, True, COUNT)
     J, H = parts.jacobian(*point.inputs()), parts.hessian(*point.inputs(), point.weights)
     step = 1e-6
     for k in range(parts.size):
         moved = step * (np.arange(parts.size) == k)
-        ahead, behind = (np.array([point.end(z, s).full().ravel() for z, s in zip(point.z + d, SHARE, strict=True)]) for d in (moved, -moved))
-        assert (ahead - behind) / (2 * step) == pytest.approx(J[:, k], rel=1e-5, abs=1e-7 * np.abs(J).max())
-        ahead, behind = (np.einsum("kpn,kn->kp", parts.jacobian(*point.inputs(point.z + d)), point.weights) for d in (moved, -moved))
-        assert (ahead - behind) / (2 * step) == pytest.approx(H[:, k], rel=1e-5, abs=1e-7 * np.abs(H).max())
+        ahead, behind = (
+            np.array(
+                [point.end(z, s).full().ravel() for z, s in zip(point.z + d, SHARE, strict=True)]
+            )
+            for d in (moved, -moved)
+        )
+        assert (ahead - behind) / (2 * step) == pytest.approx(
+            J[:, k], rel=1e-5, abs=1e-7 * np.abs(J).max()
+        )
+        ahead, behind = (
+            np.einsum("kpn,kn->kp", parts.jacobian(*point.inputs(point.z + d)), point.weights)
+            for d in (moved, -moved)
+        )
+        assert (ahead - behind) / (2 * step) == pytest.approx(
+            H[:, k], rel=1e-5, abs=1e-7 * np.abs(H).max()
+        )
 
 
 def test_a_point_is_seen_anew():
@@ -119,7 +151,9 @@ def test_a_point_is_seen_anew():
     inputs = point.inputs()
     parts.jacobian(*inputs)
     inputs[0][:] += 0.01
-    assert np.array_equal(parts.hessian(*inputs, point.weights), fresh.hessian(*inputs, point.weights))
+    assert np.array_equal(
+        parts.hessian(*inputs, point.weights), fresh.hessian(*inputs, point.weights)
+    )
 
 
 @pytest.mark.parametrize("make", [raising, folding])
@@ -131,9 +165,17 @@ def test_optima_are_those_of_unrolled_derivatives(make):
         "unrolled",
         "ipopt",
         built.problem,
-        {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-8, "ipopt.nlp_scaling_method": "none"},
+        {
+            "ipopt.print_level": 0,
+            "print_time": False,
+            "ipopt.sb": "yes",
+            "ipopt.tol": 1e-8,
+            "ipopt.nlp_scaling_method": "none",
+        },
     )
-    found = unrolled(x0=built.first, lbx=built.w_lower, ubx=built.w_upper, lbg=built.lower, ubg=built.upper)
+    found = unrolled(
+        x0=built.first, lbx=built.w_lower, ubx=built.w_upper, lbg=built.lower, ubg=built.upper
+    )
     assert solved.success
     objective = ca.Function("f", [built.problem["x"]], [built.problem["f"]])
     assert float(objective(solved.w)) == pytest.approx(float(found["f"]), rel=1e-6)

@@ -23,7 +23,9 @@ def test_entries_are_ordered_interval_by_interval_with_constants_last():
     assert unknowns.scale == pytest.approx([2.0, 0.5, 0.5])
     assert unknowns.lower == pytest.approx([-1.0, -np.inf, -np.inf])
     y = np.asarray(unknowns.entries(ca.DM(unknowns.first / unknowns.scale)).full()).ravel()
-    assert y[place[np.concatenate([later, constants.ravel(), early])]] == pytest.approx([1.0, 2.0, 7.0, 8.0, 4.0])
+    assert y[place[np.concatenate([later, constants.ravel(), early])]] == pytest.approx(
+        [1.0, 2.0, 7.0, 8.0, 4.0]
+    )
     assert np.isnan(y[place[unused]]).all()  # whoever depends on it would see
 
 

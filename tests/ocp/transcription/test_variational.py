@@ -17,24 +17,39 @@ def test_leapfrog_keeps_momenta():
     model = driven(structure, gravity=tc.Gravity())
     turning = np.cross([0.3, 0.2, 0.5], structure.nodes - structure.nodes.mean(axis=0))
     goals = [ocp.StringLengths({6: 0.95 * structure.string_lengths[6]})]
-    problem = ocp.Problem(model, 0.5, start=model.state(structure.nodes, turning), goals=goals, costs=[ocp.Effort()])
+    problem = ocp.Problem(
+        model, 0.5, start=model.state(structure.nodes, turning), goals=goals, costs=[ocp.Effort()]
+    )
     found = ocp.solve(problem, ocp.Variational(10))
     assert found.success
     M = structure.mass_matrix().toarray()
     nodes, rates = found.trajectory.nodes[[0, -1]], found.trajectory.velocities[[0, -1]]
-    momenta = [np.cross(N - N.mean(axis=0), M @ (V - V.mean(axis=0))).sum(axis=0) for N, V in zip(nodes, rates, strict=True)]
+    momenta = [
+        np.cross(N - N.mean(axis=0), M @ (V - V.mean(axis=0))).sum(axis=0)
+        for N, V in zip(nodes, rates, strict=True)
+    ]
     assert momenta[0] == pytest.approx(momenta[1], abs=1e-7)
-    assert rates[1].mean(axis=0) - rates[0].mean(axis=0) == pytest.approx([0.0, 0.0, -9.81 * 0.5], abs=1e-7)
+    assert rates[1].mean(axis=0) - rates[0].mean(axis=0) == pytest.approx(
+        [0.0, 0.0, -9.81 * 0.5], abs=1e-7
+    )
 
 
 def test_velocities_are_unknowns_only_where_they_are_asked_for():
     bare, asked = (
         program(raising(costs=costs), ocp.Variational(4))
-        for costs in ([ocp.Effort()], [ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities))])
+        for costs in (
+            [ocp.Effort()],
+            [ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities))],
+        )
     )
     count = [sum("velocity" in name for name in built.w_names) for built in (bare, asked)]
     assert count == [18, 4 * 18]
-    slow = ocp.solve(raising(costs=[ocp.Effort(), ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities), 1e3)]), ocp.Variational(12))
+    slow = ocp.solve(
+        raising(
+            costs=[ocp.Effort(), ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities), 1e3)]
+        ),
+        ocp.Variational(12),
+    )
     fast = ocp.solve(raising(), ocp.Variational(12))
     assert slow.success
     assert np.sum(slow.trajectory.velocities**2) < np.sum(fast.trajectory.velocities**2)

@@ -20,7 +20,10 @@ SCENES = {
     "one pinned node": tc.Scene(POINT),
     "one moved node": tc.Scene(POINT, supports=SHAKEN, ground=tc.Ground()),
     "one pushed node": tc.Scene(POINT, forces=tc.NodalForce(lambda t: [[t, 0, 0]])),
-    "one guided node": tc.Scene(tc.Structure([[0, 0, 0]], node_mass=1.0, pinned={0: "xy"}), gravity=tc.Gravity((0, 0, -9.81))),
+    "one guided node": tc.Scene(
+        tc.Structure([[0, 0, 0]], node_mass=1.0, pinned={0: "xy"}),
+        gravity=tc.Gravity((0, 0, -9.81)),
+    ),
     "a carried bar": tc.Scene(BAR, supports=CARRIED),
     "one string": tc.Scene(STRING, supports=SHAKEN, control=tc.ForceDensity()),
 }
@@ -42,7 +45,12 @@ def test_where_nothing_or_little_moves(name: str, coordinates: Any) -> None:
     assert tc.certify(model, t_end, compiled=False).nodes == pytest.approx(expected, abs=1e-9)
     advice = tc.recommend(model, t_end, 1e-6, schemes=[tc.RungeKutta4()], compiled=False)
     assert advice.error < 1e-6
-    assert len(tc.tradeoff(model, t_end, [tc.RungeKutta4()], [0.01], compiled=(False,), repeats=1).rows) == 1
+    assert (
+        len(
+            tc.tradeoff(model, t_end, [tc.RungeKutta4()], [0.01], compiled=(False,), repeats=1).rows
+        )
+        == 1
+    )
     tc.linearize(model)
     tc.modes(model)
 
@@ -56,12 +64,25 @@ def test_a_reference_is_given_up_when_its_seconds_are_over() -> None:
     assert tc.certify(model, 0.1, compiled=False, seconds=100.0).error < 1e-9
 
 
-@pytest.mark.parametrize(("width", "impulse", "at"), [(1e-7, 1.0, 0.3333), (1e-7, 1.0, 0.7123), (1e-9, 1e-3, 0.5)])
-def test_certificates_hold_the_rounding_of_the_clock(width: float, impulse: float, at: float) -> None:
+@pytest.mark.parametrize(
+    ("width", "impulse", "at"), [(1e-7, 1.0, 0.3333), (1e-7, 1.0, 0.7123), (1e-9, 1e-3, 0.5)]
+)
+def test_certificates_hold_the_rounding_of_the_clock(
+    width: float, impulse: float, at: float
+) -> None:
     """A bell so narrow that the last digit of the time shows in it: two solutions may agree better than both are right."""
-    string = tc.Structure([[0, 0, 0], [1, 0, 0]], strings=[(0, 1)], node_mass=[0, 1.0], pinned=[0], stiffness=1e-9, rest_length=5.0)
+    string = tc.Structure(
+        [[0, 0, 0], [1, 0, 0]],
+        strings=[(0, 1)],
+        node_mass=[0, 1.0],
+        pinned=[0],
+        stiffness=1e-9,
+        rest_length=5.0,
+    )
     force = impulse / (width * np.sqrt(np.pi))
-    pushed = tc.NodalForce(lambda t: [[0, 0, 0], [0, force * np.exp(-(((t - at) / width) ** 2)), 0]])
+    pushed = tc.NodalForce(
+        lambda t: [[0, 0, 0], [0, force * np.exp(-(((t - at) / width) ** 2)), 0]]
+    )
     found = tc.certify(tc.Model(tc.Scene(string, forces=pushed)), 1.0, compiled=False)
     assert abs(found.nodes[1, 1] - impulse * (1 - at)) <= found.error
     assert "the clock's rounding may add" in found.message
@@ -69,7 +90,9 @@ def test_certificates_hold_the_rounding_of_the_clock(width: float, impulse: floa
     assert tc.certify(tc.Model(tc.Scene(string, forces=smooth)), 1.0, compiled=False).error < 1e-12
 
 
-@pytest.mark.parametrize(("middle", "width"), [(0.8589195577097951, 6.2e-8), (0.123456789, 1e-7), (0.5, 1e-5)])
+@pytest.mark.parametrize(
+    ("middle", "width"), [(0.8589195577097951, 6.2e-8), (0.123456789, 1e-7), (0.5, 1e-5)]
+)
 def test_a_steep_table_is_followed_to_the_last_digits(middle, width):
     """A triangular pulse of half a newton second on a mass of 1 kg, against exact fractions of the table's own numbers."""
     times, force = [0.0, middle - width, middle, middle + width, 1.0], np.zeros((5, 1, 3))
@@ -79,7 +102,9 @@ def test_a_steep_table_is_followed_to_the_last_digits(middle, width):
     # the end is at the sum of impulses times what is left of the time, piece by piece of the table
     rising = (peaks - begins) * top / 2 * (1 - begins - (peaks - begins) * Fraction(2, 3))
     exact = float(rising + (ends - peaks) * top / 2 * (1 - peaks - (ends - peaks) / 3))
-    model = tc.Model(tc.Scene(tc.Structure([(0, 0, 0)], node_mass=1.0), forces=tc.NodalForce(force, times)))
+    model = tc.Model(
+        tc.Scene(tc.Structure([(0, 0, 0)], node_mass=1.0), forces=tc.NodalForce(force, times))
+    )
     clock = np.spacing(middle) / width  # rounding of the time, of the width
     for scheme in (tc.DormandPrince853(), tc.DormandPrince853(rtol=1e-10)):
         run = tc.simulate(model, 1.0, 0.01, scheme, compiled=False)

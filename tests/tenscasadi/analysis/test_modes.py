@@ -30,10 +30,19 @@ HEIGHT = np.sqrt(2 - 0.5 * (1 - np.cos(5 * np.pi / 6)))  # bars of √2 m in a p
 @BOTH
 @pytest.mark.parametrize(
     ("prestress", "expected"),
-    [(30.0, [3.0578, 7.8590, 7.8590, 9.2587, 9.2587, 13.3234, 14.7737, 14.7737, 18.1460]), (3.0, [0.96714]), (0.3, [0.30584])],
+    [
+        (30.0, [3.0578, 7.8590, 7.8590, 9.2587, 9.2587, 13.3234, 14.7737, 14.7737, 18.1460]),
+        (3.0, [0.96714]),
+        (0.3, [0.30584]),
+    ],
 )
-def test_frequencies_of_the_prism(prestress: float, expected: list[float], coordinates: str) -> None:
-    model = Model(Scene(shapes.prism(radius=0.5, height=HEIGHT, stiffness=1000.0, prestress=prestress)), coordinates)  # type: ignore[arg-type]
+def test_frequencies_of_the_prism(
+    prestress: float, expected: list[float], coordinates: str
+) -> None:
+    model = Model(
+        Scene(shapes.prism(radius=0.5, height=HEIGHT, stiffness=1000.0, prestress=prestress)),
+        coordinates,
+    )  # type: ignore[arg-type]
     result = modes(model)
     assert result.rigid == 6
     assert len(result.frequency) == 9
@@ -50,7 +59,13 @@ def test_a_pendulum_swings_at_its_frequency_and_upside_down_is_unstable() -> Non
 
 
 def test_two_masses_on_a_string() -> None:
-    pair = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[1.0, 3.0], stiffness=50.0, rest_length=1.0 - 1e-9)
+    pair = Structure(
+        [(0, 0, 0), (1, 0, 0)],
+        strings=[(0, 1)],
+        node_mass=[1.0, 3.0],
+        stiffness=50.0,
+        rest_length=1.0 - 1e-9,
+    )
     result = modes(Model(Scene(pair)))
     assert result.frequency[-1] == pytest.approx(np.sqrt(50 * (1 + 1 / 3)) / (2 * np.pi), rel=1e-6)
 
@@ -65,7 +80,10 @@ def test_a_small_motion_follows_its_mode(coordinates: str) -> None:
     period = 1 / result.frequency[k]
     run = simulate(model, period, period / 400, state=state)
     assert abs(run.nodes[-1] - run.nodes[0]).max() < 1e-3 * size
-    assert abs(run.nodes[len(run.nodes) // 2] - structure.nodes + size * result.shape[k]).max() < 1e-2 * size
+    assert (
+        abs(run.nodes[len(run.nodes) // 2] - structure.nodes + size * result.shape[k]).max()
+        < 1e-2 * size
+    )
 
 
 def test_linearisation_predicts_a_disturbed_motion() -> None:
@@ -102,7 +120,9 @@ def test_symbols_are_refused_by_name(coordinates: str) -> None:
 
 @BOTH
 @pytest.mark.parametrize("dense", [0, 600])
-def test_a_state_without_derivative_is_refused_by_name(coordinates: str, dense: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_without_derivative_is_refused_by_name(
+    coordinates: str, dense: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(modes_module, "DENSE", dense)
     model = Model(Scene(shapes.prism(prestress=30.0)), coordinates)  # type: ignore[arg-type]
     for compute in (linearize, modes):
@@ -124,7 +144,10 @@ def test_a_structure_that_cannot_vibrate_has_no_modes() -> None:
 def chain(bars: int, gravity: float) -> Scene:
     """Joined bars of 1 m that hang from the first node, or stand on it."""
     nodes = [(0, 0, -k) for k in range(bars + 1)]
-    return Scene(Structure(nodes, [(k, k + 1) for k in range(bars)], pinned=[0]), gravity=Gravity((0, 0, -gravity)))
+    return Scene(
+        Structure(nodes, [(k, k + 1) for k in range(bars)], pinned=[0]),
+        gravity=Gravity((0, 0, -gravity)),
+    )
 
 
 SCENES = {
@@ -132,9 +155,19 @@ SCENES = {
     "ball": Scene(shapes.six_bar_ball(prestress=10.0)),
     "hanging": chain(12, 9.81),
     "standing": chain(12, -9.81),  # 24 unstable modes: more than are asked for
-    "redundant": Scene(  # a rigid body of five nodes and ten bars, of which nine suffice, on three strings
+    # a rigid body of five nodes and ten bars, of which nine suffice, on three strings
+    "redundant": Scene(
         Structure(
-            [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0.7, 0.8, 0.9), (-1, 0, 2), (2, 0, 3), (0, 2, 2)],
+            [
+                (0, 0, 0),
+                (1, 0, 0),
+                (0, 1, 0),
+                (0, 0, 1),
+                (0.7, 0.8, 0.9),
+                (-1, 0, 2),
+                (2, 0, 3),
+                (0, 2, 2),
+            ],
             list(combinations(range(5), 2)),
             [(0, 5), (1, 6), (2, 7)],
             stiffness=100.0,
@@ -174,12 +207,23 @@ def test_a_large_string_vibrates_at_its_frequencies() -> None:
     n, tension, mass = 400, 20.0, 0.01
     nodes = [(k, 0, 0) for k in range(n + 2)]
     pairs = [(k, k + 1) for k in range(n + 1)]
-    string = Structure(nodes, strings=pairs, node_mass=mass, stiffness=1e5, rest_length=1 - tension / 1e5, pinned=[0, n + 1])
+    string = Structure(
+        nodes,
+        strings=pairs,
+        node_mass=mass,
+        stiffness=1e5,
+        rest_length=1 - tension / 1e5,
+        pinned=[0, n + 1],
+    )
     model = Model(Scene(string))
     with pytest.warns(UserWarning, match="20 lowest modes"):
         result = modes(model)
     p = np.repeat(np.arange(1, 11), 2)
-    assert np.allclose(result.frequency, 2 * np.sqrt(tension / mass) * np.sin(p * np.pi / (2 * (n + 1))) / (2 * np.pi), rtol=1e-6)
+    assert np.allclose(
+        result.frequency,
+        2 * np.sqrt(tension / mass) * np.sin(p * np.pi / (2 * (n + 1))) / (2 * np.pi),
+        rtol=1e-6,
+    )
     assert result.rigid == 0
     assert len(modes(model, count=6).frequency) == 6
 
@@ -198,7 +242,9 @@ def test_a_mode_is_drawn_and_animated(tmp_path: Path) -> None:
     result = modes(model)
     motion = mode_motion(model, result, 0, amplitude=0.02)
     assert motion.time[-1] == pytest.approx(1 / result.frequency[0])
-    assert np.linalg.norm(motion.nodes - model.structure.nodes, axis=2).max() == pytest.approx(0.02, rel=1e-3)
+    assert np.linalg.norm(motion.nodes - model.structure.nodes, axis=2).max() == pytest.approx(
+        0.02, rel=1e-3
+    )
     assert motion.bar_length_error.max() < 1e-3
     assert np.allclose(motion.nodes[0], motion.nodes[-1])
     plots.time_lapse(motion, instants=3, path=tmp_path / "mode.png")

@@ -28,7 +28,9 @@ def pendulum():
 
 
 def five_bars():
-    return turning(tc.shapes.prism(bars=5, prestress=30.0), control=tc.ForceDensity(), gravity=tc.Gravity())
+    return turning(
+        tc.shapes.prism(bars=5, prestress=30.0), control=tc.ForceDensity(), gravity=tc.Gravity()
+    )
 
 
 def t_bar():
@@ -51,7 +53,9 @@ def slack_ball():
 def damped(segments=1):
     """Stiff and overdamped: explicit steps are bound by the damping of strings, which is over within microseconds."""
     stiffness, damping = (1e7, 1e5) if segments == 1 else (1e7, 1e3)
-    structure = tc.shapes.prism(stiffness=stiffness, damping=damping, prestress=30.0, string_mass=0.1)
+    structure = tc.shapes.prism(
+        stiffness=stiffness, damping=damping, prestress=30.0, string_mass=0.1
+    )
     model = tc.Model(tc.Scene(structure, segments=segments, gravity=tc.Gravity()))
     nodes = model.structure.nodes
     return model, model.state(nodes, np.cross((0.5, 0.3, 1.0), nodes - nodes.mean(axis=0)))
@@ -80,22 +84,49 @@ def whole_blocks(scheme, work, steps):
 
 
 @pytest.mark.parametrize(("scene", "t_end", "tolerance", "schemes"), CASES)
-def test_meets_the_tolerance_at_no_more_than_twice_the_cost_of_the_best(scene, t_end, tolerance, schemes):
+def test_meets_the_tolerance_at_no_more_than_twice_the_cost_of_the_best(
+    scene, t_end, tolerance, schemes
+):
     model, start = scene()
     advice = tc.recommend(model, t_end, tolerance, start, schemes=schemes)
     run = tc.simulate(model, t_end, state=start, **advice.options)
     reference = tc.certify(model, t_end, start)
     error = distance(run.nodes[-1], reference.nodes) + reference.error
     assert error <= tolerance
-    assert error == pytest.approx(advice.error, abs=0.11 * tolerance)  # that of the reference it was measured against
+    assert error == pytest.approx(
+        advice.error, abs=0.11 * tolerance
+    )  # that of the reference it was measured against
 
     explicit = [scheme for scheme in schemes if not scheme.implicit]
     fixed = [scheme for scheme in explicit if not scheme.adaptive]
     steps = t_end / np.unique(np.geomspace(4, 4000, 28).astype(int))
-    tables = [tc.tradeoff(model, t_end, fixed, steps, reference, start, corrections=(None, tc.Projection()), repeats=1)]
-    own = [replace(scheme, rtol=float(rtol)) for scheme in explicit if scheme.adaptive for rtol in np.geomspace(1e-9, 1e-3, 5)]
-    tables.append(tc.tradeoff(model, t_end, own, [t_end / 20], reference, start, compiled=(False,), repeats=1))
-    rows = [row for table in tables for row in table.rows if row.success and row.position + reference.error <= tolerance]
+    tables = [
+        tc.tradeoff(
+            model,
+            t_end,
+            fixed,
+            steps,
+            reference,
+            start,
+            corrections=(None, tc.Projection()),
+            repeats=1,
+        )
+    ]
+    own = [
+        replace(scheme, rtol=float(rtol))
+        for scheme in explicit
+        if scheme.adaptive
+        for rtol in np.geomspace(1e-9, 1e-3, 5)
+    ]
+    tables.append(
+        tc.tradeoff(model, t_end, own, [t_end / 20], reference, start, compiled=(False,), repeats=1)
+    )
+    rows = [
+        row
+        for table in tables
+        for row in table.rows
+        if row.success and row.position + reference.error <= tolerance
+    ]
     assert len(rows) >= 3
     cost = whole_blocks(advice.scheme, advice.work, round(t_end / advice.step))
     assert cost <= 2 * min(whole_blocks(row.scheme, row.work, row.steps) for row in rows)
@@ -114,9 +145,14 @@ def test_where_stability_bounds_the_step_implicit_schemes_are_looked_at():
 
 def test_where_accuracy_bounds_the_step_implicit_schemes_are_left_out():
     model, start = pendulum()
-    advice = tc.recommend(model, 0.5, 1e-6, start, schemes=[tc.Idas(), tc.RungeKutta4()], compiled=False)
+    advice = tc.recommend(
+        model, 0.5, 1e-6, start, schemes=[tc.Idas(), tc.RungeKutta4()], compiled=False
+    )
     assert advice.scheme == tc.RungeKutta4()
-    assert advice.message.count("Idas left out: stability does not bound the steps of RungeKutta4") == 1
+    assert (
+        advice.message.count("Idas left out: stability does not bound the steps of RungeKutta4")
+        == 1
+    )
 
 
 @pytest.mark.parametrize("scheme", [tc.Cvodes(), tc.Collocation(2)])
@@ -133,35 +169,59 @@ def test_implicit_schemes_serve_alone(scheme):
 def test_stiff_scenes_are_given_implicit_schemes(segments, tolerance):
     model, start = damped(segments)
     t_end = 0.05
-    advice = tc.recommend(model, t_end, tolerance, start, seconds=600.0)  # to the end, also beside other work
+    advice = tc.recommend(
+        model, t_end, tolerance, start, seconds=600.0
+    )  # to the end, also beside other work
     assert advice.scheme.implicit
     reference = tc.certify(model, t_end, start)
     run = tc.simulate(model, t_end, state=start, **advice.options)
-    assert distance(run.nodes[-1, : len(reference.nodes)], reference.nodes) + reference.error <= tolerance
+    assert (
+        distance(run.nodes[-1, : len(reference.nodes)], reference.nodes) + reference.error
+        <= tolerance
+    )
 
 
 def test_single_precision_is_recommended_within_its_floor():
     model, start = pendulum()
-    advice = tc.recommend(model, 0.5, 1e-4, start, schemes=[tc.RungeKutta4(), tc.DormandPrince54(rtol=1e-6)], compiled=tc.Single())
+    advice = tc.recommend(
+        model,
+        0.5,
+        1e-4,
+        start,
+        schemes=[tc.RungeKutta4(), tc.DormandPrince54(rtol=1e-6)],
+        compiled=tc.Single(),
+    )
     run = tc.simulate(model, 0.5, state=start, compiled=tc.Single(), **advice.options)
     assert distance(run.nodes[-1], tc.certify(model, 0.5, start).nodes) < 1e-4
     with pytest.raises(tc.NoScheme):
-        tc.recommend(model, 0.5, 1e-9, start, schemes=[tc.DormandPrince54(rtol=1e-6)], compiled=tc.Single())
+        tc.recommend(
+            model, 0.5, 1e-9, start, schemes=[tc.DormandPrince54(rtol=1e-6)], compiled=tc.Single()
+        )
 
 
-@pytest.mark.parametrize(("compiled", "cheapest"), [(False, tc.DormandPrince853()), (None, tc.RungeKutta4())])
+@pytest.mark.parametrize(
+    ("compiled", "cheapest"), [(False, tc.DormandPrince853()), (None, tc.RungeKutta4())]
+)
 def test_steps_that_a_block_computes_in_vain_count(compiled, cheapest):
     """Few steps of order 8 are less work than more of order 4, but machine code computes 32 of either."""
     model, start = pendulum()
     schemes = (tc.DormandPrince853(), tc.RungeKutta4())
-    advice = tc.recommend(model, 0.5, 1e-3, start, schemes=schemes, corrections=[None], compiled=compiled)
+    advice = tc.recommend(
+        model, 0.5, 1e-3, start, schemes=schemes, corrections=[None], compiled=compiled
+    )
     assert advice.scheme == cheapest
     assert advice.error <= 1e-3
     assert round(0.5 / advice.step) <= 32
 
 
 def test_a_scene_will_do():
-    advice = tc.recommend(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()), 0.5, 1e-4, schemes=[tc.RungeKutta4()], compiled=False)
+    advice = tc.recommend(
+        tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()),
+        0.5,
+        1e-4,
+        schemes=[tc.RungeKutta4()],
+        compiled=False,
+    )
     assert advice.scheme == tc.RungeKutta4()
     assert 0 < advice.error <= 1e-4
     assert advice.seconds > 0
@@ -170,7 +230,15 @@ def test_a_scene_will_do():
 
 def bouncing_string():
     """A mass that is thrown about at the end of a string, which goes slack and taut again and again."""
-    structure = tc.Structure([(0, 0, 0), (0.1, 0, -1)], [], [(0, 1)], node_mass=[0, 1.0], pinned=[0], stiffness=500.0, rest_length=[1.0])
+    structure = tc.Structure(
+        [(0, 0, 0), (0.1, 0, -1)],
+        [],
+        [(0, 1)],
+        node_mass=[0, 1.0],
+        pinned=[0],
+        stiffness=500.0,
+        rest_length=[1.0],
+    )
     model = tc.Model(tc.Scene(structure, gravity=tc.Gravity()))
     return model, model.state(structure.nodes, [(0, 0, 0), (0.3, 0.2, 3.0)])
 
@@ -178,7 +246,13 @@ def bouncing_string():
 def bouncing_mass():
     """A mass that slides and bounces on the ground."""
     structure = tc.Structure([(0, 0, 0.3)], [], [], node_mass=[1.0])
-    model = tc.Model(tc.Scene(structure, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1e3, damping=1.0, friction=0.3)))
+    model = tc.Model(
+        tc.Scene(
+            structure,
+            gravity=tc.Gravity(),
+            ground=tc.Ground(stiffness=1e3, damping=1.0, friction=0.3),
+        )
+    )
     return model, model.state(structure.nodes, [(0.5, 0, 0)])
 
 
@@ -208,8 +282,12 @@ def test_events_are_left_to_schemes_that_locate_them(scene, tolerance, monkeypat
 def test_the_search_ends_in_time():
     model, start = bouncing_mass()
     began = time.perf_counter()
-    with pytest.raises((tc.NoScheme, tc.NoReference), match="seconds = 1 were too few"):  # on a slow machine for the reference already
-        tc.recommend(model, 3.0, 1e-9, start, schemes=[tc.RungeKutta4()], compiled=False, seconds=1.0)
+    with pytest.raises(
+        (tc.NoScheme, tc.NoReference), match="seconds = 1 were too few"
+    ):  # on a slow machine for the reference already
+        tc.recommend(
+            model, 3.0, 1e-9, start, schemes=[tc.RungeKutta4()], compiled=False, seconds=1.0
+        )
     assert time.perf_counter() - began < 10  # a search to the end takes minutes
 
 
@@ -220,12 +298,18 @@ def test_out_of_time_the_best_so_far_is_returned(monkeypatch):
 
     def late(case, step, **options):
         if case.scheme == tc.Rattle():
-            monkeypatch.setattr(sys.modules["tenscasadi.analysis.recommend"], "time", SimpleNamespace(perf_counter=lambda: np.inf))
+            monkeypatch.setattr(
+                sys.modules["tenscasadi.analysis.recommend"],
+                "time",
+                SimpleNamespace(perf_counter=lambda: np.inf),
+            )
         return run(case, step, **options)
 
     monkeypatch.setattr(Case, "run", late)
     schemes = [tc.RungeKutta4(), tc.Rattle(), tc.DormandPrince54()]
-    advice = tc.recommend(model, 0.5, 1e-5, start, schemes=schemes, corrections=[None], compiled=False)
+    advice = tc.recommend(
+        model, 0.5, 1e-5, start, schemes=schemes, corrections=[None], compiled=False
+    )
     assert advice.scheme == tc.RungeKutta4()
     assert advice.error <= 1e-5
     assert "seconds = 60 were too few for Rattle, DormandPrince54" in advice.message
@@ -233,7 +317,9 @@ def test_out_of_time_the_best_so_far_is_returned(monkeypatch):
 
 def hinged_twice():
     """A mass on a string below a bar that is pinned at both ends: IDAS cannot tell its constraints apart."""
-    structure = tc.Structure([(0, 0, 0), (1, 0, 0), (0, 0, -1)], [(0, 1)], [(0, 2)], node_mass=[0, 0, 1.0], pinned=[0, 1])
+    structure = tc.Structure(
+        [(0, 0, 0), (1, 0, 0), (0, 0, -1)], [(0, 1)], [(0, 2)], node_mass=[0, 0, 1.0], pinned=[0, 1]
+    )
     return tc.Model(tc.Scene(structure, gravity=tc.Gravity()))
 
 
@@ -243,13 +329,17 @@ def test_what_cannot_serve_is_left_out_and_told():
     advice = tc.recommend(scene, 0.2, 1e-4, corrections=(tc.BarLengthCorrection(), None), **options)
     assert advice.correction is None
     assert "RungeKutta4 left out: BarLengthCorrection moves bars one by one" in advice.message
-    with pytest.raises(tc.NoScheme, match=r"none of RungeKutta4 meets it.*BarLengthCorrection moves bars"):
+    with pytest.raises(
+        tc.NoScheme, match=r"none of RungeKutta4 meets it.*BarLengthCorrection moves bars"
+    ):
         tc.recommend(scene, 0.2, 1e-4, corrections=[tc.BarLengthCorrection()], **options)
 
 
 def test_a_tolerance_beyond_rounding_has_no_reference():
     with pytest.raises(tc.NoReference, match=r"wanted 1e-21 m"):
-        tc.recommend(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()), 0.5, 1e-20, compiled=False)
+        tc.recommend(
+            tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()), 0.5, 1e-20, compiled=False
+        )
 
 
 @pytest.mark.parametrize(
@@ -267,7 +357,13 @@ def test_a_tolerance_beyond_rounding_has_no_reference():
     ],
 )
 def test_wrong_input_is_named(change, named):
-    arguments = {"what": tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()), "t_end": 0.1, "tolerance": 1e-3, "compiled": False, **change}
+    arguments = {
+        "what": tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()),
+        "t_end": 0.1,
+        "tolerance": 1e-3,
+        "compiled": False,
+        **change,
+    }
     with pytest.raises((TypeError, ValueError), match=named):
         tc.recommend(**arguments)
 
@@ -276,7 +372,9 @@ def test_wrong_input_is_named(change, named):
 def test_long_chains_are_told_to_take_full_coordinates() -> None:
     bars, ends = [(k, k + 1) for k in range(60)], np.array([(k, 0, k % 2) for k in range(61)])
     chain = tc.Scene(tc.Structure(ends, bars, pinned=[0]), gravity=tc.Gravity())
-    advice = tc.recommend(chain, 0.01, 1e-3, schemes=[tc.RungeKutta4()], corrections=[None], compiled=False)
+    advice = tc.recommend(
+        chain, 0.01, 1e-3, schemes=[tc.RungeKutta4()], corrections=[None], compiled=False
+    )
     assert 'Model(scene, coordinates="full") is faster' in advice.message
 
 
@@ -284,8 +382,12 @@ def test_what_is_recommended_runs_with_success() -> None:
     """Damped in a moment: steps that get the places right at the end may have lost all energy on the way."""
     model = tc.Model(tc.Scene(tc.shapes.prism(stiffness=1000.0, damping=200.0, prestress=30.0)))
     velocities = 0.5 * np.sin(7.0 * np.arange(18)).reshape(6, 3)
-    start = np.asarray(projection(model)(model.state(model.structure.nodes, velocities)).full()).ravel()
-    advice = tc.recommend(model, 0.3, 1e-3, state=start, schemes=[tc.DormandPrince853()], compiled=False)
+    start = np.asarray(
+        projection(model)(model.state(model.structure.nodes, velocities)).full()
+    ).ravel()
+    advice = tc.recommend(
+        model, 0.3, 1e-3, state=start, schemes=[tc.DormandPrince853()], compiled=False
+    )
     run = tc.simulate(model, 0.3, state=start, **advice.options, compiled=False)
     assert run.success, run.message
     truth = tc.simulate(model, 0.3, scheme=tc.Cvodes(1e-11), state=start)

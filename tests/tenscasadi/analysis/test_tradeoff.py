@@ -33,7 +33,15 @@ def start(model):
 @pytest.fixture(scope="module")
 def table():
     schemes = (tc.RungeKutta4(), tc.DormandPrince54())
-    return tc.tradeoff(spinning(), 0.5, schemes, STEPS, state=start, corrections=(None, tc.Projection(2)), repeats=1)
+    return tc.tradeoff(
+        spinning(),
+        0.5,
+        schemes,
+        STEPS,
+        state=start,
+        corrections=(None, tc.Projection(2)),
+        repeats=1,
+    )
 
 
 # --- rows ---
@@ -41,7 +49,12 @@ def table():
 
 def test_a_row_for_each_cell_of_the_grid(table):
     cells = [(row.scheme, row.correction, row.step) for row in table.rows]
-    wanted = [(s, c, h) for s in (tc.RungeKutta4(), tc.DormandPrince54()) for c in (None, tc.Projection(2)) for h in STEPS]
+    wanted = [
+        (s, c, h)
+        for s in (tc.RungeKutta4(), tc.DormandPrince54())
+        for c in (None, tc.Projection(2))
+        for h in STEPS
+    ]
     assert cells == wanted
     assert table.complete
     assert all(row.success for row in table.rows)
@@ -69,7 +82,9 @@ def test_instructions_are_of_a_step_with_its_share_of_the_correction(table):
     model = spinning()
     step = count_instructions(tc.RungeKutta4().advance(model))
     assert table.rows[0].instructions == step
-    assert table.rows[4].instructions == round(step + count_instructions(tc.Projection().step(model)) / 2)
+    assert table.rows[4].instructions == round(
+        step + count_instructions(tc.Projection().step(model)) / 2
+    )
     assert table.rows[0].work == step * 25
 
 
@@ -78,11 +93,15 @@ def test_times_are_there_and_set_up_is_apart(table):
     # all steps of a way cost the same
     for first in range(0, 16, 4):
         rows = table.rows[first : first + 4]
-        assert [row.seconds * row.step for row in rows] == pytest.approx([rows[0].seconds * rows[0].step] * 4)
+        assert [row.seconds * row.step for row in rows] == pytest.approx(
+            [rows[0].seconds * rows[0].step] * 4
+        )
 
 
 def test_a_run_that_diverges_is_told():
-    table = tc.tradeoff(spinning(), 2.0, [tc.RungeKutta4()], [0.1, 0.005], state=start, compiled=(False,), repeats=1)
+    table = tc.tradeoff(
+        spinning(), 2.0, [tc.RungeKutta4()], [0.1, 0.005], state=start, compiled=(False,), repeats=1
+    )
     assert [row.success for row in table.rows] == [False, True]
     assert "diverged" in table.rows[0].message
     assert table.pareto() == (table.rows[1],)
@@ -92,14 +111,24 @@ def test_a_run_that_diverges_is_told():
 def test_a_way_that_cannot_serve_is_told():
     model = tc.Model(tc.Scene(tc.shapes.double_pendulum(), gravity=tc.Gravity()))
     corrections = (tc.BarLengthCorrection(), None)
-    table = tc.tradeoff(model, 0.1, [tc.RungeKutta4()], [0.01], corrections=corrections, compiled=(False,), repeats=1)
+    table = tc.tradeoff(
+        model,
+        0.1,
+        [tc.RungeKutta4()],
+        [0.01],
+        corrections=corrections,
+        compiled=(False,),
+        repeats=1,
+    )
     assert [row.success for row in table.rows] == [False, True]
     assert "BarLengthCorrection moves bars one by one" in table.rows[0].message
 
 
 def test_implicit_schemes_are_timed_over_the_whole_run():
     """Newton's method takes the longer the larger the step: steps that hardly move are no measure."""
-    table = tc.tradeoff(spinning(), 0.5, [tc.Collocation(2)], [0.1, 0.01], state=start, compiled=(False,), repeats=1)
+    table = tc.tradeoff(
+        spinning(), 0.5, [tc.Collocation(2)], [0.1, 0.01], state=start, compiled=(False,), repeats=1
+    )
     coarse, fine = table.rows
     assert np.isnan(coarse.work)
     assert coarse.instructions == 0
@@ -140,7 +169,9 @@ def test_errors_below_that_of_the_reference_are_not_told_apart(table):
     doubtful = replace(table, reference_error=sorted(row.position for row in table.rows)[5])
     front = doubtful.pareto("work")
     assert sum(row.position <= doubtful.reference_error for row in front) == 1
-    assert front[-1].work == min(row.work for row in table.rows if row.position <= doubtful.reference_error)
+    assert front[-1].work == min(
+        row.work for row in table.rows if row.position <= doubtful.reference_error
+    )
     assert f"< {doubtful.reference_error:.2g}" in doubtful.summary()
 
 
@@ -182,8 +213,12 @@ def test_chaos_has_no_reference():
 
 
 def test_two_that_diverge_are_no_reference():
-    model = tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0), control=tc.ForceDensity()))  # no events to locate
-    fast = model.state(model.structure.nodes, 1e4 * np.cross((1.0, 2.0, 3.0), model.structure.nodes))
+    model = tc.Model(
+        tc.Scene(tc.shapes.prism(prestress=50.0), control=tc.ForceDensity())
+    )  # no events to locate
+    fast = model.state(
+        model.structure.nodes, 1e4 * np.cross((1.0, 2.0, 3.0), model.structure.nodes)
+    )
     with pytest.raises(tc.NoReference, match="the solutions diverge, the last: diverged"):
         tc.certify(model, 0.1, fast, work=1e6)
 
@@ -191,7 +226,9 @@ def test_two_that_diverge_are_no_reference():
 def test_a_given_reference_is_used():
     model = spinning()
     elsewhere = tc.Reference(model.structure.nodes + 1.0, 0.25, 0.1)
-    table = tc.tradeoff(model, 0.1, [tc.RungeKutta4()], [0.01], elsewhere, compiled=(False,), repeats=1)
+    table = tc.tradeoff(
+        model, 0.1, [tc.RungeKutta4()], [0.01], elsewhere, compiled=(False,), repeats=1
+    )
     assert table.reference_error == 0.25
     assert table.rows[0].position == pytest.approx(np.sqrt(3.0), rel=0.1)
 
@@ -202,20 +239,30 @@ def test_a_given_reference_is_used():
 def test_fidelities_are_measured_on_the_parents_nodes():
     prism = tc.shapes.prism(prestress=50.0, stiffness=500.0, string_mass=0.2)
     lumped = tc.Model(tc.Scene(prism, segments=2, ends="lumped"))
-    models = {"2 segments": tc.Model(tc.Scene(prism, segments=2)), "lumped": lumped, "1": tc.Model(tc.Scene(prism))}
-    table = tc.tradeoff(models, 0.05, [tc.DormandPrince853()], [1e-3], state=start, compiled=(False,), repeats=1)
+    models = {
+        "2 segments": tc.Model(tc.Scene(prism, segments=2)),
+        "lumped": lumped,
+        "1": tc.Model(tc.Scene(prism)),
+    }
+    table = tc.tradeoff(
+        models, 0.05, [tc.DormandPrince853()], [1e-3], state=start, compiled=(False,), repeats=1
+    )
     finest, middle, coarse = (row.position for row in table.rows)
     assert finest < 1e-7
     assert middle > 1e-5
     assert coarse > 1e-5
     assert [row.fidelity for row in table.rows] == list(models)
-    backwards = tc.tradeoff(models, 0.05, [tc.DormandPrince853()], [1e-3], "1", start, compiled=(False,), repeats=1)
+    backwards = tc.tradeoff(
+        models, 0.05, [tc.DormandPrince853()], [1e-3], "1", start, compiled=(False,), repeats=1
+    )
     assert backwards.rows[2].position < 1e-9
     assert backwards.rows[0].position == pytest.approx(coarse, rel=1e-3)
 
 
 def test_compiled_and_not_are_told_apart():
-    table = tc.tradeoff(spinning(), 0.1, [tc.RungeKutta4()], [0.01], compiled=(True, False), repeats=1)
+    table = tc.tradeoff(
+        spinning(), 0.1, [tc.RungeKutta4()], [0.01], compiled=(True, False), repeats=1
+    )
     fast, slow = table.rows
     assert (fast.compiled, slow.compiled) == (True, False)
     assert fast.position == pytest.approx(slow.position, rel=1e-6)
@@ -226,7 +273,9 @@ def test_compiled_and_not_are_told_apart():
 def test_single_precision_has_a_floor_where_double_goes_on():
     """The same scheme, steps and instructions; the errors are those of the motion computed in float."""
     schemes, ways = [tc.RungeKutta4(), tc.DormandPrince853(rtol=1e-9)], (tc.Single(), False)
-    table = tc.tradeoff(spinning(), 0.5, schemes, (4e-3, 2e-3, 1e-3, 2.5e-4), state=start, compiled=ways, repeats=1)
+    table = tc.tradeoff(
+        spinning(), 0.5, schemes, (4e-3, 2e-3, 1e-3, 2.5e-4), state=start, compiled=ways, repeats=1
+    )
     single, double = table.rows[:4], table.rows[4:8]
     assert all(row.single and row.compiled and row.success for row in single)
     assert not any(row.single for row in double)
@@ -241,7 +290,9 @@ def test_single_precision_has_a_floor_where_double_goes_on():
 
 def test_error_control_is_one_curve_and_runs_once():
     schemes = [tc.DormandPrince54(rtol=rtol) for rtol in (1e-4, 1e-6)]
-    table = tc.tradeoff(spinning(), 0.2, schemes, [0.1, 0.05], state=start, compiled=(False,), repeats=1)
+    table = tc.tradeoff(
+        spinning(), 0.2, schemes, [0.1, 0.05], state=start, compiled=(False,), repeats=1
+    )
     coarse, fine = table.rows
     assert np.isnan(coarse.step)
     assert coarse.steps < fine.steps
@@ -259,7 +310,9 @@ def test_schemes_without_code_are_measured_too():
     assert np.isnan(row.work)
     assert table.pareto("work") == ()
     assert table.pareto() == (row,)
-    (refused,) = tc.tradeoff(spinning(), 0.05, [tc.Cvodes()], [0.05], state=start, compiled=(True,), repeats=1).rows
+    (refused,) = tc.tradeoff(
+        spinning(), 0.05, [tc.Cvodes()], [0.05], state=start, compiled=(True,), repeats=1
+    ).rows
     assert not refused.success
     assert "C code" in refused.message
 
@@ -344,7 +397,11 @@ def with_one(values, number):
 @pytest.mark.parametrize(
     ("field", "number"),
     [
-        *((f"row_{name}", number) for name in ("position", "bar", "joint") for number in (np.nan, np.inf, -1.0)),
+        *(
+            (f"row_{name}", number)
+            for name in ("position", "bar", "joint")
+            for number in (np.nan, np.inf, -1.0)
+        ),
         *(("row_step", number) for number in (0.0, -0.1, np.inf)),
         *(("row_seconds", number) for number in (-1.0, np.inf)),
         *((f"row_{name}", -1) for name in ("energy", "instructions", "steps")),
@@ -354,15 +411,40 @@ def with_one(values, number):
 )
 def test_numbers_that_no_study_can_have_are_refused_by_name(table, tmp_path, field, number):
     assert table.rows[0].success
-    value = with_one([getattr(row, field[4:]) for row in table.rows], number) if field.startswith("row_") else np.asarray(number)
+    value = (
+        with_one([getattr(row, field[4:]) for row in table.rows], number)
+        if field.startswith("row_")
+        else np.asarray(number)
+    )
     with pytest.raises(ValueError, match=rf"study\.npz is not a trade-off: field '{field}' is "):
         tc.Tradeoff.load(damaged(table, tmp_path, **{field: value}))
 
 
-@pytest.mark.parametrize(("field", "value"), [("row_success", 1.0), ("row_message", 3), ("row_position", "0"), ("row_steps", 1.5), ("t_end", "x")])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("row_success", 1.0),
+        ("row_message", 3),
+        ("row_position", "0"),
+        ("row_steps", 1.5),
+        ("t_end", "x"),
+    ],
+)
 def test_values_of_another_kind_are_refused_by_name(table, tmp_path, field, value):
-    with pytest.raises(ValueError, match=rf"study\.npz is not a trade-off: field '{field}' holds values of type"):
-        tc.Tradeoff.load(damaged(table, tmp_path, **{field: np.full(len(table.rows), value) if field.startswith("row_") else np.asarray(value)}))
+    with pytest.raises(
+        ValueError, match=rf"study\.npz is not a trade-off: field '{field}' holds values of type"
+    ):
+        tc.Tradeoff.load(
+            damaged(
+                table,
+                tmp_path,
+                **{
+                    field: np.full(len(table.rows), value)
+                    if field.startswith("row_")
+                    else np.asarray(value)
+                },
+            )
+        )
 
 
 def test_a_study_without_rows_is_loaded(table, tmp_path):
@@ -432,27 +514,60 @@ def test_summary_has_a_line_for_each_row(table):
     ],
 )
 def test_wrong_input_is_named(change, named):
-    arguments = {"models": spinning(), "t_end": 0.1, "schemes": [tc.RungeKutta4()], "steps": [0.01], "compiled": (False,), **change}
+    arguments = {
+        "models": spinning(),
+        "t_end": 0.1,
+        "schemes": [tc.RungeKutta4()],
+        "steps": [0.01],
+        "compiled": (False,),
+        **change,
+    }
     with pytest.raises((TypeError, ValueError), match=named):
         tc.tradeoff(**arguments)
 
 
-ROW = {"scheme": tc.RungeKutta4(), "step": 0.1, "correction": None, "fidelity": "", "compiled": True, "single": False}
+ROW = {
+    "scheme": tc.RungeKutta4(),
+    "step": 0.1,
+    "correction": None,
+    "fidelity": "",
+    "compiled": True,
+    "single": False,
+}
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("scheme", "RungeKutta4"), ("step", "0.1"), ("seconds", 10**400), ("bar", [1.0]), ("steps", 1.5), ("compiled", np.ones(2)), ("message", 3)],
+    [
+        ("scheme", "RungeKutta4"),
+        ("step", "0.1"),
+        ("seconds", 10**400),
+        ("bar", [1.0]),
+        ("steps", 1.5),
+        ("compiled", np.ones(2)),
+        ("message", 3),
+    ],
 )
 def test_rows_are_checked(field, value):
     with pytest.raises((TypeError, ValueError), match=rf"^Row\.{field} is"):
         tc.Row(**{**ROW, field: value})
 
 
-@pytest.mark.parametrize(("field", "value"), [("rows", 3), ("rows", (3,)), ("t_end", "1"), ("reference_error", None), ("complete", 1.0)])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("rows", 3), ("rows", (3,)), ("t_end", "1"), ("reference_error", None), ("complete", 1.0)],
+)
 def test_studies_are_checked(field, value):
     with pytest.raises(TypeError, match=rf"^Tradeoff\.{field}(\[0\])? is"):
-        tc.Tradeoff(**{"rows": (), "t_end": 1.0, "reference_error": 0.0, "reference_message": "", field: value})
+        tc.Tradeoff(
+            **{
+                "rows": (),
+                "t_end": 1.0,
+                "reference_error": 0.0,
+                "reference_message": "",
+                field: value,
+            }
+        )
     with pytest.raises(ValueError, match=r"^cost is"):
         tc.Tradeoff((), 1.0, 0.0, "").pareto(np.ones(2))
 
@@ -464,7 +579,11 @@ def test_models_of_other_structures_are_refused():
 
 @pytest.mark.parametrize(
     ("arguments", "named"),
-    [((np.zeros((2, 2)), 0.0, 1.0), "nodes"), ((np.zeros((2, 3)), -1.0, 1.0), "error"), ((np.zeros((2, 3)), 0.0, 0.0), "t_end")],
+    [
+        ((np.zeros((2, 2)), 0.0, 1.0), "nodes"),
+        ((np.zeros((2, 3)), -1.0, 1.0), "error"),
+        ((np.zeros((2, 3)), 0.0, 0.0), "t_end"),
+    ],
 )
 def test_references_are_checked(arguments, named):
     with pytest.raises(ValueError, match=f"Reference.{named}"):

@@ -39,7 +39,9 @@ def test_bash_completes(typed, wanted, script, tmp_path):
         (tmp_path / name).write_text("")
     words = " ".join(f"'{word}'" for word in ("tenscasadi", *typed))
     asked = f"COMP_WORDS=({words}); COMP_CWORD={len(typed)}; _shtab_tenscasadi; printf '%s\\n' \"${{COMPREPLY[@]}}\""
-    done = subprocess.run([BASH, "-c", f"{script}\n{asked}"], capture_output=True, text=True, cwd=tmp_path, check=True)
+    done = subprocess.run(
+        [BASH, "-c", f"{script}\n{asked}"], capture_output=True, text=True, cwd=tmp_path, check=True
+    )
     assert wanted <= set(done.stdout.split())
     assert "drop.txt" not in done.stdout
 
@@ -55,4 +57,7 @@ def test_zsh_gets_a_script_with_all_shapes(capsys):
 def test_without_shtab_it_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["completion", "bash"]) == 2
-    assert capsys.readouterr().err == "tenscasadi: completion needs shtab: pip install 'tenscasadi[completion]'\n"
+    assert (
+        capsys.readouterr().err
+        == "tenscasadi: completion needs shtab: pip install 'tenscasadi[completion]'\n"
+    )

@@ -20,19 +20,27 @@ from tenscasadi.cli.source import SHAPES, STARTING_FILES
 
 WANTED = 200
 LINE = re.compile(r"tenscasadi: scene\.toml(, line \d+)?(, [\w.\[\]\-…' \"]+)?: [^\n]+\n")
-CURE = re.compile(r"\b(give|did you mean|leave|correct it|begin with|must|change|move|write|add|lower)\b")
+CURE = re.compile(
+    r"\b(give|did you mean|leave|correct it|begin with|must|change|move|write|add|lower)\b"
+)
 FORBIDDEN = (
     *("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.fork", "socket."),
     *("os.remove", "os.rename", "os.mkdir", "shutil."),
 )
-CODE = [Path(path).resolve() for path in {*sys.path, *sysconfig.get_paths().values(), Path(__file__).parents[3]} if path and Path(path).is_dir()]
+CODE = [
+    Path(path).resolve()
+    for path in {*sys.path, *sysconfig.get_paths().values(), Path(__file__).parents[3]}
+    if path and Path(path).is_dir()
+]
 
 _seen: list[tuple[str, tuple[object, ...]]] = []
 _watching = False
 
 
 def _hook(event: str, arguments: tuple[object, ...]) -> None:
-    if _watching and (event in ("open", "exec", "compile", "import") or event.startswith(FORBIDDEN)):
+    if _watching and (
+        event in ("open", "exec", "compile", "import") or event.startswith(FORBIDDEN)
+    ):
         _seen.append((event, arguments))
 
 
@@ -69,7 +77,9 @@ def faults(events: list[tuple[str, tuple[object, ...]]], folder: Path) -> Iterat
 
 def _is_code(path: object) -> bool:
     text = path.decode() if isinstance(path, bytes) else str(path)
-    return text.startswith("<frozen") or any(Path(text).resolve().is_relative_to(root) for root in CODE)
+    return text.startswith("<frozen") or any(
+        Path(text).resolve().is_relative_to(root) for root in CODE
+    )
 
 
 @pytest.fixture(scope="module")
@@ -96,10 +106,14 @@ def test_wrong_scene_files_are_one_line_each(folder, monkeypatch, capsys):
     capsys.readouterr()
     told: dict[bytes, str] = {}
 
-    @settings(max_examples=WANTED + WANTED // 2, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=WANTED + WANTED // 2, deadline=None, suppress_health_check=list(HealthCheck)
+    )
     @given(st.data(), st.sampled_from([shape for shape in SHAPES if "pendulum" not in shape]))
     def one(data: st.DataObject, shape: str) -> None:
-        content = damaged_scene(data.draw, (STARTING_FILES / f"{shape}.toml").read_text(encoding="utf-8"))
+        content = damaged_scene(
+            data.draw, (STARTING_FILES / f"{shape}.toml").read_text(encoding="utf-8")
+        )
         (folder / "scene.toml").write_bytes(content)
         with warnings.catch_warnings(), watched() as events:
             warnings.simplefilter("ignore")

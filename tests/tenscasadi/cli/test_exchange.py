@@ -29,7 +29,9 @@ def test_scenes_go_out_and_come_back(ending, here, capsys):
         back = "back.toml"
     ours, theirs = find_source("prism").scene().structure, tc.load_scene(back).structure
     assert theirs.nodes == pytest.approx(ours.nodes, abs=1e-9)
-    assert {frozenset(bar) for bar in theirs.bars.tolist()} == {frozenset(bar) for bar in ours.bars.tolist()}
+    assert {frozenset(bar) for bar in theirs.bars.tolist()} == {
+        frozenset(bar) for bar in ours.bars.tolist()
+    }
     assert np.sort(theirs.stiffness) == pytest.approx(np.sort(ours.stiffness))
 
 
@@ -67,7 +69,9 @@ def test_motions_go_out(here):
     for name in ("run.csv", "run.mat", "run.pvd"):
         assert main(["export", "run.npz", name]) == 0
         assert (here / name).exists()
-    assert np.loadtxt("run.csv", delimiter=",", skiprows=1)[:, 0] == pytest.approx([0.0, 0.01, 0.02])
+    assert np.loadtxt("run.csv", delimiter=",", skiprows=1)[:, 0] == pytest.approx(
+        [0.0, 0.01, 0.02]
+    )
     assert tc.load_mat_trajectory("run.mat").time == pytest.approx([0.0, 0.01, 0.02])
 
 
@@ -77,7 +81,11 @@ def test_ntrt_comes_in(here):
     (here / "two.yaml").write_text(text)
     assert main(["import", "two.yaml", "two.toml", "--length-unit", "0.1"]) == 0
     assert tc.load_scene("two.toml").structure.bar_lengths.tolist() == [1.0, 1.0]
-    (here / "joined.yaml").write_text(text.replace("[c, d]]", "[b, d]]").replace("[[a, c], [b, d]]", "[[a, d]]").replace("c: [5, 0, 0], ", ""))
+    (here / "joined.yaml").write_text(
+        text.replace("[c, d]]", "[b, d]]")
+        .replace("[[a, c], [b, d]]", "[[a, d]]")
+        .replace("c: [5, 0, 0], ", "")
+    )
     assert main(["import", "joined.yaml", "joined.toml"]) == 2
     assert main(["import", "joined.yaml", "joined.toml", "--ball-joints"]) == 0
 
@@ -85,11 +93,17 @@ def test_ntrt_comes_in(here):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["export", "prism", "out.csv"], "out.csv does not end as the files of scenes do: give one of .mat, .toml, .xml"),
+        (
+            ["export", "prism", "out.csv"],
+            "out.csv does not end as the files of scenes do: give one of .mat, .toml, .xml",
+        ),
         (["export", "run.npz", "out.xml"], "give one of .csv, .mat, .pvd"),
         (["export", "gone.npz", "out.csv"], "gone.npz"),
         (["export", "other.npz", "out.csv"], "other.npz is no trajectory, rollouts or plan"),
-        (["export", "table.npz", "out.csv"], "table.npz is no trajectory, rollouts or plan: it holds a tradeoff"),
+        (
+            ["export", "table.npz", "out.csv"],
+            "table.npz is no trajectory, rollouts or plan: it holds a tradeoff",
+        ),
         (["export", "prism", "folder/out.xml"], "there is no folder folder"),
         (["import", "gone.mat", "out.toml"], "tenscasadi: gone.mat: No such file"),
         (["import", "run.npz", "out.toml"], "give one of .mat, .xml, .yaml, .yml"),

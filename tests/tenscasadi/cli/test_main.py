@@ -34,7 +34,18 @@ def written(out: str) -> list[Path]:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_simulate_every_shape(shape, tmp_path, capsys):
-    assert run("simulate", shape, "--t-end", 0.1, "--uncompiled", "--output", tmp_path / "new" / "folder") == 0
+    assert (
+        run(
+            "simulate",
+            shape,
+            "--t-end",
+            0.1,
+            "--uncompiled",
+            "--output",
+            tmp_path / "new" / "folder",
+        )
+        == 0
+    )
     out = capsys.readouterr().out
     for words in (shape, "energy", "bar lengths", "joints", "wall time", "set-up"):
         assert words in out
@@ -44,13 +55,32 @@ def test_simulate_every_shape(shape, tmp_path, capsys):
     assert trajectory.time[-1] == pytest.approx(0.1)
     assert trajectory.success
     assert np.abs(trajectory.energy_error).max() < 1e-4
-    assert np.abs(trajectory.velocities[0] if "pendulum" not in shape else trajectory.velocities[-1]).max() > 0.1
+    assert (
+        np.abs(
+            trajectory.velocities[0] if "pendulum" not in shape else trajectory.velocities[-1]
+        ).max()
+        > 0.1
+    )
     with Image.open(files[1]) as image:
         assert image.format == "PNG"
 
 
 def test_simulate_takes_its_options(tmp_path, capsys):
-    options = ["--coordinates", "full", "--gravity", 1.62, "--save-every", 5, "--projection", 2, "--step", 0.01, "--t-end", 0.3, "--gif"]
+    options = [
+        "--coordinates",
+        "full",
+        "--gravity",
+        1.62,
+        "--save-every",
+        5,
+        "--projection",
+        2,
+        "--step",
+        0.01,
+        "--t-end",
+        0.3,
+        "--gif",
+    ]
     assert run("simulate", "d-bar", *options, "--output", tmp_path) == 0
     out = capsys.readouterr().out
     assert "full coordinates" in out
@@ -62,14 +92,32 @@ def test_simulate_takes_its_options(tmp_path, capsys):
 
 
 def test_gravity_zero_builds_none(tmp_path):
-    assert run("simulate", "six-bar-ball", "--gravity", 0, "--t-end", 0.02, "--uncompiled", "--output", tmp_path) == 0
+    assert (
+        run(
+            "simulate",
+            "six-bar-ball",
+            "--gravity",
+            0,
+            "--t-end",
+            0.02,
+            "--uncompiled",
+            "--output",
+            tmp_path,
+        )
+        == 0
+    )
     trajectory = tc.Trajectory.load(tmp_path / "six-bar-ball-simulation.npz")
     assert np.all(trajectory.energy_parts[:, 2] == 0)
-    assert trajectory.velocities[-1].mean(axis=0) == pytest.approx(trajectory.velocities[0].mean(axis=0))
+    assert trajectory.velocities[-1].mean(axis=0) == pytest.approx(
+        trajectory.velocities[0].mean(axis=0)
+    )
 
 
 def test_divergence_is_told_and_kept(tmp_path, capsys):
-    assert run("simulate", "prism", "--step", 0.1, "--t-end", 20, "--uncompiled", "--output", tmp_path) == 1
+    assert (
+        run("simulate", "prism", "--step", 0.1, "--t-end", 20, "--uncompiled", "--output", tmp_path)
+        == 1
+    )
     out = capsys.readouterr().out
     assert "diverged" in out
     assert "try step" in out
@@ -108,7 +156,13 @@ def test_info(shape, tmp_path, capsys):
     assert (tmp_path / f"{shape}-structure.png") in written(out)
 
 
-@pytest.mark.parametrize("text", ["nodes = [[0, 0, 0], [0, 0, 1]]\nnode_mass = 1", "shape = 'membrane'\np = 3\nq = 2\nnode_mass = 0.1"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "nodes = [[0, 0, 0], [0, 0, 1]]\nnode_mass = 1",
+        "shape = 'membrane'\np = 3\nq = 2\nnode_mass = 0.1",
+    ],
+)
 def test_info_without_bars(text, tmp_path, capsys):
     (tmp_path / "scene.toml").write_text(f'format = 1\nunits = "SI"\n[structure]\n{text}\n')
     assert run("info", tmp_path / "scene.toml", "--output", tmp_path) == 0
@@ -116,7 +170,10 @@ def test_info_without_bars(text, tmp_path, capsys):
 
 
 def test_info_is_of_the_values_of_the_simulation(tmp_path, capsys):
-    scene = tc.Scene(tc.shapes.prism(prestress=20.0), parameters=tc.Parameters("bar_mass", groups={"bar_mass": "all"}))
+    scene = tc.Scene(
+        tc.shapes.prism(prestress=20.0),
+        parameters=tc.Parameters("bar_mass", groups={"bar_mass": "all"}),
+    )
     heavy = {"bar_mass": 4.0}
     tc.save_scene(tc.Simulation(scene, 0.1, parameters=heavy), tmp_path / "heavy.toml")
     assert run("info", tmp_path / "heavy.toml", "--output", tmp_path) == 0
@@ -142,7 +199,9 @@ def test_plan(tmp_path, capsys):
     assert plan.force_density.min() >= 10.0
     end = plan.replay().nodes[-1]
     # from base to top, whatever way the free prism has turned
-    assert np.linalg.norm(end[3:].mean(axis=0) - end[:3].mean(axis=0)) == pytest.approx(1.1, abs=1e-3)
+    assert np.linalg.norm(end[3:].mean(axis=0) - end[:3].mean(axis=0)) == pytest.approx(
+        1.1, abs=1e-3
+    )
 
 
 def test_without_intervals_the_way_is_chosen(tmp_path, capsys):
@@ -152,7 +211,18 @@ def test_without_intervals_the_way_is_chosen(tmp_path, capsys):
 
 
 def test_tradeoff(tmp_path, capsys):
-    options = ["--t-end", 0.1, "--steps", 0.01, 0.005, "--rtol", 1e-6, "--tolerance", 1e-4, "--uncompiled"]
+    options = [
+        "--t-end",
+        0.1,
+        "--steps",
+        0.01,
+        0.005,
+        "--rtol",
+        1e-6,
+        "--tolerance",
+        1e-4,
+        "--uncompiled",
+    ]
     assert run("tradeoff", "prism", *options, "--output", tmp_path) == 0
     out = capsys.readouterr().out
     assert re.search(r"fastest within 0.0001 m: \w+", out)
@@ -165,7 +235,17 @@ def test_tradeoff(tmp_path, capsys):
 
 
 def test_a_tradeoff_that_serves_nobody_is_told_and_kept(tmp_path, capsys):
-    options = ["--t-end", 0.1, "--steps", 0.02, "--rtol", 1e-4, "--tolerance", 1e-15, "--uncompiled"]
+    options = [
+        "--t-end",
+        0.1,
+        "--steps",
+        0.02,
+        "--rtol",
+        1e-4,
+        "--tolerance",
+        1e-15,
+        "--uncompiled",
+    ]
     assert run("tradeoff", "prism", *options, "--output", tmp_path) == 1
     out = capsys.readouterr().out
     assert "tolerance is 1e-15 m: the " in out
@@ -224,7 +304,10 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
         (["completion"], "shell"),
         (["completion", "sh"], "bash"),
         (["simulate"], "SHAPE|FILE"),
-        (["simulate", "cube"], "pendulum, double-pendulum, prism, d-bar, six-bar-ball, reach, or a scene file"),
+        (
+            ["simulate", "cube"],
+            "pendulum, double-pendulum, prism, d-bar, six-bar-ball, reach, or a scene file",
+        ),
         (["info", "cube"], "six-bar-ball"),
         (["tradeoff", "cube"], "six-bar-ball"),
         (["tradeoff", "prism", "--steps", "0"], "steps[0]"),
@@ -282,7 +365,10 @@ def test_output_that_no_folder_can_be_is_refused_at_once(command, tmp_path, caps
     (tmp_path / "file").write_text("")
     for output in ("file", "file/new/folder"):
         assert run(command, "prism", "--output", tmp_path / output) == 2
-        assert capsys.readouterr().err == f"tenscasadi: output is {tmp_path / output}: {tmp_path / 'file'} is a file, give another folder\n"
+        assert (
+            capsys.readouterr().err
+            == f"tenscasadi: output is {tmp_path / output}: {tmp_path / 'file'} is a file, give another folder\n"
+        )
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -316,19 +402,33 @@ def test_help_tells_every_shape_and_its_start(command, capsys):
 
 
 def test_as_a_process(tmp_path):
-    command = [sys.executable, "-m", "tenscasadi", "simulate", "pendulum", "--t-end", "0.1", "--output", str(tmp_path)]
+    command = [
+        sys.executable,
+        "-m",
+        "tenscasadi",
+        "simulate",
+        "pendulum",
+        "--t-end",
+        "0.1",
+        "--output",
+        str(tmp_path),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert len(written(done.stdout)) == 3
-    refused = subprocess.run([*command[:4], "cube"], capture_output=True, text=True, cwd=ROOT, check=False)
+    refused = subprocess.run(
+        [*command[:4], "cube"], capture_output=True, text=True, cwd=ROOT, check=False
+    )
     assert refused.returncode == 2
     assert "Traceback" not in refused.stderr
 
 
 def test_a_reader_that_leaves_is_no_error(tmp_path):
     command = [sys.executable, "-u", "-m", "tenscasadi", "info", "prism", "--output", str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.close()
@@ -341,7 +441,9 @@ def test_warnings_are_one_line_each(capsys, monkeypatch):
         warnings.warn("two\n  lines", stacklevel=1)
         return 0
 
-    monkeypatch.setattr("tenscasadi.cli.parser.COMMANDS", {"info": COMMANDS["info"]._replace(run=warn)})
+    monkeypatch.setattr(
+        "tenscasadi.cli.parser.COMMANDS", {"info": COMMANDS["info"]._replace(run=warn)}
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         assert run("info", "prism") == 0

@@ -45,22 +45,39 @@ def test_the_starts_are_those_that_help_tells():
     assert moved == pytest.approx(np.cross((0, 0, 3.0), nodes - nodes[0]), abs=1e-12)
     ball = find_source("six-bar-ball").simulation()
     middle = ball.model.structure.nodes.mean(axis=0)
-    thrown = np.array([3.0, 0.0, 5.0]) + np.cross((1.0, 3.0, 0.5), ball.model.structure.nodes - middle)
+    thrown = np.array([3.0, 0.0, 5.0]) + np.cross(
+        (1.0, 3.0, 0.5), ball.model.structure.nodes - middle
+    )
     assert ball.model.velocities(ball.start) == pytest.approx(thrown, abs=1e-12)
     prism = find_source("prism").simulation()
     nodes = prism.model.structure.nodes
     turned = np.cross((0, 0, 4.0), nodes) * np.sign(nodes[:, 2:] - 0.5)
     assert prism.model.velocities(prism.start).sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
-    assert np.sum(prism.model.velocities(prism.start) * turned) == pytest.approx(np.sum(turned**2), rel=0.5)  # nearest that keep the bars
+    assert np.sum(prism.model.velocities(prism.start) * turned) == pytest.approx(
+        np.sum(turned**2), rel=0.5
+    )  # nearest that keep the bars
     bent = find_source("double-pendulum").scene().structure.nodes
     assert bent == pytest.approx(tc.shapes.double_pendulum(angles=(np.pi / 2, 2 * np.pi / 3)).nodes)
 
 
 def test_options_go_before_the_file(here, capsys):
     new("six-bar-ball", here / "ball.toml", capsys)
-    options = {"t_end": 0.3, "step": 0.01, "coordinates": "full", "gravity": 1.5, "save_every": 3, "projection": 2}
+    options = {
+        "t_end": 0.3,
+        "step": 0.01,
+        "coordinates": "full",
+        "gravity": 1.5,
+        "save_every": 3,
+        "projection": 2,
+    }
     found = find_source("ball.toml").simulation(**options)
-    assert (found.t_end, found.step, found.coordinates, found.save_every, found.correction) == (0.3, 0.01, "full", 3, tc.Projection(2))
+    assert (found.t_end, found.step, found.coordinates, found.save_every, found.correction) == (
+        0.3,
+        0.01,
+        "full",
+        3,
+        tc.Projection(2),
+    )
     assert found.scene.gravity == tc.Gravity((0.0, 0.0, -1.5))
     assert find_source("ball.toml").simulation(gravity=0.0).scene.gravity is None
     kept = find_source("ball.toml").simulation(**dict.fromkeys(options))
@@ -71,13 +88,23 @@ def test_a_new_user(here, capsys):
     new("prism", here / "p.toml", capsys)
     assert run("plan", "p.toml") == 0
     assert "goals: StringLengths, AtRest" in capsys.readouterr().out
-    assert {path.name for path in here.iterdir()} == {"p.toml", "p-plan.npz", "p-plan.png", "p-plan-forces.png"}
+    assert {path.name for path in here.iterdir()} == {
+        "p.toml",
+        "p-plan.npz",
+        "p-plan.png",
+        "p-plan-forces.png",
+    }
     plan = ocp.Plan.load("p-plan.npz")
     assert plan.success
-    assert plan.replay().nodes[-1, 3:, 2].mean() - plan.replay().nodes[-1, :3, 2].mean() == pytest.approx(1.1, abs=1e-3)
+    assert plan.replay().nodes[-1, 3:, 2].mean() - plan.replay().nodes[
+        -1, :3, 2
+    ].mean() == pytest.approx(1.1, abs=1e-3)
     assert run("simulate", "p.toml", "--t-end", 0.05, "--uncompiled") == 0
     assert tc.Trajectory.load("p-simulation.npz").time[-1] == 0.05
-    assert run("tradeoff", "p.toml", "--t-end", 0.05, "--steps", 0.01, "--rtol", 1e-4, "--uncompiled") == 0
+    assert (
+        run("tradeoff", "p.toml", "--t-end", 0.05, "--steps", 0.01, "--rtol", 1e-4, "--uncompiled")
+        == 0
+    )
     assert len(tc.Tradeoff.load("p-tradeoff.npz").rows) == 10
     capsys.readouterr()
     assert run("info", "p.toml") == 0
@@ -88,9 +115,15 @@ def test_a_new_user(here, capsys):
 
 def test_files_without_their_part_say_so(here, capsys):
     (here / "bare.toml").write_text('format = 1\nunits = "SI"\n[structure]\nshape = "prism"\n')
-    for command, part in {"simulate": "simulation", "tradeoff": "simulation", "plan": "plan"}.items():
+    for command, part in {
+        "simulate": "simulation",
+        "tradeoff": "simulation",
+        "plan": "plan",
+    }.items():
         assert run(command, "bare.toml") == 2
-        assert capsys.readouterr().err.startswith(f"tenscasadi: bare.toml: it has no [{part}]: give")
+        assert capsys.readouterr().err.startswith(
+            f"tenscasadi: bare.toml: it has no [{part}]: give"
+        )
     assert run("info", "bare.toml") == 0
 
 
@@ -106,7 +139,9 @@ def test_plans_that_cannot_be_are_refused_in_a_line(here, capsys):
 
 
 def test_one_that_names_a_terminal_code_is_told_without_it(here, capsys):
-    (here / "odd.toml").write_text('format = 1\nunits = "SI"\n[structure]\nshape = "\\u001b[31mprism"\n')
+    (here / "odd.toml").write_text(
+        'format = 1\nunits = "SI"\n[structure]\nshape = "\\u001b[31mprism"\n'
+    )
     assert run("info", "odd.toml") == 2
     error = capsys.readouterr().err
     assert error.rstrip("\n").isprintable()

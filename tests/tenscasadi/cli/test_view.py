@@ -15,7 +15,9 @@ from tenscasadi.cli.main import main
 def here(tmp_path, monkeypatch):
     """A folder with a short motion."""
     monkeypatch.chdir(tmp_path)
-    tc.simulate(tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0))), 0.05, 0.01, compiled=False).save("run.npz")
+    tc.simulate(
+        tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0))), 0.05, 0.01, compiled=False
+    ).save("run.npz")
     return tmp_path
 
 
@@ -31,9 +33,33 @@ def test_a_page_is_written(here, capsys):
 
 def test_what_is_given_is_handed_on(here, monkeypatch):
     asked = {}
-    monkeypatch.setattr(importlib.import_module("tenscasadi.viewer.view"), "view", lambda things, **options: asked.update(things=things, **options))
-    assert main(["view", "run.npz", "d-bar", "--port", "9000", "--no-browser", "--colour", "force density", "--speed", "0.5", "--follow"]) == 0
-    assert {name: type(thing) for name, thing in asked.pop("things").items()} == {"run": tc.Trajectory, "d-bar": tc.Scene}
+    monkeypatch.setattr(
+        importlib.import_module("tenscasadi.viewer.view"),
+        "view",
+        lambda things, **options: asked.update(things=things, **options),
+    )
+    assert (
+        main(
+            [
+                "view",
+                "run.npz",
+                "d-bar",
+                "--port",
+                "9000",
+                "--no-browser",
+                "--colour",
+                "force density",
+                "--speed",
+                "0.5",
+                "--follow",
+            ]
+        )
+        == 0
+    )
+    assert {name: type(thing) for name, thing in asked.pop("things").items()} == {
+        "run": tc.Trajectory,
+        "d-bar": tc.Scene,
+    }
     look = {"colour": "force density", "speed": 0.5, "follow": True, "html": None}
     assert asked == {**look, "host": "127.0.0.1", "port": 9000, "browser": False, "wait": True}
 
@@ -41,18 +67,30 @@ def test_what_is_given_is_handed_on(here, monkeypatch):
 def test_live_drives_the_groups_of_the_scene(here, monkeypatch):
     asked = {}
     monkeypatch.setattr(
-        importlib.import_module("tenscasadi.viewer.live_mode.live"), "live", lambda model, **options: asked.update(model=model, **options)
+        importlib.import_module("tenscasadi.viewer.live_mode.live"),
+        "live",
+        lambda model, **options: asked.update(model=model, **options),
     )
     assert main(["view", "reach", "--live", "--save", "live.npz"]) == 0
     assert asked["groups"] == {"guys": [0, 1, 2, 3]}
     assert asked["model"].velocities(asked["state"])[1] == pytest.approx([0, 0.5, 0])
-    assert (asked["stepping"].step, asked["title"], str(asked["save"])) == (1e-3, "reach", "live.npz")
+    assert (asked["stepping"].step, asked["title"], str(asked["save"])) == (
+        1e-3,
+        "reach",
+        "live.npz",
+    )
 
 
 def test_live_takes_the_parameters_of_the_scene(here, monkeypatch):
     asked = {}
-    monkeypatch.setattr(importlib.import_module("tenscasadi.viewer.live_mode.live"), "live", lambda model, **options: asked.update(options))
-    scene = tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("bar_mass", groups={"bar_mass": "all"}))
+    monkeypatch.setattr(
+        importlib.import_module("tenscasadi.viewer.live_mode.live"),
+        "live",
+        lambda model, **options: asked.update(options),
+    )
+    scene = tc.Scene(
+        tc.shapes.prism(), parameters=tc.Parameters("bar_mass", groups={"bar_mass": "all"})
+    )
     tc.save_scene(tc.Simulation(scene, 0.1, parameters={"bar_mass": 3.0}), "heavy.toml")
     assert main(["view", "heavy.toml", "--live"]) == 0
     assert asked["parameters"] == {"bar_mass": 3.0}

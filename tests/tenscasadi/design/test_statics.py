@@ -23,7 +23,9 @@ def unbalanced(s: Structure, gamma: Any, loads: Any = 0.0) -> float:
     rest = W - N @ s.C_s.T @ np.diag(gamma) @ s.C_s
     free = ~s.fixed.T
     if len(s.bars):
-        columns = np.stack([(N @ s.C_b.T)[:, [k]] @ s.C_b[[k]] for k in range(len(s.bars))])  # N K of λ = −1
+        columns = np.stack(
+            [(N @ s.C_b.T)[:, [k]] @ s.C_b[[k]] for k in range(len(s.bars))]
+        )  # N K of λ = −1
         lam = np.linalg.lstsq(columns[:, free].T, -rest[free], rcond=None)[0]
         rest = rest + np.tensordot(lam, columns, 1)
     return float(np.abs(rest * free).max())
@@ -31,19 +33,28 @@ def unbalanced(s: Structure, gamma: Any, loads: Any = 0.0) -> float:
 
 def hanging() -> tuple[Structure, np.ndarray]:
     """A weight between two pins: one string at 45°, one horizontal."""
-    s = Structure([(0, 0, 0), (-1, 0, 1), (2, 0, 0)], strings=[(0, 1), (0, 2)], pinned=[1, 2], node_mass=1.0)
+    s = Structure(
+        [(0, 0, 0), (-1, 0, 1), (2, 0, 0)], strings=[(0, 1), (0, 2)], pinned=[1, 2], node_mass=1.0
+    )
     return s, np.array([(0, 0, -10.0), (0, 0, 0), (0, 0, 0)])
 
 
 def test_weight_on_two_strings() -> None:
     s, loads = hanging()
     gamma = equilibrium_force_density(s, loads)
-    np.testing.assert_allclose(gamma, [10.0, 5.0], rtol=1e-13)  # vertical: γ₀·1 = 10; horizontal: γ₁·2 = γ₀·1
+    np.testing.assert_allclose(
+        gamma, [10.0, 5.0], rtol=1e-13
+    )  # vertical: γ₀·1 = 10; horizontal: γ₁·2 = γ₀·1
 
 
 def test_catenary_of_five_nodes_needs_no_minimum() -> None:
     z = np.array([0.0, -3.0, -4.0, -3.0, 0.0])
-    s = Structure(np.column_stack([np.arange(5), 0 * z, z]), strings=[(i, i + 1) for i in range(4)], pinned=[0, 4], node_mass=1.0)
+    s = Structure(
+        np.column_stack([np.arange(5), 0 * z, z]),
+        strings=[(i, i + 1) for i in range(4)],
+        pinned=[0, 4],
+        node_mass=1.0,
+    )
     loads = np.zeros((5, 3))
     loads[1:4, 2] = -2.0  # a parabola with equal loads: constant horizontal force H, and H z'' = 2
     gamma = equilibrium_force_density(s, loads, minimum=0.0)
@@ -51,24 +62,39 @@ def test_catenary_of_five_nodes_needs_no_minimum() -> None:
 
 
 def test_minimum_decides_where_it_is_free() -> None:
-    s = Structure([(0, 0, 0), (-1, 0, 0), (2, 0, 0)], strings=[(0, 1), (0, 2)], pinned=[1, 2], node_mass=1.0)
+    s = Structure(
+        [(0, 0, 0), (-1, 0, 0), (2, 0, 0)], strings=[(0, 1), (0, 2)], pinned=[1, 2], node_mass=1.0
+    )
     np.testing.assert_allclose(equilibrium_force_density(s, minimum=3.0), [6.0, 3.0], rtol=1e-13)
-    np.testing.assert_allclose(equilibrium_force_density(s, minimum=[9.0, 1.0]), [9.0, 4.5], rtol=1e-13)
+    np.testing.assert_allclose(
+        equilibrium_force_density(s, minimum=[9.0, 1.0]), [9.0, 4.5], rtol=1e-13
+    )
     assert equilibrium_force_density(s, minimum=0.0).tolist() == [0.0, 0.0]
     pushed = np.array([(3.0, 0, 0), (0, 0, 0), (0, 0, 0)])
     # γ₀ = 3 + 2 γ₁, least squares: γ₁ at its minimum
-    np.testing.assert_allclose(equilibrium_force_density(s, pushed, minimum=1.0), [5.0, 1.0], rtol=1e-13)
+    np.testing.assert_allclose(
+        equilibrium_force_density(s, pushed, minimum=1.0), [5.0, 1.0], rtol=1e-13
+    )
     # γ₀ − 2 γ₁ = 4 with γ₁ ≥ 0 only: least ‖γ‖ at (4, 0)
-    np.testing.assert_allclose(equilibrium_force_density(s, pushed * 4 / 3, minimum=0.0), [4.0, 0.0], rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(
+        equilibrium_force_density(s, pushed * 4 / 3, minimum=0.0),
+        [4.0, 0.0],
+        rtol=1e-13,
+        atol=1e-13,
+    )
 
 
 def test_least_norm_among_many() -> None:
     nodes = [(0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 2, 0), (0, -2, 0)]
-    s = Structure(nodes, strings=[(0, 1), (0, 2), (0, 3), (0, 4)], pinned=[1, 2, 3, 4], node_mass=1.0)
+    s = Structure(
+        nodes, strings=[(0, 1), (0, 2), (0, 3), (0, 4)], pinned=[1, 2, 3, 4], node_mass=1.0
+    )
     loads = np.zeros((5, 3))
     loads[0] = (6.0, -4.0, 0.0)
     gamma = equilibrium_force_density(s, loads, minimum=0.5)
-    np.testing.assert_allclose(gamma, [0.5, 6.5, 2.5, 0.5], rtol=1e-12)  # γ₁ − γ₀ = 6, γ₂ − γ₃ = 2: each pair as small as may be
+    np.testing.assert_allclose(
+        gamma, [0.5, 6.5, 2.5, 0.5], rtol=1e-12
+    )  # γ₁ − γ₀ = 6, γ₂ − γ₃ = 2: each pair as small as may be
     assert gamma.min() >= 0.5
 
 
@@ -83,7 +109,13 @@ def test_prism(bars: int) -> None:
 
 
 def test_ball_and_d_bar_have_equal_force_densities() -> None:
-    for s in (shapes.six_bar_ball(), shapes.six_bar_ball(bar_length=1e-3), shapes.six_bar_ball(bar_length=1e3), shapes.d_bar(), shapes.t_bar()):
+    for s in (
+        shapes.six_bar_ball(),
+        shapes.six_bar_ball(bar_length=1e-3),
+        shapes.six_bar_ball(bar_length=1e3),
+        shapes.d_bar(),
+        shapes.t_bar(),
+    ):
         gamma = equilibrium_force_density(s, minimum=5.0)
         np.testing.assert_allclose(gamma, 5.0, rtol=1e-11)
         assert unbalanced(s, gamma) < 1e-11 * s.bar_lengths.max()
@@ -98,7 +130,9 @@ def test_ball_under_load_stays_above_the_minimum() -> None:
     assert gamma.min() >= 1.0
     assert unbalanced(s, gamma, loads) < 1e-12
     assert np.linalg.norm(gamma) < np.linalg.norm(chosen)
-    with pytest.raises(EquilibriumError, match="stay unbalanced"):  # a push that the ball's mechanism gives way to
+    with pytest.raises(
+        EquilibriumError, match="stay unbalanced"
+    ):  # a push that the ball's mechanism gives way to
         equilibrium_force_density(s, np.eye(12)[:, [11]] * [0.3, 0.2, -10.0])
 
 
@@ -123,7 +157,9 @@ def test_no_equilibrium_names_residual_and_node() -> None:
     free[3] = (0, 0, 5.0)
     with pytest.raises(EquilibriumError) as caught:
         equilibrium_force_density(shapes.six_bar_ball(), free)
-    assert 5.0 / np.sqrt(12) <= caught.value.residual <= 5.0  # no less than the net force, spread over all nodes
+    assert (
+        5.0 / np.sqrt(12) <= caught.value.residual <= 5.0
+    )  # no less than the net force, spread over all nodes
     assert isinstance(caught.value, ValueError)
 
 
@@ -133,12 +169,21 @@ def test_self_stress_has_the_signs_of_the_paper() -> None:
     assert basis.shape == (1, 6)
     stress = basis[0] / basis[0, 0]
     np.testing.assert_allclose(stress, 1.0, rtol=1e-12)  # γ and λ equal, λ > 0 in compression
-    for shape in (shapes.prism(5), shapes.six_bar_ball(), shapes.six_bar_ball(pinned=[0, 3, 7]), shapes.t_bar()):
+    for shape in (
+        shapes.prism(5),
+        shapes.six_bar_ball(),
+        shapes.six_bar_ball(pinned=[0, 3, 7]),
+        shapes.t_bar(),
+    ):
         for row in self_stress(shape):
             gamma, lam = np.split(row, [len(shape.strings)])
-            K = shape.C_s.T @ np.diag(gamma) @ shape.C_s - shape.C_b.T @ np.diag(lam) @ shape.C_b  # Eq. 60
+            K = (
+                shape.C_s.T @ np.diag(gamma) @ shape.C_s - shape.C_b.T @ np.diag(lam) @ shape.C_b
+            )  # Eq. 60
             assert np.abs((shape.nodes.T @ K)[~shape.fixed.T]).max() < 1e-12
-    assert len(self_stress(shapes.six_bar_ball(pinned=range(12)))) == 30  # everything is pinned: any stress will do
+    assert (
+        len(self_stress(shapes.six_bar_ball(pinned=range(12)))) == 30
+    )  # everything is pinned: any stress will do
 
 
 def least_norm_error(s: Structure, gamma: Any, minimum: Any) -> float:
@@ -155,7 +200,9 @@ def least_norm_error(s: Structure, gamma: Any, minimum: Any) -> float:
 def test_random_nets_are_held_or_refused(seed: int, minimum: float, feasible: bool) -> None:
     rng = np.random.default_rng(seed)
     nodes = rng.uniform(-1, 1, (7, 3))
-    strings = [(a, b) for a in range(7) for b in range(a) if rng.random() < 0.6 and not (a == 6 and b == 5)]
+    strings = [
+        (a, b) for a in range(7) for b in range(a) if rng.random() < 0.6 and not (a == 6 and b == 5)
+    ]
     s = Structure(nodes, bars=[(5, 6)], strings=strings, pinned=[0, 1, 2], node_mass=1.0)
     chosen = minimum + rng.uniform(0.0, 5.0, len(strings))
     loads = (nodes.T @ s.C_s.T @ np.diag(chosen) @ s.C_s).T if feasible else rng.normal(size=(7, 3))
@@ -185,16 +232,32 @@ def random_structure(seed: int) -> tuple[Structure, np.ndarray, Any, list[int]]:
     pairs = [(i, j) for i in range(n) for j in range(i)]
     rng.shuffle(pairs)
     bars = [(2 * k, 2 * k + 1) for k in range(int(rng.integers(0, n // 3 + 1)))]
-    strings = [pair for pair in map(tuple, pairs[: int(rng.integers(6, min(len(pairs), 6 * n)))]) if tuple(sorted(pair)) not in bars]
-    s = Structure(rng.normal(size=(n, 3)), bars, strings, pinned=range(n - 3, n) if seed % 3 else (), node_mass=1.0)
-    gamma = rng.exponential(size=len(strings)) * (rng.random(len(strings)) < 0.7) * 10 ** rng.uniform(-2, 3)
+    strings = [
+        pair
+        for pair in map(tuple, pairs[: int(rng.integers(6, min(len(pairs), 6 * n)))])
+        if tuple(sorted(pair)) not in bars
+    ]
+    s = Structure(
+        rng.normal(size=(n, 3)),
+        bars,
+        strings,
+        pinned=range(n - 3, n) if seed % 3 else (),
+        node_mass=1.0,
+    )
+    gamma = (
+        rng.exponential(size=len(strings))
+        * (rng.random(len(strings)) < 0.7)
+        * 10 ** rng.uniform(-2, 3)
+    )
     N, t = s.nodes.T, rng.normal(size=len(bars)) * gamma.max()
     loads = N @ s.C_s.T @ np.diag(gamma) @ s.C_s + N @ s.C_b.T @ np.diag(t) @ s.C_b
     return s, loads.T, 0.1 * gamma if seed % 2 else 0.0, [0, 1] if seed % 4 == 0 else []
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_sparse_statics_are_those_of_dense_matrices(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sparse_statics_are_those_of_dense_matrices(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     s, loads, minimum, pushing = random_structure(seed)
     dense = equilibrium_force_density(s, loads, minimum, pushing), self_stress(s)
     weak = Structure(s.nodes, s.bars, s.strings[:4], pinned=[0], node_mass=1.0)
@@ -225,12 +288,16 @@ def test_two_thousand_bars() -> None:
     """667 prisms side by side: one self-stress each, and each least force density that of its prism."""
     one, count = shapes.prism(), 667
     nodes = np.vstack([one.nodes + (0, 0, 3.0 * k) for k in range(count)])
-    bars, strings = (np.vstack([members + 6 * k for k in range(count)]) for members in (one.bars, one.strings))
+    bars, strings = (
+        np.vstack([members + 6 * k for k in range(count)]) for members in (one.bars, one.strings)
+    )
     s = Structure(nodes, bars, strings)
     stresses = self_stress(s)
     assert stresses.shape == (count, 12 * count)
     assert abs(stresses @ statics._balance(s).T).max() < 1e-12
-    np.testing.assert_allclose(equilibrium_force_density(s), np.tile(equilibrium_force_density(one), count), rtol=1e-9)
+    np.testing.assert_allclose(
+        equilibrium_force_density(s), np.tile(equilibrium_force_density(one), count), rtol=1e-9
+    )
 
 
 def test_a_string_beside_a_bar_balances_nothing_by_rounding() -> None:

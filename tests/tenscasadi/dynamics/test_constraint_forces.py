@@ -17,7 +17,9 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure.structure import Structure
 
 
-def by_kkt(structure: Structure, nodes: np.ndarray, velocities: np.ndarray, F: np.ndarray) -> np.ndarray:
+def by_kkt(
+    structure: Structure, nodes: np.ndarray, velocities: np.ndarray, F: np.ndarray
+) -> np.ndarray:
     """N̈ (n, 3) from the textbook saddle-point system on physical coordinates, by a pseudo-inverse: forces F (n, 3)."""
     n = len(nodes)
     M = np.kron(structure.mass_matrix().toarray(), np.eye(3))
@@ -32,7 +34,9 @@ def by_kkt(structure: Structure, nodes: np.ndarray, velocities: np.ndarray, F: n
         rates.append(0.0)
     A = np.array(rows).reshape(-1, 3 * n)
     K = np.block([[M, A.T], [A, np.zeros((len(A), len(A)))]])
-    return (np.linalg.pinv(K, rcond=1e-13) @ np.concatenate([F.ravel(), rates]))[: 3 * n].reshape(n, 3)
+    return (np.linalg.pinv(K, rcond=1e-13) @ np.concatenate([F.ravel(), rates]))[: 3 * n].reshape(
+        n, 3
+    )
 
 
 RING = [(0, 1), (1, 2), (2, 3), (3, 0)]
@@ -49,7 +53,9 @@ REDUNDANT = {
 
 @BOTH
 @pytest.mark.parametrize("name", REDUNDANT)
-def test_redundant_constraints_are_named_and_solved(name: str, coordinates: mechanism.Coordinates) -> None:
+def test_redundant_constraints_are_named_and_solved(
+    name: str, coordinates: mechanism.Coordinates
+) -> None:
     structure = REDUNDANT[name]
     with pytest.warns(RedundantConstraints, match="bars 0|joints"):
         model = Model(Scene(structure, gravity=Gravity((3, -4, 5))), coordinates)
@@ -69,19 +75,30 @@ def test_redundant_constraints_are_named_and_solved(name: str, coordinates: mech
 
 @BOTH
 @pytest.mark.parametrize(("gap", "tolerance"), [(1e-3, 1e-7), (1e-6, 1e-3)])
-def test_nearly_aligned_bars_stay_close_to_the_saddle_point_solution(gap: float, tolerance: float, coordinates: mechanism.Coordinates) -> None:
+def test_nearly_aligned_bars_stay_close_to_the_saddle_point_solution(
+    gap: float, tolerance: float, coordinates: mechanism.Coordinates
+) -> None:
     structure = Structure([(0, 0, 0), (1, gap, 0), (2, 0, 0)], [(0, 1), (1, 2)], pinned=(0, 2))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RedundantConstraints)
         model = Model(Scene(structure, gravity=Gravity((0, 0, -9.81))), coordinates)
     x = model.initial_state
     F = np.outer(structure.mass_matrix().sum(axis=1), (0, 0, -9.81))
-    assert relative(accelerations(model, x), by_kkt(structure, structure.nodes, 0 * structure.nodes, F)) < tolerance
+    assert (
+        relative(
+            accelerations(model, x), by_kkt(structure, structure.nodes, 0 * structure.nodes, F)
+        )
+        < tolerance
+    )
 
 
 @BOTH
-@pytest.mark.parametrize("pinned", [(), (0,), {0: "xyz", 1: "z"}, {0: "xyz", 3: "xy"}, {0: "x", 1: "y", 2: "z"}], ids=str)
-def test_class_k_chain_with_supports_matches_a_saddle_point_solve(pinned: object, coordinates: mechanism.Coordinates) -> None:
+@pytest.mark.parametrize(
+    "pinned", [(), (0,), {0: "xyz", 1: "z"}, {0: "xyz", 3: "xy"}, {0: "x", 1: "y", 2: "z"}], ids=str
+)
+def test_class_k_chain_with_supports_matches_a_saddle_point_solve(
+    pinned: object, coordinates: mechanism.Coordinates
+) -> None:
     rng = np.random.default_rng(1)
     structure = Structure(
         rng.normal(size=(6, 3)), bars=[(0, 1), (1, 2), (2, 3)], strings=[(0, 4), (3, 4), (4, 5), (1, 5)], node_mass=[0.1, 0, 0.3, 0, 0.2, 0.5],
@@ -93,34 +110,56 @@ def test_class_k_chain_with_supports_matches_a_saddle_point_solve(pinned: object
     S = np.diff(structure.nodes[structure.strings], axis=1)[:, 0]
     pull = structure.C_s.T @ (-model.force_density(x)[:, None] * S)
     weight = np.outer(structure.mass_matrix().sum(axis=1), (1, 2, -9))
-    assert relative(accelerations(model, x), by_kkt(structure, structure.nodes, velocities, pull + weight)) < 1e-10
+    assert (
+        relative(
+            accelerations(model, x), by_kkt(structure, structure.nodes, velocities, pull + weight)
+        )
+        < 1e-10
+    )
 
 
 @BOTH
 def test_a_pinned_string_node_needs_no_mass(coordinates: mechanism.Coordinates) -> None:
-    mast = Structure([(0, 0, 0), (0, 0, 2), (1, 0, 0)], [(0, 1)], [(1, 2)], pinned=(0, 2), rest_length=1.5)
+    mast = Structure(
+        [(0, 0, 0), (0, 0, 2), (1, 0, 0)], [(0, 1)], [(1, 2)], pinned=(0, 2), rest_length=1.5
+    )
     model = Model(Scene(mast, gravity=Gravity((1, 2, -9))), coordinates)
-    pull = mast.C_s.T @ (-model.force_density(model.initial_state)[:, None] * np.diff(mast.nodes[mast.strings], axis=1)[:, 0])
+    pull = mast.C_s.T @ (
+        -model.force_density(model.initial_state)[:, None]
+        * np.diff(mast.nodes[mast.strings], axis=1)[:, 0]
+    )
     weight = np.outer(mast.mass_matrix().sum(axis=1), (1, 2, -9))
     expected = by_kkt(mast, mast.nodes, 0 * mast.nodes, pull + weight)
     assert relative(accelerations(model, model.initial_state), expected) < 1e-12
-    assert np.allclose(model.multipliers(model.initial_state).joint_force[:, -1], -(pull + weight)[2])
+    assert np.allclose(
+        model.multipliers(model.initial_state).joint_force[:, -1], -(pull + weight)[2]
+    )
 
 
 @pytest.mark.parametrize("coordinates", ["reduced", "full"])
 @pytest.mark.parametrize("second", [1, 3], ids=["joined", "apart"])
-def test_masses_that_rounding_cannot_hold_together_are_refused_by_name(second: int, coordinates: mechanism.Coordinates) -> None:
+def test_masses_that_rounding_cannot_hold_together_are_refused_by_name(
+    second: int, coordinates: mechanism.Coordinates
+) -> None:
     def build(ratio: float) -> Model:
         mass = [ratio, 1.0, 1.0]
-        structure = Structure([(0, 0, 0), (1, 0, 0), (1.5, 0.5, 0), (3, 0, 0), (4, 0, 0)], [(0, 1), (second, 2), (3, 4)], bar_mass=mass)
+        structure = Structure(
+            [(0, 0, 0), (1, 0, 0), (1.5, 0.5, 0), (3, 0, 0), (4, 0, 0)],
+            [(0, 1), (second, 2), (3, 4)],
+            bar_mass=mass,
+        )
         return Model(Scene(structure), coordinates)
 
-    with pytest.raises(ValueError, match=r"Structure\.bar_mass: bar 0 is \S+ times as heavy as bar"):
+    with pytest.raises(
+        ValueError, match=r"Structure\.bar_mass: bar 0 is \S+ times as heavy as bar"
+    ):
         build(1e16)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         model = build(1e11)
     nodes = model.structure.nodes
-    run = simulate(model, 0.2, 0.01, state=model.state(nodes, np.cross([0, 0, 1.0], nodes)), compiled=False)
+    run = simulate(
+        model, 0.2, 0.01, state=model.state(nodes, np.cross([0, 0, 1.0], nodes)), compiled=False
+    )
     assert run.success
     assert run.bar_length_error.max() < 1e-7

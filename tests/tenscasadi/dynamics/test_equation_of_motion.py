@@ -42,7 +42,10 @@ def paper(s: Structure, N: Any, V: Any, gamma: Any = None, constant: bool = Fals
     squared = s.bar_lengths**2 if constant else (B * B).sum(axis=0)
     if gamma is None:
         length = np.linalg.norm(S, axis=0)
-        gamma = s.stiffness * (1 - s.rest_length / length) + s.damping * (S * Sd).sum(axis=0) / length**2  # Eq. 99
+        gamma = (
+            s.stiffness * (1 - s.rest_length / length)
+            + s.damping * (S * Sd).sum(axis=0) / length**2
+        )  # Eq. 99
         gamma = np.where((length > s.rest_length) & (gamma > 0), gamma, 0.0)
     W = np.outer(GRAVITY, c.M_s.sum(axis=1))
     pull = S @ np.diag(gamma) @ c.C_s
@@ -60,12 +63,18 @@ def paper(s: Structure, N: Any, V: Any, gamma: Any = None, constant: bool = Fals
     for i in range(len(squared)):
         b = B[:, [i]]
         matrix += half[i] * np.kron(L[:, [i]].T, np.kron(b, (b @ K[[i]]).T))
-    matrix -= np.vstack([np.kron(E.T, np.eye(3)[[axis]]) for axis in range(3)])  # Eᵀ, where the paper prints E
+    matrix -= np.vstack(
+        [np.kron(E.T, np.eye(3)[[axis]]) for axis in range(3)]
+    )  # Eᵀ, where the paper prints E
     omega = np.linalg.solve(matrix, A.ravel()).reshape(joints, 3).T  # Eq. 103
     lam = -spin - half * (B * ((W + omega @ c.P.T - pull) @ C.T)).sum(axis=0)  # Eq. 87
-    K_s = c.C_s.T @ np.diag(gamma) @ c.C_s - C.T @ np.diag(lam) @ C  # Eq. 86, with C_nb where the paper prints C_bb
+    K_s = (
+        c.C_s.T @ np.diag(gamma) @ c.C_s - C.T @ np.diag(lam) @ C
+    )  # Eq. 86, with C_nb where the paper prints C_bb
     acceleration = (W + omega @ c.P.T - N @ K_s) @ inverse  # Eq. 85
-    eta = np.linalg.solve(U2.T @ c.M_s @ U2, ((W - N @ K_s) @ U2).T).T  # Eqs. 94-95, η₁ and η₂ put together as N
+    eta = np.linalg.solve(
+        U2.T @ c.M_s @ U2, ((W - N @ K_s) @ U2).T
+    ).T  # Eqs. 94-95, η₁ and η₂ put together as N
     return Paper(B, gamma, W - pull, omega, lam, acceleration, eta @ U2.T)
 
 
@@ -75,22 +84,51 @@ def prism() -> Structure:
 
 def chain() -> Structure:
     """Two chains of bars, one of them pinned, with string nodes between them: every term of the equations is there."""
-    nodes = [(0, 0, 0), (1, 0.3, 0), (2, 0, 0.4), (0.2, 2, 0), (1.1, 2, 0.5), (2, 2.2, 0), (1, 1, 1.0), (0.5, 1, 1.2)]
+    nodes = [
+        (0, 0, 0),
+        (1, 0.3, 0),
+        (2, 0, 0.4),
+        (0.2, 2, 0),
+        (1.1, 2, 0.5),
+        (2, 2.2, 0),
+        (1, 1, 1.0),
+        (0.5, 1, 1.2),
+    ]
     strings = [(0, 6), (6, 5), (2, 7), (7, 3), (6, 7), (1, 4), (2, 5)]
     bars = [(0, 1), (1, 2), (3, 4), (4, 5), (1, 4)]
     mass = [0, 0, 0, 0, 0, 0, 0.3, 0.2]
-    return Structure(nodes, bars, strings, node_mass=mass, bar_mass=[1, 2, 3, 1, 2], bar_radius=0.05, damping=0.3, rest_length=0.6, pinned=(0,))
+    return Structure(
+        nodes,
+        bars,
+        strings,
+        node_mass=mass,
+        bar_mass=[1, 2, 3, 1, 2],
+        bar_radius=0.05,
+        damping=0.3,
+        rest_length=0.6,
+        pinned=(0,),
+    )
 
 
 def d_bar() -> Structure:
-    return Structure([(0, 0, 0), (1, 0.2, 0), (2, 0, 0), (1, -0.8, 0.1)], [(0, 1), (1, 2), (2, 3), (3, 0)], [(0, 2), (1, 3)], pinned=(0,))
+    return Structure(
+        [(0, 0, 0), (1, 0.2, 0), (2, 0, 0), (1, -0.8, 0.1)],
+        [(0, 1), (1, 2), (2, 3), (3, 0)],
+        [(0, 2), (1, 3)],
+        pinned=(0,),
+    )
 
 
 def motion_of(model: Model, x: Any, u: Any) -> tuple[Any, ...]:
     """N, V, the sum of forces, what acts on the mass, N̈, λ and Ω as arrays."""
     given = *model.unpack(ca.DM(x))[:2], ca.DM(u), 0
-    F, (applied, _) = forces.total(model.scene, model.mechanism, *given), applied_forces(model, *given)
-    return tuple(ca.DM(value).full() for value in (*given[:2], F, applied, *forward_dynamics(model, *given)))
+    F, (applied, _) = (
+        forces.total(model.scene, model.mechanism, *given),
+        applied_forces(model, *given),
+    )
+    return tuple(
+        ca.DM(value).full() for value in (*given[:2], F, applied, *forward_dynamics(model, *given))
+    )
 
 
 @pytest.mark.parametrize("bar_length", ["current", "constant"])
@@ -99,8 +137,14 @@ def motion_of(model: Model, x: Any, u: Any) -> tuple[Any, ...]:
 def test_every_term_is_that_of_the_paper(structure: Any, controlled: bool, bar_length: Any) -> None:
     rng = np.random.default_rng(11)
     s = structure()
-    model = Model(Scene(s, control=ForceDensity() if controlled else None, gravity=Gravity(GRAVITY)), "full", bar_length)
-    x = model.initial_state + 0.05 * rng.normal(size=model.nx)  # bars off their lengths, joints open: l² and bᵀb differ
+    model = Model(
+        Scene(s, control=ForceDensity() if controlled else None, gravity=Gravity(GRAVITY)),
+        "full",
+        bar_length,
+    )
+    x = model.initial_state + 0.05 * rng.normal(
+        size=model.nx
+    )  # bars off their lengths, joints open: l² and bᵀb differ
     u = rng.uniform(1, 30, model.nu)
     N, V, F, applied, A, lam, omega = motion_of(model, x, u)
     expected = paper(s, N, V, u if controlled else None, bar_length == "constant")
@@ -113,7 +157,10 @@ def test_every_term_is_that_of_the_paper(structure: Any, controlled: bool, bar_l
     assert relative(A, expected.acceleration) < 1e-9
     if bar_length == "current":
         C_b, P = model.mechanism.C_b.toarray(), model.mechanism.P.toarray()
-        assert np.abs(((V @ C_b.T) ** 2).sum(axis=0) + ((N @ C_b.T) * (A @ C_b.T)).sum(axis=0)).max() < 1e-8  # Eq. 28
+        assert (
+            np.abs(((V @ C_b.T) ** 2).sum(axis=0) + ((N @ C_b.T) * (A @ C_b.T)).sum(axis=0)).max()
+            < 1e-8
+        )  # Eq. 28
         assert np.abs(A @ P).max(initial=0.0) < 1e-8  # Eq. 84
 
 
@@ -123,7 +170,9 @@ def test_reduced_coordinates_are_those_of_equation_95(structure: Any) -> None:
     s = structure()
     model = Model(Scene(s, gravity=Gravity(GRAVITY)), "reduced")
     columns = s.class_one().physical
-    N, V, _, _, A, lam, _ = motion_of(model, model.initial_state + 0.05 * rng.normal(size=model.nx), [])
+    N, V, _, _, A, lam, _ = motion_of(
+        model, model.initial_state + 0.05 * rng.normal(size=model.nx), []
+    )
     expected = paper(s, N[:, columns], V[:, columns])
     assert relative(A[:, columns], expected.reduced_acceleration) < 1e-9
     assert relative(A[:, columns], expected.acceleration) < 1e-9
@@ -133,12 +182,23 @@ def test_reduced_coordinates_are_those_of_equation_95(structure: Any) -> None:
 @pytest.mark.parametrize("coordinates", ["reduced", "full"])
 def test_large_structures_agree_too(coordinates: Any) -> None:
     count = UNROLL_MEMBERS // 2 + 1
-    nodes = np.column_stack([np.arange(count + 1.0), 0.2 * (np.arange(count + 1) % 2), np.zeros(count + 1)])
+    nodes = np.column_stack(
+        [np.arange(count + 1.0), 0.2 * (np.arange(count + 1) % 2), np.zeros(count + 1)]
+    )
     bars = [(k, k + 1) for k in range(count)]
-    s = Structure(nodes, bars, [(k, k + 2) for k in range(count - 1)], damping=0.1, rest_length=1.5, pinned=(0,))
+    s = Structure(
+        nodes,
+        bars,
+        [(k, k + 2) for k in range(count - 1)],
+        damping=0.1,
+        rest_length=1.5,
+        pinned=(0,),
+    )
     model = Model(Scene(s, gravity=Gravity(GRAVITY)), coordinates)
     assert model.mechanism.large
-    x = model.state(nodes, np.vstack([np.zeros(3), 0.1 * np.random.default_rng(13).normal(size=(count, 3))]))
+    x = model.state(
+        nodes, np.vstack([np.zeros(3), 0.1 * np.random.default_rng(13).normal(size=(count, 3))])
+    )
     N, V, _, _, A, lam, _ = motion_of(model, x, [])
     columns = s.class_one().physical
     if coordinates == "reduced":

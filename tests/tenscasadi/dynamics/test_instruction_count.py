@@ -26,7 +26,13 @@ class TestOnlyWhatTheSceneHas:
             )
         )  # fmt: skip
         assert set(bare.describe()) == {"string elasticity", "bars (λ) and inverse mass", "total"}
-        assert set(full.describe()) - set(bare.describe()) == {"string damping", "gravity", "ground", "pressure", "nodal forces"}
+        assert set(full.describe()) - set(bare.describe()) == {
+            "string damping",
+            "gravity",
+            "ground",
+            "pressure",
+            "nodal forces",
+        }
         assert all(count > 0 for count in full.describe().values())
         assert "string damping" in str(full.describe())
 
@@ -47,16 +53,27 @@ class TestOnlyWhatTheSceneHas:
         structure = Structure(**PRISM)
         one = np.zeros(9)
         one[4] = 1.0
-        assert dynamics_instructions(Scene(structure.replace(damping=one))) < dynamics_instructions(Scene(structure.replace(damping=1.0)))
+        assert dynamics_instructions(Scene(structure.replace(damping=one))) < dynamics_instructions(
+            Scene(structure.replace(damping=1.0))
+        )
 
-    def test_undamped_strings_do_not_depend_on_velocity_and_string_nets_have_no_multipliers(self) -> None:
-        net = Structure([(0, 0, 0), (1, 0, 0), (0, 1, 0)], strings=[(0, 1), (1, 2), (2, 0)], node_mass=1.0, rest_length=0.9)
+    def test_undamped_strings_do_not_depend_on_velocity_and_string_nets_have_no_multipliers(
+        self,
+    ) -> None:
+        net = Structure(
+            [(0, 0, 0), (1, 0, 0), (0, 1, 0)],
+            strings=[(0, 1), (1, 2), (2, 0)],
+            node_mass=1.0,
+            rest_length=0.9,
+        )
         model = Model(Scene(net))
         pattern = np.array(ca.DM(model.ode.jac_sparsity(0, 0), 1).full())
         assert not pattern[model.nq :, model.nq :].any()
         assert "inverse mass" in model.describe()
         assert not any("λ" in term or "Ω" in term for term in model.describe())
-        division = [k for k in range(model.ode.n_instructions()) if model.ode.instruction_id(k) == ca.OP_DIV]
+        division = [
+            k for k in range(model.ode.n_instructions()) if model.ode.instruction_id(k) == ca.OP_DIV
+        ]
         assert len(division) == 3  # one ρ/s for each string, none for multipliers
 
     def test_force_densities_build_no_string_law(self) -> None:
@@ -88,6 +105,8 @@ def test_long_chains_are_told_to_take_full_coordinates() -> None:
     long, short = Model(Scene(chain(100))), Model(Scene(chain(20)))
     assert 'Model(scene, coordinates="full") is faster' in str(long.describe())
     ends = np.array([(3.0 * k + x, 0, x % 2) for k in range(60) for x in range(3)])
-    pairs = Structure(ends, [pair for k in range(0, 180, 3) for pair in ((k, k + 1), (k + 1, k + 2))])
+    pairs = Structure(
+        ends, [pair for k in range(0, 180, 3) for pair in ((k, k + 1), (k + 1, k + 2))]
+    )
     for model in (short, Model(Scene(chain(100)), "full"), Model(Scene(pairs))):
         assert model.describe().advice == ""

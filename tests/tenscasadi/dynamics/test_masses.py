@@ -11,16 +11,26 @@ from tenscasadi.dynamics.mechanism import build_mechanism
 def comb(bars):
     """Bars in a row that all hang together, one end pinned, one node on a roller."""
     nodes = [(k, 0.0, 0.1 * (k % 2)) for k in range(bars + 1)]
-    return tc.Structure(nodes, [(k, k + 1) for k in range(bars)], bar_radius=0.05, pinned={0: "xyz", bars: "z"}, node_mass=0.1)
+    return tc.Structure(
+        nodes,
+        [(k, k + 1) for k in range(bars)],
+        bar_radius=0.05,
+        pinned={0: "xyz", bars: "z"},
+        node_mass=0.1,
+    )
 
 
 STRUCTURES = {
     "class one": tc.shapes.prism(),
-    "dumbbells": tc.shapes.prism().replace(bar_radius=np.sqrt(2 / 3) * tc.shapes.prism().bar_lengths),  # M is diagonal then
+    "dumbbells": tc.shapes.prism().replace(
+        bar_radius=np.sqrt(2 / 3) * tc.shapes.prism().bar_lengths
+    ),  # M is diagonal then
     "class k": tc.shapes.d_bar(pinned=(0,)),
     "a block of scalar code": comb(4),
     "a block that a routine solves": comb(9),
-    "a pinned node without mass": tc.Structure([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1)], [(1, 2)], pinned=[2]),
+    "a pinned node without mass": tc.Structure(
+        [(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1)], [(1, 2)], pinned=[2]
+    ),
 }
 
 
@@ -29,15 +39,22 @@ STRUCTURES = {
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_matrices_are_those_of_the_numbers(name, coordinates, kind):
     structure = STRUCTURES[name]
-    model = tc.Model(tc.Scene(structure, parameters=tc.Parameters("bar_mass", "node_mass")), coordinates)
+    model = tc.Model(
+        tc.Scene(structure, parameters=tc.Parameters("bar_mass", "node_mass")), coordinates
+    )
     random = np.random.default_rng(0)
-    changes = {"bar_mass": random.uniform(0.5, 2.0, len(structure.bars)), "node_mass": random.uniform(0.1, 0.3, len(structure.nodes))}
+    changes = {
+        "bar_mass": random.uniform(0.5, 2.0, len(structure.bars)),
+        "node_mass": random.uniform(0.1, 0.3, len(structure.nodes)),
+    }
     if name == "a pinned node without mass":
         changes["node_mass"][2] = 0.0
     expected = build_mechanism(structure.replace(**changes), coordinates)
     w = kind.sym("w", model.nw)
     mech = model.weighted(w)
-    found = ca.Function("masses", [w], [mech.M, *mech.inverse, mech.free_mass, *mech.G]).call([model.parameters.values(changes)])
+    found = ca.Function("masses", [w], [mech.M, *mech.inverse, mech.free_mass, *mech.G]).call(
+        [model.parameters.values(changes)]
+    )
     wanted = [expected.M, *expected.inverse, expected.free_mass, *expected.G]
     assert len(found) == len(wanted)
     moving = ~expected.P.toarray().any(axis=1)  # of the rest any mass gives the same motion

@@ -25,7 +25,9 @@ from tenscasadi.util.compile import CompileError
 
 @BOTH
 @pytest.mark.parametrize("name", MOTES)
-def test_accelerations_and_multipliers_are_the_peers(name: str, coordinates: mechanism.Coordinates) -> None:
+def test_accelerations_and_multipliers_are_the_peers(
+    name: str, coordinates: mechanism.Coordinates
+) -> None:
     case = motes(name)
     model = Model(case.scene, coordinates)
     tolerance = 1e-6 if name.startswith("ex03") else 1e-8
@@ -33,10 +35,14 @@ def test_accelerations_and_multipliers_are_the_peers(name: str, coordinates: mec
     for k in range(len(data["smp_N"])):
         x = model.state(data["smp_N"][k].T[case.columns], data["smp_Nd"][k].T[case.columns])
         theirs = data["smp_Ndd"][k].T[case.columns]
-        if name.startswith("ex01") and not theirs.any():  # the peer's strings at exactly their rest length
+        if (
+            name.startswith("ex01") and not theirs.any()
+        ):  # the peer's strings at exactly their rest length
             continue
         assert relative(accelerations(model, x), theirs) < tolerance
-        assert abs(model.force_density(x) - data["smp_gamma"][k]).max(initial=0) < tolerance * max(1.0, abs(data["smp_gamma"][k]).max(initial=0))
+        assert abs(model.force_density(x) - data["smp_gamma"][k]).max(initial=0) < tolerance * max(
+            1.0, abs(data["smp_gamma"][k]).max(initial=0)
+        )
         ours = model.multipliers(x)
         assert relative(ours.bar_force_density, data["smp_lambda"][k].ravel()) < tolerance
         if "smp_Omega" in data:
@@ -64,7 +70,9 @@ def test_initial_accelerations_are_certified(name: str, coordinates: mechanism.C
 @BOTH
 @pytest.mark.parametrize("moved", [False, True], ids=["standing", "moved"])
 @pytest.mark.parametrize("slack", [Clip(), Smooth(0.01)], ids=["clip", "smooth"])
-def test_ode_derivatives_agree_with_central_differences(slack: Slack, moved: bool, coordinates: mechanism.Coordinates) -> None:
+def test_ode_derivatives_agree_with_central_differences(
+    slack: Slack, moved: bool, coordinates: mechanism.Coordinates
+) -> None:
     """Every term at once, away from where strings go slack or nodes touch down."""
     rng = np.random.default_rng(4)
     model = Model(every_term(slack, moved), coordinates)
@@ -79,9 +87,15 @@ def test_ode_derivatives_agree_with_central_differences(slack: Slack, moved: boo
 
     def slope(k: int, of_control: bool) -> np.ndarray:
         step = 1e-6
-        plus, minus = np.zeros(model.nu if of_control else model.nx), np.zeros(model.nu if of_control else model.nx)
+        plus, minus = (
+            np.zeros(model.nu if of_control else model.nx),
+            np.zeros(model.nu if of_control else model.nx),
+        )
         plus[k], minus[k] = step, -step
-        values = [model.ode(*((x, u + d) if of_control else (x + d, u))).full().ravel() for d in (plus, minus)]
+        values = [
+            model.ode(*((x, u + d) if of_control else (x + d, u))).full().ravel()
+            for d in (plus, minus)
+        ]
         return (values[0] - values[1]) / (2 * step)
 
     numeric_A = np.stack([slope(k, False) for k in range(model.nx)], axis=1)
@@ -91,7 +105,9 @@ def test_ode_derivatives_agree_with_central_differences(slack: Slack, moved: boo
 
 
 def test_a_string_of_no_length_has_finite_forces_and_derivatives() -> None:
-    structure = Structure([(0, 0, 0), (1, 0, 0), (2, 0, 0)], strings=[(0, 1), (1, 2)], node_mass=1.0, damping=1.0)
+    structure = Structure(
+        [(0, 0, 0), (1, 0, 0), (2, 0, 0)], strings=[(0, 1), (1, 2)], node_mass=1.0, damping=1.0
+    )
     for slack in (None, Smooth(1e-3)):
         model = Model(Scene(structure) if slack is None else Scene(structure, slack=slack))
         x = model.state([(0, 0, 0), (0, 0, 0), (2, 0, 0)])
@@ -104,11 +120,19 @@ def test_a_string_of_no_length_has_finite_forces_and_derivatives() -> None:
 
 @BOTH
 @pytest.mark.parametrize("case", ["every term", "class 1", "force densities"])
-def test_the_vector_form_gives_the_same_numbers(case: str, coordinates: mechanism.Coordinates, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_vector_form_gives_the_same_numbers(
+    case: str, coordinates: mechanism.Coordinates, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rng = np.random.default_rng(5)
     prism = Structure(**{**PRISM, "damping": rng.uniform(0.1, 0.5, 9), "stiffness": 100.0})
     control = ForceDensity() if case == "force densities" else None
-    scene = every_term() if case == "every term" else Scene(prism, control=control, gravity=Gravity(), ground=Ground(100.0, 1.0, friction=0.3))
+    scene = (
+        every_term()
+        if case == "every term"
+        else Scene(
+            prism, control=control, gravity=Gravity(), ground=Ground(100.0, 1.0, friction=0.3)
+        )
+    )
     unrolled = Model(scene, coordinates)
     fixed = unrolled.structure.fixed
     x = unrolled.state(unrolled.structure.nodes, np.where(fixed, 0, rng.normal(size=fixed.shape)))
@@ -118,14 +142,24 @@ def test_the_vector_form_gives_the_same_numbers(case: str, coordinates: mechanis
     vector = Model(scene, coordinates)
     assert vector.ode.class_name() == "MXFunction"
     for value, expected in zip([vector.ode(x, u), *vector.observe(x, u)], ours, strict=True):
-        assert np.allclose(value.full(), expected.full(), rtol=1e-12, atol=1e-12 * np.abs(expected.full()).max(initial=1.0))
+        assert np.allclose(
+            value.full(),
+            expected.full(),
+            rtol=1e-12,
+            atol=1e-12 * np.abs(expected.full()).max(initial=1.0),
+        )
 
 
 @BOTH
 def test_power_is_the_rate_of_change_of_energy(coordinates: mechanism.Coordinates) -> None:
     rng = np.random.default_rng(6)
     structure = Structure(**{**PRISM, "damping": 0.5})
-    scene = Scene(structure, gravity=Gravity(), ground=Ground(50.0, 1.0, friction=0.2, height=0.4), forces=NodalForce(rng.normal(size=(6, 3))))
+    scene = Scene(
+        structure,
+        gravity=Gravity(),
+        ground=Ground(50.0, 1.0, friction=0.2, height=0.4),
+        forces=NodalForce(rng.normal(size=(6, 3))),
+    )
     model = Model(scene, coordinates)
     x = model.state(structure.nodes, rng.normal(size=(6, 3)))
     from tenscasadi.integrators.stabilization import projection
@@ -156,18 +190,34 @@ def test_parent_strings_are_controlled_as_a_whole() -> None:
     three = Model(Scene(structure, control=ForceDensity(), segments=3))
     assert three.nu == one.nu == 9
     gamma = np.linspace(10, 50, 9)
-    assert np.allclose(three.force_density(three.initial_state, gamma).reshape(9, 3), 3 * gamma[:, None])
-    assert np.allclose(three.tension(three.initial_state, gamma).reshape(9, 3), one.tension(one.initial_state, gamma)[:, None])
+    assert np.allclose(
+        three.force_density(three.initial_state, gamma).reshape(9, 3), 3 * gamma[:, None]
+    )
+    assert np.allclose(
+        three.tension(three.initial_state, gamma).reshape(9, 3),
+        one.tension(one.initial_state, gamma)[:, None],
+    )
     rest = Model(Scene(structure, control=RestLength(), segments=3))
-    assert np.allclose(rest.tension(rest.initial_state).reshape(9, 3), one.tension(one.initial_state, one.initial_control)[:, None])
+    assert np.allclose(
+        rest.tension(rest.initial_state).reshape(9, 3),
+        one.tension(one.initial_state, one.initial_control)[:, None],
+    )
 
 
 @pytest.mark.parametrize("control", [ForceDensity(), RestLength()])
 def test_one_string_alone_is_controlled_in_segments_too(control) -> None:
-    ends = Structure([(0, 0, 0), (2, 0, 0)], strings=[(0, 1)], node_mass=0.5, string_mass=0.1, stiffness=10.0)
+    ends = Structure(
+        [(0, 0, 0), (2, 0, 0)], strings=[(0, 1)], node_mass=0.5, string_mass=0.1, stiffness=10.0
+    )
     model = Model(Scene(ends, control=control, segments=2))
-    accelerations = model.ode(model.initial_state, [4.0 if control == ForceDensity() else 1.2])[model.nq :].full().reshape(-1, 3)
-    np.testing.assert_allclose(accelerations, [(16, 0, 0), (-16, 0, 0), (0, 0, 0)], rtol=1e-12, atol=1e-12)  # 8 N on 0.5 kg
+    accelerations = (
+        model.ode(model.initial_state, [4.0 if control == ForceDensity() else 1.2])[model.nq :]
+        .full()
+        .reshape(-1, 3)
+    )
+    np.testing.assert_allclose(
+        accelerations, [(16, 0, 0), (-16, 0, 0), (0, 0, 0)], rtol=1e-12, atol=1e-12
+    )  # 8 N on 0.5 kg
 
 
 def test_forces_that_vary_with_time_put_a_clock_in_the_state() -> None:
@@ -184,12 +234,20 @@ def test_forces_that_vary_with_time_put_a_clock_in_the_state() -> None:
     still = accelerations(Model(Scene(structure)), x[:-1])
     load = np.zeros((6, 3))
     load[0, 2] = np.sin(1.2)
-    assert np.allclose(accelerations(model, x), accelerations(Model(Scene(structure, forces=NodalForce(load))), x[:-1]))
+    assert np.allclose(
+        accelerations(model, x),
+        accelerations(Model(Scene(structure, forces=NodalForce(load))), x[:-1]),
+    )
     assert not np.allclose(accelerations(model, x), still)
 
 
 def test_functions_of_a_model_with_parameters_take_them_after_the_control() -> None:
-    scene = Scene(Structure(**PRISM), control=RestLength(), gravity=Gravity(), parameters=Parameters("bar_mass", scale=["gravity"]))
+    scene = Scene(
+        Structure(**PRISM),
+        control=RestLength(),
+        gravity=Gravity(),
+        parameters=Parameters("bar_mass", scale=["gravity"]),
+    )
     model = Model(scene)
     assert (model.np, model.nw) == (4, model.nu + 4)
     x, u, p = model.initial_state, model.initial_control, np.array([1.0, 2.0, 3.0, 0.5])
@@ -197,10 +255,16 @@ def test_functions_of_a_model_with_parameters_take_them_after_the_control() -> N
         assert function.name_in() == ["x", "u", "p"]
         held = model.stacked(function)
         assert held.n_in() == 2
-        for value, other in zip(function.call([x, u, p]), held.call([x, np.concatenate([u, p])]), strict=True):
+        for value, other in zip(
+            function.call([x, u, p]), held.call([x, np.concatenate([u, p])]), strict=True
+        ):
             assert np.array_equal(value.full(), other.full())
-    own = ca.Function("own", model.ode.sx_in(), [2 * model.ode(*model.ode.sx_in())])  # one that the model did not make
-    assert np.allclose(model.stacked(own)(x, np.concatenate([u, p])).full(), 2 * model.ode(x, u, p).full())
+    own = ca.Function(
+        "own", model.ode.sx_in(), [2 * model.ode(*model.ode.sx_in())]
+    )  # one that the model did not make
+    assert np.allclose(
+        model.stacked(own)(x, np.concatenate([u, p])).full(), 2 * model.ode(x, u, p).full()
+    )
     assert np.array_equal(model.held(u, p), np.concatenate([u, p]))
     compiled = model.compile()
     assert np.allclose(compiled(x, u, p).full(), model.ode(x, u, p).full(), rtol=1e-12, atol=1e-9)
@@ -218,10 +282,14 @@ def test_parameters_may_be_symbols() -> None:
     model = Model(Scene(Structure(**PRISM), parameters=Parameters("stiffness")))
     p = ca.SX.sym("p", model.np)
     tension = ca.Function("tension", [p], [model.tension(model.initial_state, parameters=p)])
-    assert np.allclose(tension(model.parameters.nominal).full().ravel(), model.tension(model.initial_state))
+    assert np.allclose(
+        tension(model.parameters.nominal).full().ravel(), model.tension(model.initial_state)
+    )
     with pytest.raises(ValueError, match="parameters has shape"):
         model.tension(model.initial_state, parameters=ca.SX.sym("p", 2))
-    driven = Model(Scene(Structure(**PRISM), control=RestLength(), parameters=Parameters("stiffness")))
+    driven = Model(
+        Scene(Structure(**PRISM), control=RestLength(), parameters=Parameters("stiffness"))
+    )
     with pytest.raises(ValueError, match="give the control, too"):
         driven.tension(driven.initial_state, parameters=p)
 
@@ -237,7 +305,9 @@ def test_each_function_is_stacked_for_itself() -> None:
 
 @BOTH
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-def test_energies_errors_and_multipliers_are_expressions_of_a_symbolic_state(kind: type, coordinates: mechanism.Coordinates) -> None:
+def test_energies_errors_and_multipliers_are_expressions_of_a_symbolic_state(
+    kind: type, coordinates: mechanism.Coordinates
+) -> None:
     """With the values that numbers give; a bar and a joint are off."""
     model = Model(every_term(), coordinates)
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
@@ -250,7 +320,15 @@ def test_energies_errors_and_multipliers_are_expressions_of_a_symbolic_state(kin
     state, control = model.initial_state * 1.01, model.initial_control
     values = ca.Function("values", [x, u], asked)(state, control)
     at = model.energy(state, control)
-    numbers = [*at, at.total, model.bar_length_error(state), model.joint_error(state), *model.multipliers(state, control)]
+    numbers = [
+        *at,
+        at.total,
+        model.bar_length_error(state),
+        model.joint_error(state),
+        *model.multipliers(state, control),
+    ]
     for value, number in zip(values, numbers, strict=True):
-        np.testing.assert_allclose(value.full().squeeze(), np.squeeze(number), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(
+            value.full().squeeze(), np.squeeze(number), rtol=1e-12, atol=1e-12
+        )
     assert isinstance(model.bar_length_error(state), float)

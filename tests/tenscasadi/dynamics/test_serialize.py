@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.dynamics.serialize import find_differences, model_from_arrays, model_to_arrays, structure_from_arrays
+from tenscasadi.dynamics.serialize import (
+    find_differences,
+    model_from_arrays,
+    model_to_arrays,
+    structure_from_arrays,
+)
 from tenscasadi.structure.structure import PARAMETERS, Structure
 
 CLOCK = np.array([0.0, 0.3, 0.7])
@@ -18,12 +23,22 @@ NODES = [(0, 0, 0), (1, 0, 0.1), (0.2, 1, 0), (0, 0.3, 1), (0.5, 0.5, 0.5)]
 
 
 def structure(**changes):
-    given = {"nodes": NODES, "bars": [(0, 1), (1, 2)], "strings": [(0, 3), (2, 3), (3, 4)], "node_mass": [0, 0, 0, 1, 1], "string_mass": 0.1}
+    given = {
+        "nodes": NODES,
+        "bars": [(0, 1), (1, 2)],
+        "strings": [(0, 3), (2, 3), (3, 4)],
+        "node_mass": [0, 0, 0, 1, 1],
+        "string_mass": 0.1,
+    }
     return Structure(**{**given, "pinned": {0: "xyz", 2: "z"}, **changes})
 
 
 def model(coordinates="full", bar_length="current", made=None, **scene):
-    return tc.Model(tc.Scene(structure() if made is None else made, **{"control": tc.ForceDensity(), **scene}), coordinates, bar_length)
+    return tc.Model(
+        tc.Scene(structure() if made is None else made, **{"control": tc.ForceDensity(), **scene}),
+        coordinates,
+        bar_length,
+    )
 
 
 def twisted():
@@ -31,7 +46,13 @@ def twisted():
     plain = structure()
     split = plain.class_one()
     order = np.array([2, 0, 1, 3, 4, 5])
-    matrices = split.N[:, order], (split.C_b @ split.C_nb)[:, order], split.C_s[:, order], split.P[order], split.D
+    matrices = (
+        split.N[:, order],
+        (split.C_b @ split.C_nb)[:, order],
+        split.C_s[:, order],
+        split.P[order],
+        split.D,
+    )
     mass = np.array([0.0, 0, 0, 0, 1, 1])
     return Structure.from_matrices(*matrices, node_mass=mass)
 
@@ -48,7 +69,9 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Structure.bar_radius": lambda: model(made=structure(bar_radius=0.01)),
     "Structure.node_mass": lambda: model(made=structure(node_mass=[0, 0, 0, 1, 2])),
     "Structure.fixed": lambda: model(made=structure(pinned={0: "xyz", 2: "x"})),
-    "Structure.rollers": lambda: model(made=structure(rollers={1: (1, 0, 1), 4: [(1, 1, 0), (0, 0, 1)]})),
+    "Structure.rollers": lambda: model(
+        made=structure(rollers={1: (1, 0, 1), 4: [(1, 1, 0), (0, 0, 1)]})
+    ),
     "Structure.stiffness": lambda: model(made=structure(stiffness=101.0)),
     "Structure.damping": lambda: model(made=structure(damping=1.0)),
     "Structure.rest_length": lambda: model(made=structure(rest_length=0.5)),
@@ -59,19 +82,38 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Scene.ends": lambda: model(ends="lumped"),
     "Scene.fractions": lambda: model(segments=2, fractions=(0.2, 0.8)),
     "Scene.gravity": lambda: model(gravity=tc.Gravity()),
-    "Scene.gravity.times": lambda: model(gravity=tc.Gravity([(0, 0, 1), (0, 2, 0)], times=[0, 0.5])),
-    "Scene.pressure.times": lambda: model(pressure=tc.Pressure([(0, 1, 2)], [3.0, 4.0], times=[0, 0.5])),
+    "Scene.gravity.times": lambda: model(
+        gravity=tc.Gravity([(0, 0, 1), (0, 2, 0)], times=[0, 0.5])
+    ),
+    "Scene.pressure.times": lambda: model(
+        pressure=tc.Pressure([(0, 1, 2)], [3.0, 4.0], times=[0, 0.5])
+    ),
     "Scene.ground.friction": lambda: model(ground=tc.Ground(normal=(0.1, 0.2, 1.0), friction=0.3)),
     "Scene.ground.nodes": lambda: model(ground=tc.Ground(nodes=[1, 3])),
-    "Scene.ground.heights": lambda: model(ground=tc.Terrain([[0, 1, 0], [0, 0.5, 0.2]], (-1, -1), (1, 1.5), friction=0.3)),
-    "Scene.grounds": lambda: model(ground=[tc.Ground(), tc.Ground(friction=0.2), tc.Terrain([[0, 1], [0, 0.5]], (-1, -1), (1, 1), nodes=[2])]),
+    "Scene.ground.heights": lambda: model(
+        ground=tc.Terrain([[0, 1, 0], [0, 0.5, 0.2]], (-1, -1), (1, 1.5), friction=0.3)
+    ),
+    "Scene.grounds": lambda: model(
+        ground=[
+            tc.Ground(),
+            tc.Ground(friction=0.2),
+            tc.Terrain([[0, 1], [0, 0.5]], (-1, -1), (1, 1), nodes=[2]),
+        ]
+    ),
     "Scene.pressure": lambda: model(pressure=tc.Pressure([(0, 1, 2)], 3.0)),
     "Scene.forces": lambda: model(forces=tc.NodalForce(np.ones((5, 3)))),
     "Scene.forces.bars": lambda: model(forces=tc.NodalForce(np.ones((5, 3)), bars={1: 1})),
-    "Scene.forces.times": lambda: model(forces=tc.NodalForce(np.arange(30.0).reshape(2, 5, 3), times=[0, 0.5])),
-    "Scene.parameters": lambda: model(control=None, parameters=tc.Parameters("bar_mass", scale=["stiffness"], groups={"bar_mass": "all"})),
+    "Scene.forces.times": lambda: model(
+        forces=tc.NodalForce(np.arange(30.0).reshape(2, 5, 3), times=[0, 0.5])
+    ),
+    "Scene.parameters": lambda: model(
+        control=None,
+        parameters=tc.Parameters("bar_mass", scale=["stiffness"], groups={"bar_mass": "all"}),
+    ),
     "Scene.slack": lambda: model(slack=tc.Smooth(0.01)),
-    "Scene.slack.laws": lambda: model(slack={0: tc.Linear(), 1: tc.Smooth(0.1), 2: tc.Clip("unclamped")}),
+    "Scene.slack.laws": lambda: model(
+        slack={0: tc.Linear(), 1: tc.Smooth(0.1), 2: tc.Clip("unclamped")}
+    ),
     "Model.coordinates": lambda: model("reduced"),
     "Model.bar_length": lambda: model(bar_length="constant"),
 }
@@ -102,7 +144,9 @@ def test_a_model_comes_back_and_is_told_from_others(name):
     control = np.arange(own.nu) + 10.0
     given = [state, control, 1.1 * own.parameters.nominal] if own.np else [state, control]
     for function in ("ode", "observe"):
-        for value, expected in zip(*(getattr(one, function).call(given) for one in (again, own)), strict=True):
+        for value, expected in zip(
+            *(getattr(one, function).call(given) for one in (again, own)), strict=True
+        ):
             assert np.array_equal(value.full(), expected.full())
     assert again.structure.pinned == own.structure.pinned
 
@@ -114,7 +158,9 @@ def test_functions_of_time_are_told_by_what_they_give(name):
     assert model_from_arrays(content) is None
     assert not find_differences(content, own)
     assert name in find_differences(content, model())
-    assert find_differences(model_to_arrays(model(forces=wind(2.0)), CLOCK), model(forces=wind(2.1))) == ["Scene.forces"]
+    assert find_differences(
+        model_to_arrays(model(forces=wind(2.0)), CLOCK), model(forces=wind(2.1))
+    ) == ["Scene.forces"]
 
 
 def test_rounding_is_no_difference():
@@ -123,13 +169,19 @@ def test_rounding_is_no_difference():
 
 
 def test_what_was_stored_before_there_were_layouts_is_compared_as_far_as_it_goes():
-    content = {name: value for name, value in model_to_arrays(model(), CLOCK).items() if not name.startswith(("scene", "model", "structure.layout"))}
+    content = {
+        name: value
+        for name, value in model_to_arrays(model(), CLOCK).items()
+        if not name.startswith(("scene", "model", "structure.layout"))
+    }
     assert model_from_arrays(content) is None
     assert np.array_equal(structure_from_arrays(content).nodes, structure().nodes)
     assert not find_differences(content, model("reduced"))
 
 
-@pytest.mark.parametrize("name", ["layout.physical", "layout.bar_columns", "layout.string_columns", "string_parent"])
+@pytest.mark.parametrize(
+    "name", ["layout.physical", "layout.bar_columns", "layout.string_columns", "string_parent"]
+)
 def test_indices_that_point_nowhere_are_refused(name):
     content = model_to_arrays(model(), CLOCK)
     content[f"structure.{name}"] = content[f"structure.{name}"] + 100

@@ -22,7 +22,9 @@ def test_state_and_nodes_are_inverse_and_take_symbols() -> None:
     rng = np.random.default_rng(7)
     for coordinates in ("reduced", "full"):
         model = Model(Scene(structure), coordinates)  # type: ignore[arg-type]
-        nodes = np.where(structure.fixed, structure.nodes, structure.nodes + rng.normal(size=(6, 3)))
+        nodes = np.where(
+            structure.fixed, structure.nodes, structure.nodes + rng.normal(size=(6, 3))
+        )
         velocities = np.where(structure.fixed, 0, rng.normal(size=(6, 3)))
         x = model.state(nodes, velocities)
         assert np.allclose(model.nodes(x), nodes)
@@ -35,13 +37,17 @@ def test_state_and_nodes_are_inverse_and_take_symbols() -> None:
 
 @BOTH
 @pytest.mark.parametrize("clock", [False, True])
-def test_positions_velocities_and_clock_are_told_apart(clock: bool, coordinates: mechanism.Coordinates) -> None:
+def test_positions_velocities_and_clock_are_told_apart(
+    clock: bool, coordinates: mechanism.Coordinates
+) -> None:
     model = Model(every_term() if clock else Scene(Structure(**PRISM)), coordinates)
     x = np.arange(float(model.nx))
     parts = model.split(np.stack([x, 2 * x]))
     assert [part.shape[-1] for part in parts] == [model.nq, model.nq, int(clock)]
     assert np.array_equal(np.concatenate([part[1] for part in parts]), 2 * x)
-    for symbolic, expected in zip(model.split(ca.DM(np.stack([x, 2 * x], axis=1))), parts, strict=True):
+    for symbolic, expected in zip(
+        model.split(ca.DM(np.stack([x, 2 * x], axis=1))), parts, strict=True
+    ):
         assert np.array_equal(symbolic.full().T, expected)
     model.split(x)[1][:] = 0.0  # views: a state may be changed through its parts
     assert np.count_nonzero(x[model.nq : 2 * model.nq]) == 0
@@ -72,19 +78,31 @@ def test_bad_input_is_refused_by_name() -> None:
 
 @BOTH
 @pytest.mark.parametrize("moved", [False, True], ids=["standing", "moved"])
-def test_constraints_vanish_where_kept_and_their_rates_are_rates(moved: bool, coordinates: mechanism.Coordinates) -> None:
+def test_constraints_vanish_where_kept_and_their_rates_are_rates(
+    moved: bool, coordinates: mechanism.Coordinates
+) -> None:
     model = Model(every_term(moved=moved), coordinates)
-    assert max(np.abs(rows).max(initial=0.0) for rows in model.constraints(model.initial_state)) < 1e-13
-    assert len(model.constraints(model.initial_state).joints) == np.count_nonzero(model.mechanism.active)
+    assert (
+        max(np.abs(rows).max(initial=0.0) for rows in model.constraints(model.initial_state))
+        < 1e-13
+    )
+    assert len(model.constraints(model.initial_state).joints) == np.count_nonzero(
+        model.mechanism.active
+    )
     x = model.initial_state + 1e-4 * np.random.default_rng(7).normal(size=model.nx)
     now = model.constraints(x)
     B = model.mechanism.C_b @ np.asarray(model.unpack(ca.DM(x))[0]).T
-    assert np.allclose(now.bars, np.linalg.norm(B, axis=1) - model.mechanism.lengths, rtol=0, atol=1e-7)
+    assert np.allclose(
+        now.bars, np.linalg.norm(B, axis=1) - model.mechanism.lengths, rtol=0, atol=1e-7
+    )
     if coordinates == "full":
         assert np.abs(now.joints).max() == pytest.approx(model.joint_error(x))
     sx = ca.MX.sym("x", model.nx)
     rows = model.constraints(sx)
-    change = [ca.jtimes(value, sx, model.ode(sx, model.initial_control)) for value in (rows.bars, rows.joints)]
+    change = [
+        ca.jtimes(value, sx, model.ode(sx, model.initial_control))
+        for value in (rows.bars, rows.joints)
+    ]
     rates = ca.Function("rates", [sx], change)(x)
     for rate, expected in zip(rates, (now.bar_rates, now.joint_rates), strict=True):
         assert np.allclose(rate.full().ravel(), expected, rtol=1e-9, atol=1e-12)
@@ -97,11 +115,17 @@ def test_constraints_of_what_has_none_are_empty() -> None:
         model.constraints(np.zeros(3))
 
 
-@pytest.mark.parametrize("x", ["x", 10**400, 1j, None, [1.0], np.array(["a"]), ca.MX.sym("x", 3), ca.SX.sym("x", 1, 2)], ids=repr)
+@pytest.mark.parametrize(
+    "x",
+    ["x", 10**400, 1j, None, [1.0], np.array(["a"]), ca.MX.sym("x", 3), ca.SX.sym("x", 1, 2)],
+    ids=repr,
+)
 def test_what_is_no_state_is_named(x: object) -> None:
     model = Model(Scene(Structure(**PRISM)))
     for read in (model.nodes, model.velocities, model.constraints):
-        with pytest.raises((TypeError, ValueError), match=r"^x (is not an array of real numbers|has shape)"):
+        with pytest.raises(
+            (TypeError, ValueError), match=r"^x (is not an array of real numbers|has shape)"
+        ):
             read(x)
     with pytest.raises(ValueError, match="x has masked entries"):
         model.nodes(np.ma.array(model.initial_state, mask=np.arange(model.nx) == 3))
@@ -110,7 +134,12 @@ def test_what_is_no_state_is_named(x: object) -> None:
 @BOTH
 @pytest.mark.parametrize("moved", [False, True])
 def test_a_scene_of_one_pinned_node(moved: bool, coordinates: mechanism.Coordinates) -> None:
-    scene = Scene(Structure([(0, 0, 0)], pinned=[0]), supports=SupportMotion({0: lambda t: (t, 0, 0)}) if moved else None)
+    scene = Scene(
+        Structure([(0, 0, 0)], pinned=[0]),
+        supports=SupportMotion({0: lambda t: (t, 0, 0)}) if moved else None,
+    )
     model = Model(scene, coordinates)
     assert model.nodes(np.zeros((0, model.nx))).shape == (0, 1, 3)
-    assert simulate(model, 0.1, 0.05, compiled=False).nodes[-1, 0] == pytest.approx([0.1 * moved, 0, 0])
+    assert simulate(model, 0.1, 0.05, compiled=False).nodes[-1, 0] == pytest.approx(
+        [0.1 * moved, 0, 0]
+    )

@@ -16,7 +16,11 @@ STEP, STEPS = 1e-3, 20
 
 
 def prism(**options):
-    return tc.Scene(tc.shapes.prism(stiffness=800.0, damping=2.0, prestress=5.0), gravity=tc.Gravity(), **options)
+    return tc.Scene(
+        tc.shapes.prism(stiffness=800.0, damping=2.0, prestress=5.0),
+        gravity=tc.Gravity(),
+        **options,
+    )
 
 
 def table(t):
@@ -27,15 +31,45 @@ def table(t):
 
 
 CASES = {
-    "prism": (lambda: tc.Model(prism(ground=tc.Ground(friction=0.5))), tc.RungeKutta4(), tc.Projection()),
+    "prism": (
+        lambda: tc.Model(prism(ground=tc.Ground(friction=0.5))),
+        tc.RungeKutta4(),
+        tc.Projection(),
+    ),
     "clock": (lambda: tc.Model(prism(forces=tc.NodalForce(table))), tc.DormandPrince54(), None),
     "rattle": (lambda: tc.Model(prism(ground=tc.Ground(friction=0.5))), tc.Rattle(), None),
-    "rattle, bars that meet": (lambda: tc.Model(tc.Scene(tc.shapes.d_bar(), gravity=tc.Gravity())), tc.Rattle(4), None),
-    "853": (lambda: tc.Model(tc.Scene(tc.shapes.d_bar(), gravity=tc.Gravity())), tc.DormandPrince853(), tc.Projection(every=3)),
-    "full": (lambda: tc.Model(tc.Scene(tc.shapes.d_bar()), coordinates="full"), tc.RungeKutta4(), tc.BarLengthCorrection()),
-    "full, rattle": (lambda: tc.Model(tc.Scene(tc.shapes.d_bar()), coordinates="full"), tc.Rattle(), tc.Projection()),
-    "net": (lambda: tc.Model(tc.Scene(tc.shapes.prism(string_mass=0.1), gravity=tc.Gravity(), segments=6)), tc.RungeKutta4(), None),
-    "controlled": (lambda: tc.Model(prism(control=tc.RestLength(), slack=tc.Smooth(0.01))), tc.RungeKutta4(), tc.Projection()),
+    "rattle, bars that meet": (
+        lambda: tc.Model(tc.Scene(tc.shapes.d_bar(), gravity=tc.Gravity())),
+        tc.Rattle(4),
+        None,
+    ),
+    "853": (
+        lambda: tc.Model(tc.Scene(tc.shapes.d_bar(), gravity=tc.Gravity())),
+        tc.DormandPrince853(),
+        tc.Projection(every=3),
+    ),
+    "full": (
+        lambda: tc.Model(tc.Scene(tc.shapes.d_bar()), coordinates="full"),
+        tc.RungeKutta4(),
+        tc.BarLengthCorrection(),
+    ),
+    "full, rattle": (
+        lambda: tc.Model(tc.Scene(tc.shapes.d_bar()), coordinates="full"),
+        tc.Rattle(),
+        tc.Projection(),
+    ),
+    "net": (
+        lambda: tc.Model(
+            tc.Scene(tc.shapes.prism(string_mass=0.1), gravity=tc.Gravity(), segments=6)
+        ),
+        tc.RungeKutta4(),
+        None,
+    ),
+    "controlled": (
+        lambda: tc.Model(prism(control=tc.RestLength(), slack=tc.Smooth(0.01))),
+        tc.RungeKutta4(),
+        tc.Projection(),
+    ),
 }
 
 
@@ -56,7 +90,13 @@ def inputs(model, n, intervals):
 SLOW = ("rattle, bars that meet", "full, rattle", "full")  # to compile
 
 
-@pytest.mark.parametrize(("name", "lanes"), [*(pytest.param(name, None, marks=[pytest.mark.slow] * (name in SLOW)) for name in CASES), ("prism", 1)])
+@pytest.mark.parametrize(
+    ("name", "lanes"),
+    [
+        *(pytest.param(name, None, marks=[pytest.mark.slow] * (name in SLOW)) for name in CASES),
+        ("prism", 1),
+    ],
+)
 def test_equal_to_simulate(name, lanes):
     build, scheme, correction = CASES[name]
     model = build()
@@ -69,12 +109,29 @@ def test_equal_to_simulate(name, lanes):
     assert not result.status.any()
     for k in (0, 10):
         control = u[k] if model.nu else None
-        run = tc.simulate(model, STEP * STEPS, STEP, scheme, x[k], control, correction, save_every=7, compiled=False)
+        run = tc.simulate(
+            model,
+            STEP * STEPS,
+            STEP,
+            scheme,
+            x[k],
+            control,
+            correction,
+            save_every=7,
+            compiled=False,
+        )
         np.testing.assert_array_equal(result.saved[k], run.states)
         np.testing.assert_array_equal(result.states[k], run.states[-1])
         energy = result.measured[k, :, 2:5].sum(axis=1)
-        np.testing.assert_allclose(energy - energy[0] - result.measured[k, :, 5], run.energy_error, rtol=0, atol=1e-12 * abs(energy).max())
-        np.testing.assert_allclose(result.measured[k, :, 0], run.bar_length_error, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(
+            energy - energy[0] - result.measured[k, :, 5],
+            run.energy_error,
+            rtol=0,
+            atol=1e-12 * abs(energy).max(),
+        )
+        np.testing.assert_allclose(
+            result.measured[k, :, 0], run.bar_length_error, rtol=0, atol=1e-15
+        )
 
 
 def refuse(*_):
@@ -86,13 +143,19 @@ def test_without_cpp_the_same_numbers(monkeypatch):
     x, u = starts(model, 5), inputs(model, 5, 2)
     x[3, 0] = np.nan
     cost = ca.Function("cost", [ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nu)], [ca.MX(2.0)])
-    code = build_kernel(model, tc.RungeKutta4(), tc.Projection(2), cost, cost, measured=True)(x, u, STEP, 5, save_every=3)
+    code = build_kernel(model, tc.RungeKutta4(), tc.Projection(2), cost, cost, measured=True)(
+        x, u, STEP, 5, save_every=3
+    )
 
     monkeypatch.setattr(module, "compile_library", refuse)
     kernel = build_kernel(model, tc.RungeKutta4(), tc.Projection(2), cost, cost, measured=True)
     assert (kernel.lanes, kernel.note) == (0, "not compiled: no C++")
-    for one, other, name in zip(kernel(x, u, STEP, 5, save_every=3), code, code._fields, strict=True):
-        np.testing.assert_allclose(one[[0, 1, 2, 4]], other[[0, 1, 2, 4]], rtol=1e-12, atol=1e-14, err_msg=name)
+    for one, other, name in zip(
+        kernel(x, u, STEP, 5, save_every=3), code, code._fields, strict=True
+    ):
+        np.testing.assert_allclose(
+            one[[0, 1, 2, 4]], other[[0, 1, 2, 4]], rtol=1e-12, atol=1e-14, err_msg=name
+        )
         if name != "worst":
             np.testing.assert_array_equal(one[3], other[3])
 
@@ -107,13 +170,18 @@ def test_any_number_of_motions_and_threads(n, threads):
     np.testing.assert_array_equal(kernel(x[:n], w, STEP, 4, threads=threads).states, whole[:n])
 
 
-@pytest.mark.parametrize("lanes", [2, pytest.param(4, marks=pytest.mark.slow), pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "lanes", [2, pytest.param(4, marks=pytest.mark.slow), pytest.param(8, marks=pytest.mark.slow)]
+)
 def test_any_number_of_lanes(lanes):
     model = CASES["prism"][0]()
     x, w = starts(model, 5), np.zeros((1, 1, 0))
     kernel = build_kernel(model, tc.RungeKutta4(), tc.Projection(), lanes=lanes)
     assert kernel.lanes == lanes
-    np.testing.assert_array_equal(kernel(x, w, STEP, 4).states, build_kernel(model, tc.RungeKutta4(), tc.Projection())(x, w, STEP, 4).states)
+    np.testing.assert_array_equal(
+        kernel(x, w, STEP, 4).states,
+        build_kernel(model, tc.RungeKutta4(), tc.Projection())(x, w, STEP, 4).states,
+    )
 
 
 def test_a_motion_that_is_lost_leaves_its_neighbours_alone():
@@ -141,9 +209,13 @@ def test_costs_are_those_of_interval_ends():
     final = ca.Function("exp", [x, w], [ca.if_else(x[2] > 0, x[0], x[1] ** 2)])
     n, intervals, per = 9, 3, 4
     start, u = starts(model, n), inputs(model, n, intervals) + 50.0
-    result = build_kernel(model, tc.RungeKutta4(), stage=stage, final=final)(start, u, STEP, per, save_every=per)
+    result = build_kernel(model, tc.RungeKutta4(), stage=stage, final=final)(
+        start, u, STEP, per, save_every=per
+    )
     states = result.saved
-    running = sum((states[:, k + 1] ** 2).sum(axis=1) + u[:, k, 3] for k in range(intervals)) * STEP * per
+    running = (
+        sum((states[:, k + 1] ** 2).sum(axis=1) + u[:, k, 3] for k in range(intervals)) * STEP * per
+    )
     end = np.where(states[:, -1, 2] > 0, states[:, -1, 0], states[:, -1, 1] ** 2)
     np.testing.assert_allclose(result.cost, running + end, rtol=1e-13)
 
@@ -166,11 +238,15 @@ def test_costs_may_depend_on_more_than_the_motion_does(monkeypatch):
 def test_wrong_shapes_and_schemes():
     model = CASES["prism"][0]()
     kernel = build_kernel(model, tc.RungeKutta4(), tc.Projection())
-    with pytest.raises(ValueError, match=r"states has shape \(3, 4\): give an array of shape \(any, 36\)"):
+    with pytest.raises(
+        ValueError, match=r"states has shape \(3, 4\): give an array of shape \(any, 36\)"
+    ):
         kernel(np.zeros((3, 4)), np.zeros((1, 1, 0)), STEP, 1)
     with pytest.raises(ValueError, match=r"inputs has shape \(1, 0\)"):
         kernel(np.zeros((3, 36)), np.zeros((1, 0)), STEP, 1)
-    with pytest.raises(ValueError, match="states has 3 rows and inputs has 2 rows: give as many of each"):
+    with pytest.raises(
+        ValueError, match="states has 3 rows and inputs has 2 rows: give as many of each"
+    ):
         kernel(np.zeros((3, 36)), np.zeros((2, 1, 0)), STEP, 1)
     for scheme in (tc.DormandPrince54(rtol=1e-6), tc.Collocation(2), tc.Cvodes()):
         with pytest.raises(ValueError, match="give a scheme of fixed explicit ones"):

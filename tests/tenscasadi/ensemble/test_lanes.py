@@ -45,7 +45,12 @@ TWO = {
 def cost_of(expression, inputs):
     """Values (n,) of an expression of two numbers, as a cost, in lanes; and how many lanes it took."""
     pins = {0: "xyz", 1: "yz"}
-    model = tc.Model(tc.Scene(tc.Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 1.0], pinned=pins), control=tc.ForceDensity()))
+    model = tc.Model(
+        tc.Scene(
+            tc.Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 1.0], pinned=pins),
+            control=tc.ForceDensity(),
+        )
+    )
     kernel = build_kernel(model, tc.RungeKutta4(), final=expression)
     states = np.tile([0.5, 0.0], (len(inputs), 1))
     w = np.concatenate([np.zeros((len(inputs), 1)), inputs], axis=1)
@@ -57,14 +62,18 @@ def test_each_number_is_as_in_c(kind):
     """Sums of weighted results, so that one compilation serves all: each operation is told apart by a third input."""
     x, w = kind.sym("x", 2), kind.sym("w", 4)  # w: the control, which, a, b
     which, a, b = w[1], w[2:3], w[3:4]
-    results = [function(a) for function in ONE.values()] + [function(a, b) for function in TWO.values()]
+    results = [function(a) for function in ONE.values()] + [
+        function(a, b) for function in TWO.values()
+    ]
     total = sum(ca.if_else(which == k, result, 0.0) for k, result in enumerate(results))
     function = ca.Function("told", [x, w], [total])
     pairs = np.array([(p, q) for p in SPECIAL for q in SPECIAL])
     inputs = np.concatenate([np.insert(pairs, 0, k, axis=1) for k in range(len(results))])
     found, kernel = cost_of(function, inputs)
     assert kernel.lanes > 1
-    expected = np.array([float(function(np.zeros(2), np.concatenate([[0.0], row]))) for row in inputs])
+    expected = np.array(
+        [float(function(np.zeros(2), np.concatenate([[0.0], row]))) for row in inputs]
+    )
     names = [*ONE, *TWO]
     for k, name in enumerate(names):
         part = inputs[:, 0] == k
@@ -83,11 +92,21 @@ def test_code_that_branches_takes_one_lane():
 @pytest.mark.parametrize("mode", ["linear", "exact", "binary"])
 def test_tables_are_looked_up_in_each_lane(mode):
     x, w = ca.MX.sym("x", 2), ca.MX.sym("w", 3)
-    line = ca.interpolant("line", "linear", [[0.0, 1.0, 2.0]], [1.0, 2.0, 0.1], {"lookup_mode": [mode]})
-    plane = ca.interpolant("plane", "linear", [[0.0, 0.5, 1.0], [-1.0, 1.0]], [1.0, 2.0, 0.3, 0.7, 4.0, -1.0], {"lookup_mode": [mode] * 2})
+    line = ca.interpolant(
+        "line", "linear", [[0.0, 1.0, 2.0]], [1.0, 2.0, 0.1], {"lookup_mode": [mode]}
+    )
+    plane = ca.interpolant(
+        "plane",
+        "linear",
+        [[0.0, 0.5, 1.0], [-1.0, 1.0]],
+        [1.0, 2.0, 0.3, 0.7, 4.0, -1.0],
+        {"lookup_mode": [mode] * 2},
+    )
     looked = ca.Function("looked", [x, w], [line(w[1]) + 3 * plane(w[1:])])
     rng = np.random.default_rng(0)
-    inputs = np.vstack([rng.normal(0, 2, (40, 2)), rng.integers(-1, 4, (11, 2))])  # beyond the table, and on its points
+    inputs = np.vstack(
+        [rng.normal(0, 2, (40, 2)), rng.integers(-1, 4, (11, 2))]
+    )  # beyond the table, and on its points
     found, kernel = cost_of(looked, inputs)
     assert kernel.lanes > 1
     np.testing.assert_array_equal(found, [float(looked([0, 0], [0, *row])) for row in inputs])
@@ -112,11 +131,21 @@ def test_stages_of_weight_zero_are_not_computed():
 def test_terrain_is_looked_up_in_each_lane(lanes):
     rng = np.random.default_rng(0)
     fields = [
-        tc.Terrain(0.2 * rng.random(shape), (-0.4, -0.3), (0.5, 0.4), stiffness=300.0, damping=2.0, friction=friction, slip_speed=0.05)
+        tc.Terrain(
+            0.2 * rng.random(shape),
+            (-0.4, -0.3),
+            (0.5, 0.4),
+            stiffness=300.0,
+            damping=2.0,
+            friction=friction,
+            slip_speed=0.05,
+        )
         for shape, friction in (((7, 9), 0.5), ((4, 3), None))
     ]
     model = tc.Model(tc.Scene(tc.shapes.prism(prestress=5.0), ground=fields, gravity=tc.Gravity()))
-    given = np.tile(model.initial_state, (11, 1)) + rng.normal(0, 0.3, (11, model.nx))  # some beyond the grid
+    given = np.tile(model.initial_state, (11, 1)) + rng.normal(
+        0, 0.3, (11, model.nx)
+    )  # some beyond the grid
     states = tc.projection(model).map(11)(given.T).full().T
     kernel = build_kernel(model, tc.RungeKutta4(), lanes=lanes)
     assert kernel.lanes > 1

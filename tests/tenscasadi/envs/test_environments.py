@@ -19,7 +19,10 @@ ROOT = Path(__file__).resolve().parents[3]
 PRISM = tc.shapes.prism(stiffness=500.0, damping=1.0, prestress=50.0)
 OPTIONS = {"gravity": tc.Gravity(), "ground": tc.Ground(stiffness=2e3, damping=5.0, friction=0.5)}
 PARAMETERS = tc.Parameters("ground_stiffness", scale=["bar_mass"])
-DRIVEN, WOUND = (tc.Model(tc.Scene(PRISM, control=control, parameters=PARAMETERS, **OPTIONS)) for control in (tc.ForceDensity(), tc.RestLength()))
+DRIVEN, WOUND = (
+    tc.Model(tc.Scene(PRISM, control=control, parameters=PARAMETERS, **OPTIONS))
+    for control in (tc.ForceDensity(), tc.RestLength())
+)
 PINNED = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
 
 
@@ -28,12 +31,22 @@ def forward(now):
 
 
 def driven(**options):
-    given = {"start": (0.01, 0.05), "parameters": {"ground_stiffness": 0.3, "bar_mass": 0.1}, "duration": 0.5, **options}
+    given = {
+        "start": (0.01, 0.05),
+        "parameters": {"ground_stiffness": 0.3, "bar_mass": 0.1},
+        "duration": 0.5,
+        **options,
+    }
     return Task(DRIVEN, forward, 5.0, 80.0, **given)
 
 
 def wound(**options):
-    given = {"start": (0.01, 0.05), "parameters": {"ground_stiffness": 0.3, "bar_mass": 0.1}, "duration": 0.5, **options}
+    given = {
+        "start": (0.01, 0.05),
+        "parameters": {"ground_stiffness": 0.3, "bar_mass": 0.1},
+        "duration": 0.5,
+        **options,
+    }
     return Task(WOUND, forward, 0.2, 2.0, speed=0.5, **given)
 
 
@@ -61,8 +74,14 @@ def test_an_episode_moves_as_simulate_says():
     motion = tc.simulate(DRIVEN, 0.2, 0.005, control=5.0 + (actions + 1) / 2 * 75.0, compiled=False)
     for k, (observation, reward, *_) in enumerate(seen):
         now = 10 * (k + 1)
-        assert observation == pytest.approx(np.concatenate([motion.nodes[now].ravel(), motion.velocities[now].ravel()]), rel=1e-5, abs=1e-5)
-        assert reward == pytest.approx((motion.nodes[now] - motion.nodes[now - 10])[:, 0].mean(), abs=1e-12)
+        assert observation == pytest.approx(
+            np.concatenate([motion.nodes[now].ravel(), motion.velocities[now].ravel()]),
+            rel=1e-5,
+            abs=1e-5,
+        )
+        assert reward == pytest.approx(
+            (motion.nodes[now] - motion.nodes[now - 10])[:, 0].mean(), abs=1e-12
+        )
 
 
 def test_rest_lengths_run_on_at_the_rate_of_the_action():
@@ -76,7 +95,9 @@ def test_rest_lengths_run_on_at_the_rate_of_the_action():
     motion = tc.simulate(WOUND, 0.15, 0.01, control=rest, compiled=False)
     size = 3 * len(PRISM.nodes)
     assert ends[-1][:size] == pytest.approx(motion.nodes[-1].ravel(), abs=1e-5)
-    assert ends[-1][2 * size :] == pytest.approx(WOUND.initial_control + 0.025 * actions.sum(axis=0), abs=1e-6)
+    assert ends[-1][2 * size :] == pytest.approx(
+        WOUND.initial_control + 0.025 * actions.sum(axis=0), abs=1e-6
+    )
 
 
 def test_rest_lengths_stay_within_their_limits():
@@ -138,10 +159,23 @@ def test_a_vector_environment_is_as_gymnasium_describes_it():
     for _ in range(8):
         seen, rewards, terminated, truncated, info = envs.step(envs.action_space.sample())
         assert seen in envs.observation_space
-        assert rewards.shape == terminated.shape == truncated.shape == info["diverged"].shape == (6,)
+        assert (
+            rewards.shape == terminated.shape == truncated.shape == info["diverged"].shape == (6,)
+        )
         late.append(truncated.all())
-    assert late == [False, False, True, False, False, False, True, False]  # it begins anew in the fourth
-    recorded = gymnasium.wrappers.vector.RecordEpisodeStatistics(TensegrityVectorEnv(driven(duration=0.1), 3))
+    assert late == [
+        False,
+        False,
+        True,
+        False,
+        False,
+        False,
+        True,
+        False,
+    ]  # it begins anew in the fourth
+    recorded = gymnasium.wrappers.vector.RecordEpisodeStatistics(
+        TensegrityVectorEnv(driven(duration=0.1), 3)
+    )
     recorded.reset(seed=0)
     for _ in range(2):
         *_, info = recorded.step(recorded.action_space.sample())
@@ -168,7 +202,16 @@ def test_episodes_differ_in_start_and_parameters_within_their_spreads():
     assert abs(np.ptp(states[:, :3], axis=0) - 0.02).max() < 0.01
     assert max(DRIVEN.bar_length_error(x) for x in states) < 1e-12
     heavy, light = (
-        tc.simulate(DRIVEN, 0.05, 0.005, state=states[0], control=np.full(9, 42.5), correction=tc.Projection(10), parameters=row, compiled=False)
+        tc.simulate(
+            DRIVEN,
+            0.05,
+            0.005,
+            state=states[0],
+            control=np.full(9, 42.5),
+            correction=tc.Projection(10),
+            parameters=row,
+            compiled=False,
+        )
         for row in p[:2]
     )
     assert abs(heavy.nodes[-1] - light.nodes[-1]).max() > 1e-6
@@ -187,7 +230,10 @@ def test_the_same_seed_draws_the_same():
 
 
 def test_what_is_seen_and_when_it_ends_are_functions():
-    task = driven(observation=lambda nodes, velocities, control: nodes[:, :2, 2], terminated=lambda now: now.time > 0.12)
+    task = driven(
+        observation=lambda nodes, velocities, control: nodes[:, :2, 2],
+        terminated=lambda now: now.time > 0.12,
+    )
     env = TensegrityEnv(task)
     seen, _ = env.reset(seed=0)
     assert seen.shape == (2,)
@@ -199,7 +245,9 @@ def overwrite(array):
     return array
 
 
-@pytest.mark.parametrize("name", ["nodes", "velocities", "nodes_before", "velocities_before", "control", "action"])
+@pytest.mark.parametrize(
+    "name", ["nodes", "velocities", "nodes_before", "velocities_before", "control", "action"]
+)
 def test_a_reward_cannot_change_the_motion(name):
     env = TensegrityEnv(Task(DRIVEN, lambda now: overwrite(getattr(now, name)), 5.0, 80.0))
     env.reset(seed=0)
@@ -221,7 +269,10 @@ def test_an_observation_that_grows_is_refused():
 
     env = TensegrityEnv(driven(observation=more))
     env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"what Task.observation gives has shape \(1, 2\): give an array of shape \(1, 1\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"what Task.observation gives has shape \(1, 2\): give an array of shape \(1, 1\)",
+    ):
         env.step(np.zeros(9))
 
 
@@ -234,7 +285,10 @@ def test_some_episodes_begin_anew_where_a_mask_says_so():
     assert np.array_equal(seen[~mask], before[~mask])
     assert abs(seen[1, : 3 * len(PRISM.nodes)] - PRISM.nodes.ravel()).max() < 0.05  # near the start
     assert envs._episodes.decided.tolist() == [1, 0, 1]
-    with pytest.raises(ValueError, match=r"options\['reset_mask'\] is int64 of shape \(2,\): give bool of shape \(3,\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"options\['reset_mask'\] is int64 of shape \(2,\): give bool of shape \(3,\)",
+    ):
         envs.reset(options={"reset_mask": np.array([1, 0])})
 
 
@@ -253,16 +307,32 @@ def test_an_episode_that_diverges_ends():
 
 BAD = {
     "no task": (lambda: TensegrityEnv(DRIVEN), TypeError, "task is"),
-    "environments beyond memory": (lambda: TensegrityVectorEnv(driven(), 10**9), ValueError, r"num_envs is 1e\+09: it must be at most"),
+    "environments beyond memory": (
+        lambda: TensegrityVectorEnv(driven(), 10**9),
+        ValueError,
+        r"num_envs is 1e\+09: it must be at most",
+    ),
     "starts that break bars": (
         lambda: TensegrityVectorEnv(Task(PINNED, forward, 0.0, 9.0, start=1e6), 3).reset(seed=0),
         ValueError,
         "Task.start is .*: bars cannot be put right",
     ),
     "no environments": (lambda: TensegrityVectorEnv(driven(), 0), ValueError, "num_envs"),
-    "actions of other strings": (lambda: TensegrityEnv(driven()).step(np.zeros(4)), ValueError, r"action has shape \(4,\): give \(9,\)"),
-    "actions that are text": (lambda: TensegrityEnv(driven()).step("right"), TypeError, "action is not an array of real numbers"),
-    "actions that are no numbers": (lambda: TensegrityEnv(driven()).step(np.full(9, np.nan)), ValueError, "finite numbers"),
+    "actions of other strings": (
+        lambda: TensegrityEnv(driven()).step(np.zeros(4)),
+        ValueError,
+        r"action has shape \(4,\): give \(9,\)",
+    ),
+    "actions that are text": (
+        lambda: TensegrityEnv(driven()).step("right"),
+        TypeError,
+        "action is not an array of real numbers",
+    ),
+    "actions that are no numbers": (
+        lambda: TensegrityEnv(driven()).step(np.full(9, np.nan)),
+        ValueError,
+        "finite numbers",
+    ),
     "a reward of other shape": (
         lambda: TensegrityEnv(Task(DRIVEN, lambda now: 1.0, 0.0, 1.0)).step(np.zeros(9)),
         ValueError,
@@ -290,5 +360,9 @@ def test_bad_arguments_are_refused_by_name(name):
 
 def test_the_package_needs_no_gymnasium_and_the_room_says_what_it_needs():
     code = "import sys, tenscasadi, ocp; assert 'gymnasium' not in sys.modules; sys.modules['gymnasium'] = None; import tenscasadi.envs"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert "ImportError: tenscasadi.envs needs gymnasium: pip install 'tenscasadi[gym]'" in done.stderr
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert (
+        "ImportError: tenscasadi.envs needs gymnasium: pip install 'tenscasadi[gym]'" in done.stderr
+    )

@@ -22,12 +22,50 @@ import tenscasadi as tc
 
 ROOT = Path(__file__).parents[3]
 GUIDE = (ROOT / "docs/scene_files.md").read_text(encoding="utf-8")
-TEXTS = [path.read_text(encoding="utf-8") for path in sorted((ROOT / "examples/scenes").glob("*.toml")) if path.stem != "paper_membrane"]
+TEXTS = [
+    path.read_text(encoding="utf-8")
+    for path in sorted((ROOT / "examples/scenes").glob("*.toml"))
+    if path.stem != "paper_membrane"
+]
 TEXTS += re.findall(r"^```toml\n(format.*?)^```", GUIDE, flags=re.MULTILINE | re.DOTALL)
 ODD = [
-    *("-1", "0", "1e300", "-1e-300", "nan", "inf", "1e9", "99999999999999999999", "true", '""', "[]", "{}", "[[]]", "[[[1]]]", "1979-05-27"),
-    *('"nodes"', '"9**9**9**9"', "\"__import__('os').system('true')\"", '"1/0"', '"t"', '{ kind = "Clip" }', '["foot"]', "3.5"),
-    *('"\\u0000"', '"/etc/passwd"', '"../x.toml"', '"x * y"', '"sqrt(-1)"', "[1, 2, 3]", "[-1, 0, 1000000]", "{ a = { b = { c = 1 } } }"),
+    *(
+        "-1",
+        "0",
+        "1e300",
+        "-1e-300",
+        "nan",
+        "inf",
+        "1e9",
+        "99999999999999999999",
+        "true",
+        '""',
+        "[]",
+        "{}",
+        "[[]]",
+        "[[[1]]]",
+        "1979-05-27",
+    ),
+    *(
+        '"nodes"',
+        '"9**9**9**9"',
+        "\"__import__('os').system('true')\"",
+        '"1/0"',
+        '"t"',
+        '{ kind = "Clip" }',
+        '["foot"]',
+        "3.5",
+    ),
+    *(
+        '"\\u0000"',
+        '"/etc/passwd"',
+        '"../x.toml"',
+        '"x * y"',
+        '"sqrt(-1)"',
+        "[1, 2, 3]",
+        "[-1, 0, 1000000]",
+        "{ a = { b = { c = 1 } } }",
+    ),
     *('"é"', "0x7f", "'''a\nb'''"),
 ]
 VALUE = re.compile(r"(?<== )[^\n#]+")
@@ -38,7 +76,23 @@ def damaged(draw: Any) -> str:
     """A scene with one to three faults: bytes changed, lines lost or doubled, values and keys replaced."""
     text = draw(st.sampled_from(TEXTS))
     for _ in range(draw(st.integers(1, 3))):
-        kind = draw(st.sampled_from(["byte", "cut", "line", "double", "value", "value", "value", "key", "number", "number", "insert"]))
+        kind = draw(
+            st.sampled_from(
+                [
+                    "byte",
+                    "cut",
+                    "line",
+                    "double",
+                    "value",
+                    "value",
+                    "value",
+                    "key",
+                    "number",
+                    "number",
+                    "insert",
+                ]
+            )
+        )
         lines = text.splitlines(keepends=True) or [""]
         place = draw(st.integers(0, len(text)))
         row = draw(st.integers(0, len(lines) - 1))
@@ -51,15 +105,36 @@ def damaged(draw: Any) -> str:
         elif kind == "double":
             text = "".join([*lines[: row + 1], *lines[row:]])
         elif kind == "insert":
-            keys = ["include", "slack", "control", "nodes", "pinned", "rollers", "supports", "parameters", "pressure", "state", "fractions", "scheme"]
+            keys = [
+                "include",
+                "slack",
+                "control",
+                "nodes",
+                "pinned",
+                "rollers",
+                "supports",
+                "parameters",
+                "pressure",
+                "state",
+                "fractions",
+                "scheme",
+            ]
             added = f"{draw(st.sampled_from(keys))} = {draw(st.sampled_from(ODD))}\n"
             text = "".join([*lines[: row + 1], added, *lines[row + 1 :]])
         else:
-            pattern = {"value": VALUE, "key": re.compile(r"^[a-z_]+(?= =)", re.MULTILINE), "number": re.compile(r"(?<![\w.])[\d.]+(?:e-?\d+)?")}[kind]
+            pattern = {
+                "value": VALUE,
+                "key": re.compile(r"^[a-z_]+(?= =)", re.MULTILINE),
+                "number": re.compile(r"(?<![\w.])[\d.]+(?:e-?\d+)?"),
+            }[kind]
             places = list(pattern.finditer(text))
             if places:
                 found = draw(st.sampled_from(places))
-                new = draw(st.sampled_from(["lenght", "mass", "x", "kind", "a.b", '"c d"'])) if kind == "key" else draw(st.sampled_from(ODD))
+                new = (
+                    draw(st.sampled_from(["lenght", "mass", "x", "kind", "a.b", '"c d"']))
+                    if kind == "key"
+                    else draw(st.sampled_from(ODD))
+                )
                 text = text[: found.start()] + new + text[found.end() :]
     return text
 
@@ -80,7 +155,13 @@ def guarded() -> Iterator[list[str]]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(builtins, "open", watched)
-        for owner, name in ((subprocess, "Popen"), (os, "system"), (socket, "socket"), (builtins, "eval"), (builtins, "exec")):
+        for owner, name in (
+            (subprocess, "Popen"),
+            (os, "system"),
+            (socket, "socket"),
+            (builtins, "eval"),
+            (builtins, "exec"),
+        ):
             patch.setattr(owner, name, refused)
         yield opened
 

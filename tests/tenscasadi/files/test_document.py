@@ -35,15 +35,27 @@ def fault(path: Path) -> SceneFileError:
 
 
 def test_numbers_are_computed_in_any_order(write):
-    read = read_document(write('[numbers]\nheight = "2 * radius"\nradius = 0.25\nangle = "30 deg"\n'))
+    read = read_document(
+        write('[numbers]\nheight = "2 * radius"\nradius = 0.25\nangle = "30 deg"\n')
+    )
     assert read.numbers == {"height": 0.5, "radius": 0.25, "angle": math.radians(30.0)}
 
 
 def test_included_files_come_first_and_this_one_over_them(write):
-    write('[numbers]\nheight = 1\nradius = "height / 4"\n[scene]\ngravity = {kind = "A", x = 1}\nends = "lumped"\n', "parts/base.toml")
-    read = read_document(write('include = ["parts/base.toml"]\n[numbers]\nheight = 2\n[scene]\ngravity = {kind = "B", y = 2}\n'))
+    write(
+        '[numbers]\nheight = 1\nradius = "height / 4"\n[scene]\ngravity = {kind = "A", x = 1}\nends = "lumped"\n',
+        "parts/base.toml",
+    )
+    read = read_document(
+        write(
+            'include = ["parts/base.toml"]\n[numbers]\nheight = 2\n[scene]\ngravity = {kind = "B", y = 2}\n'
+        )
+    )
     assert read.numbers == {"height": 2.0, "radius": 0.5}  # formulas follow
-    assert read.data["scene"] == {"gravity": {"kind": "B", "y": 2}, "ends": "lumped"}  # another kind takes the whole place
+    assert read.data["scene"] == {
+        "gravity": {"kind": "B", "y": 2},
+        "ends": "lumped",
+    }  # another kind takes the whole place
     assert read.root.child("scene").child("ends").error("is wrong").file == "parts/base.toml"
     assert read.root.child("scene").child("ends").error("is wrong").line == 8
 
@@ -84,7 +96,9 @@ def test_links_out_of_the_folder_are_refused(write, tmp_path):
     assert "a link out of" in str(fault(write('include = ["link.toml"]\n', "inner/main.toml")))
     assert "a link out of" in str(fault(write('include = ["loop.toml"]\n', "inner/main.toml")))
     os.symlink(tmp_path, tmp_path / "inner/up")
-    assert "a link out of" in str(fault(write('include = ["up/outside.toml"]\n', "inner/main.toml")))
+    assert "a link out of" in str(
+        fault(write('include = ["up/outside.toml"]\n', "inner/main.toml"))
+    )
 
 
 def test_circles_and_floods_of_includes_are_refused(write, monkeypatch):
@@ -160,4 +174,9 @@ def test_what_is_no_text_is_refused(tmp_path):
 def test_errors_survive_copies(write):
     found = fault(write("numbers = 3\n"))
     copy = pickle.loads(pickle.dumps(found))  # noqa: S301  made above
-    assert (str(copy), copy.file, copy.line, copy.key) == (str(found), found.file, found.line, found.key)
+    assert (str(copy), copy.file, copy.line, copy.key) == (
+        str(found),
+        found.file,
+        found.line,
+        found.key,
+    )

@@ -45,17 +45,33 @@ def paper_dbar() -> tuple[tc.Scene, str]:
 
 
 def paper_lander() -> tuple[tc.Scene, str]:
-    return tc.Scene(load_example("paper_lander").ball(), segments=2, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1e4, damping=10.0)), "reduced"
+    return tc.Scene(
+        load_example("paper_lander").ball(),
+        segments=2,
+        gravity=tc.Gravity(),
+        ground=tc.Ground(stiffness=1e4, damping=10.0),
+    ), "reduced"
 
 
 def paper_membrane() -> tuple[tc.Scene, str]:
     paper = load_example("paper_membrane")
     pressure = tc.Pressure(tc.shapes.membrane_faces(8, 5).tolist(), paper.RISE * paper.ATMOSPHERE)
-    return tc.Scene(paper.membrane(8, 5), ends="lumped", pressure=pressure, forces=tc.NodalForce(paper.RISE * paper.caps(8, 5))), "reduced"
+    return tc.Scene(
+        paper.membrane(8, 5),
+        ends="lumped",
+        pressure=pressure,
+        forces=tc.NodalForce(paper.RISE * paper.caps(8, 5)),
+    ), "reduced"
 
 
 @pytest.mark.parametrize(
-    ("scene", "t_end", "moves"), [(paper_prism, 0.5, 0.1), (paper_dbar, 1.0, 0.5), (paper_lander, 1.0, 2.0), (paper_membrane, 0.02, 0.04)]
+    ("scene", "t_end", "moves"),
+    [
+        (paper_prism, 0.5, 0.1),
+        (paper_dbar, 1.0, 0.5),
+        (paper_lander, 1.0, 2.0),
+        (paper_membrane, 0.02, 0.04),
+    ],
 )
 def test_scenes_of_the_paper_move_as_its_scripts_do(scene, t_end, moves):
     read = load(scene.__name__, t_end=t_end)
@@ -64,10 +80,19 @@ def test_scenes_of_the_paper_move_as_its_scripts_do(scene, t_end, moves):
     assert (read.step, read.coordinates) == (script.STEP, coordinates)
     ours = read.run(compiled=False)
     correction = None if scene is paper_membrane else tc.Projection()
-    theirs = tc.simulate(tc.Model(expected, coordinates), t_end, script.STEP, correction=correction, save_every=read.save_every, compiled=False)
+    theirs = tc.simulate(
+        tc.Model(expected, coordinates),
+        t_end,
+        script.STEP,
+        correction=correction,
+        save_every=read.save_every,
+        compiled=False,
+    )
     assert ours.success
     assert np.abs(theirs.nodes[-1] - theirs.nodes[0]).max() > moves
-    np.testing.assert_allclose(ours.nodes, theirs.nodes, atol=1e-9 * np.ptp(expected.structure.nodes))
+    np.testing.assert_allclose(
+        ours.nodes, theirs.nodes, atol=1e-9 * np.ptp(expected.structure.nodes)
+    )
     assert load(scene.__name__).t_end == script.T_END
 
 
@@ -97,4 +122,8 @@ def test_the_tower_is_of_class_2_and_in_balance_without_gravity():
 def test_the_d_bar_spins_about_its_pin():
     found = load("dbar")
     velocities = found.model.velocities(found.start)
-    np.testing.assert_allclose(velocities, np.cross([0, 0, 3.0], found.scene.structure.nodes - found.scene.structure.nodes[0]), atol=1e-15)
+    np.testing.assert_allclose(
+        velocities,
+        np.cross([0, 0, 3.0], found.scene.structure.nodes - found.scene.structure.nodes[0]),
+        atol=1e-15,
+    )

@@ -25,7 +25,9 @@ VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 def test_it_is_a_schema():
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
-    assert "N/m" in SCHEMA["$defs"]["prism"]["properties"]["stiffness"]["description"]  # from the docstring
+    assert (
+        "N/m" in SCHEMA["$defs"]["prism"]["properties"]["stiffness"]["description"]
+    )  # from the docstring
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))

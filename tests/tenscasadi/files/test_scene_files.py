@@ -47,7 +47,9 @@ def test_scenes_come_back_to_the_last_bit(tmp_path_factory, scene, seed):
     path = written(scene, tmp_path_factory.getbasetemp())
     loaded = tc.load_scene(path)
     assert_same(scene, loaded, seed)
-    assert written(loaded, path.parent).read_text(encoding="utf-8") == path.read_text(encoding="utf-8")
+    assert written(loaded, path.parent).read_text(encoding="utf-8") == path.read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
@@ -64,12 +66,38 @@ def test_every_term_comes_back(tmp_path):
 @pytest.mark.parametrize(
     ("scene", "words"),
     [
-        (lambda: tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity(lambda t: (0, 0, -t))), "Gravity.acceleration"),
-        (lambda: tc.Scene(tc.shapes.pendulum(), forces=tc.NodalForce(lambda t: [[0, 0, 0], [t, 0, 0]])), "NodalForce.values"),
-        (lambda: tc.Scene(tc.shapes.pendulum(), supports=tc.SupportMotion({0: lambda t: (t**2, 0, 0)})), "SupportMotion.positions"),
-        (lambda: tc.Scene(tc.shapes.prism(string_mass=0.1).subdivide(2)), "Scene\\(segments=...\\)"),
-        (lambda: tc.Simulation(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()), 1.0, control=lambda t: np.ones(9)), "Simulation.control"),
-        (lambda: tc.Simulation(tc.Scene(tc.shapes.prism()), 1.0, scheme=_own_scheme()), "Simulation.scheme"),
+        (
+            lambda: tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity(lambda t: (0, 0, -t))),
+            "Gravity.acceleration",
+        ),
+        (
+            lambda: tc.Scene(
+                tc.shapes.pendulum(), forces=tc.NodalForce(lambda t: [[0, 0, 0], [t, 0, 0]])
+            ),
+            "NodalForce.values",
+        ),
+        (
+            lambda: tc.Scene(
+                tc.shapes.pendulum(), supports=tc.SupportMotion({0: lambda t: (t**2, 0, 0)})
+            ),
+            "SupportMotion.positions",
+        ),
+        (
+            lambda: tc.Scene(tc.shapes.prism(string_mass=0.1).subdivide(2)),
+            "Scene\\(segments=...\\)",
+        ),
+        (
+            lambda: tc.Simulation(
+                tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()),
+                1.0,
+                control=lambda t: np.ones(9),
+            ),
+            "Simulation.control",
+        ),
+        (
+            lambda: tc.Simulation(tc.Scene(tc.shapes.prism()), 1.0, scheme=_own_scheme()),
+            "Simulation.scheme",
+        ),
     ],
 )
 def test_what_files_cannot_hold_is_refused_by_name(scene, words, tmp_path):
@@ -80,8 +108,12 @@ def test_what_files_cannot_hold_is_refused_by_name(scene, words, tmp_path):
 
 def test_formulas_that_their_numbers_make_too_deep_are_not_written(tmp_path):
     path = tmp_path / "deep.toml"
-    path.write_text(f"{HEAD}numbers.a = -1.0\nstructure.shape = 'pendulum'\nscene.gravity = [0, 0, '{'(' * 39}a{')' * 39} * t']")
-    with pytest.raises(ValueError, match=r"Gravity.acceleration: with its numbers .* inside each other"):
+    path.write_text(
+        f"{HEAD}numbers.a = -1.0\nstructure.shape = 'pendulum'\nscene.gravity = [0, 0, '{'(' * 39}a{')' * 39} * t']"
+    )
+    with pytest.raises(
+        ValueError, match=r"Gravity.acceleration: with its numbers .* inside each other"
+    ):
         tc.save_scene(tc.load_scene(path), tmp_path / "again.toml")
     assert not (tmp_path / "again.toml").exists()
 
@@ -96,9 +128,17 @@ def _own_scheme() -> tc.RungeKutta4:
 @pytest.mark.parametrize(
     "options",
     [
-        {"scheme": tc.DormandPrince853(rtol=1e-9, atol=1e-12), "save_every": 3, "energy_balance": False},
+        {
+            "scheme": tc.DormandPrince853(rtol=1e-9, atol=1e-12),
+            "save_every": 3,
+            "energy_balance": False,
+        },
         {"scheme": tc.Rattle(order=4), "correction": tc.Projection(every=2), "coordinates": "full"},
-        {"scheme": tc.Collocation(3, "radau"), "correction": tc.BarLengthCorrection(0.5), "step": 0.01},
+        {
+            "scheme": tc.Collocation(3, "radau"),
+            "correction": tc.BarLengthCorrection(0.5),
+            "step": 0.01,
+        },
         {"scheme": tc.Cvodes(1e-7), "control": np.full(9, 30.1)},
         {"scheme": tc.Idas(1e-7, 1e-8), "control": np.linspace(20.1, 40, 27).reshape(3, 9)},
     ],
@@ -108,7 +148,16 @@ def test_simulations_come_back(options, tmp_path):
     rng = np.random.default_rng(0)
     first = tc.Simulation(scene, 0.3, velocities=rng.normal(size=(6, 3)), project=True, **options)
     second = tc.load_simulation(written(first, tmp_path))
-    for name in ("t_end", "step", "scheme", "correction", "save_every", "coordinates", "project", "energy_balance"):
+    for name in (
+        "t_end",
+        "step",
+        "scheme",
+        "correction",
+        "save_every",
+        "coordinates",
+        "project",
+        "energy_balance",
+    ):
         assert getattr(first, name) == getattr(second, name), name
     np.testing.assert_array_equal(first.start, second.start)
     np.testing.assert_array_equal(first.control, second.control) if "control" in options else None
@@ -117,13 +166,24 @@ def test_simulations_come_back(options, tmp_path):
 
 
 def test_a_run_from_a_file_is_that_of_simulate(tmp_path):
-    scene = tc.Scene(tc.shapes.prism(prestress=20.0), gravity=tc.Gravity(), parameters=tc.Parameters("stiffness", groups={"stiffness": "all"}))
+    scene = tc.Scene(
+        tc.shapes.prism(prestress=20.0),
+        gravity=tc.Gravity(),
+        parameters=tc.Parameters("stiffness", groups={"stiffness": "all"}),
+    )
     spun = np.cross([0, 0, 2.0], scene.structure.nodes)
-    given = tc.Simulation(scene, 0.05, velocities=spun, parameters={"stiffness": 120.0}, correction=tc.Projection())
+    given = tc.Simulation(
+        scene, 0.05, velocities=spun, parameters={"stiffness": 120.0}, correction=tc.Projection()
+    )
     run = tc.load_simulation(written(given, tmp_path)).run(compiled=False)
     m = tc.Model(scene)
     expected = tc.simulate(
-        m, 0.05, state=m.state(scene.structure.nodes, spun), parameters={"stiffness": 120.0}, correction=tc.Projection(), compiled=False
+        m,
+        0.05,
+        state=m.state(scene.structure.nodes, spun),
+        parameters={"stiffness": 120.0},
+        correction=tc.Projection(),
+        compiled=False,
     )
     np.testing.assert_array_equal(run.nodes, expected.nodes)
 
@@ -131,17 +191,27 @@ def test_a_run_from_a_file_is_that_of_simulate(tmp_path):
 def test_projected_starts_keep_bars_for_the_masses_that_are_given():
     scene = tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("bar_mass"))
     velocities = np.random.default_rng(0).normal(size=(6, 3))
-    light, heavy = (tc.Simulation(scene, 0.1, velocities=velocities, project=True, parameters={"bar_mass": m}) for m in ([1, 1, 1], [1, 2, 30.0]))
+    light, heavy = (
+        tc.Simulation(scene, 0.1, velocities=velocities, project=True, parameters={"bar_mass": m})
+        for m in ([1, 1, 1], [1, 2, 30.0])
+    )
     for simulation in (light, heavy):
         v = simulation.model.velocities(simulation.start)
         bars = scene.structure.bars
-        stretch = np.sum((v[bars[:, 1]] - v[bars[:, 0]]) * (scene.structure.nodes[bars[:, 1]] - scene.structure.nodes[bars[:, 0]]), axis=1)
+        stretch = np.sum(
+            (v[bars[:, 1]] - v[bars[:, 0]])
+            * (scene.structure.nodes[bars[:, 1]] - scene.structure.nodes[bars[:, 0]]),
+            axis=1,
+        )
         assert np.abs(stretch).max() < 1e-12
 
 
 def test_nodes_inside_strings_start_on_the_line_between_the_ends(tmp_path):
     scene = tc.Scene(tc.shapes.d_bar(string_mass=0.1), segments=3)
-    moved, velocities = scene.structure.nodes + [0.1, 0.2, 0.3], np.cross([0, 0, 1.0], scene.structure.nodes)
+    moved, velocities = (
+        scene.structure.nodes + [0.1, 0.2, 0.3],
+        np.cross([0, 0, 1.0], scene.structure.nodes),
+    )
     first = tc.Simulation(scene, 1.0, nodes=moved, velocities=velocities)
     nodes, speeds = first.model.nodes(first.start), first.model.velocities(first.start)
     np.testing.assert_allclose(nodes, scene.modelled.nodes + [0.1, 0.2, 0.3], atol=1e-15)
@@ -200,19 +270,27 @@ def test_names_groups_and_formulas_mean_what_they_say(tmp_path):
         stiffness=[500, 400, 400],
     )
     mast = mast.replace(rest_length=[mast.string_lengths[0] * (1 - 40 / 500), 2.1, 2.1])
-    forces = tc.NodalForce(lambda t: [[0, 0, 0], [15 * np.sin(2 * t), 5, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
+    forces = tc.NodalForce(
+        lambda t: [[0, 0, 0], [15 * np.sin(2 * t), 5, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]]
+    )
     parameters = tc.Parameters("stiffness", groups={"stiffness": [[0], [1, 2]]})
-    scene = tc.Scene(mast, forces=forces, slack={1: tc.Linear(), 2: tc.Linear()}, parameters=parameters)
+    scene = tc.Scene(
+        mast, forces=forces, slack={1: tc.Linear(), 2: tc.Linear()}, parameters=parameters
+    )
     assert found.scene.slack == scene.slack
     assert found.scene.parameters == parameters
     for name in ("nodes", "rest_length", "stiffness", "bar_mass", "fixed"):
-        np.testing.assert_allclose(getattr(found.scene.structure, name), getattr(mast, name), rtol=1e-15, atol=1e-15)
+        np.testing.assert_allclose(
+            getattr(found.scene.structure, name), getattr(mast, name), rtol=1e-15, atol=1e-15
+        )
     velocities = np.zeros((5, 3))
     velocities[1, 0] = 0.1
     m = tc.Model(scene)
     x = np.append(m.state(mast.nodes, velocities)[:-1], 0.7)
     p = m.parameters.nominal
-    np.testing.assert_allclose(found.model.ode(x, [], p).full(), m.ode(x, [], p).full(), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        found.model.ode(x, [], p).full(), m.ode(x, [], p).full(), rtol=1e-12, atol=1e-12
+    )
     np.testing.assert_allclose(found.start[:-1], x[:-1], atol=1e-15)
 
 
@@ -283,7 +361,10 @@ def test_faults_tell_key_and_cure(old, new, key, words, tmp_path):
         ("[structure]\nshape = 'membrane'\np = 90000\nq = 90000", "at most"),
         ("[structure]\nshape = 'prism'\nradus = 2", "did you mean 'radius'?"),
         ("[structure]\nshape = 'prism'\npinned = [9]", "run from 0 to 5"),
-        (f"[structure]\nshape = 'prism'\npinned = [0x{'f' * 6000}]", "run from 0 to 5"),  # too long for Python to show
+        (
+            f"[structure]\nshape = 'prism'\npinned = [0x{'f' * 6000}]",
+            "run from 0 to 5",
+        ),  # too long for Python to show
         ("[structure]\nshape = 'prism'\nprestress = 5\nforce_density = 3", "leave one of them out"),
         ("[structure]\nshape = 'prism'\nturn = {axis = [0, 0, 0], angle = 1}", "give a direction"),
         ("[structure]\nnodes = []", "at least one node"),
@@ -293,7 +374,10 @@ def test_faults_tell_key_and_cure(old, new, key, words, tmp_path):
             "[structure]\nnodes = {1 = [0, 0, 0], 2 = [0, 0, 1], 3 = [0, 1, 0]}\nbars = [[1, 2]]",
             "structure.nodes.1: is the name of node 0, and an index",
         ),
-        ("[structure]\nnodes = [[0, 0, 0], [0, 0, 1]]\nbars = {1 = [[0, 1]]}", "structure.bars.1: is the name of a group of bars, and an index"),
+        (
+            "[structure]\nnodes = [[0, 0, 0], [0, 0, 1]]\nbars = {1 = [[0, 1]]}",
+            "structure.bars.1: is the name of a group of bars, and an index",
+        ),
     ],
 )
 def test_faults_of_structures(text, words, tmp_path):
@@ -307,9 +391,14 @@ def test_faults_of_structures(text, words, tmp_path):
 def test_shapes_take_all_that_structures_have(tmp_path):
     path = tmp_path / "scene.toml"
     text = "[structure]\nshape = 'prism'\nbars = 4\nstiffness = 500\nprestress = 20\nnode_mass = {0 = 2}\npinned = [0]\n"
-    path.write_text(HEAD + text + "turn = {axis = [0, 0, 2], angle = '90 deg'}\nmove = [1, 2, 3]", encoding="utf-8")
+    path.write_text(
+        HEAD + text + "turn = {axis = [0, 0, 2], angle = '90 deg'}\nmove = [1, 2, 3]",
+        encoding="utf-8",
+    )
     found = tc.load_scene(path).structure
-    prism = tc.shapes.prism(4, stiffness=500, prestress=20, node_mass=[2, 0, 0, 0, 0, 0, 0, 0], pinned=[0])
+    prism = tc.shapes.prism(
+        4, stiffness=500, prestress=20, node_mass=[2, 0, 0, 0, 0, 0, 0, 0], pinned=[0]
+    )
     x, y, z = prism.nodes.T
     np.testing.assert_allclose(found.nodes, np.column_stack([-y, x, z]) + [1, 2, 3], atol=1e-15)
     for name in ("rest_length", "node_mass", "fixed", "bars", "strings"):

@@ -49,7 +49,13 @@ y = 2
 
 def keys(value: Any, key: Key = ()) -> set[Key]:
     found = {key} if key else set()
-    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    entries = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     return found.union(*(keys(entry, (*key, word)) for word, entry in entries))
 
 
@@ -72,7 +78,15 @@ def test_every_key_has_a_line():
         assert rows[lines[key] - 1].startswith(start), key
 
 
-@pytest.mark.parametrize("text", ["a." * 3_000_000 + "a = 1", "x = " + "[" * 1_000_000, "x = " + "{a=" * 1_000_000, "[" + "a." * 100_000 + "a]"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a." * 3_000_000 + "a = 1",
+        "x = " + "[" * 1_000_000,
+        "x = " + "{a=" * 1_000_000,
+        "[" + "a." * 100_000 + "a]",
+    ],
+)
 def test_deep_texts_are_refused_before_a_parser_gets_lost(text):
     began = time.process_time()
     with pytest.raises(TooMuch) as fault:
@@ -99,7 +113,18 @@ def test_floods_of_entries_are_refused_before_a_parser_reads_them(text, line):
 
 
 @pytest.mark.parametrize(
-    "text", ["'" * 100_000, '"""' + "\\" * 1_000_000, 'x = "' + "\\" * 1_000_000, "x = [1, 2", "= 1", "[a", "x = [1 2]", "x", "x ="]
+    "text",
+    [
+        "'" * 100_000,
+        '"""' + "\\" * 1_000_000,
+        'x = "' + "\\" * 1_000_000,
+        "x = [1, 2",
+        "= 1",
+        "[a",
+        "x = [1 2]",
+        "x",
+        "x =",
+    ],
 )
 def test_malformed_texts_come_to_an_end(text):
     began = time.process_time()
@@ -108,7 +133,14 @@ def test_malformed_texts_come_to_an_end(text):
 
 
 def test_lines_after_many_comments_are_right():
-    assert find_lines("# note\n" * 5000 + "a = 1\n" + "\n# note\n" * 3000 + 'b = """\n' + '"" \\"\n' * 3000 + '"""\nc = 1') == {
+    assert find_lines(
+        "# note\n" * 5000
+        + "a = 1\n"
+        + "\n# note\n" * 3000
+        + 'b = """\n'
+        + '"" \\"\n' * 3000
+        + '"""\nc = 1'
+    ) == {
         ("a",): 5001,
         ("b",): 11002,
         ("c",): 14004,

@@ -17,7 +17,12 @@ else:
     import tomli as tomllib
 
 texts = st.text(st.characters(codec="utf-8"), max_size=8)
-leaves = st.one_of(st.integers(-(2**60), 2**60), st.floats(allow_nan=False, allow_infinity=False), st.booleans(), texts)
+leaves = st.one_of(
+    st.integers(-(2**60), 2**60),
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.booleans(),
+    texts,
+)
 values = st.recursive(
     leaves,
     lambda inner: st.one_of(
@@ -46,6 +51,11 @@ def test_tables_come_back(data):
 
 
 def test_lines_are_short_where_they_can_be():
-    text = to_toml({"nodes": [[1 / 3] * 3] * 20, "ground": [{"heights": [[0.1] * 5] * 5, "kind": "Terrain"}] * 2})
+    text = to_toml(
+        {
+            "nodes": [[1 / 3] * 3] * 20,
+            "ground": [{"heights": [[0.1] * 5] * 5, "kind": "Terrain"}] * 2,
+        }
+    )
     assert max(map(len, text.splitlines())) <= 120
     assert text.count("[[ground]]") == 2

@@ -27,7 +27,12 @@ from tenscasadi.util.compile import find_compiler
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
 SMOOTH = ["prism_n1", "double_pendulum", "cross_bar", "spin_bar"]
-EVENTS = {"net4": 11, "dbar_regular": 12, "lander_mass": 20, "redundant_triangle": 8}  # as many as the certified solution met
+EVENTS = {
+    "net4": 11,
+    "dbar_regular": 12,
+    "lander_mass": 20,
+    "redundant_triangle": 8,
+}  # as many as the certified solution met
 
 
 # --- accuracy ---
@@ -62,8 +67,12 @@ def located(run: Trajectory, events: int) -> int:
 
 @pytest.mark.parametrize("coordinates", ["reduced", "full"])
 @pytest.mark.parametrize("name", EVENTS)
-def test_order_eight_reaches_a_tenth_of_a_nanometre_across_events(name: str, coordinates: Any) -> None:
-    error, run = solve_certified(name, DormandPrince853(1e-12), coordinates, correction=Projection())
+def test_order_eight_reaches_a_tenth_of_a_nanometre_across_events(
+    name: str, coordinates: Any
+) -> None:
+    error, run = solve_certified(
+        name, DormandPrince853(1e-12), coordinates, correction=Projection()
+    )
     assert error < 1e-10
     assert located(run, EVENTS[name]) <= 3 * EVENTS[name]
     assert run.bar_length_error.max() < 1e-14
@@ -77,19 +86,32 @@ def test_energy_is_accounted_for_across_contact() -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize(("scheme", "correction"), [(DormandPrince54(1e-7), None), (DormandPrince853(1e-9), Projection())])
-def test_compiled_and_not_give_the_same_numbers(scheme: EmbeddedRungeKutta, correction: Any) -> None:
-    (_, machine), (_, virtual) = (solve_certified("net4", scheme, compiled=compiled, correction=correction) for compiled in (True, False))
+@pytest.mark.parametrize(
+    ("scheme", "correction"),
+    [(DormandPrince54(1e-7), None), (DormandPrince853(1e-9), Projection())],
+)
+def test_compiled_and_not_give_the_same_numbers(
+    scheme: EmbeddedRungeKutta, correction: Any
+) -> None:
+    (_, machine), (_, virtual) = (
+        solve_certified("net4", scheme, compiled=compiled, correction=correction)
+        for compiled in (True, False)
+    )
     assert (machine.compiled, virtual.compiled) == (True, False)
     assert abs(machine.states - virtual.states).max() < 1e-11
     assert machine.message == virtual.message
 
 
 @needs_compiler
-def test_one_compiled_function_serves_all_tolerances(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_one_compiled_function_serves_all_tolerances(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path))
     schemes = [DormandPrince54(1e-4), DormandPrince54(1e-9), DormandPrince54(1e-9, 1e-4)]
-    runs = [simulate(spring(1.5), 0.15, step, scheme, compiled=True) for scheme, step in zip(schemes, (0.1, 0.1, 0.15), strict=True)]
+    runs = [
+        simulate(spring(1.5), 0.15, step, scheme, compiled=True)
+        for scheme, step in zip(schemes, (0.1, 0.1, 0.15), strict=True)
+    ]
     assert len(list(tmp_path.iterdir())) == 1
     errors = [abs(run.nodes[-1, 1, 0] - 1 - 0.5 * np.cos(1.5)) for run in runs]  # taut all along
     assert errors[1] < 1e-3 * errors[0]
@@ -99,7 +121,9 @@ def test_one_compiled_function_serves_all_tolerances(monkeypatch: pytest.MonkeyP
 # --- events ---
 
 
-def test_events_are_located_even_where_interpolation_is_of_no_help(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_events_are_located_even_where_interpolation_is_of_no_help(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def useless(gaps: ca.Function, model: Model) -> ca.Function:
         arguments = exact(gaps, model).mx_in()
         return ca.Function("root", arguments, [arguments[-3]])  # the start of the bracket
@@ -113,7 +137,15 @@ def test_events_are_located_even_where_interpolation_is_of_no_help(monkeypatch: 
 
 def spring(length: float = 1.0, **options: Any) -> Model:
     """A mass of 1 kg on a string of 100 N/m, at rest at 1 m."""
-    structure = Structure([[0, 0, 0], [length, 0, 0]], strings=[(0, 1)], node_mass=1.0, pinned=[0], stiffness=100.0, rest_length=1.0, **options)
+    structure = Structure(
+        [[0, 0, 0], [length, 0, 0]],
+        strings=[(0, 1)],
+        node_mass=1.0,
+        pinned=[0],
+        stiffness=100.0,
+        rest_length=1.0,
+        **options,
+    )
     return Model(Scene(structure))
 
 
@@ -123,7 +155,13 @@ def test_a_string_that_starts_exactly_at_its_rest_length(damping: float) -> None
     still = simulate(model, 1.0, scheme=DormandPrince54(1e-8), compiled=False)
     assert still.success
     assert abs(still.nodes - still.nodes[0]).max() == 0
-    away = simulate(model, 0.2, scheme=DormandPrince54(1e-9), state=model.state([[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [1.0, 0, 0]]), compiled=False)
+    away = simulate(
+        model,
+        0.2,
+        scheme=DormandPrince54(1e-9),
+        state=model.state([[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [1.0, 0, 0]]),
+        compiled=False,
+    )
     rate = np.sqrt(100.0 - damping**2 / 4)
     exact = 1 + np.exp(-damping / 2 * away.time) * np.sin(rate * away.time) / rate
     assert abs(away.nodes[:, 1, 0] - exact).max() < 1e-8
@@ -132,7 +170,13 @@ def test_a_string_that_starts_exactly_at_its_rest_length(damping: float) -> None
 def test_a_bounce_within_one_step_is_seen() -> None:
     """A ball on a stiff ground: contact lasts a fiftieth of the largest step, and every flight is exact at any step."""
     k, height = 1e6, 0.5
-    model = Model(Scene(Structure([[0, 0, height]], node_mass=1.0), gravity=Gravity((0, 0, -10.0)), ground=Ground(stiffness=k)))
+    model = Model(
+        Scene(
+            Structure([[0, 0, height]], node_mass=1.0),
+            gravity=Gravity((0, 0, -10.0)),
+            ground=Ground(stiffness=k),
+        )
+    )
     fall = np.sqrt(2 * height / 10)
     run = simulate(model, 3.5 * fall, 0.5 * fall, scheme=DormandPrince853(1e-10), compiled=False)
     assert run.success
@@ -148,7 +192,14 @@ def test_a_bounce_within_one_step_is_seen() -> None:
 
 def test_a_string_that_is_taut_for_a_moment_is_seen() -> None:
     """The mass flies past the end of a slack string: taut for a sixtieth of the largest step."""
-    structure = Structure([[0, 0, 0], [-0.2, 0.999, 0]], strings=[(0, 1)], node_mass=1.0, pinned=[0], stiffness=100.0, rest_length=1.0)
+    structure = Structure(
+        [[0, 0, 0], [-0.2, 0.999, 0]],
+        strings=[(0, 1)],
+        node_mass=1.0,
+        pinned=[0],
+        stiffness=100.0,
+        rest_length=1.0,
+    )
     model = Model(Scene(structure))
     start = model.state(structure.nodes, [[0, 0, 0], [1.0, 0, 0]])
     reference = simulate(model, 0.4, 1e-5, state=start).nodes[-1]
@@ -161,18 +212,36 @@ def test_a_string_that_is_taut_for_a_moment_is_seen() -> None:
 
 
 def test_controls_change_on_the_grid_and_their_work_is_no_error() -> None:
-    model = Model(Scene(shapes.prism(stiffness=1000.0, prestress=30.0, damping=1.0), control=RestLength()))
+    model = Model(
+        Scene(shapes.prism(stiffness=1000.0, prestress=30.0, damping=1.0), control=RestLength())
+    )
     table = model.initial_control * np.array([[1.0], [1.02], [0.99]])
     run = simulate(model, 0.3, 0.1, DormandPrince853(1e-11), control=table, compiled=False)
     fine = simulate(model, 0.3, 1e-4, control=table, compiled=False)
     assert abs(run.nodes[-1] - fine.nodes[-1]).max() < 1e-9
     assert np.ptp(run.energy) > 1e-3
     assert abs(run.energy_error).max() < 1e-8
-    waves = simulate(model, 0.3, 1e-3, DormandPrince853(1e-11), control=lambda t: table[0] * (1 + 0.1 * np.sin(20 * t)), compiled=False)
+    waves = simulate(
+        model,
+        0.3,
+        1e-3,
+        DormandPrince853(1e-11),
+        control=lambda t: table[0] * (1 + 0.1 * np.sin(20 * t)),
+        compiled=False,
+    )
     assert waves.success, waves.message  # strings of equal length change their mode together
-    held = simulate(model, 0.3, 1e-3, DormandPrince853(), control=lambda t: table[0] * (1 + 0.1 * np.sin(20 * t)), compiled=False)
+    held = simulate(
+        model,
+        0.3,
+        1e-3,
+        DormandPrince853(),
+        control=lambda t: table[0] * (1 + 0.1 * np.sin(20 * t)),
+        compiled=False,
+    )
     assert abs(waves.nodes - held.nodes).max() < 2e-5
-    unknown = simulate(model, 0.3, 0.1, DormandPrince54(1e-6), control=table, compiled=False, energy_balance=False)
+    unknown = simulate(
+        model, 0.3, 0.1, DormandPrince54(1e-6), control=table, compiled=False, energy_balance=False
+    )
     assert np.isnan(unknown.energy_error).all()
 
 
@@ -186,11 +255,24 @@ def test_loads_that_depend_on_time() -> None:
 
 def test_corrections_follow_each_step() -> None:
     model = Model(Scene(shapes.prism(stiffness=1000.0, prestress=30.0)))
-    start = projection(model)(model.state(model.structure.nodes, np.random.default_rng(3).normal(size=(6, 3)))).full().ravel()
+    start = (
+        projection(model)(
+            model.state(model.structure.nodes, np.random.default_rng(3).normal(size=(6, 3)))
+        )
+        .full()
+        .ravel()
+    )
     plain = simulate(model, 1.0, scheme=DormandPrince54(1e-5), state=start, compiled=False)
     assert plain.bar_length_error.max() > 1e-8
     for correction in (Projection(), BarLengthCorrection()):
-        run = simulate(model, 1.0, scheme=DormandPrince54(1e-5), state=start, correction=correction, compiled=False)
+        run = simulate(
+            model,
+            1.0,
+            scheme=DormandPrince54(1e-5),
+            state=start,
+            correction=correction,
+            compiled=False,
+        )
         assert run.bar_length_error.max() < 1e-14
         assert np.isnan(run.correction_shift).all()
         assert "not measured" in run.summary()
@@ -226,7 +308,9 @@ def test_too_many_attempts_end_the_run_with_a_reason() -> None:
 
 
 def test_a_motion_that_runs_away_is_no_silent_nan() -> None:
-    force = NodalForce(lambda t: [[0, 0, 0], [0, ca.exp(690 * t), 0]])  # finite over the whole run, its square is not
+    force = NodalForce(
+        lambda t: [[0, 0, 0], [0, ca.exp(690 * t), 0]]
+    )  # finite over the whole run, its square is not
     model = Model(Scene(Structure([[0, 0, 0], [1, 0, 0]], bars=[(0, 1)]), forces=force))
     run = simulate(model, 1.0, scheme=DormandPrince54(1e-8, max_attempts=1000), compiled=False)
     assert not run.success

@@ -29,14 +29,21 @@ from tenscasadi.util.compile import find_compiler
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
 PRISM = shapes.prism(stiffness=1000.0, prestress=30.0, damping=5.0)
-SQUARE = Structure([(0.5, 0.5, 0), (-0.5, 0.5, 0), (-0.5, -0.5, 0), (0.5, -0.5, 0)], [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)])
+SQUARE = Structure(
+    [(0.5, 0.5, 0), (-0.5, 0.5, 0), (-0.5, -0.5, 0), (0.5, -0.5, 0)],
+    [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)],
+)
 SUPPORTS = SupportMotion({0: lambda t: (0.1 * t**2, 0.05 * t, 0.0)})
 
 SCENES = {
     "damped strings": Scene(PRISM, gravity=Gravity()),
     "slack strings": Scene(PRISM.replace(rest_length=1.05 * PRISM.rest_length)),
     "smooth slack": Scene(PRISM, slack=Smooth(1e-3)),
-    "contact": Scene(PRISM, gravity=Gravity(), ground=Ground(1e4, 50.0, friction=0.5, height=float(PRISM.nodes[:, 2].min()) + 1e-3)),
+    "contact": Scene(
+        PRISM,
+        gravity=Gravity(),
+        ground=Ground(1e4, 50.0, friction=0.5, height=float(PRISM.nodes[:, 2].min()) + 1e-3),
+    ),
     "joints": Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))),
     "force densities": Scene(shapes.d_bar(pinned=(0,), prestress=10.0), control=ForceDensity()),
     "moved support": Scene(shapes.pendulum(), gravity=Gravity((0, -9.81, 0)), supports=SUPPORTS),
@@ -46,7 +53,13 @@ SCENES = {
 
 @pytest.mark.parametrize(
     ("scheme", "step"),
-    [(Collocation(1), 5e-3), (Collocation(), 0.01), (Collocation(3), 0.02), (Collocation(2, "radau"), 5e-3), (Collocation(3, "radau"), 0.01)],
+    [
+        (Collocation(1), 5e-3),
+        (Collocation(), 0.01),
+        (Collocation(3), 0.02),
+        (Collocation(2, "radau"), 5e-3),
+        (Collocation(3, "radau"), 0.01),
+    ],
 )
 def test_order_of_collocation(scheme: Collocation, step: float) -> None:
     for name in ("prism_n1", "spin_bar"):
@@ -80,7 +93,9 @@ def test_no_step_is_too_large_for_stability() -> None:
 @needs_compiler
 def test_compiled_collocation_gives_the_same_numbers() -> None:
     model = Model(Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))))
-    machine, virtual = (simulate(model, 1.0, 0.02, Collocation(), compiled=compiled) for compiled in (True, False))
+    machine, virtual = (
+        simulate(model, 1.0, 0.02, Collocation(), compiled=compiled) for compiled in (True, False)
+    )
     assert (machine.compiled, virtual.compiled) == (True, False)
     assert abs(machine.states - virtual.states).max() < 1e-10
 
@@ -95,7 +110,13 @@ def test_a_step_that_newton_cannot_solve_ends_the_run(compiled: bool) -> None:
 
 
 def test_mistakes_are_named() -> None:
-    for options in ({"degree": 0}, {"degree": 10}, {"points": "lobatto"}, {"tolerance": 0.0}, {"iterations": 0}):
+    for options in (
+        {"degree": 0},
+        {"degree": 10},
+        {"points": "lobatto"},
+        {"tolerance": 0.0},
+        {"iterations": 0},
+    ):
         with pytest.raises(ValueError, match=rf"Collocation\.{next(iter(options))}"):
             Collocation(**options)  # type: ignore[arg-type]
 
@@ -104,7 +125,11 @@ def test_mistakes_are_named() -> None:
 
 
 def moving(model: Model, speed: float = 0.3) -> Any:
-    velocities = speed * np.random.default_rng(0).normal(size=model.structure.nodes.shape) * ~model.structure.fixed
+    velocities = (
+        speed
+        * np.random.default_rng(0).normal(size=model.structure.nodes.shape)
+        * ~model.structure.fixed
+    )
     return projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
 
 
@@ -115,7 +140,11 @@ def test_the_same_step_as_by_newton(name: str, coordinates: Any) -> None:
         warnings.simplefilter("ignore", RedundantConstraints)
         model = Model(SCENES[name], coordinates)
     nodes = model.structure.nodes
-    start = model.state(nodes, np.cross([0, 0, 1.0], nodes)) if name == "redundant bars" else moving(model)
+    start = (
+        model.state(nodes, np.cross([0, 0, 1.0], nodes))
+        if name == "redundant bars"
+        else moving(model)
+    )
     u = model.initial_control
     for scheme in (Collocation(2, tolerance=1e-12), Collocation(3, "radau", tolerance=1e-12)):
         expected = scheme.step(model.ode)(start, u, 4e-3).full().ravel()
@@ -138,7 +167,9 @@ BALL = Structure([[0, 0, 0]], node_mass=1.0)
     ],
     ids=["stops", "stops at once", "slides", "slides, smooth strings"],
 )
-def test_what_slides_comes_to_rest_within_a_step(scene: Scene, velocity: tuple[float, ...], scheme: Collocation) -> None:
+def test_what_slides_comes_to_rest_within_a_step(
+    scene: Scene, velocity: tuple[float, ...], scheme: Collocation
+) -> None:
     """Friction is all but constant while a node slides: a tangent to it leads past rest and back for ever."""
     model = Model(scene)
     nodes = scene.structure.nodes
@@ -150,14 +181,24 @@ def test_what_slides_comes_to_rest_within_a_step(scene: Scene, velocity: tuple[f
 
 
 @pytest.mark.parametrize(
-    ("structure", "scheme"), [(PRISM, Collocation(2, "radau")), (Structure([(0, 0, 0), (0.5, 0, 0.3)], [(0, 1)]), Collocation())]
+    ("structure", "scheme"),
+    [
+        (PRISM, Collocation(2, "radau")),
+        (Structure([(0, 0, 0), (0.5, 0, 0.3)], [(0, 1)]), Collocation()),
+    ],
 )
 def test_impacts_with_friction(structure: Structure, scheme: Collocation) -> None:
     """In a step through an impact, sliding, sticking and bouncing change in turns from iteration to iteration: it is taken in halves."""
     low = float(structure.nodes[:, 2].min())
-    model = Model(Scene(structure, gravity=Gravity(), ground=Ground(1e5, 100.0, friction=0.5, height=low - 0.05)))
+    model = Model(
+        Scene(
+            structure, gravity=Gravity(), ground=Ground(1e5, 100.0, friction=0.5, height=low - 0.05)
+        )
+    )
     arms = structure.nodes - structure.nodes.mean(axis=0)
-    start = projection(model)(model.state(structure.nodes, (1.0, 0.5, -1.0) + np.cross((0, 2.0, 1.0), arms)))
+    start = projection(model)(
+        model.state(structure.nodes, (1.0, 0.5, -1.0) + np.cross((0, 2.0, 1.0), arms))
+    )
     exact = simulate(model, 0.4, None, DormandPrince853(1e-8), start).nodes[-1]
     coarse, fine = (simulate(model, 0.4, step, scheme, start) for step in (0.01, 5e-4))
     assert coarse.success, coarse.message
@@ -168,7 +209,10 @@ def test_a_step_that_is_not_found_is_taken_in_halves_where_modes_may_change() ->
     """Smooth motions give no finite state there, as documented."""
     bar = Structure([(-0.5, 0, 0), (0.5, 0, 0)], [(0, 1)])
     free, above = (Model(Scene(bar, ground=ground)) for ground in (None, Ground(height=-10.0)))
-    start, step = free.state(bar.nodes, [(0, -10.0, 0), (0, 10.0, 0)]), Collocation(2).advance(above)
+    start, step = (
+        free.state(bar.nodes, [(0, -10.0, 0), (0, 10.0, 0)]),
+        Collocation(2).advance(above),
+    )
     assert np.isnan(Collocation(2).advance(free)(start, [], 0.5).full()).all()
     whole = step(start, [], 0.5).full()
     assert np.isfinite(whole).all()
@@ -180,8 +224,14 @@ def test_one_compiled_loop_serves_all_tolerances() -> None:
     model = Model(Scene(shapes.prism(stiffness=1000.0, prestress=31.0), gravity=Gravity()))
     for degree in (2, 3):
         start = moving(model)
-        runs = [simulate(model, 0.1, 0.01, Collocation(degree, tolerance=tolerance), start) for tolerance in (1e-3, 1e-6, 1e-10)]
-        assert len([key for key in model.functions if key[0] == "steps" and key[1].degree == degree]) == 1
+        runs = [
+            simulate(model, 0.1, 0.01, Collocation(degree, tolerance=tolerance), start)
+            for tolerance in (1e-3, 1e-6, 1e-10)
+        ]
+        assert (
+            len([key for key in model.functions if key[0] == "steps" and key[1].degree == degree])
+            == 1
+        )
         coarse, fine, _ = (abs(run.states[-1] - runs[-1].states[-1]).max() for run in runs)
         assert 0 < fine < coarse < 1e-3
 
@@ -189,7 +239,10 @@ def test_one_compiled_loop_serves_all_tolerances() -> None:
 def test_work_is_collocated_too() -> None:
     model = Model(SCENES["damped strings"])
     start = moving(model)
-    losses = [abs(simulate(model, 0.2, h, Collocation(2), start, compiled=False).energy_error).max() for h in (4e-3, 2e-3)]
+    losses = [
+        abs(simulate(model, 0.2, h, Collocation(2), start, compiled=False).energy_error).max()
+        for h in (4e-3, 2e-3)
+    ]
     assert losses[0] / losses[1] > 12
 
 
@@ -205,12 +258,24 @@ def stiff_prism(damping: float) -> tuple[Model, Any]:
 def test_stiff_strings_at_the_pace_of_the_visible_motion(damping: float) -> None:
     """k = 1e7 N/m, five segments: to 1e-6 m in ten steps of 16 sweeps, where explicit schemes need thousands; damped or not."""
     model, start = stiff_prism(damping)
-    exact = simulate(model, 0.1, stable_step(model, start), state=start, energy_balance=False).nodes[-1]
-    run = simulate(model, 0.1, 0.01, Collocation(2, tolerance=1e-8, iterations=16), start, compiled=False, energy_balance=False)
+    exact = simulate(
+        model, 0.1, stable_step(model, start), state=start, energy_balance=False
+    ).nodes[-1]
+    run = simulate(
+        model,
+        0.1,
+        0.01,
+        Collocation(2, tolerance=1e-8, iterations=16),
+        start,
+        compiled=False,
+        energy_balance=False,
+    )
     assert run.success, run.message
     assert abs(run.nodes[-1] - exact).max() < 1e-6
     evaluations = 10 * 16 * 2
-    assert evaluations < 0.03 * 4 * 0.1 / stable_step(model, start, scheme=RungeKutta4(), safety=1.0)
+    assert evaluations < 0.03 * 4 * 0.1 / stable_step(
+        model, start, scheme=RungeKutta4(), safety=1.0
+    )
 
 
 def test_strings_that_let_go_and_catch_at_large_steps() -> None:
@@ -219,12 +284,20 @@ def test_strings_that_let_go_and_catch_at_large_steps() -> None:
     start = moving(model)
     after = Collocation(2, "radau").advance(model)(start, [], 0.02).full().ravel()
     assert np.isfinite(after).all()
-    residual = after - Collocation(2, "radau", tolerance=1e-12, iterations=200).advance(model)(start, [], 0.02).full().ravel()
+    residual = (
+        after
+        - Collocation(2, "radau", tolerance=1e-12, iterations=200)
+        .advance(model)(start, [], 0.02)
+        .full()
+        .ravel()
+    )
     assert abs(residual).max() < 1e-6
 
 
 def test_grounds_where_no_string_can_go_slack() -> None:
-    structure = Structure([(0, 0, 0.1), (0, 0, 1)], strings=[(0, 1)], node_mass=1.0, stiffness=100.0, rest_length=0.8)
+    structure = Structure(
+        [(0, 0, 0.1), (0, 0, 1)], strings=[(0, 1)], node_mass=1.0, stiffness=100.0, rest_length=0.8
+    )
     model = Model(Scene(structure, gravity=Gravity(), ground=Ground(1e3, 5.0), slack=Linear()))
     run = simulate(model, 0.5, 2e-4, Collocation(2, "radau"), compiled=False)
     assert run.success

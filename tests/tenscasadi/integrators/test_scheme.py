@@ -44,7 +44,9 @@ def test_a_scheme_that_lacks_a_member_is_told_which() -> None:
         def amplification(self, z: np.ndarray) -> np.ndarray:
             return 1 + z
 
-    with pytest.raises(TypeError, match=r"Euler object .* and lacks adaptive, implicit, advance: give"):
+    with pytest.raises(
+        TypeError, match=r"Euler object .* and lacks adaptive, implicit, advance: give"
+    ):
         check_scheme(Euler())  # type: ignore[arg-type]
 
 
@@ -67,16 +69,34 @@ class SymplecticEuler:
 
 
 def test_a_scheme_of_ones_own_is_simulated_like_others() -> None:
-    spring = tc.Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 1.0], pinned=[0], stiffness=100.0, rest_length=0.9)
+    spring = tc.Structure(
+        [(0, 0, 0), (1, 0, 0)],
+        strings=[(0, 1)],
+        node_mass=[0, 1.0],
+        pinned=[0],
+        stiffness=100.0,
+        rest_length=0.9,
+    )
     model = tc.Model(tc.Scene(spring))
-    assert tc.stable_step(model, scheme=SymplecticEuler(), safety=1.0) == pytest.approx(0.2, rel=1e-3)
-    coarse, fine = (tc.simulate(model, 0.1, step, SymplecticEuler(), compiled=False) for step in (2.5e-3, 1.25e-3))
+    assert tc.stable_step(model, scheme=SymplecticEuler(), safety=1.0) == pytest.approx(
+        0.2, rel=1e-3
+    )
+    coarse, fine = (
+        tc.simulate(model, 0.1, step, SymplecticEuler(), compiled=False)
+        for step in (2.5e-3, 1.25e-3)
+    )
     assert fine.success
     exact = 0.9 + 0.1 * np.cos(10 * 0.1)  # taut all the while
-    assert (coarse.nodes[-1, 1, 0] - exact) / (fine.nodes[-1, 1, 0] - exact) == pytest.approx(2, rel=0.05)
+    assert (coarse.nodes[-1, 1, 0] - exact) / (fine.nodes[-1, 1, 0] - exact) == pytest.approx(
+        2, rel=0.05
+    )
 
 
-@pytest.mark.parametrize("scheme", [RungeKutta4(), DormandPrince853(1e-6), tc.Rattle(), tc.Collocation(), tc.Cvodes(), tc.Idas()], ids=repr)
+@pytest.mark.parametrize(
+    "scheme",
+    [RungeKutta4(), DormandPrince853(1e-6), tc.Rattle(), tc.Collocation(), tc.Cvodes(), tc.Idas()],
+    ids=repr,
+)
 def test_what_is_no_model_is_refused(scheme: Scheme) -> None:
     for wrong in (tc.Scene(tc.shapes.prism()), tc.Model, 4, None):
         with pytest.raises(TypeError, match=r"^model is .*: give a tenscasadi\.Model$"):

@@ -29,7 +29,11 @@ def test_a_disturbed_loop_of_bars_comes_back_to_rounding(pinned: object, coordin
     y = projection(model)(x).full().ravel()
     assert model.bar_length_error(y) < 1e-15
     assert model.joint_error(y) < 1e-15
-    stretching = np.sum(np.diff(model.nodes(y)[LOOP.bars], axis=1) * np.diff(model.velocities(y)[LOOP.bars], axis=1), axis=(1, 2))
+    stretching = np.sum(
+        np.diff(model.nodes(y)[LOOP.bars], axis=1)
+        * np.diff(model.velocities(y)[LOOP.bars], axis=1),
+        axis=(1, 2),
+    )
     assert abs(stretching).max() < 1e-15
     assert np.allclose(projection(model)(y).full().ravel(), y, atol=1e-15)
 
@@ -43,11 +47,15 @@ def test_projection_keeps_centre_of_mass_and_momenta(coordinates: str) -> None:
 
     def invariants(x: np.ndarray, at: np.ndarray) -> np.ndarray:
         N, V = model.nodes(at), model.velocities(x)
-        return np.concatenate([M.sum(0) @ model.nodes(x), M.sum(0) @ V, np.cross(N, M @ V).sum(axis=0)])
+        return np.concatenate(
+            [M.sum(0) @ model.nodes(x), M.sum(0) @ V, np.cross(N, M @ V).sum(axis=0)]
+        )
 
     disturbed = x.copy()
     disturbed[model.nq :] += 0.1 * rng.normal(size=model.nq)
-    if coordinates == "full":  # copies of a node must start with one velocity for momenta of physical nodes to be defined
+    if (
+        coordinates == "full"
+    ):  # copies of a node must start with one velocity for momenta of physical nodes to be defined
         disturbed = model.state(model.nodes(x), model.velocities(disturbed))
     y = projection(model)(disturbed).full().ravel()
     assert np.allclose(invariants(y, y), invariants(disturbed, y), atol=1e-13)
@@ -83,7 +91,10 @@ def test_nothing_to_keep_builds_nothing() -> None:
     assert Projection().step(Model(Scene(LOOP))) is not None
 
 
-@pytest.mark.parametrize("changes", [{"every": 0}, {"every": 1.5}, {"every": True}, {"iterations": 0}, {"iterations": "many"}])
+@pytest.mark.parametrize(
+    "changes",
+    [{"every": 0}, {"every": 1.5}, {"every": True}, {"iterations": 0}, {"iterations": "many"}],
+)
 def test_bad_options_are_refused_by_name(changes: dict[str, object]) -> None:
     with pytest.raises((ValueError, TypeError), match=rf"Projection\.{next(iter(changes))}"):
         Projection(**changes)  # type: ignore[arg-type]
@@ -118,7 +129,13 @@ class TestAppendixC:
 
     def test_open_chains_close_exactly_and_closed_loops_do_not(self) -> None:
         rng = np.random.default_rng(5)
-        chain = Structure([(0, 0, 0), (1, 0.2, 0), (2, 0, 0.3), (1, 0, 2)], [(0, 1), (1, 2)], [(2, 3)], node_mass=[0, 0, 0, 1], pinned=(0,))
+        chain = Structure(
+            [(0, 0, 0), (1, 0.2, 0), (2, 0, 0.3), (1, 0, 2)],
+            [(0, 1), (1, 2)],
+            [(2, 3)],
+            node_mass=[0, 0, 0, 1],
+            pinned=(0,),
+        )
         for structure, closed in ((chain, False), (LOOP.replace(pinned=(0,)), True)):
             model = Model(Scene(structure), "full")
             x = model.initial_state + 1e-4 * rng.normal(size=model.nx)
@@ -133,7 +150,10 @@ class TestAppendixC:
     def test_it_keeps_bars_over_a_run_as_the_projection_does(self) -> None:
         case = certified("prism_n1")
         model = Model(case.scene)
-        runs = [simulate(model, 5.0, 2e-3, correction=correction) for correction in (None, BarLengthCorrection(), Projection())]
+        runs = [
+            simulate(model, 5.0, 2e-3, correction=correction)
+            for correction in (None, BarLengthCorrection(), Projection())
+        ]
         assert runs[0].bar_length_error.max() > 1e-7
         for run in runs[1:]:
             assert run.bar_length_error.max() < 1e-14
@@ -150,7 +170,10 @@ def test_the_printed_multiplier_lets_lengths_drift_where_the_current_one_does_no
     ball = shapes.six_bar_ball(prestress=50.0)
     scene = Scene(ball, gravity=Gravity())
     start = Model(scene).initial_state + 1e-8 * np.random.default_rng(6).normal(size=72)
-    drift = [simulate(Model(scene, bar_length=name), 1.0, 1e-3, state=start).bar_length_error[-1] for name in ("current", "constant")]  # type: ignore[arg-type]
+    drift = [
+        simulate(Model(scene, bar_length=name), 1.0, 1e-3, state=start).bar_length_error[-1]
+        for name in ("current", "constant")
+    ]  # type: ignore[arg-type]
     assert drift[1] > 100 * drift[0]
     assert drift[0] < 1e-7
     with pytest.raises(ValueError, match=r"Model\.bar_length"):
@@ -158,8 +181,12 @@ def test_the_printed_multiplier_lets_lengths_drift_where_the_current_one_does_no
     assert Model(Scene(LOOP), "full", "constant").ode is not None
 
 
-@pytest.mark.parametrize("correction", [Projection(), Projection(every=7), BarLengthCorrection(weight=2.0)], ids=str)
-def test_a_trajectory_tells_what_its_correction_did(correction: Projection | BarLengthCorrection) -> None:
+@pytest.mark.parametrize(
+    "correction", [Projection(), Projection(every=7), BarLengthCorrection(weight=2.0)], ids=str
+)
+def test_a_trajectory_tells_what_its_correction_did(
+    correction: Projection | BarLengthCorrection,
+) -> None:
     model = Model(certified("prism_n1").scene)
     effects = {}
     for step in (1e-2, 5e-3):
@@ -167,7 +194,9 @@ def test_a_trajectory_tells_what_its_correction_did(correction: Projection | Bar
         assert run.correction_shift.shape == run.correction_energy.shape == run.time.shape
         effects[step] = run.correction_shift.max(), abs(run.correction_energy).max()
         assert "correction    moves a node by" in run.summary()
-    assert 1e-12 < effects[5e-3][0] < effects[1e-2][0] / 10  # what a step does wrong falls like its fifth power
+    assert (
+        1e-12 < effects[5e-3][0] < effects[1e-2][0] / 10
+    )  # what a step does wrong falls like its fifth power
     assert 0 < effects[5e-3][1] < effects[1e-2][1] / 10
     plain = simulate(model, 1.0, 1e-2)
     assert not plain.correction_shift.any()
@@ -176,10 +205,14 @@ def test_a_trajectory_tells_what_its_correction_did(correction: Projection | Bar
         once = simulate(model, 1e-2, 1e-2).states[-1]
         moved = projection(model)(once).full().ravel()
         first = simulate(model, 1e-2, 1e-2, correction=correction, state=x).correction_shift[0]
-        assert first == pytest.approx(np.linalg.norm(model.nodes(moved) - model.nodes(once), axis=1).max(), rel=1e-6)
+        assert first == pytest.approx(
+            np.linalg.norm(model.nodes(moved) - model.nodes(once), axis=1).max(), rel=1e-6
+        )
 
 
-@pytest.mark.parametrize("correction", [Projection(), BarLengthCorrection()], ids=lambda value: type(value).__name__)
+@pytest.mark.parametrize(
+    "correction", [Projection(), BarLengthCorrection()], ids=lambda value: type(value).__name__
+)
 def test_what_is_no_model_is_refused_by_name(correction):
     with pytest.raises(TypeError, match=r"model is 'prism': give a tenscasadi\.Model"):
         correction.step("prism")

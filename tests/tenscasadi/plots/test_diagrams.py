@@ -20,7 +20,11 @@ def test_a_solver_is_drawn_as_it_works(tmp_path):
 
     model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
     limits = [ocp.ForceDensityLimits(1.0, 50.0)]
-    plan = ocp.solve(ocp.Problem(model, 0.5, bounds=limits, costs=[ocp.Effort()]), ocp.Variational(4), ocp.Ipopt(watch=watch))
+    plan = ocp.solve(
+        ocp.Problem(model, 0.5, bounds=limits, costs=[ocp.Effort()]),
+        ocp.Variational(4),
+        ocp.Ipopt(watch=watch),
+    )
     assert plan.success
     assert len({written for _, written in told}) == len(told) == plan.iterations + 1
     above, below = (ax.lines[0].get_xydata() for ax in picture.figure().axes)

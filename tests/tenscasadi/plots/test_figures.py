@@ -26,7 +26,9 @@ def prism():
 @pytest.fixture(scope="module")
 def motion(prism):
     model = tc.Model(tc.Scene(prism))
-    state = model.state(prism.nodes, np.cross((0.0, 0.0, 2.0), prism.nodes) + np.array([0.5, 0.0, 0.0]))
+    state = model.state(
+        prism.nodes, np.cross((0.0, 0.0, 2.0), prism.nodes) + np.array([0.5, 0.0, 0.0])
+    )
     return tc.simulate(model, 0.5, step=0.005, state=state, compiled=False)
 
 
@@ -60,13 +62,17 @@ def test_structure_colours_strings_by_tension(prism):
     assert len(seen) == 3  # bars, slack strings, the taut one
     figure = plots.structure(prism)
     assert len(colours_of(figure)) == 3  # two tensions of the self-stress
-    assert figure.axes[1].get_ylim() == pytest.approx((0.0, (prism.stiffness * (prism.string_lengths - prism.rest_length)).max()))
+    assert figure.axes[1].get_ylim() == pytest.approx(
+        (0.0, (prism.stiffness * (prism.string_lengths - prism.rest_length)).max())
+    )
 
 
 def test_structure_says_which_strings_push(prism):
     figure = plots.structure(prism, [-7.0, 0.0, *[5.0] * 7])
     assert figure.axes[1].get_ylabel() == "tension (N); grey: slack; green: pushing, up to 7 N"
-    assert {tuple(np.round(to_rgba(colour), 6)) for colour in (SLACK, PUSHING)} <= colours_of(figure)
+    assert {tuple(np.round(to_rgba(colour), 6)) for colour in (SLACK, PUSHING)} <= colours_of(
+        figure
+    )
 
 
 def test_structure_says_that_all_strings_are_slack():
@@ -119,11 +125,16 @@ def test_pinned_nodes_are_marked(swing):
 
 
 def test_labels_number_the_nodes(prism):
-    assert [text.get_text() for text in plots.structure(prism, labels=True).axes[0].texts] == [str(k) for k in range(6)]
+    assert [text.get_text() for text in plots.structure(prism, labels=True).axes[0].texts] == [
+        str(k) for k in range(6)
+    ]
 
 
 def test_a_lone_mass_and_a_net_can_be_drawn():
-    assert len(plots.structure(tc.Structure([(0.0, 0.0, 0.0)], node_mass=1.0)).axes[0].collections) == 1
+    assert (
+        len(plots.structure(tc.Structure([(0.0, 0.0, 0.0)], node_mass=1.0)).axes[0].collections)
+        == 1
+    )
     assert plots.structure(tc.shapes.membrane(4, 3)).axes
 
 
@@ -131,7 +142,9 @@ def test_node_histories(motion, swing):
     panels = plots.node_histories(motion, [2, 0]).axes
     assert [line.get_label() for line in panels[0].lines] == ["node 2", "node 0"]
     assert panels[1].lines[1].get_ydata() == pytest.approx(motion.nodes[:, 0, 1])
-    assert [line.get_label() for line in plots.node_histories(swing).axes[0].lines] == ["node 1"]  # node 0 does not move
+    assert [line.get_label() for line in plots.node_histories(swing).axes[0].lines] == [
+        "node 1"
+    ]  # node 0 does not move
 
 
 def test_force_densities_of_a_trajectory(motion):
@@ -141,7 +154,9 @@ def test_force_densities_of_a_trajectory(motion):
 
 
 def test_force_densities_of_a_plan_are_steps_with_their_bounds():
-    plan = SimpleNamespace(time=np.array([0.0, 1.0, 3.0]), force_density=np.array([[1.0, 2.0], [5.0, 6.0]]))
+    plan = SimpleNamespace(
+        time=np.array([0.0, 1.0, 3.0]), force_density=np.array([[1.0, 2.0], [5.0, 6.0]])
+    )
     ax = plots.force_densities(plan, lower=0.0, upper=[8.0, np.inf]).axes[0]
     assert [patch.get_data().values.tolist() for patch in ax.patches] == [[1.0, 5.0], [2.0, 6.0]]
     assert sorted(line.get_ydata()[0] for line in ax.lines) == [0.0, 8.0]
@@ -166,21 +181,44 @@ def test_errors_too_small_to_be_drawn_are_told(motion):
 
 def test_errors_that_are_all_zero_are_drawn(motion):
     zero = np.zeros(len(motion.time))
-    plots.errors(dataclasses.replace(motion, energy_error=zero, bar_length_error=zero, joint_error=zero)).draw_without_rendering()
+    plots.errors(
+        dataclasses.replace(motion, energy_error=zero, bar_length_error=zero, joint_error=zero)
+    ).draw_without_rendering()
 
 
 def test_a_single_row_can_be_drawn(motion):
-    one = {name: getattr(motion, name)[:1] for name in ("time", "nodes", "velocities", "force_density", "tension", "energy")}
+    one = {
+        name: getattr(motion, name)[:1]
+        for name in ("time", "nodes", "velocities", "force_density", "tension", "energy")
+    }
     one |= {
         name: getattr(motion, name)[:1]
-        for name in ("energy_parts", "energy_error", "bar_length_error", "joint_error", "correction_shift", "correction_energy", "states", "control")
+        for name in (
+            "energy_parts",
+            "energy_error",
+            "bar_length_error",
+            "joint_error",
+            "correction_shift",
+            "correction_energy",
+            "states",
+            "control",
+        )
     }
     start = dataclasses.replace(motion, **one)
-    for draw in (plots.structure, plots.time_lapse, plots.node_histories, plots.force_densities, plots.errors):
+    for draw in (
+        plots.structure,
+        plots.time_lapse,
+        plots.node_histories,
+        plots.force_densities,
+        plots.errors,
+    ):
         draw(start).draw_without_rendering()
 
 
-@pytest.mark.parametrize("draw", [plots.structure, plots.time_lapse, plots.node_histories, plots.force_densities, plots.errors])
+@pytest.mark.parametrize(
+    "draw",
+    [plots.structure, plots.time_lapse, plots.node_histories, plots.force_densities, plots.errors],
+)
 def test_pictures_are_saved(draw, motion, tmp_path):
     file = tmp_path / "picture.png"
     draw(motion, title="title", path=file)
@@ -219,7 +257,13 @@ def test_no_global_state(motion):
         (lambda motion, path: plots.force_densities(motion, strings=[9]), ValueError, "strings"),
         (lambda motion, path: plots.force_densities(motion, upper=[1.0, 2.0]), ValueError, "upper"),
         (lambda motion, path: plots.force_densities(motion, lower="high"), TypeError, "lower"),
-        (lambda motion, path: plots.force_densities(SimpleNamespace(time=[0.0, 1.0], force_density=np.ones((4, 1)))), ValueError, "force_density"),
+        (
+            lambda motion, path: plots.force_densities(
+                SimpleNamespace(time=[0.0, 1.0], force_density=np.ones((4, 1)))
+            ),
+            ValueError,
+            "force_density",
+        ),
         (lambda motion, path: plots.force_densities("x"), TypeError, "history is 'x'"),
         (lambda motion, path: plots.errors(3), TypeError, "trajectory"),
         (lambda motion, path: plots.errors(motion, path=path / "picture.xyz"), ValueError, "xyz"),
@@ -229,15 +273,35 @@ def test_no_global_state(motion):
         (lambda motion, path: plots.structure(motion, labels=np.ones(2)), TypeError, "^labels is"),
         (lambda motion, path: plots.node_histories(motion, 3), TypeError, "^nodes is 3"),
         (lambda motion, path: plots.force_densities(motion, strings=len), TypeError, "^strings is"),
-        (lambda motion, path: plots.work_precision({"a": [1.0, 2.0]}), ValueError, r"^curves\['a'\] has shape"),
+        (
+            lambda motion, path: plots.work_precision({"a": [1.0, 2.0]}),
+            ValueError,
+            r"^curves\['a'\] has shape",
+        ),
         (lambda motion, path: plots.work_precision([]), TypeError, "^curves is"),
-        (lambda motion, path: plots.work_precision({}, reference_error=-1.0), ValueError, "^reference_error is"),
+        (
+            lambda motion, path: plots.work_precision({}, reference_error=-1.0),
+            ValueError,
+            "^reference_error is",
+        ),
         (lambda motion, path: plots.Convergence(3.0), TypeError, "^path is"),
         (lambda motion, path: plots.Convergence()((1, 2)), TypeError, "^now is"),
-        (lambda motion, path: animate(motion, path / "motion.gif", title=3), TypeError, "^title is"),
+        (
+            lambda motion, path: animate(motion, path / "motion.gif", title=3),
+            TypeError,
+            "^title is",
+        ),
         (lambda motion, path: animate(motion, path / "motion.avi"), ValueError, "path"),
-        (lambda motion, path: animate(motion, path / "motion.gif", speed=1e-5), ValueError, "speed"),
-        (lambda motion, path: animate(motion, path / "motion.gif", frames_per_second=0), ValueError, "frames_per_second"),
+        (
+            lambda motion, path: animate(motion, path / "motion.gif", speed=1e-5),
+            ValueError,
+            "speed",
+        ),
+        (
+            lambda motion, path: animate(motion, path / "motion.gif", frames_per_second=0),
+            ValueError,
+            "frames_per_second",
+        ),
     ],
 )
 def test_mistakes_are_named(mistake, error, named, motion, tmp_path):
@@ -249,22 +313,40 @@ def test_mistakes_are_named(mistake, error, named, motion, tmp_path):
 def test_of_what_holds_a_motion_the_message_says_where(motion, prism, tmp_path):
     duration = float(motion.time[-1])
     model = tc.Model(tc.Scene(prism, control=tc.ForceDensity()))
-    plan = ocp.solve(ocp.Problem(model, duration, costs=[ocp.Effort()], bounds=[ocp.ForceDensityLimits(0.0, 100.0)]), ocp.MultipleShooting(2))
+    plan = ocp.solve(
+        ocp.Problem(
+            model, duration, costs=[ocp.Effort()], bounds=[ocp.ForceDensityLimits(0.0, 100.0)]
+        ),
+        ocp.MultipleShooting(2),
+    )
     loop = ocp.ClosedLoop(motion, np.ones(1))
-    for draw in (plots.time_lapse, plots.node_histories, plots.errors, lambda what: animate(what, tmp_path / "motion.gif")):
-        with pytest.raises(TypeError, match=r"^trajectory is Plan\(.*\): give its replay\(\) or trajectory$"):
+    for draw in (
+        plots.time_lapse,
+        plots.node_histories,
+        plots.errors,
+        lambda what: animate(what, tmp_path / "motion.gif"),
+    ):
+        with pytest.raises(
+            TypeError, match=r"^trajectory is Plan\(.*\): give its replay\(\) or trajectory$"
+        ):
             draw(plan)
-        with pytest.raises(TypeError, match=r"^trajectory is ClosedLoop\(.*\): give its trajectory$"):
+        with pytest.raises(
+            TypeError, match=r"^trajectory is ClosedLoop\(.*\): give its trajectory$"
+        ):
             draw(loop)
         with pytest.raises(TypeError, match=r"^trajectory is .*: give a tenscasadi\.Trajectory$"):
             draw(prism)
-    with pytest.raises(TypeError, match=r"^what is Plan\(.*\): give its replay\(\) or trajectory or structure$"):
+    with pytest.raises(
+        TypeError, match=r"^what is Plan\(.*\): give its replay\(\) or trajectory or structure$"
+    ):
         plots.structure(plan)
     with pytest.raises(TypeError, match=r"^what is .*: give its structure$"):
         plots.structure(model)
     with pytest.raises(TypeError, match=r"^history is ClosedLoop\(.*\): give its trajectory$"):
         plots.force_densities(loop)
-    with pytest.raises(TypeError, match=r"^history is .*: give a tenscasadi\.Trajectory or an ocp\.Plan$"):
+    with pytest.raises(
+        TypeError, match=r"^history is .*: give a tenscasadi\.Trajectory or an ocp\.Plan$"
+    ):
         plots.force_densities(prism)
     assert plots.force_densities(plan).axes
     assert not list(tmp_path.iterdir())

@@ -11,7 +11,11 @@ from tenscasadi import plots
 
 
 def found(factor=1.0, **importance):
-    return SimpleNamespace(worst_error=factor * np.array([0.04, 0.01, np.inf, 0.02]), tolerance=0.03, importance=importance)
+    return SimpleNamespace(
+        worst_error=factor * np.array([0.04, 0.01, np.inf, 0.02]),
+        tolerance=0.03,
+        importance=importance,
+    )
 
 
 def test_one_curve_shows_the_share_within_each_error(tmp_path):
@@ -26,8 +30,13 @@ def test_one_curve_shows_the_share_within_each_error(tmp_path):
 
 
 def test_several_are_told_by_name():
-    figure = plots.robustness({"open loop": found(bar_mass=0.7), "tracked": found(0.1, bar_mass=0.1, start=0.8)})
-    assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == ["open loop", "tracked"]
+    figure = plots.robustness(
+        {"open loop": found(bar_mass=0.7), "tracked": found(0.1, bar_mass=0.1, start=0.8)}
+    )
+    assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == [
+        "open loop",
+        "tracked",
+    ]
     assert [label.get_text() for label in figure.axes[1].get_yticklabels()] == ["bar_mass", "start"]
 
 
@@ -35,7 +44,10 @@ def test_too_few_replays_to_tell_leave_the_bars_empty():
     assert plots.robustness(found(bar_mass=np.nan)).axes[1].patches[0].get_width() == 0.0
 
 
-@pytest.mark.parametrize(("what", "error"), [(3.0, TypeError), ({"a": 1}, TypeError), ({}, ValueError), ({1: found()}, TypeError)])
+@pytest.mark.parametrize(
+    ("what", "error"),
+    [(3.0, TypeError), ({"a": 1}, TypeError), ({}, ValueError), ({1: found()}, TypeError)],
+)
 def test_what_is_no_robustness_is_refused(what, error):
     with pytest.raises(error, match="what"):
         plots.robustness(what)

@@ -13,7 +13,9 @@ from tenscasadi import plots
 def many():
     """Masses on a string of force density u, x'' = -u x, one of them not finite."""
     pins = {0: "xyz", 1: "yz"}
-    structure = tc.Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 1.0], pinned=pins)
+    structure = tc.Structure(
+        [(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 1.0], pinned=pins
+    )
     model = tc.Model(tc.Scene(structure, control=tc.ForceDensity()))
     starts = np.tile([1.0, 0.0], (101, 1))
     starts[7] = np.nan
@@ -28,10 +30,14 @@ def test_a_fan_shows_quantiles_of_those_that_succeeded(many, tmp_path):
     assert top.get_title() == "100 of 101 motions"
     u = np.delete(np.linspace(0.0, 2.0, 101), 7)
     median = next(line for line in top.lines if line.get_label() == "median")
-    np.testing.assert_allclose(median.get_ydata(), np.median(np.cos(np.sqrt(u)[:, None] * many.time), axis=0), atol=1e-8)
+    np.testing.assert_allclose(
+        median.get_ydata(), np.median(np.cos(np.sqrt(u)[:, None] * many.time), axis=0), atol=1e-8
+    )
     (band,) = top.collections
     ends = band.get_paths()[0].vertices[band.get_paths()[0].vertices[:, 0] == 1.0][:, 1]
-    np.testing.assert_allclose([ends.min(), ends.max()], np.quantile(np.cos(np.sqrt(u)), [0.25, 0.75]), atol=1e-8)
+    np.testing.assert_allclose(
+        [ends.min(), ends.max()], np.quantile(np.cos(np.sqrt(u)), [0.25, 0.75]), atol=1e-8
+    )
 
 
 def test_a_histogram_counts_those_that_succeeded(many):
@@ -39,7 +45,9 @@ def test_a_histogram_counts_those_that_succeeded(many):
     (ax,) = figure.axes
     assert ax.get_xlabel() == "x at the end (m)"
     assert sum(bar.get_height() for bar in ax.patches) == 100
-    assert f"median: {np.nanmedian(many.final[:, 0]):.4g}" in [line.get_label() for line in ax.lines]
+    assert f"median: {np.nanmedian(many.final[:, 0]):.4g}" in [
+        line.get_label() for line in ax.lines
+    ]
     alike = plots.histogram(many, np.ones(101))
     assert [bar.get_height() for bar in alike.axes[0].patches] == [100]
 

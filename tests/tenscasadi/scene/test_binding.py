@@ -11,7 +11,11 @@ FACES = [(0, 1, 2), (3, 5, 4)]
 
 def test_every_quantity_gets_its_value():
     structure = tc.shapes.prism(string_mass=0.1, damping=1.0)
-    loads = {"gravity": tc.Gravity(), "pressure": tc.Pressure(FACES, 5.0), "forces": tc.NodalForce(np.ones((6, 3)))}
+    loads = {
+        "gravity": tc.Gravity(),
+        "pressure": tc.Pressure(FACES, 5.0),
+        "forces": tc.NodalForce(np.ones((6, 3))),
+    }
     names = (
         "stiffness",
         "damping",
@@ -30,7 +34,10 @@ def test_every_quantity_gets_its_value():
     own = fix(scene, p)
     assert own.parameters is None
     found = [getattr(own.structure, name) for name in names[:6]]
-    found += [[getattr(ground, name) for ground in own.grounds] for name in ("stiffness", "damping", "friction")]
+    found += [
+        [getattr(ground, name) for ground in own.grounds]
+        for name in ("stiffness", "damping", "friction")
+    ]
     found += [own.gravity.acceleration, [own.pressure.difference], own.forces.values.ravel()]
     assert np.array_equal(np.concatenate(found), p)
 
@@ -46,9 +53,15 @@ def test_scales_multiply_constants_tables_and_functions_of_time():
     own = fix(tc.Scene(structure, parameters=scaled, **loads), np.array([2.0, 3.0, 4.0]))
     for name, factor in (("gravity", 2.0), ("pressure", 3.0), ("forces", 4.0)):
         expected = np.array(ca.DM(loads[name].at(ca.DM(0.5)))) * factor
-        np.testing.assert_allclose(np.array(ca.DM(getattr(own, name).at(ca.DM(0.5)))), expected, rtol=1e-14)
+        np.testing.assert_allclose(
+            np.array(ca.DM(getattr(own, name).at(ca.DM(0.5)))), expected, rtol=1e-14
+        )
 
 
 def test_no_friction_at_all_is_none():
-    scene = tc.Scene(tc.shapes.prism(), ground=tc.Ground(friction=0.5), parameters=tc.Parameters("ground_friction"))
+    scene = tc.Scene(
+        tc.shapes.prism(),
+        ground=tc.Ground(friction=0.5),
+        parameters=tc.Parameters("ground_friction"),
+    )
     assert fix(scene, np.zeros(1)).ground.friction is None

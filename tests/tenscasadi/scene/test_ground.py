@@ -25,7 +25,9 @@ POINTS = np.column_stack([RNG.uniform(-1, 3, 40), RNG.uniform(2, 5, 40), RNG.uni
 
 
 def terrain(**changes: object) -> Terrain:
-    return Terrain(**{"heights": HILLS, "lower": LOWER, "upper": UPPER, "stiffness": 100.0, **changes})  # type: ignore[arg-type]
+    return Terrain(
+        **{"heights": HILLS, "lower": LOWER, "upper": UPPER, "stiffness": 100.0, **changes}
+    )  # type: ignore[arg-type]
 
 
 def tilted(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -35,7 +37,9 @@ def tilted(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def both(**law: object) -> tuple[Terrain, Ground]:
     """The same plane as a height field and as a plane."""
-    x, y = (np.linspace(low, high, count) for low, high, count in zip(LOWER, UPPER, (5, 4), strict=True))
+    x, y = (
+        np.linspace(low, high, count) for low, high, count in zip(LOWER, UPPER, (5, 4), strict=True)
+    )
     field = Terrain(tilted(x[:, None], y[None, :]), LOWER, UPPER, **law)  # type: ignore[arg-type]
     normal = np.array([-0.3, 0.2, 1.0])
     return field, Ground(normal=normal, height=0.7 / float(np.linalg.norm(normal)), **law)  # type: ignore[arg-type]
@@ -46,7 +50,9 @@ def test_ground_pushes_below_its_plane_and_never_pulls() -> None:
     N = ca.DM([[0, 0, 0], [0, 0, 0], [0.6, 0.4, 0.4]])
     V = ca.DM([[0, 1, 1], [0, 0, 0], [-1, -1, 5]])
     W = ground.forces(N, V).full()
-    assert np.allclose(W, [[0, 0, 0], [0, 0, 0], [0, 20, 0]])  # apart; 100·0.1 + 10·1; leaving fast: no pull
+    assert np.allclose(
+        W, [[0, 0, 0], [0, 0, 0], [0, 20, 0]]
+    )  # apart; 100·0.1 + 10·1; leaving fast: no pull
     assert float(ground.energy(N)) == pytest.approx(2 * 100 * 0.01 / 2)
     assert not ground.conservative
     assert Ground().conservative
@@ -75,7 +81,10 @@ def test_a_tilted_ground_pushes_along_its_normal() -> None:
 
 
 def test_a_height_field_is_bilinear_between_its_points() -> None:
-    x, y = (np.linspace(low, high, count) for low, high, count in zip(LOWER, UPPER, HILLS.shape, strict=True))
+    x, y = (
+        np.linspace(low, high, count)
+        for low, high, count in zip(LOWER, UPPER, HILLS.shape, strict=True)
+    )
     height = RegularGridInterpolator((x, y), HILLS)(POINTS[:, :2])
     depth = terrain().depth(ca.DM(POINTS.T)).full().ravel()
     assert np.array_equal(depth > 0, height > POINTS[:, 2])
@@ -97,7 +106,10 @@ def test_a_planar_height_field_is_the_plane(kind: object) -> None:
         lambda ground: ca.jacobian(ground.forces(N, V)[:, deepest], V),
     ]
     for make in makes:
-        one, other = (ca.Function("f", [N, V], [make(ground)])(POINTS.T, speeds).full() for ground in (field, plane))
+        one, other = (
+            ca.Function("f", [N, V], [make(ground)])(POINTS.T, speeds).full()
+            for ground in (field, plane)
+        )
         assert np.abs(other).max() > 0.1
         assert np.abs(one - other).max() < 1e-11
 
@@ -106,31 +118,54 @@ def test_a_planar_height_field_is_the_plane(kind: object) -> None:
 def test_the_push_of_a_height_field_is_the_gradient_of_its_energy(kind: object) -> None:
     n = kind.sym("n", 3)  # type: ignore[attr-defined]
     ground = terrain()
-    gradient = ca.Function("g", [n], [ground.forces(n, ca.DM.zeros(3)), ca.gradient(ground.energy(n), n)])
+    gradient = ca.Function(
+        "g", [n], [ground.forces(n, ca.DM.zeros(3)), ca.gradient(ground.energy(n), n)]
+    )
     for point in POINTS:
         push, slope = (value.full().ravel() for value in gradient(point))
         assert np.abs(push + slope).max() < 1e-12 * max(1.0, np.abs(slope).max())
-        moved = [float(ground.energy(ca.DM(point + step))) for step in np.vstack([np.eye(3), -np.eye(3)]) * 1e-6]
+        moved = [
+            float(ground.energy(ca.DM(point + step)))
+            for step in np.vstack([np.eye(3), -np.eye(3)]) * 1e-6
+        ]
         assert np.abs((np.array(moved[:3]) - moved[3:]) / 2e-6 - slope).max() < 1e-4
 
 
 def test_second_derivatives_of_a_height_field_are_those_of_its_cells() -> None:
     x = ca.SX.sym("x", 3)
     energy = terrain().energy(x)
-    hessian, gradient = ca.Function("h", [x], ca.hessian(energy, x)[:1]), ca.Function("g", [x], [ca.gradient(energy, x)])
+    hessian, gradient = (
+        ca.Function("h", [x], ca.hessian(energy, x)[:1]),
+        ca.Function("g", [x], [ca.gradient(energy, x)]),
+    )
     for point in POINTS[:10]:
-        ends = [gradient(point + sign * step).full() for step in 1e-6 * np.eye(3) for sign in (1, -1)]
-        numeric = np.column_stack([(up - down).ravel() / 2e-6 for up, down in zip(ends[::2], ends[1::2], strict=True)])
-        assert np.abs(hessian(point).full() - numeric).max() < 1e-5 * max(1.0, np.abs(numeric).max())
+        ends = [
+            gradient(point + sign * step).full() for step in 1e-6 * np.eye(3) for sign in (1, -1)
+        ]
+        numeric = np.column_stack(
+            [(up - down).ravel() / 2e-6 for up, down in zip(ends[::2], ends[1::2], strict=True)]
+        )
+        assert np.abs(hessian(point).full() - numeric).max() < 1e-5 * max(
+            1.0, np.abs(numeric).max()
+        )
 
 
-@pytest.mark.parametrize(("outside", "border"), [((-9, 3), (-1, 3)), ((3.5, 4.4), (3, 4.4)), ((1.2, 1e6), (1.2, 5)), ((-2, 0), (-1, 2))])
-def test_beyond_the_grid_the_ground_goes_on_as_it_ends(outside: tuple[float, float], border: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    ("outside", "border"),
+    [((-9, 3), (-1, 3)), ((3.5, 4.4), (3, 4.4)), ((1.2, 1e6), (1.2, 5)), ((-2, 0), (-1, 2))],
+)
+def test_beyond_the_grid_the_ground_goes_on_as_it_ends(
+    outside: tuple[float, float], border: tuple[float, float]
+) -> None:
     here, there = (terrain().depth(ca.DM([*place, -3.0])) for place in (outside, border))
     assert float(here) == pytest.approx(float(there), abs=1e-9)
     push = terrain().forces(ca.DM([*outside, -3.0]), ca.DM.zeros(3)).full().ravel()
     assert push[2] > 0
-    assert all(push[axis] == 0 for axis in (0, 1) if outside[axis] != border[axis] and abs(np.subtract(outside, border)).all())
+    assert all(
+        push[axis] == 0
+        for axis in (0, 1)
+        if outside[axis] != border[axis] and abs(np.subtract(outside, border)).all()
+    )
 
 
 def test_friction_on_a_height_field_goes_along_the_surface_and_is_bounded_by_coulomb() -> None:
@@ -147,10 +182,18 @@ def test_friction_on_a_height_field_goes_along_the_surface_and_is_bounded_by_cou
 
 def test_a_ground_acts_on_the_nodes_that_are_chosen_and_several_add_up() -> None:
     two = Structure([(0, 0, -0.1), (1, 0, -0.1), (2, 0, -0.1)], node_mass=1.0)
-    push = Ground(stiffness=50.0, nodes=[2, 0]), Ground(stiffness=20.0, height=1.9, normal=(1, 0, 0), nodes=np.array([1]))
+    push = (
+        Ground(stiffness=50.0, nodes=[2, 0]),
+        Ground(stiffness=20.0, height=1.9, normal=(1, 0, 0), nodes=np.array([1])),
+    )
     for coordinates in ("reduced", "full"):
         rates = {}
-        for name, grounds in {"first": push[0], "second": push[1:], "both": list(push), "none": ()}.items():
+        for name, grounds in {
+            "first": push[0],
+            "second": push[1:],
+            "both": list(push),
+            "none": (),
+        }.items():
             model = Model(Scene(two, gravity=Gravity((0, 0, -1)), ground=grounds), coordinates)  # type: ignore[arg-type]
             rates[name] = model.velocities(model.ode(model.initial_state, []).full().ravel())
         assert np.allclose(rates["first"], [(0, 0, 4), (0, 0, -1), (0, 0, 4)])
@@ -184,14 +227,32 @@ def test_one_ground_is_itself_and_none_costs_nothing() -> None:
         (lambda: Ground(nodes=[1, 1]), r"Ground\.nodes is \(1, 1\)"),
         (lambda: Ground(nodes=[-1]), r"Ground\.nodes is -1"),
         (lambda: Ground(nodes=3), r"Ground\.nodes is 3"),
-        (lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=Ground(nodes=[1])), r"Ground\.nodes is 1: node indices run from 0 to 0"),
-        (lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=[terrain(nodes=[0]), terrain(nodes=[7])]), r"Terrain\.nodes is 7"),
-        (lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=[Ground(), "rock"]), r"Scene\.ground is \[.*'rock'\]"),
+        (
+            lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=Ground(nodes=[1])),
+            r"Ground\.nodes is 1: node indices run from 0 to 0",
+        ),
+        (
+            lambda: Scene(
+                Structure([(0, 0, 0)], node_mass=1.0),
+                ground=[terrain(nodes=[0]), terrain(nodes=[7])],
+            ),
+            r"Terrain\.nodes is 7",
+        ),
+        (
+            lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=[Ground(), "rock"]),
+            r"Scene\.ground is \[.*'rock'\]",
+        ),
         (lambda: terrain(heights=[1.0, 2.0]), r"Terrain\.heights has shape"),
-        (lambda: terrain(heights=[[1.0, 2.0]]), r"Terrain\.heights has shape \(1, 2\): give two or more"),
+        (
+            lambda: terrain(heights=[[1.0, 2.0]]),
+            r"Terrain\.heights has shape \(1, 2\): give two or more",
+        ),
         (lambda: terrain(heights=[[1.0, 2.0], [1.0, np.nan]]), r"Terrain\.heights\[1, 1\] is nan"),
         (lambda: terrain(lower=(0, 0, 0)), r"Terrain\.lower has shape"),
-        (lambda: terrain(lower=(0, 5)), r"Terrain\.lower is 5 and \.upper 5 along y: give lower < upper"),
+        (
+            lambda: terrain(lower=(0, 5)),
+            r"Terrain\.lower is 5 and \.upper 5 along y: give lower < upper",
+        ),
         (lambda: terrain(stiffness=-1.0), r"Terrain\.stiffness"),
         (lambda: terrain(friction=0.0), r"Terrain\.friction"),
     ],
@@ -206,12 +267,16 @@ NUMBERS = st.floats(-1e3, 1e3) | st.sampled_from([0.0, np.inf, np.nan, 1e300])
 
 @settings(max_examples=60, deadline=None)
 @given(
-    heights=arrays.arrays(float, arrays.array_shapes(min_dims=1, max_dims=3, max_side=4), elements=NUMBERS),
+    heights=arrays.arrays(
+        float, arrays.array_shapes(min_dims=1, max_dims=3, max_side=4), elements=NUMBERS
+    ),
     corners=st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS),
     place=st.tuples(*[st.floats(-1e4, 1e4)] * 3),
 )
 def test_a_height_field_is_refused_by_name_or_gives_finite_forces(
-    heights: np.ndarray, corners: tuple[float, float, float, float], place: tuple[float, float, float]
+    heights: np.ndarray,
+    corners: tuple[float, float, float, float],
+    place: tuple[float, float, float],
 ) -> None:
     def make() -> Terrain:
         return Terrain(heights, corners[:2], corners[2:], damping=1.0, friction=0.5)
@@ -223,4 +288,6 @@ def test_a_height_field_is_refused_by_name_or_gives_finite_forces(
             make()
         return
     assert np.all(np.isfinite(ground.forces(ca.DM(place), ca.DM([1.0, -2.0, 0.5])).full()))
-    assert heights.min() - place[2] <= 0 or float(ground.depth(ca.DM(place))) > 0  # below all of it is below it
+    assert (
+        heights.min() - place[2] <= 0 or float(ground.depth(ca.DM(place))) > 0
+    )  # below all of it is below it

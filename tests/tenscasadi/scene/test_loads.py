@@ -26,7 +26,9 @@ def test_weight_and_its_energy() -> None:
 def test_pressure_on_a_closed_surface_has_no_resultant_and_pushes_outwards() -> None:
     W = Pressure(OUTWARD, 6.0).forces(ca.DM(TETRAHEDRON)).full()
     assert np.allclose(W.sum(axis=1), 0)
-    assert np.allclose(W[:, 0], [-1, -1, -1])  # three right triangles of ½ m² at 6 Pa, a third of each
+    assert np.allclose(
+        W[:, 0], [-1, -1, -1]
+    )  # three right triangles of ½ m² at 6 Pa, a third of each
     moved = Pressure(OUTWARD, 6.0).forces(ca.DM(TETRAHEDRON * 2)).full()
     assert np.allclose(moved, 4 * W)  # follows the area
 
@@ -62,17 +64,38 @@ def test_forces_may_be_a_table_over_time() -> None:
         (lambda: Pressure([(0, 1, 9)], 1.0).check(4), r"Pressure\.faces\[0\] is 9"),
         (lambda: NodalForce(np.zeros((2, 3, 3)), times=[1, 1]), r"NodalForce\.times"),
         (lambda: NodalForce(np.zeros((3, 3, 3)), times=[0, 1]), r"NodalForce\.values"),
-        (lambda: NodalForce(np.zeros((2, 3, 3)), times=[0, 1]).check(4), r"NodalForce\.values has 3 rows"),
+        (
+            lambda: NodalForce(np.zeros((2, 3, 3)), times=[0, 1]).check(4),
+            r"NodalForce\.values has 3 rows",
+        ),
         (lambda: NodalForce(np.zeros((3, 2))), r"NodalForce\.values"),
         (lambda: NodalForce(np.zeros((3, 3))).check(4), r"NodalForce\.values has 3 rows"),
-        (lambda: NodalForce(np.zeros((3, 3)), bars=[0]), r"NodalForce\.bars is \[0\]: give a mapping"),
-        (lambda: NodalForce(np.zeros((3, 3)), bars={3: 0}).check(3, HINGED), r"NodalForce\.bars is 3: node indices"),
-        (lambda: NodalForce(np.zeros((3, 3)), bars={1: 2}).check(3, HINGED), r"NodalForce\.bars\[1\] is 2, .* give one of \[0, 1\]"),
-        (lambda: NodalForce(np.zeros((3, 3)), bars={0: 1}).check(3, HINGED), r"NodalForce\.bars\[0\] is 1, .* give one of \[0\]"),
-        (lambda: NodalForce(np.zeros((3, 3)), bars={0: "a"}).check(3, HINGED), r"NodalForce\.bars\[0\] is 'a'"),
+        (
+            lambda: NodalForce(np.zeros((3, 3)), bars=[0]),
+            r"NodalForce\.bars is \[0\]: give a mapping",
+        ),
+        (
+            lambda: NodalForce(np.zeros((3, 3)), bars={3: 0}).check(3, HINGED),
+            r"NodalForce\.bars is 3: node indices",
+        ),
+        (
+            lambda: NodalForce(np.zeros((3, 3)), bars={1: 2}).check(3, HINGED),
+            r"NodalForce\.bars\[1\] is 2, .* give one of \[0, 1\]",
+        ),
+        (
+            lambda: NodalForce(np.zeros((3, 3)), bars={0: 1}).check(3, HINGED),
+            r"NodalForce\.bars\[0\] is 1, .* give one of \[0\]",
+        ),
+        (
+            lambda: NodalForce(np.zeros((3, 3)), bars={0: "a"}).check(3, HINGED),
+            r"NodalForce\.bars\[0\] is 'a'",
+        ),
         (lambda: NodalForce(lambda t: [[0, 0, 0]]).check(2), r"NodalForce\.values"),
         (lambda: NodalForce(lambda t: 1 / 0).check(2), r"NodalForce\.values raised"),
-        (lambda: NodalForce(lambda t: [[1 if t > 0 else 0, 0, 0]]).forces(ca.SX.sym("t")), r"NodalForce\.values raised"),
+        (
+            lambda: NodalForce(lambda t: [[1 if t > 0 else 0, 0, 0]]).forces(ca.SX.sym("t")),
+            r"NodalForce\.values raised",
+        ),
     ],
 )
 def test_bad_loads_are_refused_by_name(make: object, field: str) -> None:
@@ -110,11 +133,16 @@ def test_a_force_on_a_joint_may_act_on_either_bar(coordinates):
     assert np.abs(rates[1] - rates[0]).max() == 0
     assert np.abs(rates[2] - rates[0]).max() < 1e-12 * np.abs(rates[0]).max()
     assert np.abs(multipliers[2].bar_force_density - multipliers[0].bar_force_density).max() < 1e-9
-    joints = [part.joint_force @ chain.class_one().P.T for part in multipliers]  # on the ends: first of bars 0 and 1, then second
+    joints = [
+        part.joint_force @ chain.class_one().P.T for part in multipliers
+    ]  # on the ends: first of bars 0 and 1, then second
     assert np.abs(joints[1] - joints[0]).max() == 0
-    assert np.abs(joints[2][:, 1] - joints[0][:, 1] - load).max() < 1e-9  # bar 1 gets it through the joint
+    assert (
+        np.abs(joints[2][:, 1] - joints[0][:, 1] - load).max() < 1e-9
+    )  # bar 1 gets it through the joint
     assert np.abs(joints[2][:, 2] - joints[0][:, 2] + load).max() < 1e-9
-    # Newton's law of bar 1 alone: what pushes it is the joint, its weight, and the load where it is its own
+    # Newton's law of bar 1 alone: what pushes it is the joint, its weight, and the load where it is
+    # its own
     acceleration = model.velocities(rates[0])
     centre = 2.0 * (acceleration[1] + acceleration[2]) / 2 - 2.0 * np.array([0, 0, -9.0])
     for joint, own in zip(joints, (load, load, 0), strict=True):

@@ -12,13 +12,34 @@ import tenscasadi as tc
 
 
 def layout(*names, structure=None, **options):
-    loads = {name: options.pop(name) for name in ("gravity", "ground", "forces", "segments") if name in options}
-    return tc.Scene(structure or tc.shapes.prism(damping=2.0), parameters=tc.Parameters(*names, **options), **loads).layout
+    loads = {
+        name: options.pop(name)
+        for name in ("gravity", "ground", "forces", "segments")
+        if name in options
+    }
+    return tc.Scene(
+        structure or tc.shapes.prism(damping=2.0),
+        parameters=tc.Parameters(*names, **options),
+        **loads,
+    ).layout
 
 
 def test_entries_in_the_order_of_the_names():
-    own = layout("bar_mass", "gravity", scale=["damping"], groups={"bar_mass": [[0, 2], [1]]}, gravity=tc.Gravity())
-    assert own.names == ("bar_mass[0]", "bar_mass[1]", "gravity[x]", "gravity[y]", "gravity[z]", "damping scale")
+    own = layout(
+        "bar_mass",
+        "gravity",
+        scale=["damping"],
+        groups={"bar_mass": [[0, 2], [1]]},
+        gravity=tc.Gravity(),
+    )
+    assert own.names == (
+        "bar_mass[0]",
+        "bar_mass[1]",
+        "gravity[x]",
+        "gravity[y]",
+        "gravity[z]",
+        "damping scale",
+    )
     assert own.units == ("kg", "kg", "m/s²", "m/s²", "m/s²", "1")
     assert own.nominal.tolist() == [1.0, 1.0, 0.0, 0.0, -9.81, 1.0]
     assert own.places == {"bar_mass": slice(0, 2), "gravity": slice(2, 5), "damping": slice(5, 6)}
@@ -26,7 +47,11 @@ def test_entries_in_the_order_of_the_names():
 
 
 def test_quantities_follow_from_p():
-    own = layout("bar_mass", scale=["stiffness", "damping"], groups={"bar_mass": [[0, 2]], "stiffness": [[1, 2], [0]]})
+    own = layout(
+        "bar_mass",
+        scale=["stiffness", "damping"],
+        groups={"bar_mass": [[0, 2]], "stiffness": [[1, 2], [0]]},
+    )
     p = np.array([5.0, 2.0, 3.0, 10.0])
     assert own.quantities["bar_mass"].numbers(p).tolist() == [5.0, 1.0, 5.0]
     assert own.quantities["stiffness"].numbers(p).tolist() == [300.0, 200.0, 200.0, *[100.0] * 6]
@@ -49,10 +74,16 @@ def test_values_by_name():
     [
         (np.ones(9), r"parameters has shape (9,): give an array of shape (10,)"),
         ({"stiffness": np.ones(3)}, "parameters['stiffness'] has shape (3,)"),
-        ({"damping": 1.0}, "parameters has 'damping': the parameters of this model are stiffness, bar_mass"),
+        (
+            {"damping": 1.0},
+            "parameters has 'damping': the parameters of this model are stiffness, bar_mass",
+        ),
         ({"stiffness": np.nan}, "parameters['stiffness'] is nan"),
         (np.full(10, np.inf), "parameters[0] is inf"),
-        ({"stiffness": [*[100.0] * 8, -1.0]}, "parameters: stiffness of string 8 is -1 N/m: it must be at least 0"),
+        (
+            {"stiffness": [*[100.0] * 8, -1.0]},
+            "parameters: stiffness of string 8 is -1 N/m: it must be at least 0",
+        ),
         ({"bar_mass": 0.0}, "parameters: bar_mass of bar 0 is 0 kg: it must be greater than 0"),
     ],
 )
@@ -69,15 +100,27 @@ def test_bad_values_are_refused_by_name(given_, message):
             {"ground_stiffness": 0.0},
             "ground_stiffness of ground 0 is 0 N/m: it must be greater than 0",
         ),
-        (layout("ground_damping", ground=tc.Ground()), {"ground_damping": -1.0}, "ground_damping of ground 0 is -1 N·s/m: it must be at least 0"),
+        (
+            layout("ground_damping", ground=tc.Ground()),
+            {"ground_damping": -1.0},
+            "ground_damping of ground 0 is -1 N·s/m: it must be at least 0",
+        ),
         (
             layout("ground_friction", ground=tc.Ground(friction=1)),
             {"ground_friction": -0.1},
             "ground_friction of ground 0 is -0.1: it must be at least 0",
         ),
-        (layout("rest_length"), {"rest_length": 0.0}, "rest_length of string 0 is 0 m: it must be greater than 0"),
+        (
+            layout("rest_length"),
+            {"rest_length": 0.0},
+            "rest_length of string 0 is 0 m: it must be greater than 0",
+        ),
         (layout(scale=["bar_mass"]), {"bar_mass": -2.0}, "bar_mass of bar 0 is -2 kg"),
-        (layout("string_mass", structure=tc.shapes.prism(string_mass=0.1), segments=2), {"string_mass": 0.0}, "string_mass of string 0 is 0 kg"),
+        (
+            layout("string_mass", structure=tc.shapes.prism(string_mass=0.1), segments=2),
+            {"string_mass": 0.0},
+            "string_mass of string 0 is 0 kg",
+        ),
     ],
 )
 def test_each_quantity_has_its_domain(own, given_, message):
@@ -86,7 +129,9 @@ def test_each_quantity_has_its_domain(own, given_, message):
 
 
 def test_nodes_of_no_bar_need_a_mass():
-    structure = tc.Structure([(0, 0, 0), (1, 0, 0), (2, 0, 0)], bars=[(0, 1)], strings=[(1, 2)], node_mass=[0, 0, 1.0])
+    structure = tc.Structure(
+        [(0, 0, 0), (1, 0, 0), (2, 0, 0)], bars=[(0, 1)], strings=[(1, 2)], node_mass=[0, 0, 1.0]
+    )
     own = layout("node_mass", structure=structure)
     assert own.values([0.0, 0.0, 0.5]).tolist() == [0.0, 0.0, 0.5]
     with pytest.raises(ValueError, match="node_mass of node 2 is 0 kg: it must be greater than 0"):
@@ -104,11 +149,22 @@ def test_a_scene_without_parameters_has_an_empty_vector():
     model = tc.Model(tc.Scene(tc.shapes.prism()))
     assert model.np == 0
     assert model.parameters.values().shape == (0,)
-    with pytest.raises(ValueError, match="the parameters of this model are none, as its scene has no Parameters"):
+    with pytest.raises(
+        ValueError, match="the parameters of this model are none, as its scene has no Parameters"
+    ):
         tc.simulate(model, 0.1, parameters={"stiffness": 1.0})
 
 
-@given(st.one_of(st.none(), st.text(), st.integers(), st.floats(), hnp.arrays(float, hnp.array_shapes(max_dims=2, max_side=11)), st.lists(st.none())))
+@given(
+    st.one_of(
+        st.none(),
+        st.text(),
+        st.integers(),
+        st.floats(),
+        hnp.arrays(float, hnp.array_shapes(max_dims=2, max_side=11)),
+        st.lists(st.none()),
+    )
+)
 def test_odd_values_are_refused_or_are_right(value):
     own = layout("stiffness", "bar_mass", groups={"bar_mass": "all"})
     for what in (value, {"stiffness": value}):

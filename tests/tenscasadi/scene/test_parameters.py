@@ -18,12 +18,24 @@ from tenscasadi.scene.parameters import QUANTITIES
         (("stifness",), {}, "Parameters got 'stifness': give some of stiffness, damping"),
         (("stiffness", "stiffness"), {}, "'stiffness' twice"),
         (("stiffness",), {"scale": ["stiffness"]}, "'stiffness' twice"),
-        (("stiffness",), {"groups": {"damping": "all"}}, "Parameters.groups has 'damping', which is no parameter"),
-        (("gravity",), {"groups": {"gravity": "all"}}, "groups are of strings, bars, nodes and grounds"),
+        (
+            ("stiffness",),
+            {"groups": {"damping": "all"}},
+            "Parameters.groups has 'damping', which is no parameter",
+        ),
+        (
+            ("gravity",),
+            {"groups": {"gravity": "all"}},
+            "groups are of strings, bars, nodes and grounds",
+        ),
         (("stiffness",), {"groups": {"stiffness": "some"}}, "is 'some': give \"all\""),
         (("stiffness",), {"groups": {"stiffness": []}}, "give at least one group"),
         (("stiffness",), {"groups": {"stiffness": [[0, 1], []]}}, "give at least one group"),
-        (("stiffness",), {"groups": {"stiffness": [[0, 1], [1]]}}, "has index 1, which is in a group already"),
+        (
+            ("stiffness",),
+            {"groups": {"stiffness": [[0, 1], [1]]}},
+            "has index 1, which is in a group already",
+        ),
         (("stiffness",), {"groups": {"stiffness": [[-1]]}}, "must be at least 0"),
     ],
 )
@@ -32,7 +44,10 @@ def test_what_makes_no_parameters_is_refused(names, options, message):
         tc.Parameters(*names, **options)
 
 
-@pytest.mark.parametrize(("names", "options"), [((3,), {}), (("stiffness",), {"scale": "damping"}), (("stiffness",), {"groups": [[0]]})])
+@pytest.mark.parametrize(
+    ("names", "options"),
+    [((3,), {}), (("stiffness",), {"scale": "damping"}), (("stiffness",), {"groups": [[0]]})],
+)
 def test_what_is_of_another_type_is_refused(names, options):
     with pytest.raises(TypeError, match="Parameters"):
         tc.Parameters(*names, **options)
@@ -44,8 +59,14 @@ def test_what_is_of_another_type_is_refused(names, options):
         (tc.Parameters("gravity"), "Scene.gravity is None"),
         (tc.Parameters("ground_friction"), "Scene.ground is None"),
         (tc.Parameters("forces"), "Scene.forces is None"),
-        (tc.Parameters("stiffness", groups={"stiffness": [[9]]}), "has index 9: strings run from 0 to 8"),
-        (tc.Parameters("rest_length", groups={"rest_length": "all"}), "the scene's rest_length differs"),
+        (
+            tc.Parameters("stiffness", groups={"stiffness": [[9]]}),
+            "has index 9: strings run from 0 to 8",
+        ),
+        (
+            tc.Parameters("rest_length", groups={"rest_length": "all"}),
+            "the scene's rest_length differs",
+        ),
         (tc.Parameters(scale=["damping"]), "whose value is 0"),
     ],
 )
@@ -58,7 +79,9 @@ def test_loads_that_change_over_time_are_scaled_only():
     over_time = {"gravity": tc.Gravity(lambda t: (0, 0, -t))}
     with pytest.raises(ValueError, match="changes over time: name 'gravity' under scale="):
         tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("gravity"), **over_time)
-    assert tc.Scene(tc.shapes.prism(), parameters=tc.Parameters(scale=["gravity"]), **over_time).layout.names == ("gravity scale",)
+    assert tc.Scene(
+        tc.shapes.prism(), parameters=tc.Parameters(scale=["gravity"]), **over_time
+    ).layout.names == ("gravity scale",)
 
 
 def test_friction_has_to_be_there():
@@ -71,13 +94,29 @@ def test_other_things_are_no_parameters():
         tc.Scene(tc.shapes.prism(), parameters=["stiffness"])
 
 
-@given(st.lists(st.one_of(st.sampled_from(sorted(QUANTITIES)), st.text(max_size=3), st.none(), st.integers()), max_size=3), st.data())
+@given(
+    st.lists(
+        st.one_of(
+            st.sampled_from(sorted(QUANTITIES)), st.text(max_size=3), st.none(), st.integers()
+        ),
+        max_size=3,
+    ),
+    st.data(),
+)
 def test_odd_input_is_refused_or_understood(names, data):
     kept = [name for name in names if isinstance(name, str)]
-    groups = data.draw(st.none() | st.dictionaries(st.sampled_from([*kept, "stiffness"]), st.sampled_from(["all", [[0]], [[0, 2], [1]], 3, [[]]])))
+    groups = data.draw(
+        st.none()
+        | st.dictionaries(
+            st.sampled_from([*kept, "stiffness"]),
+            st.sampled_from(["all", [[0]], [[0, 2], [1]], 3, [[]]]),
+        )
+    )
     fault = ""
     try:
-        layout = tc.Scene(tc.shapes.prism(), gravity=tc.Gravity(), parameters=tc.Parameters(*names, groups=groups)).layout
+        layout = tc.Scene(
+            tc.shapes.prism(), gravity=tc.Gravity(), parameters=tc.Parameters(*names, groups=groups)
+        ).layout
     except (TypeError, ValueError) as error:
         layout, fault = tc.Scene(tc.shapes.prism()).layout, str(error)
     assert not fault or "Parameters" in fault

@@ -15,10 +15,14 @@ from tenscasadi.scene.pulses import Resolution, find_pulses
 FIXED, ADAPTIVE = Resolution(0.1, 1e-6), Resolution(0.05, 1e-9)
 
 
-def edges(function: Callable[[Any], Any], end: float, step: float, resolution: Resolution = ADAPTIVE) -> np.ndarray:
+def edges(
+    function: Callable[[Any], Any], end: float, step: float, resolution: Resolution = ADAPTIVE
+) -> np.ndarray:
     """The times at which steps begin and end, cut."""
     steps = round(end / step)
-    found = find_pulses(Gravity(lambda t: [0, 0, function(t)]), lambda rows: rows * step, steps, 1e-12, resolution)
+    found = find_pulses(
+        Gravity(lambda t: [0, 0, function(t)]), lambda rows: rows * step, steps, 1e-12, resolution
+    )
     assert found.unresolved is None
     return np.union1d(found.cuts, np.arange(steps + 1) * step)
 
@@ -41,7 +45,9 @@ def bell(t: Any, at: float, width: float, impulse: float = 1.0) -> Any:
         (lambda t: 1e4 * ca.sin(t), 50.0),
     ],
 )
-def test_no_pulse_is_hidden_by_what_else_a_function_does(rest: Callable[[Any], Any], end: float, resolution: Resolution) -> None:
+def test_no_pulse_is_hidden_by_what_else_a_function_does(
+    rest: Callable[[Any], Any], end: float, resolution: Resolution
+) -> None:
     at, width = 0.4375, 6e-3
     times = edges(lambda t: rest(t) + bell(t, at, width), end, 0.05, resolution)
     inside = (times[1:] > at - width) & (times[:-1] < at + width)
@@ -49,7 +55,14 @@ def test_no_pulse_is_hidden_by_what_else_a_function_does(rest: Callable[[Any], A
 
 
 @pytest.mark.parametrize(
-    "function", [lambda t: 3.0 + 0 * t, lambda t: 2 * t - 1, lambda t: ca.sin(7 * t), lambda t: ca.exp(-t), lambda t: 1e6 + ca.cos(5 * t)]
+    "function",
+    [
+        lambda t: 3.0 + 0 * t,
+        lambda t: 2 * t - 1,
+        lambda t: ca.sin(7 * t),
+        lambda t: ca.exp(-t),
+        lambda t: 1e6 + ca.cos(5 * t),
+    ],
 )
 @pytest.mark.parametrize("end", [1.0, 40.0])
 def test_what_steps_see_is_not_cut(function: Callable[[Any], Any], end: float) -> None:
@@ -59,7 +72,9 @@ def test_what_steps_see_is_not_cut(function: Callable[[Any], Any], end: float) -
 def test_cuts_are_no_more_than_a_pulse_needs() -> None:
     """However much narrower than the step it is: those on the way to it count as its logarithm."""
     for width in (1e-3, 1e-6, 1e-9):
-        assert len(edges(lambda t, width=width: bell(t, 0.5123, width), 1.0, 0.05)) < 21 + 60 + 2 * np.log2(0.05 / width)
+        assert len(
+            edges(lambda t, width=width: bell(t, 0.5123, width), 1.0, 0.05)
+        ) < 21 + 60 + 2 * np.log2(0.05 / width)
 
 
 def test_a_thousand_pulses_are_not_too_many() -> None:

@@ -9,7 +9,13 @@ from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.structure import Structure
 
-TRIANGLE = Structure([(0, 0, 0), (1, 0, 0), (0, 1, 0)], bars=[(0, 1)], strings=[(1, 2), (2, 0)], node_mass=[0, 0, 1], string_mass=0.2)
+TRIANGLE = Structure(
+    [(0, 0, 0), (1, 0, 0), (0, 1, 0)],
+    bars=[(0, 1)],
+    strings=[(1, 2), (2, 0)],
+    node_mass=[0, 0, 1],
+    string_mass=0.2,
+)
 
 
 def test_segments_give_the_modelled_structure() -> None:

@@ -14,19 +14,27 @@ POSITIVE = st.floats(1e-3, 1e3)
 
 
 def gamma(slack: Slack, s: float, rho: float, k: float, rate: float | None = None) -> float:
-    return float(slack.force_density(ca.DM(s * s), ca.DM(rho), ca.DM(k), None if rate is None else ca.DM(rate), ca.DM(rho)))
+    return float(
+        slack.force_density(
+            ca.DM(s * s), ca.DM(rho), ca.DM(k), None if rate is None else ca.DM(rate), ca.DM(rho)
+        )
+    )
 
 
 def test_taut_slack_and_damped_values() -> None:
     assert gamma(Clip(), 2.0, 1.0, 100.0) == pytest.approx(50.0)  # k (1 − ρ/s)
     assert gamma(Clip(), 1.0, 2.0, 100.0) == 0.0
     assert gamma(Clip(), 2.0, 1.0, 100.0, rate=8.0) == pytest.approx(52.0)  # + c sᵀṡ/s²
-    assert gamma(Clip(), 2.0, 1.0, 100.0, rate=-1e4) == 0.0  # a string cannot push, however fast it shortens
+    assert (
+        gamma(Clip(), 2.0, 1.0, 100.0, rate=-1e4) == 0.0
+    )  # a string cannot push, however fast it shortens
     assert gamma(Clip(), 1.0, 2.0, 100.0, rate=1e4) == 0.0  # nor does it damp while slack
 
 
 @given(share=st.floats(0.05, 20), rho=POSITIVE, k=POSITIVE)
-def test_force_density_is_never_negative_and_matches_the_energy_slope(share: float, rho: float, k: float) -> None:
+def test_force_density_is_never_negative_and_matches_the_energy_slope(
+    share: float, rho: float, k: float
+) -> None:
     s = share * rho
     for slack in (Clip(), Smooth(0.01 * rho)):
         value = gamma(slack, s, rho, k)
@@ -34,8 +42,13 @@ def test_force_density_is_never_negative_and_matches_the_energy_slope(share: flo
         if abs(s - rho) < 1e-3 * rho:
             continue  # the clipped law has a corner there
         h = 1e-6 * s
-        energies = [float(slack.energy(ca.DM((s + d) ** 2), ca.DM(rho), ca.DM(k), ca.DM(rho))) for d in (-h, h)]
-        assert (energies[1] - energies[0]) / (2 * h) == pytest.approx(value * s, rel=1e-4, abs=1e-6 * k * rho)
+        energies = [
+            float(slack.energy(ca.DM((s + d) ** 2), ca.DM(rho), ca.DM(k), ca.DM(rho)))
+            for d in (-h, h)
+        ]
+        assert (energies[1] - energies[0]) / (2 * h) == pytest.approx(
+            value * s, rel=1e-4, abs=1e-6 * k * rho
+        )
 
 
 @given(s=POSITIVE, rho=POSITIVE)

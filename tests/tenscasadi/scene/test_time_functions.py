@@ -29,13 +29,25 @@ def run(t_end: float = 1.0, **loads: Any) -> Any:
     ("place", "told"),
     [
         (lambda t: 0.1 * (t > 0.5), r"the position \(m\) jumps by 0\.1 at t = 0\.5 s"),
-        (lambda t: 0.1 * ((t > 0.5) * (t < 0.50001)), r"the position \(m\) jumps by 0\.1 at t = 0\.5"),
+        (
+            lambda t: 0.1 * ((t > 0.5) * (t < 0.50001)),
+            r"the position \(m\) jumps by 0\.1 at t = 0\.5",
+        ),
         (lambda t: 0.1 * (t > 0), r"the position \(m\) jumps"),
-        (lambda t: 0.1 * (ca.sin(300 * t) > 0.9999999), r"the position \(m\) jumps by 0\.1 at t = 0\.0052"),
-        (lambda t: 0.1 * ((t - 0.51234) ** 2 < 1e-14), r"the position \(m\) jumps by 0\.1 at t = 0\.51234"),
+        (
+            lambda t: 0.1 * (ca.sin(300 * t) > 0.9999999),
+            r"the position \(m\) jumps by 0\.1 at t = 0\.0052",
+        ),
+        (
+            lambda t: 0.1 * ((t - 0.51234) ** 2 < 1e-14),
+            r"the position \(m\) jumps by 0\.1 at t = 0\.51234",
+        ),
         (lambda t: np.floor(3 * t), r"the position \(m\) jumps by 1 at t = 0\.333333 s"),
         (lambda t: ca.fmax(t - 0.5, 0), r"the velocity \(m/s\) jumps by 1 at t = 0\.5 s"),
-        (lambda t: ca.if_else(t > 0.25, 0.1 * ca.sin(40 * t - 10), 0), r"the velocity .* at t = 0\.25 s"),
+        (
+            lambda t: ca.if_else(t > 0.25, 0.1 * ca.sin(40 * t - 10), 0),
+            r"the velocity .* at t = 0\.25 s",
+        ),
         (np.sqrt, r": its velocity is not finite at t = 0 s"),
         (lambda t: 1 / (1 - t) - 1, r" is not finite at t = 1 s"),
         (math.sin, r"is \[nan.*NumPy's or CasADi's mathematics, without math"),
@@ -47,7 +59,14 @@ def test_supports_that_jump_or_are_not_finite_are_refused_by_name(place: Any, to
         run(supports=SupportMotion({0: lambda t: (place(t), 0, 0)}))
 
 
-@pytest.mark.parametrize("place", [lambda t: 0.001 * ca.sin(100 * t), lambda t: ca.fmax(t - 0.5, 0) ** 2, lambda t: 0.1 * t * ca.fabs(t - 0.5) ** 3])
+@pytest.mark.parametrize(
+    "place",
+    [
+        lambda t: 0.001 * ca.sin(100 * t),
+        lambda t: ca.fmax(t - 0.5, 0) ** 2,
+        lambda t: 0.1 * t * ca.fabs(t - 0.5) ** 3,
+    ],
+)
 def test_smooth_supports_run(place: Any) -> None:
     assert run(supports=SupportMotion({0: lambda t: (place(t), 0, 0)})).success
 
@@ -66,18 +85,26 @@ def test_a_jump_after_the_run_does_no_harm_and_the_clock_counts() -> None:
     [
         (math.sin, r" raised .* on a CasADi time"),
         (lambda t: np.sqrt(0.5 - t), r" is not finite at t = 0\.5 s"),
-        (lambda t: np.sqrt(1 - 1.01 * np.exp(-(((t - 0.4321234) / 1e-7) ** 2))), r" is not finite at t = 0\.432123 s"),
+        (
+            lambda t: np.sqrt(1 - 1.01 * np.exp(-(((t - 0.4321234) / 1e-7) ** 2))),
+            r" is not finite at t = 0\.432123 s",
+        ),
         (lambda t: 1 / (t - 0.5), r" is not finite at t = 0\.5 s"),
         (lambda t: 1 / (t - 0.4321234), r" grows beyond all bounds at t = 0\.4321234 s"),
         (lambda t: -1e-3 / (t - 0.4321234) ** 2, r" grows beyond all bounds at t = 0\.4321234 s"),
         (lambda t: np.tan(3 * t), r" grows beyond all bounds at t = 0\.52359877"),
-        (lambda t: 1 / np.sqrt(ca.fabs(t - 0.4321234)), r" (grows beyond all bounds|is not finite) at t = 0\.432123"),
+        (
+            lambda t: 1 / np.sqrt(ca.fabs(t - 0.4321234)),
+            r" (grows beyond all bounds|is not finite) at t = 0\.432123",
+        ),
         (lambda t: np.log(ca.fabs(t - 0.4321234)), r" is not finite at t = 0\.432123 s"),
         (lambda t: np.inf, r"\(0\.0\)\[1, 0\] is inf"),
         (lambda t: 1.0 if isinstance(t, float) else 2.0, r" is \[.* for the number t = 0 "),
     ],
 )
-def test_forces_that_are_not_finite_or_not_symbolic_are_told_as_the_functions(push: Any, told: str) -> None:
+def test_forces_that_are_not_finite_or_not_symbolic_are_told_as_the_functions(
+    push: Any, told: str
+) -> None:
     with pytest.raises(ValueError, match=r"NodalForce\.values" + told):
         run(forces=NodalForce(lambda t: [REST, [push(t), 0, 0]]))
 
@@ -99,13 +126,24 @@ def test_what_is_narrow_or_steep_but_finite_is_none_of_these(push: Any) -> None:
 
 def test_a_shape_that_symbols_alone_have_is_refused() -> None:
     wrong = NodalForce(lambda t: np.zeros((2, 3)) if isinstance(t, float) else [REST])
-    with pytest.raises(ValueError, match=r"NodalForce\.values returns shape \(1, 3\) on a CasADi time: give \(2, 3\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"NodalForce\.values returns shape \(1, 3\) on a CasADi time: give \(2, 3\)",
+    ):
         wrong.check(2)
 
 
 def test_switches_are_found_to_the_last_digit() -> None:
     t = ca.SX.sym("t")
-    values = [t > 0.3, ca.fmin(t, 0.7), ca.fabs(ca.sin(t - 1)), ca.sign(t**2 - 2), ca.floor(t), ca.exp(t), (t > 1.9) * (t < 1.90001)]
+    values = [
+        t > 0.3,
+        ca.fmin(t, 0.7),
+        ca.fabs(ca.sin(t - 1)),
+        ca.sign(t**2 - 2),
+        ca.floor(t),
+        ca.exp(t),
+        (t > 1.9) * (t < 1.90001),
+    ]
     found = find_breaks(ca.Function("f", [t], [ca.vertcat(*values)]), 0.1, 2.5)
     wanted = np.array([0.3, 0.7, 1.0, np.sqrt(2), 1.9, 1.90001, 2.0])
     assert max(abs(found - time).min() for time in wanted) < 1e-14
@@ -115,7 +153,11 @@ def test_switches_are_found_to_the_last_digit() -> None:
 
 def test_jumps_of_remainders_and_at_the_end_are_found() -> None:
     t = ca.SX.sym("t")
-    for jumping, wanted in ((ca.fmod(t, 0.3), [0.3, 0.6, 0.9]), (ca.remainder(t, 0.4), [0.2, 0.6, 1.0]), (ca.floor(2 * t), [0.5, 1.0])):
+    for jumping, wanted in (
+        (ca.fmod(t, 0.3), [0.3, 0.6, 0.9]),
+        (ca.remainder(t, 0.4), [0.2, 0.6, 1.0]),
+        (ca.floor(2 * t), [0.5, 1.0]),
+    ):
         found = find_breaks(ca.Function("f", [t], [jumping]), 0.1, 1.0)
         assert max(abs(found - time).min() for time in wanted) < 1e-15
         assert max(abs(np.array(wanted) - time).min() for time in found) < 1e-15
@@ -133,7 +175,10 @@ def test_numbers_of_casadi_may_stand_in_lists() -> None:
 
 
 def test_tables_are_exact_at_their_times_and_beside_steep_pieces():
-    times, table = np.array([0.0, 0.3, 0.3 + 1e-9, 1.0]), np.array([[2.0, 0.0], [0.0, 0.0], [1e9, 0.0], [3.0, 0.0]])
+    times, table = (
+        np.array([0.0, 0.3, 0.3 + 1e-9, 1.0]),
+        np.array([[2.0, 0.0], [0.0, 0.0], [1e9, 0.0], [3.0, 0.0]]),
+    )
     t = ca.SX.sym("t")
     values = interpolate(t, times, table, 1)
     at = ca.Function("at", [t], [values, ca.jacobian(values[0, 0], t)])
@@ -153,7 +198,8 @@ def test_steps_are_short_beside_short_pieces_of_a_table():
 @pytest.mark.parametrize("place", [None, "x", (0, None, 0)])
 def test_what_is_no_expression_is_told_in_one_line(place: Any) -> None:
     with pytest.raises(
-        ValueError, match=r"SupportMotion\.positions\[0\] returns .* on a CasADi time: give numbers and expressions of it; "
+        ValueError,
+        match=r"SupportMotion\.positions\[0\] returns .* on a CasADi time: give numbers and expressions of it; ",
     ) as caught:
         run(supports=SupportMotion({0: lambda t: place}))
     assert "\n" not in str(caught.value)

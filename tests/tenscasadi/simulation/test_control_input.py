@@ -15,7 +15,12 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
-from tenscasadi.simulation.control_input import ControlProfile, append_constants, cut_steps, sample_control
+from tenscasadi.simulation.control_input import (
+    ControlProfile,
+    append_constants,
+    cut_steps,
+    sample_control,
+)
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
 
@@ -24,24 +29,43 @@ MESH = np.array([0.0, 0.04, 0.1, 0.11, 0.3])
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    return Model(Scene(shapes.prism(stiffness=1000.0, prestress=30.0, damping=1.0), control=ForceDensity()))
+    return Model(
+        Scene(shapes.prism(stiffness=1000.0, prestress=30.0, damping=1.0), control=ForceDensity())
+    )
 
 
 def pulls(model: Model, rows: int) -> np.ndarray:
-    return model.initial_control * (1 + 0.1 * np.random.default_rng(0).normal(size=(rows, model.nu)))
+    return model.initial_control * (
+        1 + 0.1 * np.random.default_rng(0).normal(size=(rows, model.nu))
+    )
 
 
-@pytest.mark.parametrize("scheme", [RungeKutta4(), Rattle(), DormandPrince54(), DormandPrince853(1e-10), Cvodes(1e-10), Idas(1e-10)], ids=repr)
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        RungeKutta4(),
+        Rattle(),
+        DormandPrince54(),
+        DormandPrince853(1e-10),
+        Cvodes(1e-10),
+        Idas(1e-10),
+    ],
+    ids=repr,
+)
 def test_a_profile_is_what_its_intervals_are_one_after_the_other(model, scheme):
     values = pulls(model, 4)
-    run = simulate(model, 0.3, 0.01, scheme, control=ControlProfile(MESH, values), save_every=1, compiled=False)
+    run = simulate(
+        model, 0.3, 0.01, scheme, control=ControlProfile(MESH, values), save_every=1, compiled=False
+    )
     assert run.success, run.message
     assert np.isin(MESH, run.time).all()
     state = model.initial_state
     for (begin, end), held in zip(pairwise(MESH), values, strict=True):
         part = simulate(model, end - begin, 0.01, scheme, state=state, control=held, compiled=False)
         state = part.states[-1]
-        assert run.states[run.time == end] == pytest.approx(state[None], abs=1e-6 if getattr(scheme, "rtol", None) else 1e-11)
+        assert run.states[run.time == end] == pytest.approx(
+            state[None], abs=1e-6 if getattr(scheme, "rtol", None) else 1e-11
+        )
     assert np.abs(run.energy_error).max() < 1e-4 * np.ptp(run.energy)
 
 
@@ -65,7 +89,10 @@ def test_linear_profiles_are_held_at_their_mean():
 
 def test_an_equal_mesh_is_a_table(model):
     values = pulls(model, 5)
-    table, profile = (simulate(model, 0.2, 0.01, control=u, compiled=False) for u in (values, ControlProfile(np.linspace(0, 0.2, 6), values)))
+    table, profile = (
+        simulate(model, 0.2, 0.01, control=u, compiled=False)
+        for u in (values, ControlProfile(np.linspace(0, 0.2, 6), values))
+    )
     assert profile.states == pytest.approx(table.states, abs=1e-11)
     assert profile.energy_error == pytest.approx(table.energy_error, abs=1e-11)
     assert profile.control == pytest.approx(table.control)
@@ -79,9 +106,13 @@ def test_an_equal_mesh_is_a_table(model):
         (MESH, (4, 3), r"control\.values"), (MESH, (3, 9), r"control\.values"),
     ],
 )  # fmt: skip
-def test_profiles_that_do_not_fit_are_refused(model: Model, time: Any, shape: Any, named: str) -> None:
+def test_profiles_that_do_not_fit_are_refused(
+    model: Model, time: Any, shape: Any, named: str
+) -> None:
     with pytest.raises(ValueError, match=named):
-        simulate(model, 0.3, control=ControlProfile(np.array(time), np.zeros(shape)), compiled=False)
+        simulate(
+            model, 0.3, control=ControlProfile(np.array(time), np.zeros(shape)), compiled=False
+        )
 
 
 @pytest.mark.parametrize("kind", [ForceDensity(), RestLength()])
@@ -96,13 +127,20 @@ def test_every_form_of_control(kind: Any) -> None:
         times.append(t)
         return u * (1 + 0.1 * np.sin(7 * t))
 
-    forms = [(None, [u] * steps), (1.1 * u, [1.1 * u] * steps), (table, np.repeat(table, 400, axis=0)), (table[1:2], [1.1 * u] * steps)]
+    forms = [
+        (None, [u] * steps),
+        (1.1 * u, [1.1 * u] * steps),
+        (table, np.repeat(table, 400, axis=0)),
+        (table[1:2], [1.1 * u] * steps),
+    ]
     for control, used in [*forms, (function, wave)]:
         run = simulate(model, steps * h, h, state=x, control=control, save_every=1, compiled=False)
         assert np.abs(run.states - by_hand(model, x, np.array(used), h)).max() < 1e-11
         assert run.control == pytest.approx(np.concatenate([used, used[-1:]]))
         assert run.force_density[5] == pytest.approx(model.force_density(run.states[5], used[5]))
-    assert times == pytest.approx(h * np.arange(steps))  # once each, in order, at the start of each step
+    assert times == pytest.approx(
+        h * np.arange(steps)
+    )  # once each, in order, at the start of each step
 
 
 def test_steps_fit_the_intervals_of_a_table() -> None:
@@ -131,10 +169,14 @@ def test_rest_lengths_must_be_greater_than_0() -> None:
         r"control\[8\] is 0:": np.append(u[:8], 0.0),
         r"control\[2, 0\] is -": np.array([u, u, -u]),
         r"control\(0\.5\)\[0\] is 0:": lambda t: u * (0.5 - t),
-        r"control\.values\[1, 0\] is -": ControlProfile(np.array([0.0, 0.2, 1.0]), np.array([u, -u])),
+        r"control\.values\[1, 0\] is -": ControlProfile(
+            np.array([0.0, 0.2, 1.0]), np.array([u, -u])
+        ),
     }
     for named, control in forms.items():
-        with pytest.raises(ValueError, match=named + ".* rest lengths .RestLength. must be greater than 0"):
+        with pytest.raises(
+            ValueError, match=named + ".* rest lengths .RestLength. must be greater than 0"
+        ):
             simulate(model, 1.0, 0.01, control=control, compiled=False)
 
 
@@ -150,5 +192,12 @@ def test_cut_steps_hold_the_control_of_their_step():
 
 
 def test_constants_stand_behind_the_control_of_each_step():
-    inputs = append_constants(sample_control(np.array([[1.0], [2.0]]), np.zeros(1), 1.0, 4), np.array([7.0, 8.0]))
-    assert inputs.window(1, 4).tolist() == [[1.0, 7.0, 8.0], [2.0, 7.0, 8.0], [2.0, 7.0, 8.0], [2.0, 7.0, 8.0]]
+    inputs = append_constants(
+        sample_control(np.array([[1.0], [2.0]]), np.zeros(1), 1.0, 4), np.array([7.0, 8.0])
+    )
+    assert inputs.window(1, 4).tolist() == [
+        [1.0, 7.0, 8.0],
+        [2.0, 7.0, 8.0],
+        [2.0, 7.0, 8.0],
+        [2.0, 7.0, 8.0],
+    ]

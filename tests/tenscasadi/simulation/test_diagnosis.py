@@ -31,15 +31,23 @@ def test_a_step_above_the_stability_limit_ends_with_advice() -> None:
     limit = stable_step(model, safety=1.0)
     for step in (1.3 * limit, 10 * limit):
         for correction in (None, Projection()):
-            run = simulate(model, 200.0, step, state=moving(model), correction=correction, compiled=False)
+            run = simulate(
+                model, 200.0, step, state=moving(model), correction=correction, compiled=False
+            )
             assert not run.success
             assert run.message.startswith("diverged between t = ")
-            for part in (f"{limit:.3g} s of RungeKutta4", f"{fastest_rate(model):.4g} rad/s", f"try step={0.9 * limit:.2g}"):
+            for part in (
+                f"{limit:.3g} s of RungeKutta4",
+                f"{fastest_rate(model):.4g} rad/s",
+                f"try step={0.9 * limit:.2g}",
+            ):
                 assert part in run.message
             assert 0 <= run.time[-1] < 200
             assert np.isfinite(run.states).all()
             assert np.isfinite(run.nodes).all()
-    assert simulate(model, 20.0, 0.9 * limit, state=moving(model, 1e-3), correction=Projection(), compiled=False).success
+    assert simulate(
+        model, 20.0, 0.9 * limit, state=moving(model, 1e-3), correction=Projection(), compiled=False
+    ).success
 
 
 def test_divergence_is_told_however_few_rows_are_kept() -> None:
@@ -49,7 +57,9 @@ def test_divergence_is_told_however_few_rows_are_kept() -> None:
     for every in (1, 700, 10**9):
         run = simulate(model, 100.0, 0.01, state=start, save_every=every, compiled=False)
         assert not run.success
-        assert run.message.startswith("diverged between t = 0 and" if every > 1 else "diverged between t = ")
+        assert run.message.startswith(
+            "diverged between t = 0 and" if every > 1 else "diverged between t = "
+        )
 
 
 def test_divergence_below_the_limit_names_other_causes() -> None:
@@ -61,21 +71,33 @@ def test_divergence_below_the_limit_names_other_causes() -> None:
     stretching = model.state(model.structure.nodes, [[0, 0, 0], [1.0, 0, -1.0]])
     run = simulate(model, 10.0, 0.001, state=stretching, compiled=False)
     assert "start from tenscasadi.projection(model)(state)" in run.message
-    assert "projection" not in simulate(model, 0.1, 0.001, state=projection(model)(stretching), compiled=False).message
+    assert (
+        "projection"
+        not in simulate(
+            model, 0.1, 0.001, state=projection(model)(stretching), compiled=False
+        ).message
+    )
     run = simulate(model, 10.0, 0.5, Collocation(2), state=spinning, compiled=False)
     assert not run.success
-    assert "the step 0.5 s is stable, as any of Collocation, so accuracy was lost elsewhere" in run.message
+    assert (
+        "the step 0.5 s is stable, as any of Collocation, so accuracy was lost elsewhere"
+        in run.message
+    )
     assert "no solution" in run.message
 
 
 def test_a_step_above_the_stability_limit_is_told_before_the_run_breaks_down() -> None:
     model = Model(Scene(shapes.prism(stiffness=1e6, prestress=50.0)))
     limit = stable_step(model, safety=1.0)
-    shaken = projection(model)(model.state(model.structure.nodes, 1e-3 * np.sin(np.arange(18)).reshape(6, 3)))
+    shaken = projection(model)(
+        model.state(model.structure.nodes, 1e-3 * np.sin(np.arange(18)).reshape(6, 3))
+    )
     run = simulate(model, 0.2, 1.1 * limit, state=shaken, compiled=False)
     assert not run.success
     assert run.message.startswith("finished")
-    suggested = re.search(r"J move: the step is above the stability limit, try step=(\S+)$", run.message)
+    suggested = re.search(
+        r"J move: the step is above the stability limit, try step=(\S+)$", run.message
+    )
     assert suggested
     assert 0.8 * limit < float(suggested[1]) < limit
 
@@ -87,24 +109,46 @@ def test_what_is_not_to_be_trusted_is_spoken_of() -> None:
     for options in ({}, {"correction": Projection()}, {"scheme": DormandPrince54(1e-6)}):
         run = simulate(model, 0.01, state=off, compiled=False, **options)
         assert run.success
-        assert re.search(r"the start is off .* by 0\.\d+: start from tenscasadi\.projection\(model\)\(state\)$", run.message)
-        assert ";" not in simulate(model, 0.01, state=moving(model), compiled=False, **options).message
+        assert re.search(
+            r"the start is off .* by 0\.\d+: start from tenscasadi\.projection\(model\)\(state\)$",
+            run.message,
+        )
+        assert (
+            ";" not in simulate(model, 0.01, state=moving(model), compiled=False, **options).message
+        )
     pendulum = Model(Scene(shapes.pendulum(), gravity=Gravity((0, -G, 0))))
     run = simulate(pendulum, 2.0, 0.1, compiled=False)
     assert run.success
     assert 0.01 < run.bar_length_error.max() < 0.1
-    assert f"bars are off by up to {run.bar_length_error.max():.2g} of their length (correction=Projection() holds them): try a" in run.message
+    assert (
+        f"bars are off by up to {run.bar_length_error.max():.2g} of their length (correction=Projection() holds them): try a"
+        in run.message
+    )
     run = simulate(pendulum, 4.0, 0.02, Cvodes(1e-3))
     assert "try a smaller Cvodes(rtol)" in run.message
 
 
 def test_energy_that_a_correction_hides_is_spoken_of() -> None:
     model = prism()
-    run = simulate(model, 50.0, 0.9 * stable_step(model, safety=1.0), state=moving(model), correction=Projection(), compiled=False)
+    run = simulate(
+        model,
+        50.0,
+        0.9 * stable_step(model, safety=1.0),
+        state=moving(model),
+        correction=Projection(),
+        compiled=False,
+    )
     assert run.success
     assert "energy is off by" in run.message
-    assert "energy" not in simulate(model, 1.0, 1e-3, state=moving(model), correction=Projection(), compiled=False).message
-    assert "energy" not in simulate(prism(ForceDensity()), 1.0, 1e-2, compiled=False).message  # at rest but for rounding
+    assert (
+        "energy"
+        not in simulate(
+            model, 1.0, 1e-3, state=moving(model), correction=Projection(), compiled=False
+        ).message
+    )
+    assert (
+        "energy" not in simulate(prism(ForceDensity()), 1.0, 1e-2, compiled=False).message
+    )  # at rest but for rounding
 
 
 def test_a_start_off_its_bars_is_told_wherever_it_is_and_however_fast_it_flies() -> None:
@@ -113,21 +157,44 @@ def test_a_start_off_its_bars_is_told_wherever_it_is_and_however_fast_it_flies()
         model = Model(Scene(shapes.prism()), coordinates=coordinates)
         nodes, still = model.structure.nodes, np.zeros((6, 3))
         for origin, flight in ((0.0, 0.0), (1e4, 0.0), (0.0, 1e4), (1e5, 1e3)):
-            kept = simulate(model, 0.01, state=model.state(nodes + origin, still + flight), compiled=False)
+            kept = simulate(
+                model, 0.01, state=model.state(nodes + origin, still + flight), compiled=False
+            )
             assert kept.success
             assert ";" not in kept.message
             for factor, success in ((1.00001, True), (1.009, True), (2.0, False)):
-                run = simulate(model, 0.01, state=model.state(factor * nodes + origin, still + flight), compiled=False)
+                run = simulate(
+                    model,
+                    0.01,
+                    state=model.state(factor * nodes + origin, still + flight),
+                    compiled=False,
+                )
                 assert run.success is success
                 assert "; the start is off the lengths of its bars" in run.message
-            stretching = simulate(model, 0.01, state=model.state(nodes + origin, 1e-4 * nodes + flight), compiled=False)
+            stretching = simulate(
+                model,
+                0.01,
+                state=model.state(nodes + origin, 1e-4 * nodes + flight),
+                compiled=False,
+            )
             assert "; the start is off the lengths of its bars" in stretching.message
 
 
 def _pair(damping: float, length: float = 1.1, stiffness: float = 1e3) -> Model:
     """Two masses of 1 kg on a string of 1 m at rest."""
     ends = [(0, 0, 0), (length, 0, 0)]
-    return Model(Scene(Structure(ends, strings=[(0, 1)], node_mass=1.0, stiffness=stiffness, damping=damping, rest_length=1.0)))
+    return Model(
+        Scene(
+            Structure(
+                ends,
+                strings=[(0, 1)],
+                node_mass=1.0,
+                stiffness=stiffness,
+                damping=damping,
+                rest_length=1.0,
+            )
+        )
+    )
 
 
 def test_steps_above_the_limit_of_damped_strings_are_no_success() -> None:
@@ -149,7 +216,10 @@ def test_steps_above_the_limit_are_told_where_a_string_goes_taut_later_on() -> N
     run = simulate(model, 1.0, 0.01, state=parting, compiled=False)
     assert not run.success
     assert "; the step 0.01 s is above the stability limit" in run.message
-    assert simulate(model, 0.05, 0.01, state=parting, compiled=False).message == "finished 5 steps of 0.01 s"
+    assert (
+        simulate(model, 0.05, 0.01, state=parting, compiled=False).message
+        == "finished 5 steps of 0.01 s"
+    )
 
 
 def test_steps_of_sound_runs_are_not_spoken_of() -> None:
@@ -158,7 +228,10 @@ def test_steps_of_sound_runs_are_not_spoken_of() -> None:
     for scheme in (RungeKutta4(), Rattle(), Collocation(2), DormandPrince54()):
         assert "stability" not in simulate(model, 1.0, 0.05 * limit, scheme, compiled=False).message
     assert "stability" not in simulate(model, 5.0, 0.98 * limit, compiled=False).message
-    assert "stability" not in simulate(_pair(1e5), 0.1, 0.01, Collocation(2, "radau"), compiled=False).message
+    assert (
+        "stability"
+        not in simulate(_pair(1e5), 0.1, 0.01, Collocation(2, "radau"), compiled=False).message
+    )
 
 
 def test_friction_that_chatters_is_told_and_trusted():
@@ -174,9 +247,18 @@ def test_friction_that_chatters_is_told_and_trusted():
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.4, False), (0.75, True), (0.9, True)])
-def test_stable_steps_too_long_for_damped_strings_that_go_slack_are_told(share: float, told: bool) -> None:
+def test_stable_steps_too_long_for_damped_strings_that_go_slack_are_told(
+    share: float, told: bool
+) -> None:
     """An overdamped string lets go and catches within a step: centimetres off long before vibrations grow."""
-    pair = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[1, 1], stiffness=1e3, damping=100.0, rest_length=0.9)
+    pair = Structure(
+        [(0, 0, 0), (1, 0, 0)],
+        strings=[(0, 1)],
+        node_mass=[1, 1],
+        stiffness=1e3,
+        damping=100.0,
+        rest_length=0.9,
+    )
     model = Model(Scene(pair))
     limit = stable_step(model, safety=1.0)
     truth = simulate(model, 1.0, scheme=DormandPrince853(1e-10), compiled=False)
@@ -191,7 +273,15 @@ def test_stable_steps_too_long_for_damped_strings_that_go_slack_are_told(share: 
 
 
 def test_strings_that_stay_taut_or_are_not_damped_need_no_such_word() -> None:
-    taut = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 1], pinned=[0], stiffness=1e3, damping=100.0, rest_length=0.5)
+    taut = Structure(
+        [(0, 0, 0), (1, 0, 0)],
+        strings=[(0, 1)],
+        node_mass=[0, 1],
+        pinned=[0],
+        stiffness=1e3,
+        damping=100.0,
+        rest_length=0.5,
+    )
     pulled = Scene(taut, forces=NodalForce([(0, 0, 0), (600.0, 0, 0)]))
     assert "damped" not in simulate(Model(pulled), 1.0, 0.02, compiled=False).message
     loose = taut.replace(damping=0.0, rest_length=0.9)
@@ -204,10 +294,22 @@ def test_strings_are_judged_with_the_parameters_of_the_run() -> None:
     taut = {"rest_length": 1.0, "damping": 1e3}, 0.9, [[-0.57, 0, 0], [0.57, 0, 0]], 0.01
     damped = {"rest_length": 0.9, "damping": 100.0}, 1.0, None, 0.011
     for values, length, speeds, step in (taut, damped):
-        pair = Structure([(0, 0, 0), (length, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=1e3, rest_length=5.0)
+        pair = Structure(
+            [(0, 0, 0), (length, 0, 0)],
+            strings=[(0, 1)],
+            node_mass=1.0,
+            stiffness=1e3,
+            rest_length=5.0,
+        )
         model = Model(Scene(pair, parameters=parameters))
         start = model.state(pair.nodes, speeds)
-        runs = [simulate(m, 1.0, step, state=start, parameters=p, compiled=False) for m, p in ((model, values), (model.fixed(values), None))]
+        runs = [
+            simulate(m, 1.0, step, state=start, parameters=p, compiled=False)
+            for m, p in ((model, values), (model.fixed(values), None))
+        ]
         assert runs[0].message == runs[1].message
         assert runs[0].success == runs[1].success
-        assert "the step is above the stability limit" in runs[0].message or "damped strings that go slack" in runs[0].message
+        assert (
+            "the step is above the stability limit" in runs[0].message
+            or "damped strings that go slack" in runs[0].message
+        )

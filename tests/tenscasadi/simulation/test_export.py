@@ -41,7 +41,9 @@ def run(folder: Path, *arguments: str) -> np.ndarray:
     build = [COMPILER, *STRICT, "tensegrity.c", "main.c", "-lm", "-o", "run"]
     subprocess.run(build, cwd=folder, check=True, capture_output=True, text=True)
     done = subprocess.run([folder / "run", *arguments], check=True, capture_output=True, text=True)
-    return np.array([[float(value) for value in line.split(",")] for line in done.stdout.splitlines()])
+    return np.array(
+        [[float(value) for value in line.split(",")] for line in done.stdout.splitlines()]
+    )
 
 
 def rolling() -> Scene:
@@ -59,16 +61,32 @@ def rolling() -> Scene:
 
 MODELS = {
     "every term": lambda: Model(every_term(), "full"),
-    "class 1 with ground": lambda: Model(Scene(shapes.prism(prestress=20.0, damping=0.5), gravity=Gravity(), ground=Ground(1e3, 1.0, friction=0.3))),
+    "class 1 with ground": lambda: Model(
+        Scene(
+            shapes.prism(prestress=20.0, damping=0.5),
+            gravity=Gravity(),
+            ground=Ground(1e3, 1.0, friction=0.3),
+        )
+    ),
     "terrain, wall and a roller": lambda: Model(rolling(), "full"),
     "terrain, wall and a roller, reduced": lambda: Model(rolling()),
-    "class k, full coordinates": lambda: Model(Scene(shapes.d_bar(prestress=20.0, pinned=(0,)), gravity=Gravity((1, 2, 3))), "full"),
-    "class k, reduced": lambda: Model(Scene(shapes.double_pendulum(), gravity=Gravity())),
-    "force densities": lambda: Model(Scene(shapes.prism(prestress=20.0, height=0.8), control=ForceDensity())),
-    "parameters": lambda: Model(
-        Scene(shapes.prism(prestress=20.0, damping=0.5), gravity=Gravity(), parameters=Parameters("bar_mass", "gravity", scale=["damping"]))
+    "class k, full coordinates": lambda: Model(
+        Scene(shapes.d_bar(prestress=20.0, pinned=(0,)), gravity=Gravity((1, 2, 3))), "full"
     ),
-    "class 0": lambda: Model(Scene(Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, rest_length=0.5))),
+    "class k, reduced": lambda: Model(Scene(shapes.double_pendulum(), gravity=Gravity())),
+    "force densities": lambda: Model(
+        Scene(shapes.prism(prestress=20.0, height=0.8), control=ForceDensity())
+    ),
+    "parameters": lambda: Model(
+        Scene(
+            shapes.prism(prestress=20.0, damping=0.5),
+            gravity=Gravity(),
+            parameters=Parameters("bar_mass", "gravity", scale=["damping"]),
+        )
+    ),
+    "class 0": lambda: Model(
+        Scene(Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, rest_length=0.5))
+    ),
 }
 
 
@@ -87,10 +105,20 @@ def test_the_exported_program_gives_the_simulators_numbers(name: str, tmp_path: 
 
 @needs_compiler
 def test_the_program_starts_with_the_parameters_that_are_given(tmp_path: Path) -> None:
-    model, given = MODELS["parameters"](), {"bar_mass": [1.0, 2.0, 3.0], "gravity": [0.0, 1.0, -2.0]}
+    model, given = (
+        MODELS["parameters"](),
+        {"bar_mass": [1.0, 2.0, 3.0], "gravity": [0.0, 1.0, -2.0]},
+    )
     export_c(model, tmp_path, parameters=given)
-    ours = simulate(model, 0.05, 1e-3, correction=Projection(), save_every=50, parameters=given, compiled=False)
-    assert np.allclose(run(tmp_path, "0.05", "0.001", "1")[-1, 1:-2], ours.nodes[-1].ravel(), rtol=1e-12, atol=1e-12)
+    ours = simulate(
+        model, 0.05, 1e-3, correction=Projection(), save_every=50, parameters=given, compiled=False
+    )
+    assert np.allclose(
+        run(tmp_path, "0.05", "0.001", "1")[-1, 1:-2],
+        ours.nodes[-1].ravel(),
+        rtol=1e-12,
+        atol=1e-12,
+    )
 
 
 @needs_compiler
@@ -122,10 +150,16 @@ def test_exported_derivatives_are_those_of_the_linearisation(name: str, tmp_path
     model = MODELS[name]()
     export_c(model, tmp_path)
     assert COMPILER is not None
-    subprocess.run([COMPILER, "-std=c99", "-O0", "-fPIC", "-shared", "tensegrity.c", "-lm", "-o", "lib.so"], cwd=tmp_path, check=True)
+    subprocess.run(
+        [COMPILER, "-std=c99", "-O0", "-fPIC", "-shared", "tensegrity.c", "-lm", "-o", "lib.so"],
+        cwd=tmp_path,
+        check=True,
+    )
     x = model.initial_state + 1e-3 * np.random.default_rng(0).normal(size=model.nx)
     given = [x, model.initial_control, *([model.parameters.nominal] if model.np else [])]
-    A, B, *rest = (value.full() for value in ca.external("ode_jacobian", str(tmp_path / "lib.so"))(*given))
+    A, B, *rest = (
+        value.full() for value in ca.external("ode_jacobian", str(tmp_path / "lib.so"))(*given)
+    )
     linear = linearize(model, x)
     assert all(np.allclose(P, linear.by_parameters, rtol=1e-9, atol=1e-9) for P in rest)
     assert np.allclose(A, linear.A, rtol=1e-9, atol=1e-9)
@@ -155,4 +189,9 @@ def test_every_scheme_of_fixed_steps_is_exported(scheme: Scheme, tmp_path: Path)
     model = MODELS["class 1 with ground"]()
     export_c(model, tmp_path, scheme)
     ours = simulate(model, 0.05, 1e-3, scheme, correction=Projection(), compiled=False)
-    assert np.allclose(run(tmp_path, "0.05", "0.001", "1")[-1, 1:-2], ours.nodes[-1].ravel(), rtol=1e-12, atol=1e-12)
+    assert np.allclose(
+        run(tmp_path, "0.05", "0.001", "1")[-1, 1:-2],
+        ours.nodes[-1].ravel(),
+        rtol=1e-12,
+        atol=1e-12,
+    )

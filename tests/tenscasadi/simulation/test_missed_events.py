@@ -30,7 +30,18 @@ WORD = re.compile("put it off by some (.*) m: try .*step=(.*)")
 
 def two_masses(stiffness: float = 2.1e4, damping: float = 100.0) -> Model:
     """Two masses that a string, underdamped, pulls together, lets go and catches."""
-    return Model(Scene(Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=stiffness, damping=damping, rest_length=0.9)))
+    return Model(
+        Scene(
+            Structure(
+                [(0, 0, 0), (1, 0, 0)],
+                strings=[(0, 1)],
+                node_mass=1.0,
+                stiffness=stiffness,
+                damping=damping,
+                rest_length=0.9,
+            )
+        )
+    )
 
 
 def off(model: Model, run: Trajectory) -> float:
@@ -40,7 +51,9 @@ def off(model: Model, run: Trajectory) -> float:
 
 @pytest.mark.parametrize("share", [0.76, 0.4, 0.2])
 @pytest.mark.parametrize("scheme", [RungeKutta4(), Rattle(), DormandPrince853()])
-def test_stable_steps_that_miss_events_are_told_with_the_error(scheme: Scheme, share: float) -> None:
+def test_stable_steps_that_miss_events_are_told_with_the_error(
+    scheme: Scheme, share: float
+) -> None:
     model = two_masses()
     step = share * stable_step(model, scheme=scheme, safety=1.0)
     run = simulate(model, 1.0, step, scheme, compiled=False)
@@ -58,13 +71,18 @@ def test_a_run_is_as_good_as_its_word_by_either_cure() -> None:
     assert told
     assert run.success
     assert off(model, run) > 0.02
-    for cured in (simulate(model, 1.0, float(told[2]) / 4, compiled=False), simulate(model, 1.0, scheme=DormandPrince853(1e-6), compiled=False)):
+    for cured in (
+        simulate(model, 1.0, float(told[2]) / 4, compiled=False),
+        simulate(model, 1.0, scheme=DormandPrince853(1e-6), compiled=False),
+    ):
         assert off(model, cured) < 0.005
         assert "put it off" not in cured.message
 
 
 def test_bounces_within_steps_are_told() -> None:
-    structure = Structure([(0, 0, 0), (0, 0, 1)], strings=[(0, 1)], node_mass=1.0, rest_length=0.5, stiffness=100.0)
+    structure = Structure(
+        [(0, 0, 0), (0, 0, 1)], strings=[(0, 1)], node_mass=1.0, rest_length=0.5, stiffness=100.0
+    )
     model = Model(Scene(structure, gravity=Gravity(), ground=Ground(1e4, 1.0, height=-0.2)))
     coarse, fine = (simulate(model, 2.0, step, compiled=False) for step in (0.01, 2e-4))
     assert "slack or taut and contacts within its steps put it off by some" in coarse.message
@@ -77,18 +95,34 @@ def test_smooth_motions_and_many_kept_steps_need_no_word() -> None:
     pulled = taut.state([(0, 0, 0), (2.0, 0, 0)], [(0, 3.0, 0), (0, -3.0, 0)])
     assert ";" not in simulate(taut, 5.0, 0.02, state=pulled, compiled=False).message
     for every in (None, 7, 400):
-        assert ";" not in simulate(two_masses(), 1.0, 2e-4, save_every=every, compiled=False).message
-        assert "put it off" in simulate(two_masses(), 1.0, 0.005, save_every=1 if every is None else min(every, 9), compiled=False).message
+        assert (
+            ";" not in simulate(two_masses(), 1.0, 2e-4, save_every=every, compiled=False).message
+        )
+        assert (
+            "put it off"
+            in simulate(
+                two_masses(),
+                1.0,
+                0.005,
+                save_every=1 if every is None else min(every, 9),
+                compiled=False,
+            ).message
+        )
 
 
 def test_steps_too_long_for_a_vibration_are_told_without_events() -> None:
     """At half of the stability limit a string that pushes, too, swings as it should not: damped by the steps, and too slowly."""
-    structure = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=1e3, rest_length=0.9)
+    structure = Structure(
+        [(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=1e3, rest_length=0.9
+    )
     model = Model(Scene(structure, slack=Linear()))
     for share, told in ((0.4, True), (0.02, False)):
         run = simulate(model, 0.5, share * stable_step(model, safety=1.0), compiled=False)
         assert run.success
-        assert ("its steps, too long for the fastest that moves, put it off by some" in run.message or "energy is off" in run.message) == told
+        assert (
+            "its steps, too long for the fastest that moves, put it off by some" in run.message
+            or "energy is off" in run.message
+        ) == told
         assert (off(model, run) > 1e-3) == told
 
 
@@ -97,7 +131,14 @@ def hanging_chain() -> Model:
     x = np.arange(4.0)
     nodes = np.column_stack([x, 0.3 * np.sin(x), 0 * x])
     strings = [(0, 1), (1, 2), (2, 3)]
-    structure = Structure(nodes, strings=strings, node_mass=[0, 2.2, 0.9, 0.4], pinned=[0], stiffness=2.6e4, rest_length=0.91)
+    structure = Structure(
+        nodes,
+        strings=strings,
+        node_mass=[0, 2.2, 0.9, 0.4],
+        pinned=[0],
+        stiffness=2.6e4,
+        rest_length=0.91,
+    )
     return Model(Scene(structure, gravity=Gravity()))
 
 
@@ -114,9 +155,24 @@ def test_errors_that_grow_after_the_first_events_are_told(scheme: Scheme, steps:
 
 
 def test_rattle_on_a_terrain_tells_its_error() -> None:
-    terrain = Terrain(0.1 * np.sin(np.arange(30.0)).reshape(5, 6), (-2, -2), (1, 1), stiffness=1e4, damping=5.0, friction=0.3)
+    terrain = Terrain(
+        0.1 * np.sin(np.arange(30.0)).reshape(5, 6),
+        (-2, -2),
+        (1, 1),
+        stiffness=1e4,
+        damping=5.0,
+        friction=0.3,
+    )
     nodes, strings = [(0, 0, 0.5), (1, 0.25, 0.5), (2, 0.27, 0.5)], [(0, 1), (1, 2)]
-    structure = Structure(nodes, strings=strings, node_mass=[0, 1.27, 2.77], pinned=[0], stiffness=2.3e4, damping=1.4, rest_length=0.945)
+    structure = Structure(
+        nodes,
+        strings=strings,
+        node_mass=[0, 1.27, 2.77],
+        pinned=[0],
+        stiffness=2.3e4,
+        damping=1.4,
+        rest_length=0.945,
+    )
     model = Model(Scene(structure, gravity=Gravity(), ground=terrain))
     run = simulate(model, 1.1, 1.1 / 400, Rattle(), compiled=False)
     told = WORD.search(run.message)
@@ -128,18 +184,27 @@ def test_rattle_on_a_terrain_tells_its_error() -> None:
 def test_energy_that_is_kept_hides_no_error() -> None:
     """Gauss's points keep the energy of a mass between two strings, but not where it is."""
     structure = Structure(
-        [(0, 0, 0), (1, 0.25, 0), (2, 0.27, 0)], strings=[(0, 1), (1, 2)], node_mass=[0, 0.12, 0], pinned=[0, 2], stiffness=1400.0, rest_length=0.83
+        [(0, 0, 0), (1, 0.25, 0), (2, 0.27, 0)],
+        strings=[(0, 1), (1, 2)],
+        node_mass=[0, 0.12, 0],
+        pinned=[0, 2],
+        stiffness=1400.0,
+        rest_length=0.83,
     )
     model = Model(Scene(structure, gravity=Gravity((-4.0, -12.0, 6.0))))
     for steps, told in ((120, True), (240, False)):
         run = simulate(model, 1.3, 1.3 / steps, Collocation(2), compiled=False)
-        assert ("its steps, too long for the fastest that moves, put it off by some" in run.message) == told
+        assert (
+            "its steps, too long for the fastest that moves, put it off by some" in run.message
+        ) == told
         assert (off(model, run) > 0.01) == told
 
 
 def test_steps_that_bear_no_longer_ones_need_no_word() -> None:
     """Twice as long, they are above the stability limit of a vibration that nothing excites."""
-    structure = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=1e4, rest_length=1.0)
+    structure = Structure(
+        [(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=1e4, rest_length=1.0
+    )
     model = Model(Scene(structure, slack=Linear(), gravity=Gravity((0.0, 0.0, -1.0))))
     start = model.state(structure.nodes, [(0.0, 0.0, 1.0), (1e-9, 0.0, 1.0)])
     for steps in (200, 3000):
@@ -149,7 +214,12 @@ def test_steps_that_bear_no_longer_ones_need_no_word() -> None:
 
 
 def taken_again(
-    monkeypatch: pytest.MonkeyPatch, model: Model, t_end: float, step: float, state: Any = None, control: Any = None
+    monkeypatch: pytest.MonkeyPatch,
+    model: Model,
+    t_end: float,
+    step: float,
+    state: Any = None,
+    control: Any = None,
 ) -> tuple[Trajectory, Repetition]:
     """Simulate; the run can be taken again."""
     seen: list[Any] = []
@@ -165,7 +235,9 @@ def taken_again(
 
 
 def test_longer_steps_end_where_controls_jump(monkeypatch: pytest.MonkeyPatch) -> None:
-    structure = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=50.0, rest_length=1.0)
+    structure = Structure(
+        [(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=50.0, rest_length=1.0
+    )
     model = Model(Scene(structure, slack=Linear(), control=RestLength()))
     _, again = taken_again(monkeypatch, model, 1.0, 1.0 / 44, control=[[0.6], [1.2], [0.6], [1.2]])
     assert again.apart(2) < 1e-3 * again.motion
@@ -173,7 +245,14 @@ def test_longer_steps_end_where_controls_jump(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("save_every", [1, 3])
 def test_functions_that_control_are_asked_once_for_each_step(save_every: int) -> None:
-    structure = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=1e4, damping=0.1, rest_length=1.0)
+    structure = Structure(
+        [(0, 0, 0), (1, 0, 0)],
+        strings=[(0, 1)],
+        node_mass=1.0,
+        stiffness=1e4,
+        damping=0.1,
+        rest_length=1.0,
+    )
     model = Model(Scene(structure, control=RestLength()))
     asked: list[float] = []
 
@@ -190,7 +269,9 @@ def test_functions_that_control_are_asked_once_for_each_step(save_every: int) ->
 
 def test_a_piece_near_the_end_of_a_run_is_a_whole_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two masses, slack for most of the run, are caught in its last steps: the piece begins before."""
-    structure = Structure([(0, 0, 0), (0.1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=2e3, rest_length=1.0)
+    structure = Structure(
+        [(0, 0, 0), (0.1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=2e3, rest_length=1.0
+    )
     model = Model(Scene(structure))
     start = model.state(structure.nodes, [(-0.45, 0, 0), (0.45, 0, 0)])
     run, again = taken_again(monkeypatch, model, 1.08, 0.0027, state=start)

@@ -23,23 +23,52 @@ from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure.structure import Structure
 
-SPRING = Structure([(0, 0, 0), (1.5, 0, 0)], [], [(0, 1)], stiffness=10.0, node_mass=[1, 1], pinned=(0,), rest_length=1.5)
+SPRING = Structure(
+    [(0, 0, 0), (1.5, 0, 0)],
+    [],
+    [(0, 1)],
+    stiffness=10.0,
+    node_mass=[1, 1],
+    pinned=(0,),
+    rest_length=1.5,
+)
 FREQUENCY = np.sqrt(10.0)  # 1/s
 SHORT = 2e-4  # s
-TABLE = NodalForce([[[0, 0, 0], [force, 0, 0]] for force in (0, 5000, 0)], times=[0.5 - SHORT / 2, 0.5, 0.5 + SHORT / 2])
-SWITCH = NodalForce(lambda t: [[0, 0, 0], [2500 * (t > 0.5 - SHORT / 2) * (t <= 0.5 + SHORT / 2), 0, 0]])
+TABLE = NodalForce(
+    [[[0, 0, 0], [force, 0, 0]] for force in (0, 5000, 0)],
+    times=[0.5 - SHORT / 2, 0.5, 0.5 + SHORT / 2],
+)
+SWITCH = NodalForce(
+    lambda t: [[0, 0, 0], [2500 * (t > 0.5 - SHORT / 2) * (t <= 0.5 + SHORT / 2), 0, 0]]
+)
 BUMP = NodalForce(
-    lambda t: [[0, 0, 0], [0.5 / (1e-5 * np.sqrt(np.pi)) * ca.exp(-(((t - 0.5) / 1e-5) ** 2)), 0, 0]],
+    lambda t: [
+        [0, 0, 0],
+        [0.5 / (1e-5 * np.sqrt(np.pi)) * ca.exp(-(((t - 0.5) / 1e-5) ** 2)), 0, 0],
+    ],
     breaks=0.5 + 5e-6 * np.arange(-14, 15),
 )
 
 
 def smooth(width: float) -> NodalForce:
     """A bell of 0.5 N·s about 0.5 s, nothing said about it."""
-    return NodalForce(lambda t: [[0, 0, 0], [0.5 / (width * np.sqrt(np.pi)) * ca.exp(-(((t - 0.5) / width) ** 2)), 0, 0]])
+    return NodalForce(
+        lambda t: [
+            [0, 0, 0],
+            [0.5 / (width * np.sqrt(np.pi)) * ca.exp(-(((t - 0.5) / width) ** 2)), 0, 0],
+        ]
+    )
 
 
-SCHEMES = [RungeKutta4(), Rattle(order=4), DormandPrince54(), DormandPrince853(1e-9), Collocation(3, "radau"), Cvodes(1e-9), Idas(1e-9)]
+SCHEMES = [
+    RungeKutta4(),
+    Rattle(order=4),
+    DormandPrince54(),
+    DormandPrince853(1e-9),
+    Collocation(3, "radau"),
+    Cvodes(1e-9),
+    Idas(1e-9),
+]
 
 
 def after(time: float) -> float:
@@ -70,20 +99,38 @@ def test_smooth_pulses_are_found_by_themselves_however_short(width: float) -> No
     for scheme in (RungeKutta4(), DormandPrince853(1e-9), Cvodes(1e-9)):
         run = simulate(model, 1.0, 0.01, scheme, compiled=False)
         assert run.success, run.message
-        assert run.nodes[-1, 1, 0] == pytest.approx(after(1.0), abs=1e-6 if scheme.adaptive else 2e-3)
+        assert run.nodes[-1, 1, 0] == pytest.approx(
+            after(1.0), abs=1e-6 if scheme.adaptive else 2e-3
+        )
 
 
-@pytest.mark.parametrize(("background", "impulse"), [(0.0, 0.1), (0.0, 1e-3), (1e3, 1e-3)], ids=["", "small", "on a large force"])
+@pytest.mark.parametrize(
+    ("background", "impulse"),
+    [(0.0, 0.1), (0.0, 1e-3), (1e3, 1e-3)],
+    ids=["", "small", "on a large force"],
+)
 def test_pulses_stand_next_to_pulses_and_on_large_forces(background: float, impulse: float) -> None:
     """Each a hundredth of the height of the next or less, yet long enough to move the mass."""
-    first, widths = 0.3125, [1e-3, 1e-6, 1e-3]  # s; halvings of steps would meet the first at its top
+    first, widths = (
+        0.3125,
+        [1e-3, 1e-6, 1e-3],
+    )  # s; halvings of steps would meet the first at its top
     places = [first, 0.5, 0.6871]
 
     def pulses(t: Any) -> Any:
-        return sum(impulse / (w * np.sqrt(np.pi)) * ca.exp(-(((t - at) / w) ** 2)) for at, w in zip(places, widths, strict=True))
+        return sum(
+            impulse / (w * np.sqrt(np.pi)) * ca.exp(-(((t - at) / w) ** 2))
+            for at, w in zip(places, widths, strict=True)
+        )
 
-    model = Model(Scene(SPRING, forces=NodalForce(lambda t: [[0, 0, 0], [background + pulses(t), 0, 0]])))
-    wanted = 1.5 + background / 10 * (1 - np.cos(FREQUENCY)) + impulse / FREQUENCY * np.sin(FREQUENCY * (1 - np.array(places))).sum()
+    model = Model(
+        Scene(SPRING, forces=NodalForce(lambda t: [[0, 0, 0], [background + pulses(t), 0, 0]]))
+    )
+    wanted = (
+        1.5
+        + background / 10 * (1 - np.cos(FREQUENCY))
+        + impulse / FREQUENCY * np.sin(FREQUENCY * (1 - np.array(places))).sum()
+    )
     for scheme in (DormandPrince54(1e-11), DormandPrince853(1e-11), Cvodes(1e-11)):
         run = simulate(model, 1.0, 0.05, scheme, compiled=False)
         assert run.success, run.message
@@ -91,7 +138,9 @@ def test_pulses_stand_next_to_pulses_and_on_large_forces(background: float, impu
 
 
 def test_certificates_of_smooth_pulses_hold() -> None:
-    found = certify(Model(Scene(SPRING, forces=smooth(1e-6))), 1.0, accuracy=1e-6, enough=1e-9, compiled=False)
+    found = certify(
+        Model(Scene(SPRING, forces=smooth(1e-6))), 1.0, accuracy=1e-6, enough=1e-9, compiled=False
+    )
     assert abs(found.nodes[1, 0] - after(1.0)) <= max(2 * found.error, 1e-11) < 1e-6
 
 
@@ -99,10 +148,21 @@ def test_small_pulses_on_a_large_force_are_certified() -> None:
     """A thousandth of the rest, for a fifth of a millisecond: a difference of 3e-8 m that two coarse solutions would agree to miss."""
     ends = []
     for size in (0.0, 1.0):
-        force = NodalForce(lambda t, size=size: [[0, 0, 0], [1000 * ca.sin(t) + size * ca.exp(-(((t - 0.5) / 1e-4) ** 2)), 0, 0]])
-        ends.append(certify(Model(Scene(SPRING.replace(node_mass=1000.0), forces=force)), 1.0, compiled=False))
+        force = NodalForce(
+            lambda t, size=size: [
+                [0, 0, 0],
+                [1000 * ca.sin(t) + size * ca.exp(-(((t - 0.5) / 1e-4) ** 2)), 0, 0],
+            ]
+        )
+        ends.append(
+            certify(
+                Model(Scene(SPRING.replace(node_mass=1000.0), forces=force)), 1.0, compiled=False
+            )
+        )
     wanted = 1e-4 * np.sqrt(np.pi) / 1000 * np.sin(0.1 * 0.5) / 0.1
-    assert ends[1].nodes[1, 0] - ends[0].nodes[1, 0] == pytest.approx(wanted, abs=2 * (ends[0].error + ends[1].error) + 1e-13)
+    assert ends[1].nodes[1, 0] - ends[0].nodes[1, 0] == pytest.approx(
+        wanted, abs=2 * (ends[0].error + ends[1].error) + 1e-13
+    )
     assert ends[1].error < wanted / 10
 
 
@@ -118,10 +178,20 @@ def test_what_changes_faster_than_any_steps_is_told_and_not_trusted() -> None:
 def test_of_what_is_known_by_samples_alone_a_certificate_says_so() -> None:
     grid = np.linspace(0.0, 1.0, 200)
     wind = ca.interpolant("wind", "bspline", [grid], np.sin(5 * grid))
-    model = Model(Scene(SPRING, forces=NodalForce(lambda t: ca.vertcat(ca.DM.zeros(1, 3), ca.horzcat(wind(t), 0, 0)))))
+    model = Model(
+        Scene(
+            SPRING,
+            forces=NodalForce(lambda t: ca.vertcat(ca.DM.zeros(1, 3), ca.horzcat(wind(t), 0, 0))),
+        )
+    )
     found = certify(model, 1.0, accuracy=1e-6, enough=1e-6, compiled=False)
     assert "NodalForce.values known by samples alone" in found.message
-    assert "samples" not in certify(Model(Scene(SPRING, forces=TABLE)), 1.0, accuracy=1e-6, enough=1e-6, compiled=False).message
+    assert (
+        "samples"
+        not in certify(
+            Model(Scene(SPRING, forces=TABLE)), 1.0, accuracy=1e-6, enough=1e-6, compiled=False
+        ).message
+    )
 
 
 @pytest.mark.parametrize("steps", [20, 1000])
@@ -134,7 +204,12 @@ def test_steps_that_see_a_function_stay_as_they_are(steps: int) -> None:
 def test_pulses_of_supports_are_seen() -> None:
     """A pin that is moved to and fro within half a millisecond leaves a bar turning as a long look at it says."""
     bar = Structure([(0, 0, 0), (1, 0, 0)], bars=[(0, 1)], pinned=[0])
-    model = Model(Scene(bar, supports=SupportMotion({0: lambda t: (0, 0, 5e-4 * (1 + ca.tanh((t - 0.5) / 1e-4)))})))
+    model = Model(
+        Scene(
+            bar,
+            supports=SupportMotion({0: lambda t: (0, 0, 5e-4 * (1 + ca.tanh((t - 0.5) / 1e-4)))}),
+        )
+    )
     run = simulate(model, 1.0, 0.05, DormandPrince853(1e-11), compiled=False)
 
     def turning(t: float, y: Any) -> list[float]:
@@ -142,7 +217,9 @@ def test_pulses_of_supports_are_seen() -> None:
         th = np.tanh((t - 0.5) / 1e-4)
         return [y[1], 1.5 * 5e-4 / 1e-8 * 2 * th * (1 - th**2) * np.cos(y[0])]
 
-    fine = solve_ivp(turning, (0.49, 0.51), [0.0, 0.0], rtol=1e-12, atol=1e-13, max_step=1e-5, method="DOP853").y[:, -1]
+    fine = solve_ivp(
+        turning, (0.49, 0.51), [0.0, 0.0], rtol=1e-12, atol=1e-13, max_step=1e-5, method="DOP853"
+    ).y[:, -1]
     angle = fine[0] + 0.49 * fine[1]
     assert run.nodes[-1, 1] == pytest.approx([np.cos(angle), 0, np.sin(angle) + 1e-3], abs=1e-9)
 
@@ -150,7 +227,9 @@ def test_pulses_of_supports_are_seen() -> None:
 def test_recommended_ways_know_of_pulses() -> None:
     model = Model(Scene(SPRING, forces=TABLE))
     advice = recommend(model, 1.0, 1e-4, schemes=[RungeKutta4(), DormandPrince54()], compiled=False)
-    assert simulate(model, 1.0, **advice.options, compiled=False).nodes[-1, 1, 0] == pytest.approx(after(1.0), abs=1e-4)
+    assert simulate(model, 1.0, **advice.options, compiled=False).nodes[-1, 1, 0] == pytest.approx(
+        after(1.0), abs=1e-4
+    )
 
 
 def test_times_of_tables_are_those_of_the_clock() -> None:
@@ -163,7 +242,9 @@ def test_times_of_tables_are_those_of_the_clock() -> None:
 
 
 def test_tables_on_the_grid_leave_steps_equal() -> None:
-    table = NodalForce([[[0, 0, 0], [force, 0, 0]] for force in (0, 1, 0, 2)], times=[0.0, 0.1, 0.2, 7.0])
+    table = NodalForce(
+        [[[0, 0, 0], [force, 0, 0]] for force in (0, 1, 0, 2)], times=[0.0, 0.1, 0.2, 7.0]
+    )
     run = simulate(Model(Scene(SPRING, forces=table)), 0.5, 0.01, compiled=False)
     assert np.array_equal(run.time, np.append(np.arange(50) * (0.5 / 50), 0.5))
 
@@ -186,13 +267,35 @@ def test_supports_may_move_along_splines() -> None:
     assert runs[0].nodes[-1] == pytest.approx(runs[1].nodes[-1], abs=1e-6)
 
 
-@pytest.mark.parametrize("scheme", [RungeKutta4(), DormandPrince853(), DormandPrince853(1e-9), Rattle(), Collocation(2, "radau"), Cvodes(1e-9)])
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        RungeKutta4(),
+        DormandPrince853(),
+        DormandPrince853(1e-9),
+        Rattle(),
+        Collocation(2, "radau"),
+        Cvodes(1e-9),
+    ],
+)
 def test_functions_that_are_finite_up_to_the_end_alone(scheme: Any) -> None:
     """Rounding takes the clock beyond it: arcsin and roots are not defined there."""
-    weight = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=[0, 2.0], pinned=[0], stiffness=1e-9, rest_length=5.0)
+    weight = Structure(
+        [(0, 0, 0), (1, 0, 0)],
+        strings=[(0, 1)],
+        node_mass=[0, 2.0],
+        pinned=[0],
+        stiffness=1e-9,
+        rest_length=5.0,
+    )
     for function in (lambda t: np.arcsin(t / 2), lambda t: np.sqrt(2 - t)):
         moved = quad(lambda t, function=function: (2 - t) * function(t), 0.0, 2.0)[0] / 2
-        model = Model(Scene(weight, forces=NodalForce(lambda t, function=function: [[0, 0, 0], [0, function(t), 0]])))
+        model = Model(
+            Scene(
+                weight,
+                forces=NodalForce(lambda t, function=function: [[0, 0, 0], [0, function(t), 0]]),
+            )
+        )
         for step in (0.1, 0.03, 0.0007):
             run = simulate(model, 2.0, step, scheme, compiled=False)
             assert run.success, run.message

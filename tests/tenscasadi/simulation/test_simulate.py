@@ -42,7 +42,12 @@ def test_a_pendulum_swings_as_the_elliptic_functions_say(coordinates: Any) -> No
         _, cn, dn, _ = ellipj(rate * run.time, k * k)
         theta = 2 * np.arcsin(k * cn / dn)
         assert run.success
-        errors.append(np.abs(run.nodes[:, 1] - length * np.stack([np.sin(theta), 0 * theta, -np.cos(theta)], axis=1)).max())
+        errors.append(
+            np.abs(
+                run.nodes[:, 1]
+                - length * np.stack([np.sin(theta), 0 * theta, -np.cos(theta)], axis=1)
+            ).max()
+        )
         assert 4 * ellipk(k * k) / rate < t_end  # more than one period
     assert errors[1] < 1e-5
     assert 14 < errors[0] / errors[1] < 18  # fourth order
@@ -58,7 +63,13 @@ def test_energy_and_momenta_of_free_motion_are_kept_at_fourth_order() -> None:
         linear = np.einsum("ij,tjk->tk", masses, run.velocities)
         angular = np.cross(run.nodes, np.einsum("ij,tjk->tik", masses, run.velocities)).sum(axis=1)
         assert np.abs(linear - linear[0]).max() < 1e-14
-        losses.append([np.abs(angular - angular[0]).max(), np.abs(run.energy_error).max(), run.bar_length_error.max()])
+        losses.append(
+            [
+                np.abs(angular - angular[0]).max(),
+                np.abs(run.energy_error).max(),
+                run.bar_length_error.max(),
+            ]
+        )
         assert np.array_equal(run.energy_error, run.energy - run.energy[0])
         assert run.energy_parts.sum(axis=1) == pytest.approx(run.energy)
     ratios = np.divide(*losses)
@@ -105,7 +116,10 @@ def test_damping_is_accounted_for() -> None:
 def test_the_work_of_a_control_is_no_error(kind: Any) -> None:
     model = prism(kind)
     u = model.initial_control
-    for control in (u * np.array([[1.0], [1.02], [0.99]]), lambda t: u * (1 + 0.02 * np.sin(9 * t))):
+    for control in (
+        u * np.array([[1.0], [1.02], [0.99]]),
+        lambda t: u * (1 + 0.02 * np.sin(9 * t)),
+    ):
         errors = []
         for step in (1e-3, 5e-4):
             run = simulate(model, 0.3, step, state=moving(model), control=control, compiled=False)
@@ -131,7 +145,17 @@ def test_rows_that_are_kept(save_every: int | None) -> None:
     assert np.array_equal(run.states, everything.states[kept])
 
 
-@pytest.mark.parametrize(("t_end", "step", "steps"), [(1.0, 0.3, 4), (0.3, 0.1, 3), (0.25, 5.0, 1), (0.7, 0.1, 7), (2.1, 0.01, 210), (0.7, 0.02, 35)])
+@pytest.mark.parametrize(
+    ("t_end", "step", "steps"),
+    [
+        (1.0, 0.3, 4),
+        (0.3, 0.1, 3),
+        (0.25, 5.0, 1),
+        (0.7, 0.1, 7),
+        (2.1, 0.01, 210),
+        (0.7, 0.02, 35),
+    ],
+)
 def test_the_last_row_is_exactly_t_end(t_end: float, step: float, steps: int) -> None:
     model = Model(Scene(shapes.pendulum(angle=0.01), gravity=Gravity((0, 0, -G))))
     run = simulate(model, t_end, step, compiled=False)
@@ -181,7 +205,10 @@ def test_a_clock_too_late_for_its_steps_is_refused() -> None:
     mass = Structure(nodes=[(0, 0, 0)], bars=[], strings=[], node_mass=1.0)
     model = Model(Scene(mass, forces=NodalForce(lambda t: [(t, 0, 0)])))
     late = np.append(np.zeros(6), 1e12)
-    with pytest.raises(ValueError, match=r"clock runs to 1e\+12 s, where steps of 0.001 s drown in rounding: start it nearer to 0"):
+    with pytest.raises(
+        ValueError,
+        match=r"clock runs to 1e\+12 s, where steps of 0.001 s drown in rounding: start it nearer to 0",
+    ):
         simulate(model, 1.0, 1e-3, state=late, compiled=False)
     assert simulate(model, 1.0, 1e-3, state=late * 1e-6, compiled=False).success
 
@@ -220,17 +247,32 @@ def test_saved_and_loaded(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_mistakes_are_named(argument: str, value: Any, error: type[Exception]) -> None:
-    arguments: dict[str, Any] = {"model": prism(ForceDensity()), "t_end": 0.01, "compiled": False} | {argument: value}
+    arguments: dict[str, Any] = {
+        "model": prism(ForceDensity()),
+        "t_end": 0.01,
+        "compiled": False,
+    } | {argument: value}
     with pytest.raises(error, match=r"step|t_end" if argument in ("t_end", "step") else argument):
         simulate(**arguments)
 
 
-@pytest.mark.parametrize(("scheme", "step"), [(RungeKutta4(), 1e-3), (DormandPrince853(1e-12), 0.1), (DormandPrince54(1e-12), 1000.0)])
+@pytest.mark.parametrize(
+    ("scheme", "step"),
+    [(RungeKutta4(), 1e-3), (DormandPrince853(1e-12), 0.1), (DormandPrince54(1e-12), 1000.0)],
+)
 def test_a_run_stops_when_its_seconds_are_over(scheme: Any, step: float) -> None:
     """What it has is kept, as by Ctrl-C; one grid step alone may take longer than there is time for."""
     model = Model(Scene(shapes.double_pendulum(), gravity=Gravity((0, -9.81, 0))))
     began = time.perf_counter()
-    run = simulate(model, 1e5, step, scheme, compiled=False, save_every=1 if scheme.adaptive else 1000, seconds=0.3)
+    run = simulate(
+        model,
+        1e5,
+        step,
+        scheme,
+        compiled=False,
+        save_every=1 if scheme.adaptive else 1000,
+        seconds=0.3,
+    )
     assert time.perf_counter() - began < 20.0
     assert not run.success
     assert not run.interrupted

@@ -22,12 +22,23 @@ def turning(control: tc.ForceDensity | None = None) -> tuple[tc.Model, np.ndarra
 
 @needs_compiler
 @pytest.mark.parametrize(
-    "scheme", [tc.RungeKutta4(), tc.DormandPrince853(), tc.DormandPrince54(rtol=1e-6), tc.Rattle(), tc.Collocation(tolerance=1e-6)]
+    "scheme",
+    [
+        tc.RungeKutta4(),
+        tc.DormandPrince853(),
+        tc.DormandPrince54(rtol=1e-6),
+        tc.Rattle(),
+        tc.Collocation(tolerance=1e-6),
+    ],
 )
 def test_every_scheme_runs_in_float(scheme: tc.RungeKutta4) -> None:
     model, start = turning()
-    double = tc.simulate(model, 0.5, 5e-3, scheme, start, correction=tc.Projection(), compiled=False)
-    single = tc.simulate(model, 0.5, 5e-3, scheme, start, correction=tc.Projection(), compiled=tc.Single())
+    double = tc.simulate(
+        model, 0.5, 5e-3, scheme, start, correction=tc.Projection(), compiled=False
+    )
+    single = tc.simulate(
+        model, 0.5, 5e-3, scheme, start, correction=tc.Projection(), compiled=tc.Single()
+    )
     assert single.success
     assert single.compiled
     assert "single precision" in single.message
@@ -41,7 +52,10 @@ def test_every_scheme_runs_in_float(scheme: tc.RungeKutta4) -> None:
 def test_controls_and_long_loops() -> None:
     model, start = turning(tc.ForceDensity())
     control = model.initial_control * np.array([[1.0], [1.2], [0.9], [1.0]])
-    double, single = (tc.simulate(model, 2.0, 1e-3, state=start, control=control, compiled=how) for how in (False, tc.Single()))
+    double, single = (
+        tc.simulate(model, 2.0, 1e-3, state=start, control=control, compiled=how)
+        for how in (False, tc.Single())
+    )
     assert 1e-8 < abs(single.nodes[-1] - double.nodes[-1]).max() < 1e-4
     assert np.ptp(single.control, axis=0).min() > 1
 
@@ -49,7 +63,9 @@ def test_controls_and_long_loops() -> None:
 @needs_compiler
 def test_rounding_at_rest_is_no_lost_energy() -> None:
     model = tc.Model(tc.Scene(tc.shapes.prism(prestress=20.0)))
-    run = tc.simulate(model, 0.1, state=tc.projection(model)(model.initial_state), compiled=tc.Single())
+    run = tc.simulate(
+        model, 0.1, state=tc.projection(model)(model.initial_state), compiled=tc.Single()
+    )
     assert abs(run.energy_error).max() > 1e-6
     assert run.message == "finished 100 steps of 0.001 s; in single precision"
 
@@ -57,9 +73,15 @@ def test_rounding_at_rest_is_no_lost_energy() -> None:
 @needs_compiler
 def test_error_control_finer_than_float_is_refused() -> None:
     model, start = turning()
-    with pytest.raises(ValueError, match=r"DormandPrince853\.rtol is 1e-10: give 1e-06 or more in single precision"):
-        tc.simulate(model, 0.1, scheme=tc.DormandPrince853(rtol=1e-10), state=start, compiled=tc.Single())
-    with pytest.raises(ValueError, match=r"Collocation\.tolerance is 1e-10: give 1e-06 or more in single precision"):
+    with pytest.raises(
+        ValueError, match=r"DormandPrince853\.rtol is 1e-10: give 1e-06 or more in single precision"
+    ):
+        tc.simulate(
+            model, 0.1, scheme=tc.DormandPrince853(rtol=1e-10), state=start, compiled=tc.Single()
+        )
+    with pytest.raises(
+        ValueError, match=r"Collocation\.tolerance is 1e-10: give 1e-06 or more in single precision"
+    ):
         tc.simulate(model, 0.1, scheme=tc.Collocation(), state=start, compiled=tc.Single())
 
 
@@ -69,7 +91,15 @@ def test_without_a_compiler_it_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path
     model, start = turning()
     with pytest.raises(tc.CompileError, match="no C compiler found: install gcc"):
         tc.simulate(model, 0.1, state=start, compiled=tc.Single())
-    table = tc.tradeoff(model, 0.1, [tc.RungeKutta4()], [0.01], state=start, compiled=(tc.Single(), False), repeats=1)
+    table = tc.tradeoff(
+        model,
+        0.1,
+        [tc.RungeKutta4()],
+        [0.01],
+        state=start,
+        compiled=(tc.Single(), False),
+        repeats=1,
+    )
     assert [row.success for row in table.rows] == [False, True]
     assert "no C compiler found" in table.summary()
 

@@ -27,7 +27,9 @@ G = 9.81
 
 @pytest.mark.usefixtures("keyboard")
 @pytest.mark.parametrize("scheme", [Cvodes(1e-7), Idas(1e-7)])
-def test_the_keyboard_interrupts_integrators_of_casadi(monkeypatch: pytest.MonkeyPatch, scheme: Any) -> None:
+def test_the_keyboard_interrupts_integrators_of_casadi(
+    monkeypatch: pytest.MonkeyPatch, scheme: Any
+) -> None:
     """They tell of a failure where Python raises KeyboardInterrupt."""
     model = prism(ForceDensity())
     usual = signal.getsignal(signal.SIGINT)

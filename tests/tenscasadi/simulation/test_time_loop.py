@@ -29,8 +29,14 @@ needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compil
 def test_compiled_and_not_give_the_same_numbers(correction: Any) -> None:
     model = prism(RestLength(), damping=1.0)
     u = model.initial_control
-    options: dict[str, Any] = {"state": moving(model), "control": lambda t: u * (1 + 0.1 * np.sin(20 * t)), "correction": correction}
-    machine, virtual = (simulate(model, 1.5, 1e-3, compiled=compiled, **options) for compiled in (True, False))
+    options: dict[str, Any] = {
+        "state": moving(model),
+        "control": lambda t: u * (1 + 0.1 * np.sin(20 * t)),
+        "correction": correction,
+    }
+    machine, virtual = (
+        simulate(model, 1.5, 1e-3, compiled=compiled, **options) for compiled in (True, False)
+    )
     assert (machine.compiled, virtual.compiled) == (True, False)
     for field in ("states", "energy", "energy_error", "tension", "control"):
         assert np.abs(getattr(machine, field) - getattr(virtual, field)).max() < 1e-11, field
@@ -40,7 +46,9 @@ def test_compiled_and_not_give_the_same_numbers(correction: Any) -> None:
 def test_corrections_come_after_every_nth_step(every: int) -> None:
     model = prism()
     correction = Projection(every=every)
-    run = simulate(model, 1.5, 0.01, state=moving(model, 2.0), correction=correction, compiled=False)
+    run = simulate(
+        model, 1.5, 0.01, state=moving(model, 2.0), correction=correction, compiled=False
+    )
     expected = by_hand(model, moving(model, 2.0), np.zeros((150, 0)), 0.01, correction)
     assert np.abs(run.states - expected).max() < 1e-12
     assert (run.bar_length_error[::every] < 1e-14).all()
@@ -48,7 +56,9 @@ def test_corrections_come_after_every_nth_step(every: int) -> None:
 
 
 @needs_compiler
-def test_one_compiled_loop_serves_every_length_and_step(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_one_compiled_loop_serves_every_length_and_step(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path))
     model = prism(RestLength())
     for t_end, step, save_every in ((1.0, 1e-3, 1), (0.01, 1e-4, None), (7.0, 3e-3, 13)):
@@ -58,7 +68,10 @@ def test_one_compiled_loop_serves_every_length_and_step(monkeypatch: pytest.Monk
 
 
 def test_chunks_shrink_with_the_model_and_fit_the_correction() -> None:
-    many = Structure(np.random.default_rng(0).normal(size=(3000, 3)), bars=[(2 * i, 2 * i + 1) for i in range(1500)])
+    many = Structure(
+        np.random.default_rng(0).normal(size=(3000, 3)),
+        bars=[(2 * i, 2 * i + 1) for i in range(1500)],
+    )
     small, large = chunk_steps(prism(), 1), chunk_steps(Model(Scene(many)), 1)
     assert 1 <= large < small
     assert chunk_steps(prism(), 7) % 7 == 0
@@ -80,7 +93,9 @@ PENDULUM = tc.Model(tc.Scene(tc.shapes.pendulum()))
 def test_blocks_of_steps_without_length_are_passed_over():
     lengths = np.zeros(128)
     lengths[:40] = 1e-3
-    after = chunk_function(PENDULUM, Count(), None, False, False, 128)(np.zeros(PENDULUM.nx), lengths, np.zeros((0, 128))).full()
+    after = chunk_function(PENDULUM, Count(), None, False, False, 128)(
+        np.zeros(PENDULUM.nx), lengths, np.zeros((0, 128))
+    ).full()
     assert after[0, :40].tolist() == list(range(1, 41))
     assert after[0, -1] == 64  # the block in which the run ends is the last
 

@@ -71,13 +71,28 @@ def test_the_file_holds_no_objects(tmp_path: Path) -> None:
 
 
 def test_summary_and_repr() -> None:
-    text = example(energy_error=np.array([0, 1e-9, np.nan, -2e-9]), bar_length_error=np.array([0, 3e-7, 0, 0])).summary()
-    for part in ("finished: γ → 0", "10 steps of 0.1 s by 12 attempts", "1,000 steps/s", "not compiled, interrupted", "2e-09 J", "3e-07"):
+    text = example(
+        energy_error=np.array([0, 1e-9, np.nan, -2e-9]), bar_length_error=np.array([0, 3e-7, 0, 0])
+    ).summary()
+    for part in (
+        "finished: γ → 0",
+        "10 steps of 0.1 s by 12 attempts",
+        "1,000 steps/s",
+        "not compiled, interrupted",
+        "2e-09 J",
+        "3e-07",
+    ):
         assert part in text
     assert "not computed" in example().summary()
     assert "correction" not in example().summary()
-    assert "correction    moves a node by 2e-08 m" in example(correction_shift=np.array([0, 2e-8, 0, 0])).summary()
-    assert "correction    what it does is not measured" in example(correction_shift=np.full(4, np.nan)).summary()
+    assert (
+        "correction    moves a node by 2e-08 m"
+        in example(correction_shift=np.array([0, 2e-8, 0, 0])).summary()
+    )
+    assert (
+        "correction    what it does is not measured"
+        in example(correction_shift=np.full(4, np.nan)).summary()
+    )
     assert repr(example()) == "Trajectory(4 rows, 3 nodes, t = 0 … 1 s, success=True)"
 
 
@@ -93,10 +108,14 @@ def test_summary_and_repr() -> None:
 def test_fields_that_do_not_fit_are_named(field: str, value: Any, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"field '(time|nodes|{field})'"):
         example(**{field: value})
-    saved = {name: np.asarray(own) for name, own in content(example()).items()} | {field: np.asarray(value)}
+    saved = {name: np.asarray(own) for name, own in content(example()).items()} | {
+        field: np.asarray(value)
+    }
     if saved[field].dtype.kind != "O":
         np.savez(tmp_path / "run.npz", format="tenscasadi trajectory 1", **saved)
-        with pytest.raises(ValueError, match=rf"run\.npz is not a trajectory: field '(time|nodes|{field})'"):
+        with pytest.raises(
+            ValueError, match=rf"run\.npz is not a trajectory: field '(time|nodes|{field})'"
+        ):
             Trajectory.load(tmp_path / "run.npz")
 
 
@@ -106,7 +125,17 @@ def one_wrong(value: Any, place: tuple[int, ...], number: float) -> np.ndarray[A
     return array
 
 
-FINITE = ["nodes", "velocities", "force_density", "tension", "energy", "energy_parts", "bar_length_error", "joint_error", "states"]
+FINITE = [
+    "nodes",
+    "velocities",
+    "force_density",
+    "tension",
+    "energy",
+    "energy_parts",
+    "bar_length_error",
+    "joint_error",
+    "states",
+]
 
 
 @pytest.mark.parametrize(
@@ -117,17 +146,23 @@ FINITE = ["nodes", "velocities", "force_density", "tension", "energy", "energy_p
         *((name, number) for name in FINITE for number in (np.nan, -np.inf)),
     ],
 )  # fmt: skip
-def test_numbers_that_no_run_can_have_are_refused_by_name(field: str, value: Any, tmp_path: Path) -> None:
+def test_numbers_that_no_run_can_have_are_refused_by_name(
+    field: str, value: Any, tmp_path: Path
+) -> None:
     own = content(example())[field]
     value = one_wrong(own, (-1,) * own.ndim, value) if field in FINITE else value
-    saved = {name: np.asarray(own) for name, own in content(example()).items()} | {field: np.asarray(value)}
+    saved = {name: np.asarray(own) for name, own in content(example()).items()} | {
+        field: np.asarray(value)
+    }
     np.savez(tmp_path / "run.npz", format="tenscasadi trajectory 1", **saved)
     with pytest.raises(ValueError, match=rf"run\.npz is not a trajectory: field '{field}' is "):
         Trajectory.load(tmp_path / "run.npz")
 
 
 def test_a_run_that_failed_is_loaded_with_what_is_not_finite(tmp_path: Path) -> None:
-    failed = example(success=False, nodes=np.full((4, 3, 3), np.nan), energy=np.array([0.0, 1.0, np.inf, np.nan]))
+    failed = example(
+        success=False, nodes=np.full((4, 3, 3), np.nan), energy=np.array([0.0, 1.0, np.inf, np.nan])
+    )
     loaded = Trajectory.load(failed.save(tmp_path / "run.npz"))
     assert np.array_equal(loaded.nodes, failed.nodes, equal_nan=True)
     assert not loaded.success
@@ -136,8 +171,14 @@ def test_a_run_that_failed_is_loaded_with_what_is_not_finite(tmp_path: Path) -> 
 def test_missing_fields_and_foreign_files_are_named(tmp_path: Path) -> None:
     fields = content(example())
     for field in set(fields) - {"attempts", "interrupted", "parameters"}:  # which older files lack
-        np.savez(tmp_path / "run.npz", format="tenscasadi trajectory 1", **{name: value for name, value in fields.items() if name != field})
-        with pytest.raises(ValueError, match=rf"run\.npz is not a trajectory: it has no field '{field}'"):
+        np.savez(
+            tmp_path / "run.npz",
+            format="tenscasadi trajectory 1",
+            **{name: value for name, value in fields.items() if name != field},
+        )
+        with pytest.raises(
+            ValueError, match=rf"run\.npz is not a trajectory: it has no field '{field}'"
+        ):
             Trajectory.load(tmp_path / "run.npz")
     np.savez(tmp_path / "run.npz", **fields)
     with pytest.raises(ValueError, match="'format'"):
@@ -155,7 +196,11 @@ def test_missing_fields_and_foreign_files_are_named(tmp_path: Path) -> None:
 
 
 def test_files_from_before_attempts_were_counted(tmp_path: Path) -> None:
-    older = {name: value for name, value in content(example()).items() if name not in ("attempts", "interrupted")}
+    older = {
+        name: value
+        for name, value in content(example()).items()
+        if name not in ("attempts", "interrupted")
+    }
     np.savez(tmp_path / "old.npz", format="tenscasadi trajectory 1", **older)
     loaded = Trajectory.load(tmp_path / "old.npz")
     assert (loaded.attempts, loaded.interrupted) == (0, False)
@@ -192,9 +237,14 @@ def test_pickles_are_never_opened(field: str, tmp_path: Path) -> None:
 
 def test_an_array_that_lies_about_its_size_is_refused(tmp_path: Path) -> None:
     header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3, 3)})
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3, 3)}
+    )
     example().save(tmp_path / "run.npz")
-    with zipfile.ZipFile(tmp_path / "run.npz") as old, zipfile.ZipFile(tmp_path / "lie.npz", "w") as new:
+    with (
+        zipfile.ZipFile(tmp_path / "run.npz") as old,
+        zipfile.ZipFile(tmp_path / "lie.npz", "w") as new,
+    ):
         for name in old.namelist():
             new.writestr(name, header.getvalue() if name == "nodes.npy" else old.read(name))
     with pytest.raises(ValueError, match=r"lie\.npz"):
@@ -203,12 +253,16 @@ def test_an_array_that_lies_about_its_size_is_refused(tmp_path: Path) -> None:
 
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
-def test_damaged_files_give_a_trajectory_or_a_value_error(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+def test_damaged_files_give_a_trajectory_or_a_value_error(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
     folder = tmp_path_factory.getbasetemp()
     whole = bytearray((example().save(folder / "whole.npz")).read_bytes())
     for _ in range(data.draw(st.integers(1, 8))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
-    (folder / "damaged.npz").write_bytes(whole[: data.draw(st.integers(0, len(whole)))] if data.draw(st.booleans()) else whole)
+    (folder / "damaged.npz").write_bytes(
+        whole[: data.draw(st.integers(0, len(whole)))] if data.draw(st.booleans()) else whole
+    )
     message = ""
     try:
         assert Trajectory.load(folder / "damaged.npz").nodes.shape == (4, 3, 3)
@@ -218,7 +272,14 @@ def test_damaged_files_give_a_trajectory_or_a_value_error(tmp_path_factory: pyte
 
 
 def test_observed_is_what_the_model_says_row_by_row() -> None:
-    model = Model(Scene(shapes.d_bar(pinned=(0,), prestress=10.0), control=RestLength(), gravity=Gravity((0, 0, -9.81))), "full")
+    model = Model(
+        Scene(
+            shapes.d_bar(pinned=(0,), prestress=10.0),
+            control=RestLength(),
+            gravity=Gravity((0, 0, -9.81)),
+        ),
+        "full",
+    )
     states = moving(model) + 1e-3 * np.random.default_rng(0).normal(size=(5, model.nx))
     observed = observe_states(model, states, np.tile(model.initial_control, (5, 1)))
     for row, x in enumerate(states):

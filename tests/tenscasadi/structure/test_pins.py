@@ -27,7 +27,10 @@ def test_normals_are_kept_orthonormal_and_stay_as_they_are() -> None:
     assert structure.rollers[2] == ((0.6, 0.0, 0.8),)
     normals = np.array(structure.rollers[0])
     assert np.allclose(normals @ normals.T, np.eye(2))
-    assert np.allclose(np.cross(*normals), np.cross((1, 1, 0), (1, 0, 0.5)) / np.linalg.norm(np.cross((1, 1, 0), (1, 0, 0.5))))
+    assert np.allclose(
+        np.cross(*normals),
+        np.cross((1, 1, 0), (1, 0, 0.5)) / np.linalg.norm(np.cross((1, 1, 0), (1, 0, 0.5))),
+    )
     assert list(structure.rollers) == [0, 2]
     assert structure.replace(bar_mass=2.0).rollers == structure.rollers
     assert structure.subdivide(1).rollers == structure.rollers
@@ -47,15 +50,31 @@ def test_rollers_along_axes_are_pins_in_both_coordinates() -> None:
 
 
 def test_models_with_rollers_come_back_from_arrays() -> None:
-    model = tc.Model(tc.Scene(built({0: (1, 0, 1), 2: [(1, 1, 0), (0, 0, 1)]}), gravity=tc.Gravity(), control=tc.ForceDensity()), "full")
+    model = tc.Model(
+        tc.Scene(
+            built({0: (1, 0, 1), 2: [(1, 1, 0), (0, 0, 1)]}),
+            gravity=tc.Gravity(),
+            control=tc.ForceDensity(),
+        ),
+        "full",
+    )
     content = model_to_arrays(model, NONE)
     again = model_from_arrays(content)
     assert again is not None
     assert again.structure.rollers == model.structure.rollers
     assert not find_differences(content, again)
-    other = tc.Model(tc.Scene(built({0: (1, 0, 1.1), 2: [(1, 1, 0), (0, 0, 1)]}), gravity=tc.Gravity(), control=tc.ForceDensity()), "full")
+    other = tc.Model(
+        tc.Scene(
+            built({0: (1, 0, 1.1), 2: [(1, 1, 0), (0, 0, 1)]}),
+            gravity=tc.Gravity(),
+            control=tc.ForceDensity(),
+        ),
+        "full",
+    )
     assert find_differences(content, other) == ["Structure.rollers"]
-    older = {name: value for name, value in content.items() if not name.startswith("structure.rollers")}
+    older = {
+        name: value for name, value in content.items() if not name.startswith("structure.rollers")
+    }
     found = model_from_arrays(older)
     assert found is not None
     assert found.structure.rollers == {}
@@ -87,7 +106,9 @@ def test_states_off_a_roller_are_refused(coordinates: Any) -> None:
     model = tc.Model(tc.Scene(structure), coordinates)
     along, off = np.zeros((3, 3)), np.zeros((3, 3))
     along[2], off[2] = (1, 2, -1), (1, 0, 0)
-    assert model.nodes(model.state(structure.nodes + along, along))[2] == pytest.approx(structure.nodes[2] + along[2])
+    assert model.nodes(model.state(structure.nodes + along, along))[2] == pytest.approx(
+        structure.nodes[2] + along[2]
+    )
     with pytest.raises(ValueError, match=r"nodes\[2\] moves node 2 off its roller"):
         model.state(structure.nodes + off)
     with pytest.raises(ValueError, match=r"velocities\[2\] moves node 2 off its roller"):
@@ -96,17 +117,32 @@ def test_states_off_a_roller_are_refused(coordinates: Any) -> None:
 
 def test_what_reduced_coordinates_with_rollers_cannot_do_says_the_cure() -> None:
     structure = built({2: (1, 0, 1)})
-    with pytest.raises(ValueError, match=r'Scene\.parameters makes masses open, .* give Model\(coordinates="full"\)'):
+    with pytest.raises(
+        ValueError,
+        match=r'Scene\.parameters makes masses open, .* give Model\(coordinates="full"\)',
+    ):
         tc.Model(tc.Scene(structure, parameters=tc.Parameters("node_mass")))
-    opened = tc.Model(tc.Scene(structure, gravity=tc.Gravity(), parameters=tc.Parameters("node_mass")), "full")
+    opened = tc.Model(
+        tc.Scene(structure, gravity=tc.Gravity(), parameters=tc.Parameters("node_mass")), "full"
+    )
     fixed = tc.Model(tc.Scene(structure.replace(node_mass=1.5), gravity=tc.Gravity()), "full")
-    assert opened.ode(opened.initial_state, [], [1.5]).full() == pytest.approx(fixed.ode(fixed.initial_state, []).full(), abs=1e-12)
+    assert opened.ode(opened.initial_state, [], [1.5]).full() == pytest.approx(
+        fixed.ode(fixed.initial_state, []).full(), abs=1e-12
+    )
     run = tc.rollouts(fixed, 0.1, 0.01)
     assert run.success.all()
 
 
 @settings(max_examples=100, deadline=None)
-@given(st.lists(st.lists(st.floats(-1e6, 1e6) | st.sampled_from([0.0, 1.0, np.inf]), min_size=1, max_size=4), min_size=0, max_size=3))
+@given(
+    st.lists(
+        st.lists(
+            st.floats(-1e6, 1e6) | st.sampled_from([0.0, 1.0, np.inf]), min_size=1, max_size=4
+        ),
+        min_size=0,
+        max_size=3,
+    )
+)
 def test_any_directions_become_orthonormal_or_are_refused(directions: list[list[float]]) -> None:
     try:
         structure = built({0: directions})
@@ -114,7 +150,11 @@ def test_any_directions_become_orthonormal_or_are_refused(directions: list[list[
         with pytest.raises((TypeError, ValueError), match=r"^rollers of node 0"):
             built({0: directions})
         return
-    normals = np.array(structure.rollers.get(0, np.eye(3)[["xyz".index(axis) for axis in structure.pinned.get(0, "")]]))
+    normals = np.array(
+        structure.rollers.get(
+            0, np.eye(3)[["xyz".index(axis) for axis in structure.pinned.get(0, "")]]
+        )
+    )
     assert len(normals) == len(directions)
     assert np.abs(normals @ normals.T - np.eye(len(normals))).max() < 1e-9
     spanned = np.array(directions) / np.abs(directions).max()

@@ -16,7 +16,9 @@ from tenscasadi.structure.structure import Structure
 def unbalanced(s: Structure, gamma: Any) -> float:
     """Largest nodal force that remains when each bar takes the force that suits it best, in N."""
     N = s.nodes.T
-    strings = -N @ s.C_s.T @ np.diag(np.broadcast_to(gamma, len(s.strings))) @ s.C_s  # forces on nodes, 3×n
+    strings = (
+        -N @ s.C_s.T @ np.diag(np.broadcast_to(gamma, len(s.strings))) @ s.C_s
+    )  # forces on nodes, 3×n
     B = N @ s.C_b.T
     columns = np.stack([np.outer(B[:, k], s.C_b[k]).ravel() for k in range(len(s.bars))], axis=1)
     lam = np.linalg.lstsq(columns, -strings.ravel(), rcond=None)[0]
@@ -52,12 +54,27 @@ def test_prism_numbering() -> None:
     np.testing.assert_allclose(s.nodes[:4, 2], 0.0)
     np.testing.assert_allclose(s.nodes[4:, 2], 2.0)
     np.testing.assert_allclose(np.hypot(s.nodes[:, 0], s.nodes[:, 1]), 0.5)
-    assert s.strings.tolist() == [[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [5, 6], [6, 7], [7, 4], [0, 4], [1, 5], [2, 6], [3, 7]]
+    assert s.strings.tolist() == [
+        [0, 1],
+        [1, 2],
+        [2, 3],
+        [3, 0],
+        [4, 5],
+        [5, 6],
+        [6, 7],
+        [7, 4],
+        [0, 4],
+        [1, 5],
+        [2, 6],
+        [3, 7],
+    ]
     assert s.bars.tolist() == [[0, 5], [1, 6], [2, 7], [3, 4]]
     angles = np.arctan2(s.nodes[:, 1], s.nodes[:, 0])
     turn = (angles[s.bars[:, 1]] - angles[s.bars[:, 0]]) % (2 * np.pi)
     np.testing.assert_allclose(turn, 1.0)
-    np.testing.assert_allclose((angles[4:] - angles[:4]) % (2 * np.pi), (1.0 - np.pi / 2) % (2 * np.pi))
+    np.testing.assert_allclose(
+        (angles[4:] - angles[:4]) % (2 * np.pi), (1.0 - np.pi / 2) % (2 * np.pi)
+    )
 
 
 def test_prism_of_the_paper() -> None:
@@ -80,7 +97,9 @@ def test_ball_is_regular_and_balanced() -> None:
     axes = (s.nodes[1::2] - s.nodes[::2]) / 2.0
     np.testing.assert_allclose(axes, np.repeat(np.eye(3), 2, axis=0), atol=1e-16)
     middles = 0.5 * (s.nodes[1::2] + s.nodes[::2])
-    np.testing.assert_allclose(np.linalg.norm(middles[1::2] - middles[::2], axis=1), 1.0)  # half a bar length apart
+    np.testing.assert_allclose(
+        np.linalg.norm(middles[1::2] - middles[::2], axis=1), 1.0
+    )  # half a bar length apart
     assert middles[0, 2] == middles[2, 0] == middles[4, 1] == -0.5
 
 
@@ -112,9 +131,13 @@ def test_membrane(p: int, q: int) -> None:
     assert len(s.bars) == 0
     assert len(s.strings) == p * q + 2 * p * (q - 1)
     np.testing.assert_allclose(np.hypot(s.nodes[:, 0], s.nodes[:, 1]), 0.7)
-    np.testing.assert_allclose(np.unique(np.round(s.nodes[:, 2], 12)), np.linspace(-1, 1, q), atol=1e-12)
+    np.testing.assert_allclose(
+        np.unique(np.round(s.nodes[:, 2], 12)), np.linspace(-1, 1, q), atol=1e-12
+    )
     np.testing.assert_allclose(s.string_lengths[: p * q], 2 * 0.7 * np.sin(np.pi / p))  # rings
-    np.testing.assert_allclose(s.string_lengths[p * q :], s.string_lengths[-1])  # helices, both hands equal
+    np.testing.assert_allclose(
+        s.string_lengths[p * q :], s.string_lengths[-1]
+    )  # helices, both hands equal
     faces = shapes.membrane_faces(p, q)
     assert faces.shape == (2 * p * (q - 1), 3)
     edges = {frozenset(pair) for pair in s.strings.tolist()}
@@ -122,7 +145,9 @@ def test_membrane(p: int, q: int) -> None:
     a, b, c = (s.nodes[faces[:, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
     assert np.all(np.sum(normal * (a + b + c) * [1, 1, 0], axis=1) > 0)  # outwards
-    volume = np.sum(a * np.cross(b, c)) / 6  # the side's part of the enclosed volume: two thirds of it for a cylinder about the origin
+    volume = (
+        np.sum(a * np.cross(b, c)) / 6
+    )  # the side's part of the enclosed volume: two thirds of it for a cylinder about the origin
     assert 0 < volume < np.pi * 0.7**2 * 2.0
 
 
@@ -138,7 +163,17 @@ def test_pendulums() -> None:
     assert dict(shapes.double_pendulum(pinned=()).pinned) == {}
 
 
-@pytest.mark.parametrize("make", [shapes.prism, shapes.d_bar, shapes.t_bar, shapes.six_bar_ball, shapes.membrane, shapes.pendulum])
+@pytest.mark.parametrize(
+    "make",
+    [
+        shapes.prism,
+        shapes.d_bar,
+        shapes.t_bar,
+        shapes.six_bar_ball,
+        shapes.membrane,
+        shapes.pendulum,
+    ],
+)
 def test_keywords_reach_the_structure(make: Callable[..., Structure]) -> None:
     s = make(stiffness=7.0, damping=0.5, bar_radius=0.01)
     assert np.all(s.stiffness == 7.0)

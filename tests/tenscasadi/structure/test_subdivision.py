@@ -37,27 +37,35 @@ def test_subdivision(ends: str, fractions: tuple[float, ...] | None) -> None:
     np.testing.assert_allclose(cut.string_fraction, np.tile(fractions or [1 / 3] * 3, 3))
     for i in range(3):
         part = cut.string_parent == i
-        assert 1 / np.sum(1 / cut.stiffness[part]) == pytest.approx(s.stiffness[i], rel=1e-14)  # springs and dashpots in series
+        assert 1 / np.sum(1 / cut.stiffness[part]) == pytest.approx(
+            s.stiffness[i], rel=1e-14
+        )  # springs and dashpots in series
         assert 1 / np.sum(1 / cut.damping[part]) == pytest.approx(s.damping[i], rel=1e-14)
         assert cut.rest_length[part].sum() == pytest.approx(s.rest_length[i], rel=1e-14)
         path = cut.strings[part]
         assert path[0, 0] == s.strings[i, 0]
         assert path[-1, 1] == s.strings[i, 1]
         np.testing.assert_array_equal(path[1:, 0], path[:-1, 1])
-        np.testing.assert_allclose(cut.string_lengths[part], s.string_lengths[i] * cut.string_fraction[part], rtol=1e-14)
+        np.testing.assert_allclose(
+            cut.string_lengths[part], s.string_lengths[i] * cut.string_fraction[part], rtol=1e-14
+        )
         inner = path[1:, 0]
         f = cut.string_fraction[part]
         if ends == "interior":
             np.testing.assert_allclose(cut.node_mass[inner], s.string_mass[i] / 2)
         else:
-            np.testing.assert_allclose(cut.node_mass[inner], s.string_mass[i] * 0.5 * (f[1:] + f[:-1]))
+            np.testing.assert_allclose(
+                cut.node_mass[inner], s.string_mass[i] * 0.5 * (f[1:] + f[:-1])
+            )
     if ends == "interior":
         np.testing.assert_array_equal(cut.node_mass[:5], s.node_mass)
 
 
 def test_lumped_mass_of_equal_segments() -> None:
     s = Structure([(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], string_mass=0.6, pinned=[0])
-    np.testing.assert_allclose(s.subdivide(3, ends="lumped").node_mass, [0.1, 0.1, 0.2, 0.2])  # m/2n at the ends, m/n inside
+    np.testing.assert_allclose(
+        s.subdivide(3, ends="lumped").node_mass, [0.1, 0.1, 0.2, 0.2]
+    )  # m/2n at the ends, m/n inside
     np.testing.assert_allclose(s.subdivide(1, ends="lumped").node_mass, [0.3, 0.3])
 
 
@@ -66,7 +74,9 @@ def test_segments_per_string_and_once_more() -> None:
     cut = s.subdivide([1, 2, 3])
     np.testing.assert_array_equal(cut.string_parent, [0, 1, 1, 2, 2, 2])
     twice = s.subdivide(2, ends="lumped").replace(string_mass=0.1).subdivide(2)
-    np.testing.assert_array_equal(twice.string_parent, np.repeat([0, 1, 2], 4))  # always the first parent
+    np.testing.assert_array_equal(
+        twice.string_parent, np.repeat([0, 1, 2], 4)
+    )  # always the first parent
     np.testing.assert_allclose(twice.string_fraction, 0.25)
     np.testing.assert_allclose(twice.stiffness, np.repeat(s.stiffness, 4) * 4)
     massless = chain()

@@ -18,9 +18,15 @@ from hypothesis import strategies as st
 import tenscasadi as tc
 from tenscasadi.sweeps.case_files import CaseFiles, Outcome, case_key, check_results
 
-PLAIN = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=5))
+PLAIN = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=5)
+)
 NAMES = st.text(max_size=3)
-CASES = st.recursive(PLAIN, lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(NAMES, inner, max_size=3)), max_leaves=8)
+CASES = st.recursive(
+    PLAIN,
+    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(NAMES, inner, max_size=3)),
+    max_leaves=8,
+)
 
 
 def key(case):
@@ -41,7 +47,9 @@ def test_keys_tell_cases_apart(one, other):
 
 
 def test_numbers_of_numpy_are_numbers():
-    assert key({"a": np.float64(0.1), "b": np.int32(3), "c": np.bool_(True)}) == key({"b": 3, "c": True, "a": 0.1})
+    assert key({"a": np.float64(0.1), "b": np.int32(3), "c": np.bool_(True)}) == key(
+        {"b": 3, "c": True, "a": 0.1}
+    )
     assert key(np.arange(3)) == key(np.arange(3).astype(">i8")) != key(np.arange(3.0))
     assert key(np.zeros((2, 3))) != key(np.zeros((3, 2)))
     assert key(np.arange(6).reshape(2, 3).T) == key(np.arange(6).reshape(2, 3).T.copy())
@@ -67,10 +75,22 @@ def test_structures_scenes_models_and_options():
 
 
 @pytest.mark.parametrize(
-    "value", [object(), {1: 2}, b"bytes", ca.MX.sym("x"), np.array([None]), tc.NodalForce(lambda t: np.zeros((6, 3)))], ids=lambda v: type(v).__name__
+    "value",
+    [
+        object(),
+        {1: 2},
+        b"bytes",
+        ca.MX.sym("x"),
+        np.array([None]),
+        tc.NodalForce(lambda t: np.zeros((6, 3))),
+    ],
+    ids=lambda v: type(v).__name__,
 )
 def test_what_has_no_content_to_tell_is_refused(value):
-    with pytest.raises(TypeError, match=r"case(\['a'\]\[0\])(\.values)? is .* whose content a folder of results cannot tell: give numbers, text"):
+    with pytest.raises(
+        TypeError,
+        match=r"case(\['a'\]\[0\])(\.values)? is .* whose content a folder of results cannot tell: give numbers, text",
+    ):
         key({"a": [value]})
 
 
@@ -80,21 +100,39 @@ def test_what_has_no_content_to_tell_is_refused(value):
 def test_results_are_numbers_text_and_arrays():
     given = {"a": np.float32(0.5), "b": [1, 2], "c": "ä", "d": ca.DM([1, 2]), "e": 1j}
     results = check_results(given)
-    assert [type(value).__name__ for value in results.values()] == ["float", "ndarray", "str", "ndarray", "complex"]
+    assert [type(value).__name__ for value in results.values()] == [
+        "float",
+        "ndarray",
+        "str",
+        "ndarray",
+        "complex",
+    ]
     assert check_results(3) == {"result": 3}
     assert check_results(None) == {}
 
 
 @pytest.mark.parametrize("value", [None, {1: 2}, [[1], [2, 3]], 10**30], ids=str)
 def test_other_results_are_refused(value):
-    with pytest.raises(TypeError, match=r"result 'a' is of type .*: return numbers, text, or arrays of them \(NaN for None\)"):
+    with pytest.raises(
+        TypeError,
+        match=r"result 'a' is of type .*: return numbers, text, or arrays of them \(NaN for None\)",
+    ):
         check_results({"a": value})
     with pytest.raises(TypeError, match="a result named 1: name results by text"):
         check_results({1: 2.0})
 
 
 def test_files_give_back_what_they_were_given(tmp_path):
-    values = {"number": 0.1, "whole": 3, "flag": True, "text": "ä\n", "empty": "", "complex": 1j, "matrix": np.arange(6.0).reshape(2, 3), "a/b": 1}
+    values = {
+        "number": 0.1,
+        "whole": 3,
+        "flag": True,
+        "text": "ä\n",
+        "empty": "",
+        "complex": 1j,
+        "matrix": np.arange(6.0).reshape(2, 3),
+        "a/b": 1,
+    }
     values |= {"texts": np.array(["a", "bcd"]), "none": np.zeros((0, 3))}
     files = CaseFiles(tmp_path / "new" / "folder", check_results)
     name = files.key({"x": 1}, "case")
@@ -186,7 +224,11 @@ def test_what_is_in_files_never_runs(tmp_path):
     for file in (tmp_path / "results").glob("*.npz"):
         with np.load(file) as stored:
             fields = dict(stored)
-        np.savez(file, **{**fields, "value.double": np.array(Trap(tmp_path / "ran"), dtype=object)}, allow_pickle=True)
+        np.savez(
+            file,
+            **{**fields, "value.double": np.array(Trap(tmp_path / "ran"), dtype=object)},
+            allow_pickle=True,
+        )
     with np.load(file, allow_pickle=True) as stored:
         stored["value.double"]
     (tmp_path / "ran").unlink()  # the trap works

@@ -44,12 +44,17 @@ def test_processes_outlive_what_raises_and_what_dies(monkeypatch):
     assert "worker process died" in died
     assert "result 'model' is of type object: return numbers, text, or arrays" in odd
     assert interrupted.endswith("KeyboardInterrupt\n")
-    assert re.search(r"case\['x'\] is <function .*, which other processes cannot get: give numbers, text and arrays", unsent)
+    assert re.search(
+        r"case\['x'\] is <function .*, which other processes cannot get: give numbers, text and arrays",
+        unsent,
+    )
     assert table.message == "9 cases: 9 computed, 5 failed"
 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path, keyboard):
-    table = tc.sweep(jobs.interrupt, [{"number": k, "folder": str(tmp_path)} for k in range(6)], folder=tmp_path)
+    table = tc.sweep(
+        jobs.interrupt, [{"number": k, "folder": str(tmp_path)} for k in range(6)], folder=tmp_path
+    )
     assert table.interrupted
     assert table.message.endswith("interrupted from the keyboard")
     assert table.success[:2].any()
@@ -67,10 +72,14 @@ def test_processes_share_compiled_code(tmp_path, monkeypatch):
     table = tc.sweep(jobs.vibrate, cases)
     assert table.success.all(), table.errors
     assert len(set(table["process"])) == count
-    here = tc.simulate(tc.Model(tc.Scene(tc.shapes.prism(stiffness=321.0))), 0.1, 1e-3, compiled=True).nodes[-1]
+    here = tc.simulate(
+        tc.Model(tc.Scene(tc.shapes.prism(stiffness=321.0))), 0.1, 1e-3, compiled=True
+    ).nodes[-1]
     for nodes in table["nodes"]:
         np.testing.assert_array_equal(nodes, here)
-    assert len(list((tmp_path / "cache").iterdir())) == 1  # one library, and no folder of a compilation
+    assert (
+        len(list((tmp_path / "cache").iterdir())) == 1
+    )  # one library, and no folder of a compilation
 
 
 def test_functions_that_processes_cannot_import():
@@ -80,19 +89,29 @@ def test_functions_that_processes_cannot_import():
 
 def test_a_script_without_guard_is_told(tmp_path):
     script = tmp_path / "script.py"
-    script.write_text("import tenscasadi as tc\n\n\ndef job(case):\n    return case\n\n\ntc.sweep(job, [1, 2])\n")
-    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=120)
+    script.write_text(
+        "import tenscasadi as tc\n\n\ndef job(case):\n    return case\n\n\ntc.sweep(job, [1, 2])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=120
+    )
     assert done.returncode
     assert "RuntimeError: worker processes cannot begin" in done.stderr
     assert "a script needs `if __name__ == '__main__':`" in done.stderr
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc, which tells the processes that live")
+@pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="no /proc, which tells the processes that live"
+)
 def test_workers_end_with_a_sweep_that_is_killed(tmp_path):
     script = tmp_path / "script.py"
-    script.write_text("import jobs\nimport tenscasadi as tc\n\nif __name__ == '__main__':\n    tc.sweep(jobs.slow, range(1000), folder='results')\n")
+    script.write_text(
+        "import jobs\nimport tenscasadi as tc\n\nif __name__ == '__main__':\n    tc.sweep(jobs.slow, range(1000), folder='results')\n"
+    )
     paths = os.pathsep.join([str(Path(jobs.__file__).parent), str(Path(tc.__file__).parents[1])])
-    killed = subprocess.Popen([sys.executable, str(script)], cwd=tmp_path, env={**os.environ, "PYTHONPATH": paths})
+    killed = subprocess.Popen(
+        [sys.executable, str(script)], cwd=tmp_path, env={**os.environ, "PYTHONPATH": paths}
+    )
     wait_for(lambda: len(list((tmp_path / "results").glob("*.npz"))) > 2)
     killed.kill()
     killed.wait()
@@ -124,7 +143,12 @@ def test_a_restart_computes_what_is_missing_alone(tmp_path, one_thread):
         computed.append(case["x"])
         if case["x"] in broken:
             raise ValueError("not yet")
-        return {"text": f"<{case['x']}>", "vector": np.arange(3) * case["x"], "whole": case["x"], "flag": case["x"] > 1}
+        return {
+            "text": f"<{case['x']}>",
+            "vector": np.arange(3) * case["x"],
+            "whole": case["x"],
+            "flag": case["x"] > 1,
+        }
 
     cases = [{"x": x} for x in range(4)]
     first = tc.sweep(job, cases, one_thread, tmp_path)
@@ -136,7 +160,12 @@ def test_a_restart_computes_what_is_missing_alone(tmp_path, one_thread):
     assert again.message == f"6 cases: 2 computed, 3 read from {tmp_path}"
     assert again["text"].tolist() == ["<0>", "<1>", "<2>", "<3>", "<4>", "<0>"]
     assert again["vector"].tolist() == [[0, x, 2 * x] for x in (0, 1, 2, 3, 4, 0)]
-    assert [again[name].dtype.kind for name in ("text", "vector", "whole", "flag")] == ["U", "i", "i", "b"]
+    assert [again[name].dtype.kind for name in ("text", "vector", "whole", "flag")] == [
+        "U",
+        "i",
+        "i",
+        "b",
+    ]
     np.testing.assert_array_equal(again.seconds[[0, 1, 3]], first.seconds[[0, 1, 3]])
 
 
@@ -163,7 +192,9 @@ def test_files_that_are_damaged_are_computed_again(tmp_path, one_thread):
     damaged.write_bytes(damaged.read_bytes()[:100])
     table = tc.sweep(job, [1, 2, 3], one_thread, tmp_path)
     assert table["result"].tolist() == [2, 4, 6]
-    assert table.message.endswith(f"1 computed, 2 read from {tmp_path}; 1 files could not be read, their cases were computed again")
+    assert table.message.endswith(
+        f"1 computed, 2 read from {tmp_path}; 1 files could not be read, their cases were computed again"
+    )
 
 
 def test_results_of_an_older_function_are_told(tmp_path, one_thread):
@@ -183,13 +214,23 @@ def test_results_of_an_older_function_are_told(tmp_path, one_thread):
 def test_a_folder_of_another_script_is_refused(tmp_path, one_thread):
     """Functions of one name and of other text: one is an older version of the other only in the same script."""
     found = []
-    for module, text in (("first", "return 1"), ("packed.first", "return 1.5"), ("second", "return 2"), ("second", "return 1")):
+    for module, text in (
+        ("first", "return 1"),
+        ("packed.first", "return 1.5"),
+        ("second", "return 2"),
+        ("second", "return 1"),
+    ):
         job = defined(tmp_path / f"{module}-{len(found)}.py", text, module)
         try:
             found.append(tc.sweep(job, [0], one_thread, tmp_path / "results")["result"].tolist())
         except ValueError as error:
             found.append(str(error))
-    assert found == [[1], [1], f"folder {tmp_path / 'results'} holds results of job of first, not of second: give each its own folder", [1]]
+    assert found == [
+        [1],
+        [1],
+        f"folder {tmp_path / 'results'} holds results of job of first, not of second: give each its own folder",
+        [1],
+    ]
 
 
 def defined(path, text, module):
@@ -237,7 +278,9 @@ def test_what_a_function_holds_tells_its_results_apart(tmp_path, one_thread, mak
 
 
 def test_a_function_whose_content_a_folder_cannot_tell_is_refused(tmp_path, one_thread):
-    with pytest.raises(TypeError, match=r"function\['keywords'\]\['factor'\] is <object .*: give numbers, text"):
+    with pytest.raises(
+        TypeError, match=r"function\['keywords'\]\['factor'\] is <object .*: give numbers, text"
+    ):
         tc.sweep(functools.partial(scaled, factor=object()), [1], one_thread, tmp_path)
 
 
@@ -274,8 +317,12 @@ def test_wrong_arguments(arguments, message):
         tc.sweep(*arguments)
 
 
-def test_cases_that_a_folder_cannot_tell_are_refused_before_the_first_is_computed(tmp_path, one_thread):
-    with pytest.raises(TypeError, match=r"cases\[1\]\['f'\] is <function .*: give numbers, text, arrays"):
+def test_cases_that_a_folder_cannot_tell_are_refused_before_the_first_is_computed(
+    tmp_path, one_thread
+):
+    with pytest.raises(
+        TypeError, match=r"cases\[1\]\['f'\] is <function .*: give numbers, text, arrays"
+    ):
         tc.sweep(pytest.fail, [{"f": 1}, {"f": lambda t: t}], one_thread, tmp_path)
 
 
@@ -295,7 +342,9 @@ def test_what_a_broken_pool_leaves_is_computed_by_the_next_sweep(tmp_path):
     cases = [{"x": x} for x in (1, 2, "die", *range(5, 25))]
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
         first = tc.sweep(jobs.square, cases, executor, tmp_path)
-        refused = tc.sweep(jobs.square, cases, executor, tmp_path)  # the pool takes nothing any more
+        refused = tc.sweep(
+            jobs.square, cases, executor, tmp_path
+        )  # the pool takes nothing any more
     assert first.success[:2].all()
     assert not first.success[2:].any()
     assert "no result came back: BrokenProcessPool" in first.errors[-1]
@@ -309,9 +358,13 @@ def test_what_a_broken_pool_leaves_is_computed_by_the_next_sweep(tmp_path):
 
 @pytest.mark.slow
 def test_dask_goes_on_without_a_worker_that_is_killed(tmp_path):
-    distributed = pytest.importorskip("distributed", reason="distributed is not installed: pip install 'tenscasadi[cluster]'")
+    distributed = pytest.importorskip(
+        "distributed", reason="distributed is not installed: pip install 'tenscasadi[cluster]'"
+    )
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as cluster,
         distributed.Client(cluster) as client,
         client.get_executor() as executor,
     ):
@@ -327,8 +380,12 @@ def test_dask_goes_on_without_a_worker_that_is_killed(tmp_path):
         killer.start()
         table = tc.sweep(jobs.slow, [float(x) for x in range(12)], executor, tmp_path)
         killer.join()
-        odd = tc.sweep(jobs.square, [{"x": "interrupt"}, {"x": threading.Lock()}, {"x": 3}], executor)
-        with pytest.raises(ValueError, match=r"function is .*, which other processes cannot import"):
+        odd = tc.sweep(
+            jobs.square, [{"x": "interrupt"}, {"x": threading.Lock()}, {"x": 3}], executor
+        )
+        with pytest.raises(
+            ValueError, match=r"function is .*, which other processes cannot import"
+        ):
             tc.sweep(functools.partial(scaled, factor=threading.Lock()), [1], executor)
     assert table.success.all(), table.errors
     assert odd.success.tolist() == [False, False, True]
@@ -337,7 +394,9 @@ def test_dask_goes_on_without_a_worker_that_is_killed(tmp_path):
     assert table["double"].tolist() == [2.0 * x for x in range(12)]
     assert set(workers) & set(table["process"])
     assert os.getpid() not in table["process"]
-    assert tc.sweep(jobs.slow, [float(x) for x in range(12)], folder=Path(tmp_path)).message.startswith("12 cases: 0 computed, 12 read")
+    assert tc.sweep(
+        jobs.slow, [float(x) for x in range(12)], folder=Path(tmp_path)
+    ).message.startswith("12 cases: 0 computed, 12 read")
 
 
 SBATCH = """#!/bin/sh
@@ -352,10 +411,14 @@ kill -- -$(cat "{folder}/job.pid")
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="the scripts in place of SLURM's commands need setsid")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="the scripts in place of SLURM's commands need setsid"
+)
 def test_slurm_computes_by_jobs_that_dask_jobqueue_submits(tmp_path, monkeypatch):
     """Scripts stand in for SLURM's commands; what they run is what SLURM would run."""
-    jobqueue = pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: pip install 'tenscasadi[cluster]'")
+    jobqueue = pytest.importorskip(
+        "dask_jobqueue", reason="dask-jobqueue is not installed: pip install 'tenscasadi[cluster]'"
+    )
     from distributed import Client
 
     for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
@@ -363,17 +426,37 @@ def test_slurm_computes_by_jobs_that_dask_jobqueue_submits(tmp_path, monkeypatch
         (tmp_path / name).chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
     paths = os.pathsep.join([str(Path(jobs.__file__).parent), str(Path(tc.__file__).parents[1])])
-    options = {"queue": "normal", "cores": 2, "processes": 2, "memory": "2GB", "walltime": "02:00:00", "local_directory": str(tmp_path)}
-    options |= {"job_script_prologue": [f"export PYTHONPATH={paths}", "export OMP_NUM_THREADS=1"], "scheduler_options": {"dashboard_address": None}}
+    options = {
+        "queue": "normal",
+        "cores": 2,
+        "processes": 2,
+        "memory": "2GB",
+        "walltime": "02:00:00",
+        "local_directory": str(tmp_path),
+    }
+    options |= {
+        "job_script_prologue": [f"export PYTHONPATH={paths}", "export OMP_NUM_THREADS=1"],
+        "scheduler_options": {"dashboard_address": None},
+    }
     with jobqueue.SLURMCluster(**options) as cluster:
         script = cluster.job_script()
         cluster.scale(jobs=1)
         with Client(cluster) as client:
-            table = tc.sweep(jobs.slow, [float(x) for x in range(8)], client.get_executor(), tmp_path / "results")
-    for line in ("#SBATCH -p normal", "#SBATCH --cpus-per-task=2", "#SBATCH -t 02:00:00", "export OMP_NUM_THREADS=1"):
+            table = tc.sweep(
+                jobs.slow, [float(x) for x in range(8)], client.get_executor(), tmp_path / "results"
+            )
+    for line in (
+        "#SBATCH -p normal",
+        "#SBATCH --cpus-per-task=2",
+        "#SBATCH -t 02:00:00",
+        "export OMP_NUM_THREADS=1",
+    ):
         assert line in script.splitlines()
     assert "--nthreads 1 " in script
     assert "--nworkers 2 " in script
-    assert table["double"].tolist() == [2.0 * x for x in range(8)], (table.errors, (tmp_path / "job.log").read_text())
+    assert table["double"].tolist() == [2.0 * x for x in range(8)], (
+        table.errors,
+        (tmp_path / "job.log").read_text(),
+    )
     assert 1 <= len(set(table["process"]) - {os.getpid()}) <= 2
     assert len(list((tmp_path / "results").glob("*.npz"))) == 8

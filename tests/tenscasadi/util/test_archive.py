@@ -22,7 +22,9 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX files and sign
 
 
 def test_arrays_come_back(tmp_path: Path) -> None:
-    path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.arange(3.0), "word": np.asarray("γ")})
+    path = archive.save(
+        tmp_path / "a.npz", "form 1", {"x": np.arange(3.0), "word": np.asarray("γ")}
+    )
     content = archive.load(path, "form 1", "thing", dict)
     assert content["x"].tolist() == [0.0, 1.0, 2.0]
     assert content["word"].item() == "γ"
@@ -34,12 +36,18 @@ def test_files_say_what_they_are(tmp_path: Path) -> None:
     archive.save(tmp_path / "a.npz", "form 1", {"x": np.zeros(2)})
     np.savez(tmp_path / "b.npz", x=np.zeros(2))
     (tmp_path / "c.npz").write_text("no archive")
-    assert [archive.stored_format(tmp_path / name) for name in ("a.npz", "b.npz", "c.npz")] == ["form 1", "", ""]
+    assert [archive.stored_format(tmp_path / name) for name in ("a.npz", "b.npz", "c.npz")] == [
+        "form 1",
+        "",
+        "",
+    ]
     with pytest.raises(FileNotFoundError):
         archive.stored_format(tmp_path / "d.npz")
 
 
-def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_write_that_fails_leaves_the_old_file_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.ones(2)})
 
     def full(file: object, **_: object) -> None:
@@ -85,7 +93,10 @@ def test_what_is_no_regular_file_is_neither_replaced_nor_read(tmp_path: Path) ->
     assert loop.is_symlink()
     assert len(list(tmp_path.iterdir())) == 3
     for path in (fifo, link):  # opening them would wait for ever
-        with pytest.raises(ValueError, match=rf"{path.name} is not a thing: it cannot be read \(it is no regular file\)$"):
+        with pytest.raises(
+            ValueError,
+            match=rf"{path.name} is not a thing: it cannot be read \(it is no regular file\)$",
+        ):
             archive.load(path, "form 1", "thing", dict)
 
 
@@ -117,7 +128,8 @@ def test_threads_may_save_to_one_name(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.npz"]
 
 
-# Imports once; each fault then befalls a child of its own. A child is killed before the n-th line of Python that a save runs.
+# Imports once; each fault then befalls a child of its own. A child is killed before the n-th line
+# of Python that a save runs.
 FAULTS = """
 import os, resource, signal, sys
 import numpy as np
@@ -184,10 +196,19 @@ assert os.listdir(os.path.dirname(path)) == [os.path.basename(path)]
 
 
 @posix
-def test_the_old_file_or_the_new_one_is_whole_after_a_kill_and_on_a_full_disk(tmp_path: Path) -> None:
+def test_the_old_file_or_the_new_one_is_whole_after_a_kill_and_on_a_full_disk(
+    tmp_path: Path,
+) -> None:
     root = str(Path(archive.__file__).parents[2])
     command = [sys.executable, "-c", FAULTS, str(tmp_path / "a.npz")]
-    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": root}, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        command,
+        env={**os.environ, "PYTHONPATH": root},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -197,43 +218,69 @@ def test_the_old_file_or_the_new_one_is_whole_after_a_kill_and_on_a_full_disk(tm
 def with_header(path: Path, shape: tuple[int, ...], data: bytes) -> None:
     """A file whose field x tells this shape, of floats, and holds these bytes."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-        for name, told, content in (("format", (), np.asarray("form 1").tobytes()), ("x", shape, data)):
+        for name, told, content in (
+            ("format", (), np.asarray("form 1").tobytes()),
+            ("x", shape, data),
+        ):
             with file.open(f"{name}.npy", "w") as member:
-                np.lib.format.write_array_header_1_0(member, {"shape": told, "fortran_order": False, "descr": "<f8" if name == "x" else "<U6"})
+                np.lib.format.write_array_header_1_0(
+                    member,
+                    {
+                        "shape": told,
+                        "fortran_order": False,
+                        "descr": "<f8" if name == "x" else "<U6",
+                    },
+                )
                 member.write(content)
 
 
 @pytest.mark.parametrize("shape", [(10**12,), (3, 10**9), (2**40, 2**40), (5,), (1,)])
-def test_shapes_that_do_not_fit_the_file_are_refused(shape: tuple[int, ...], tmp_path: Path) -> None:
+def test_shapes_that_do_not_fit_the_file_are_refused(
+    shape: tuple[int, ...], tmp_path: Path
+) -> None:
     with_header(tmp_path / "a.npz", (2,), bytes(16))
     assert archive.load(tmp_path / "a.npz", "form 1", "thing", dict)["x"].tolist() == [0.0, 0.0]
     with_header(tmp_path / "a.npz", shape, bytes(16))
-    with pytest.raises(ValueError, match=r"a\.npz is not a thing: it cannot be read \(its field 'x' of shape \(.*\) would take .* bytes[^\n]*$"):
+    with pytest.raises(
+        ValueError,
+        match=r"a\.npz is not a thing: it cannot be read \(its field 'x' of shape \(.*\) would take .* bytes[^\n]*$",
+    ):
         archive.load(tmp_path / "a.npz", "form 1", "thing", dict)
 
 
-def test_what_unpacks_to_too_much_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_unpacks_to_too_much_is_not_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "a.npz"
     np.savez_compressed(path, format="form 1", x=np.zeros(200_000), y=np.zeros(200_000))
     assert archive.load(path, "form 1", "thing", dict)["x"].size == 200_000
     monkeypatch.setattr(archive, "_LIMIT", 2_000_000)
     monkeypatch.setattr(np.lib.format, "read_array", lambda *_, **__: pytest.fail("read"))
-    with pytest.raises(ValueError, match=r"a\.npz is not a thing: it cannot be read \(it unpacks to 0\.0032 GB, above the limit of 0\.002 GB"):
+    with pytest.raises(
+        ValueError,
+        match=r"a\.npz is not a thing: it cannot be read \(it unpacks to 0\.0032 GB, above the limit of 0\.002 GB",
+    ):
         archive.load(path, "form 1", "thing", dict)
     monkeypatch.undo()
     monkeypatch.setattr(archive, "_LIMIT", 2_000_000)
     assert set(archive.load(path, "form 1", "thing", dict, names={"x"})) == {"x"}
 
 
-def test_what_was_saved_is_never_too_large_to_be_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_saved_is_never_too_large_to_be_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(archive, "_LIMIT", 100_000)
-    path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.zeros(200_000)})  # of zeros, a compressed file would be a thousandth
+    path = archive.save(
+        tmp_path / "a.npz", "form 1", {"x": np.zeros(200_000)}
+    )  # of zeros, a compressed file would be a thousandth
     assert archive.load(path, "form 1", "thing", dict)["x"].size == 200_000
 
 
 def test_what_is_wrong_is_told(tmp_path: Path) -> None:
     path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.ones(2)})
-    with pytest.raises(ValueError, match=r"a\.npz is not a thing: its field 'format' is not 'form 2'"):
+    with pytest.raises(
+        ValueError, match=r"a\.npz is not a thing: its field 'format' is not 'form 2'"
+    ):
         archive.load(path, "form 2", "thing", dict)
     with pytest.raises(ValueError, match=r"a\.npz is not a thing: it has no field 'y'"):
         archive.load(path, "form 1", "thing", lambda content: content["y"])
@@ -245,21 +292,37 @@ def test_what_is_wrong_is_told(tmp_path: Path) -> None:
 
 
 def test_what_the_builder_refuses_names_the_file(tmp_path: Path) -> None:
-    path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.ones(2), "in.y": np.ones(1), "in.z": np.asarray("γ")})
+    path = archive.save(
+        tmp_path / "a.npz", "form 1", {"x": np.ones(2), "in.y": np.ones(1), "in.z": np.asarray("γ")}
+    )
 
     def refuse(content: archive.Fields) -> None:
         raise ValueError("x has an even number of entries")
 
-    with pytest.raises(ValueError, match=r"a\.npz is not a thing: x has an even number of entries$"):
+    with pytest.raises(
+        ValueError, match=r"a\.npz is not a thing: x has an even number of entries$"
+    ):
         archive.load(path, "form 1", "thing", refuse)
-    with pytest.raises(ValueError, match=r"a\.npz is not a thing: field 'x' holds values of type float64, shape \(2,\)$"):
+    with pytest.raises(
+        ValueError,
+        match=r"a\.npz is not a thing: field 'x' holds values of type float64, shape \(2,\)$",
+    ):
         archive.load(path, "form 1", "thing", lambda content: content.array("x", "i"))
-    with pytest.raises(ValueError, match=r"a\.npz is not a thing: field 'z' holds values of type <U1, shape \(\)$"):
-        archive.load(path, "form 1", "thing", lambda content: content.within("in.").array("z", "U", 1))
+    with pytest.raises(
+        ValueError, match=r"a\.npz is not a thing: field 'z' holds values of type <U1, shape \(\)$"
+    ):
+        archive.load(
+            path, "form 1", "thing", lambda content: content.within("in.").array("z", "U", 1)
+        )
     with pytest.raises(ValueError, match=r"a\.npz is not a thing: it has no field 'x'$"):
         archive.load(path, "form 1", "thing", lambda content: content.within("in.")["x"])
-    assert archive.load(path, "form 1", "thing", lambda content: content.array("x", "fi", 1)).tolist() == [1.0, 1.0]
-    assert list(archive.load(path, "form 1", "thing", lambda content: content.within("in."))) == ["y", "z"]
+    assert archive.load(
+        path, "form 1", "thing", lambda content: content.array("x", "fi", 1)
+    ).tolist() == [1.0, 1.0]
+    assert list(archive.load(path, "form 1", "thing", lambda content: content.within("in."))) == [
+        "y",
+        "z",
+    ]
 
 
 BUGS: dict[str, Callable[[dict[str, np.ndarray]], object]] = {
@@ -307,7 +370,9 @@ FOREIGN: dict[str, Callable[[Path, bytes, Harm], object]] = {
     "npy": lambda path, whole, harm: one_array(path, np.ones(3)),
     "npy of objects": lambda path, whole, harm: one_array(path, np.array([harm])),
     "npz of objects": lambda path, whole, harm: np.savez(path, format="form 1", x=np.array([harm])),
-    "npz whose form is an object": lambda path, whole, harm: np.savez(path, format=np.array([harm]), x=np.ones(3)),
+    "npz whose form is an object": lambda path, whole, harm: np.savez(
+        path, format=np.array([harm]), x=np.ones(3)
+    ),
     "zip with a pickle": lambda path, whole, harm: zip_with_a_pickle(path, harm),
     "cut near its start": lambda path, whole, harm: path.write_bytes(whole[:50]),
     "cut near its end": lambda path, whole, harm: path.write_bytes(whole[:-10]),
@@ -319,7 +384,10 @@ FOREIGN: dict[str, Callable[[Path, bytes, Harm], object]] = {
 def test_files_that_it_did_not_save_or_that_are_damaged(way: str, tmp_path: Path) -> None:
     path = archive.save(tmp_path / "a.npz", "form 1", {"x": np.sqrt(np.arange(1000.0))})
     FOREIGN[way](path, path.read_bytes(), Harm(tmp_path / "harm"))
-    with pytest.raises(ValueError, match=r"a\.npz is not a thing: it cannot be read, as tenscasadi did not save it or it is damaged") as caught:
+    with pytest.raises(
+        ValueError,
+        match=r"a\.npz is not a thing: it cannot be read, as tenscasadi did not save it or it is damaged",
+    ) as caught:
         archive.load(path, "form 1", "thing", lambda content: content["x"])
     assert "pickle" not in str(caught.value)
     assert not (tmp_path / "harm").exists()
@@ -327,6 +395,9 @@ def test_files_that_it_did_not_save_or_that_are_damaged(way: str, tmp_path: Path
 
 @pytest.mark.parametrize("path", [None, b"x", 3, "a\0b"], ids=repr)
 def test_what_is_no_name_of_a_file_is_named(path: object) -> None:
-    for call in (lambda: archive.save(path, "form", {}), lambda: archive.load(path, "form", "thing", dict)):
+    for call in (
+        lambda: archive.save(path, "form", {}),
+        lambda: archive.load(path, "form", "thing", dict),
+    ):
         with pytest.raises((TypeError, ValueError), match=r"^path is .*: give"):
             call()

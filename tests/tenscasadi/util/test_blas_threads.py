@@ -39,7 +39,9 @@ def test_one_thread_within_and_as_many_as_before_afterwards():
 
 
 def test_calls_that_overlap_in_threads_keep_one_until_the_last_ends():
-    BLAS.lib_controllers[0].clear_controlling_thread(force=True)  # the fixture's thread would keep others from setting it
+    BLAS.lib_controllers[0].clear_controlling_thread(
+        force=True
+    )  # the fixture's thread would keep others from setting it
     entered, leave = [Event(), Event()], [Event(), Event()]
 
     def work(k):
@@ -67,10 +69,16 @@ def test_a_limit_that_another_thread_sets_meanwhile_stays():
 
 def test_planning_takes_one(monkeypatch):
     seen = []
-    monkeypatch.setattr(ocp.Plan, "replay", lambda self, *args, **kwargs: seen.append(threads()) or replay(self, *args, **kwargs))
+    monkeypatch.setattr(
+        ocp.Plan,
+        "replay",
+        lambda self, *args, **kwargs: seen.append(threads()) or replay(self, *args, **kwargs),
+    )
     model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
-    assert ocp.solve(ocp.Problem(model, goals=goals, costs=[ocp.Effort()]), ocp.Variational(10)).success
+    assert ocp.solve(
+        ocp.Problem(model, goals=goals, costs=[ocp.Effort()]), ocp.Variational(10)
+    ).success
     assert set(seen[0]) == {1}
     assert set(threads()) == {2}
 

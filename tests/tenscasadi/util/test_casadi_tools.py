@@ -51,7 +51,11 @@ def test_systems_are_solved_where_rows_repeat_each_other(kind):
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX, ca.DM])
 def test_weighted_products(kind):
     rng = np.random.default_rng(0)
-    Z, w, C = rng.normal(size=(3, 4)), rng.normal(size=(1, 4)), np.array([[1.0, 0, -1], [0, 2, 0], [0, 0, 0], [0, 3, 1]])
+    Z, w, C = (
+        rng.normal(size=(3, 4)),
+        rng.normal(size=(1, 4)),
+        np.array([[1.0, 0, -1], [0, 2, 0], [0, 0, 0], [0, 3, 1]]),
+    )
     if kind is ca.DM:
         found = weighted_product(ca.DM(Z), ca.DM(w), C)
     else:
@@ -65,7 +69,10 @@ def test_small_structures_are_called_as_scalar_code():
     for large in (False, True):
         (value,) = call_as_sx(large, lambda z: (ca.sin(z) * z,), x)
         outer = ca.Function("f", [x], [value])
-        assert any(outer.instruction_id(k) == ca.OP_CALL for k in range(outer.n_instructions())) is not large
+        assert (
+            any(outer.instruction_id(k) == ca.OP_CALL for k in range(outer.n_instructions()))
+            is not large
+        )
         assert outer([1.0, 2.0]).full().ravel() == pytest.approx(np.sin([1.0, 2.0]) * [1.0, 2.0])
     assert call_as_sx(False, lambda z: (z + 1,), ca.DM(1)) == (2,)
 
@@ -93,11 +100,15 @@ def test_blocks_of_several_sizes_lie_among_each_other():
     random = np.random.default_rng(0)
     order = random.permutation(17)
     blocks = [random.normal(size=(size, size)) for size in (1, 2, 3, 2, 1, 3, 5)]
-    M = sp.block_diag([block @ block.T + np.eye(len(block)) for block in blocks]).toarray()[order][:, order]
+    M = sp.block_diag([block @ block.T + np.eye(len(block)) for block in blocks]).toarray()[order][
+        :, order
+    ]
     free = np.flatnonzero(random.uniform(size=17) > 0.2)
     expected = np.zeros((17, 17))
     expected[np.ix_(free, free)] = np.linalg.inv(M[np.ix_(free, free)])
-    assert block_inverse(sp.csr_array(M), np.isin(np.arange(17), free)).toarray() == pytest.approx(expected, abs=1e-13)
+    assert block_inverse(sp.csr_array(M), np.isin(np.arange(17), free)).toarray() == pytest.approx(
+        expected, abs=1e-13
+    )
 
 
 def test_numpy_evaluates_a_function():
@@ -105,6 +116,8 @@ def test_numpy_evaluates_a_function():
     divided = ArrayCallback("divided", lambda x, y: x[:, :1] / y, [(2, 3), (1, 3)], (1, 3))
     x, y = ca.MX.sym("x", 2, 3), ca.MX.sym("y", 1, 3)
     function = ca.Function("f", [x, y], [2 * divided(x, y)])
-    assert function(ca.DM([[1, 2, 3], [4, 5, 6]]), ca.DM([[1, 2, 0]])).full() == pytest.approx(np.array([[2.0, 2.0, np.inf]]))
+    assert function(ca.DM([[1, 2, 3], [4, 5, 6]]), ca.DM([[1, 2, 0]])).full() == pytest.approx(
+        np.array([[2.0, 2.0, np.inf]])
+    )
     singular = ArrayCallback("singular", lambda x: np.linalg.inv(x), [(2, 2)], (2, 2))
     assert np.isnan(singular(ca.DM.zeros(2, 2)).full()).all()

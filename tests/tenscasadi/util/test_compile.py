@@ -18,7 +18,13 @@ import pytest
 
 import tenscasadi as tc
 from tenscasadi.util import compile as compiled
-from tenscasadi.util.compile import CompileError, cache_folder, compile_function, compile_library, find_compiler
+from tenscasadi.util.compile import (
+    CompileError,
+    cache_folder,
+    compile_function,
+    compile_library,
+    find_compiler,
+)
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
@@ -49,7 +55,13 @@ def count(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def function(name: str = "f", factor: float = 2.0) -> ca.Function:
     x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 0)
-    return ca.Function(name, [x, u], [factor * ca.sin(x) / ca.sqrt(x) + ca.fmax(x, 0.3) * x**3, ca.dot(x, x)], ["x", "u"], ["y", "z"])
+    return ca.Function(
+        name,
+        [x, u],
+        [factor * ca.sin(x) / ca.sqrt(x) + ca.fmax(x, 0.3) * x**3, ca.dot(x, x)],
+        ["x", "u"],
+        ["y", "z"],
+    )
 
 
 @needs_compiler
@@ -73,9 +85,13 @@ def test_compiled_once(cache: Path, count: list[str]) -> None:
     assert len(list(cache.iterdir())) == 1  # nothing but the library is left behind
     compile_function(function(factor=3.0))
     compile_function(function(), flags=("-O0",))
-    compile_function(function(), flags=("-O0", "-fno-tree-vectorize"))  # a flag that no macro tells of
+    compile_function(
+        function(), flags=("-O0", "-fno-tree-vectorize")
+    )  # a flag that no macro tells of
     assert len(count) == 4
-    assert float(compile_function(function(factor=3.0))([1, 1, 1], [])[0][0]) == pytest.approx(3 * np.sin(1) + 1)
+    assert float(compile_function(function(factor=3.0))([1, 1, 1], [])[0][0]) == pytest.approx(
+        3 * np.sin(1) + 1
+    )
 
 
 @needs_compiler
@@ -108,7 +124,9 @@ def test_a_folder_of_another_user_is_not_used(cache: Path, monkeypatch: pytest.M
     assert cache_folder() != cache
 
 
-def test_a_folder_that_cannot_be_made_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_made_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path / "file" / "cache"))
     folder = cache_folder()
@@ -117,7 +135,9 @@ def test_a_folder_that_cannot_be_made_is_replaced(tmp_path: Path, monkeypatch: p
 
 
 @posix
-def test_temporary_folders_belong_to_one_process_and_come_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_temporary_folders_belong_to_one_process_and_come_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A forked process that ends must not take its parent's folder along, nor must who sweeps old files away."""
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path / "file" / "cache"))
@@ -169,7 +189,9 @@ def flipped(content: bytes, place: int) -> bytes:
 
 
 @needs_compiler
-def test_libraries_that_are_not_as_they_were_written_are_compiled_again(cache: Path, count: list[str]) -> None:
+def test_libraries_that_are_not_as_they_were_written_are_compiled_again(
+    cache: Path, count: list[str]
+) -> None:
     f = function("p")
     compile_function(f, ("-O0",))
     (library,) = cache.iterdir()
@@ -179,12 +201,20 @@ def test_libraries_that_are_not_as_they_were_written_are_compiled_again(cache: P
     (other,) = set(cache.iterdir()) - {library}
     cut = [whole[:k] for k in (0, 1, 32, 100, 4096, size // 2, size - 33, size - 32, size - 1)]
     changed = [flipped(whole, k) for k in (0, 17, size // 3, size // 2, size - 40, size - 1)]
-    poisoned = [*cut, *changed, bytes(size), whole + b"x", other.read_bytes()]  # loading some of these would end this process
+    poisoned = [
+        *cut,
+        *changed,
+        bytes(size),
+        whole + b"x",
+        other.read_bytes(),
+    ]  # loading some of these would end this process
     for k, content in enumerate(poisoned):
         library.unlink()
         library.write_bytes(content)
         library.chmod(0o700)
-        assert float(compile_function(f, ("-O0",))([1, 1, 1], [])[0][0]) == pytest.approx(2 * np.sin(1) + 1)
+        assert float(compile_function(f, ("-O0",))([1, 1, 1], [])[0][0]) == pytest.approx(
+            2 * np.sin(1) + 1
+        )
         assert len(count) == k + 3
     assert library.read_bytes()[:4] == whole[:4]
     compile_function(f, ("-O0",))
@@ -224,7 +254,14 @@ for size in (20_000, 1000):  # bytes that a file may have: less than the library
 @posix
 def test_a_full_disk_leaves_nothing_and_the_run_goes_on(cache: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(compiled.__file__).parents[2])}
-    done = subprocess.run([sys.executable, "-c", FULL], env=environment, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", FULL],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert list(cache.iterdir()) == []
 
@@ -241,13 +278,29 @@ def library(cache: Path, name: str, age: float, size: int = 100) -> Path:
 
 
 @needs_compiler
-@pytest.mark.parametrize(("limit", "kept"), [(10**6, "old older newer recent"), (450_000, "newer recent"), (100_000, "recent")])
-def test_the_cache_has_a_limit(cache: Path, monkeypatch: pytest.MonkeyPatch, limit: int, kept: str) -> None:
+@pytest.mark.parametrize(
+    ("limit", "kept"),
+    [(10**6, "old older newer recent"), (450_000, "newer recent"), (100_000, "recent")],
+)
+def test_the_cache_has_a_limit(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, limit: int, kept: str
+) -> None:
     monkeypatch.setattr(compiled, "_LIMIT", limit)
     cache_folder()
-    ages = {"newer": 2000, "old": 4000, "recent": 1, "older": 3000}  # what is recent, another process may be loading
-    files = {name: library(cache, f"{name}-{'a' * 32}{compiled._SUFFIX}", age, 200_000) for name, age in ages.items()}
-    others = [library(cache, f"lib{name}", 9000, 10**6) for name in ("-mine", f"-{'g' * 32}{compiled._SUFFIX}", f"{compiled._SUFFIX}")]
+    ages = {
+        "newer": 2000,
+        "old": 4000,
+        "recent": 1,
+        "older": 3000,
+    }  # what is recent, another process may be loading
+    files = {
+        name: library(cache, f"{name}-{'a' * 32}{compiled._SUFFIX}", age, 200_000)
+        for name, age in ages.items()
+    }
+    others = [
+        library(cache, f"lib{name}", 9000, 10**6)
+        for name in ("-mine", f"-{'g' * 32}{compiled._SUFFIX}", f"{compiled._SUFFIX}")
+    ]
     f = compile_function(function())
     assert float(f([1, 1, 1], [])[1]) == 3
     assert {name for name, path in files.items() if path.exists()} == set(kept.split())
@@ -255,7 +308,9 @@ def test_the_cache_has_a_limit(cache: Path, monkeypatch: pytest.MonkeyPatch, lim
 
 
 @needs_compiler
-def test_use_keeps_a_library_in_the_cache(cache: Path, monkeypatch: pytest.MonkeyPatch, count: list[str]) -> None:
+def test_use_keeps_a_library_in_the_cache(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, count: list[str]
+) -> None:
     cache_folder()
     compile_function(function("g"))
     (used,) = cache.iterdir()
@@ -271,7 +326,9 @@ def test_use_keeps_a_library_in_the_cache(cache: Path, monkeypatch: pytest.Monke
 
 @needs_compiler
 @posix
-def test_a_library_that_is_removed_still_serves_and_is_compiled_again(cache: Path, monkeypatch: pytest.MonkeyPatch, count: list[str]) -> None:
+def test_a_library_that_is_removed_still_serves_and_is_compiled_again(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, count: list[str]
+) -> None:
     loaded = compile_function(function())
     (path,) = cache.iterdir()
     path.unlink()
@@ -315,7 +372,15 @@ def test_processes_may_compile_at_the_same_time(cache: Path) -> None:
     start = str(time.time() + 1.5)
     root = str(Path(compiled.__file__).parents[2])
     environment = {**os.environ, "PYTHONPATH": root}
-    processes = [subprocess.Popen([sys.executable, "-c", PROCESS, start], env=environment, stderr=subprocess.PIPE, text=True) for _ in range(3)]
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", PROCESS, start],
+            env=environment,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(3)
+    ]
     for process in processes:
         _, errors = process.communicate(timeout=120)
         assert process.returncode == 0, errors
@@ -353,7 +418,10 @@ for k in range(25):
 def test_eight_processes_survive_that_their_libraries_are_poisoned(cache: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(compiled.__file__).parents[2])}
     commands = [[sys.executable, "-c", POISONERS, str(k)] for k in range(8)]
-    processes = [subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) for command in commands]
+    processes = [
+        subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+        for command in commands
+    ]
     for process in processes:
         _, errors = process.communicate(timeout=300)
         assert process.returncode == 0, errors
@@ -361,7 +429,9 @@ def test_eight_processes_survive_that_their_libraries_are_poisoned(cache: Path) 
 
 @needs_compiler
 @posix
-def test_a_library_that_is_replaced_once_it_was_looked_at_is_not_loaded(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_that_is_replaced_once_it_was_looked_at_is_not_loaded(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     f = function("race")
     compile_function(f, ("-O0",))
     (library,) = cache.iterdir()
@@ -377,7 +447,9 @@ def test_a_library_that_is_replaced_once_it_was_looked_at_is_not_loaded(cache: P
         return code
 
     monkeypatch.setattr(compiled, "_read_whole", then)
-    assert float(compile_function(f, ("-O0",))([1, 1, 1], [])[0][0]) == pytest.approx(2 * np.sin(1) + 1)
+    assert float(compile_function(f, ("-O0",))([1, 1, 1], [])[0][0]) == pytest.approx(
+        2 * np.sin(1) + 1
+    )
 
 
 @needs_compiler
@@ -446,9 +518,14 @@ def hanging(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @needs_compiler
 @linux
-def test_a_compiler_that_hangs_is_ended_with_all_that_it_started(hanging: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compiler_that_hangs_is_ended_with_all_that_it_started(
+    hanging: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("TENSCASADI_COMPILE_SECONDS", "0.5")
-    with pytest.raises(CompileError, match=r"slowcc did not end within 0\.5 s: set TENSCASADI_COMPILE_SECONDS .* or give compiled=False"):
+    with pytest.raises(
+        CompileError,
+        match=r"slowcc did not end within 0\.5 s: set TENSCASADI_COMPILE_SECONDS .* or give compiled=False",
+    ):
         compile_function(function())
     wait_for(lambda: all(gone(int(pid)) for pid in hanging.read_text().split()))
     assert list(cache.iterdir()) == []
@@ -458,7 +535,10 @@ def test_a_compiler_that_hangs_is_ended_with_all_that_it_started(hanging: Path, 
     assert "did not end within 0.5 s" in run.message
     for wrong in ("soon", "0", "nan"):
         monkeypatch.setenv("TENSCASADI_COMPILE_SECONDS", wrong)
-        with pytest.raises(CompileError, match=rf"TENSCASADI_COMPILE_SECONDS is '{wrong}': give a number of seconds"):
+        with pytest.raises(
+            CompileError,
+            match=rf"TENSCASADI_COMPILE_SECONDS is '{wrong}': give a number of seconds",
+        ):
             compile_function(function())
 
 
@@ -488,7 +568,12 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize("late", ["0", "2"], ids=["while it runs", "when it has just begun"])
 def test_ctrl_c_during_a_compilation_leaves_nothing(late: str, hanging: Path, cache: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(compiled.__file__).parents[2])}
-    process = subprocess.Popen([sys.executable, "-c", INTERRUPTED, late], env=environment, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, late],
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     wait_for(lambda: hanging.exists() and len(hanging.read_text().split()) == 2)
     process.send_signal(signal.SIGINT)
     told, _ = process.communicate(timeout=30)
@@ -507,19 +592,25 @@ def test_what_the_compiler_says_is_passed_on(cache: Path) -> None:
 @needs_compiler
 def test_what_has_no_c_code_is_refused() -> None:
     x = ca.MX.sym("x")
-    finder = ca.rootfinder("finder", "newton", {"x": x, "g": x * x - 2}, {"linear_solver": "lapacklu"})
+    finder = ca.rootfinder(
+        "finder", "newton", {"x": x, "g": x * x - 2}, {"linear_solver": "lapacklu"}
+    )
     with pytest.raises(CompileError, match="finder"):
         compile_function(finder)
 
 
-@pytest.mark.parametrize(("argument", "value"), [("function", 3), ("flags", "-O2"), ("flags", (2,))])
+@pytest.mark.parametrize(
+    ("argument", "value"), [("function", 3), ("flags", "-O2"), ("flags", (2,))]
+)
 def test_wrong_types_are_refused(argument: str, value: object) -> None:
     arguments = {"function": function(), "flags": ("-O0",)} | {argument: value}
     with pytest.raises(TypeError, match=argument):
         compile_function(**arguments)  # type: ignore[arg-type]
 
 
-def test_large_constants_do_not_cost_optimisation(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_constants_do_not_cost_optimisation(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     levels: list[str] = []
 
     def stop(command: tuple[str, ...], flags: tuple[str, ...], *_: object) -> None:
@@ -531,7 +622,9 @@ def test_large_constants_do_not_cost_optimisation(cache: Path, monkeypatch: pyte
     long = a
     for k in range(20_000):
         long = ca.sin(long) * (a + k)
-    order = np.random.default_rng(0).permutation(200_000)  # printed as a constant and, once more, in a comment
+    order = np.random.default_rng(0).permutation(
+        200_000
+    )  # printed as a constant and, once more, in a comment
     constants = [x * np.linspace(0.1, 0.7, len(order)), x[order.tolist()]]
     for function in (ca.Function("constants", [x], constants), ca.Function("code", [a], [long])):
         with pytest.raises(CompileError, match="not built"):
@@ -542,9 +635,15 @@ def test_large_constants_do_not_cost_optimisation(cache: Path, monkeypatch: pyte
 @needs_compiler
 def test_a_function_is_computed_in_float_and_called_in_double() -> None:
     x, k, m = ca.SX.sym("x", 3), ca.SX.sym("k"), ca.SX.sym("m", ca.Sparsity.upper(2))
-    function = ca.Function("f", [x, k, m], [x / k, ca.sum1(x) * m], ["x", "k", "m"], ["part", "more"])
+    function = ca.Function(
+        "f", [x, k, m], [x / k, ca.sum1(x) * m], ["x", "k", "m"], ["part", "more"]
+    )
     single = compile_function(function, single=True)
-    assert (single.name_in(), single.name_out(), single.sparsity_out(1)) == (function.name_in(), function.name_out(), function.sparsity_out(1))
+    assert (single.name_in(), single.name_out(), single.sparsity_out(1)) == (
+        function.name_in(),
+        function.name_out(),
+        function.sparsity_out(1),
+    )
     values = np.array([1.0, 2.0, 1e-3])
     part, more = single(values, 3.0, ca.DM(ca.Sparsity.upper(2), [1.0, 0.1, -1.0]))
     narrow = values.astype(np.float32)
@@ -561,9 +660,12 @@ def test_a_function_is_computed_in_float_and_called_in_double() -> None:
 
 
 @needs_compiler
-def test_cpp_is_compiled_once_and_sealed(cache: Path, count: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cpp_is_compiled_once_and_sealed(
+    cache: Path, count: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     source = (
-        'template <int n> int number() { return n; }\nextern "C" __attribute__((visibility("default"))) int answer(void) { return number<42>(); }'
+        "template <int n> int number() { return n; }\n"
+        'extern "C" __attribute__((visibility("default"))) int answer(void) { return number<42>(); }'
     )
     assert [compile_library("answer", source).answer() for _ in range(2)] == [42, 42]
     assert len(count) == 1

@@ -23,14 +23,19 @@ def test_the_first_is_noted_and_the_second_raises(keyboard: object) -> None:
 
 def test_it_raises_once_it_is_noted(keyboard: object) -> None:
     noted: list[str] = []
-    with pytest.raises(KeyboardInterrupt), on_interrupt(lambda: noted.append("once"), then_raise=True):
+    with (
+        pytest.raises(KeyboardInterrupt),
+        on_interrupt(lambda: noted.append("once"), then_raise=True),
+    ):
         signal.raise_signal(signal.SIGINT)
     assert noted == ["once"]
     assert signal.getsignal(signal.SIGINT) is keyboard
 
 
 @pytest.mark.parametrize("handler", [signal.SIG_IGN, signal.SIG_DFL])
-def test_where_python_does_not_handle_it_nothing_changes(keyboard: object, handler: signal.Handlers) -> None:
+def test_where_python_does_not_handle_it_nothing_changes(
+    keyboard: object, handler: signal.Handlers
+) -> None:
     signal.signal(signal.SIGINT, handler)
     with on_interrupt(lambda: None, then_raise=True):
         assert signal.getsignal(signal.SIGINT) == handler

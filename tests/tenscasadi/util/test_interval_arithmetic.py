@@ -14,11 +14,43 @@ from tenscasadi.util.interval_arithmetic import UnknownOperation, bound
 
 T = ca.SX.sym("t")
 LEAVES = st.one_of(st.just(T), st.floats(-3, 3).map(ca.SX))
-ONE: list[Any] = [ca.sin, ca.cos, ca.tan, ca.exp, ca.tanh, ca.sinh, ca.cosh, ca.atan, ca.fabs, ca.floor, ca.ceil, ca.sign, ca.asinh, ca.erf, ca.expm1]
+ONE: list[Any] = [
+    ca.sin,
+    ca.cos,
+    ca.tan,
+    ca.exp,
+    ca.tanh,
+    ca.sinh,
+    ca.cosh,
+    ca.atan,
+    ca.fabs,
+    ca.floor,
+    ca.ceil,
+    ca.sign,
+    ca.asinh,
+    ca.erf,
+    ca.expm1,
+]
 ONE += [lambda x, f=f: f(ca.fabs(x)) for f in (ca.sqrt, ca.log, ca.log1p)]
 ONE += [lambda x, f=f: f(ca.tanh(x)) for f in (ca.asin, ca.acos)]
-ONE += [ca.sqrt, ca.log, ca.log1p, ca.asin, ca.acos, ca.atanh, ca.acosh, lambda x: x**1.5]  # which may be not defined
-ONE += [lambda x: x**2, lambda x: x**3, lambda x: x**-2, lambda x: x**-1, lambda x: -x, ca.logic_not]
+ONE += [
+    ca.sqrt,
+    ca.log,
+    ca.log1p,
+    ca.asin,
+    ca.acos,
+    ca.atanh,
+    ca.acosh,
+    lambda x: x**1.5,
+]  # which may be not defined
+ONE += [
+    lambda x: x**2,
+    lambda x: x**3,
+    lambda x: x**-2,
+    lambda x: x**-1,
+    lambda x: -x,
+    ca.logic_not,
+]
 TWO: list[Any] = [
     lambda x, y: x + y,
     lambda x, y: x - y,
@@ -30,7 +62,13 @@ TWO: list[Any] = [
     ca.hypot,
     lambda x, y: ca.fmod(x, 0.1 + ca.fabs(y)),
 ]
-TWO += [lambda x, y: x < y, lambda x, y: x <= y, lambda x, y: ca.if_else(x > y, x, y), lambda x, y: ca.logic_and(x, y), lambda x, y: ca.fabs(x) ** y]
+TWO += [
+    lambda x, y: x < y,
+    lambda x, y: x <= y,
+    lambda x, y: ca.if_else(x > y, x, y),
+    lambda x, y: ca.logic_and(x, y),
+    lambda x, y: ca.fabs(x) ** y,
+]
 TREES = st.recursive(
     LEAVES,
     lambda inner: st.one_of(
@@ -54,7 +92,9 @@ def test_bounds_hold(tree: ca.SX, low: float, width: float) -> None:
     assert np.all(known <= found.high[0, 0] + slack)
 
 
-@pytest.mark.parametrize("hidden", [ca.sqrt(T - 0.5), ca.log(T - 0.5), ca.asin(2.5 - 3 * T), (T - 0.5) ** 1.5])
+@pytest.mark.parametrize(
+    "hidden", [ca.sqrt(T - 0.5), ca.log(T - 0.5), ca.asin(2.5 - 3 * T), (T - 0.5) ** 1.5]
+)
 def test_what_is_not_defined_may_hide_behind_a_choice(hidden: ca.SX) -> None:
     """The lesser and the greater of two pass over what is not defined: the other is then a bound, and where that begins, something switches."""
     function = ca.Function("f", [T], [ca.fmax(hidden, -7.0)])
@@ -66,7 +106,11 @@ def test_what_is_not_defined_may_hide_behind_a_choice(hidden: ca.SX) -> None:
 
 
 def test_narrow_intervals_have_narrow_bounds() -> None:
-    function = ca.Function("f", [T], [ca.vertcat(ca.sin(3 * T) * ca.exp(-(T**2)) / (1 + T**4), ca.sqrt(1 + T) + ca.atan2(T, 2))])
+    function = ca.Function(
+        "f",
+        [T],
+        [ca.vertcat(ca.sin(3 * T) * ca.exp(-(T**2)) / (1 + T**4), ca.sqrt(1 + T) + ca.atan2(T, 2))],
+    )
     low = np.linspace(0, 2, 20001)[:-1]
     found = bound(function, low, low + 1e-4)
     assert (found.high - found.low).max() < 2e-3

@@ -26,7 +26,11 @@ def test_what_takes_too_long_is_ended_with_what_it_started(tmp_path: Path) -> No
     witness = tmp_path / "witness"
     began = time.monotonic()
     with pytest.raises(subprocess.TimeoutExpired):
-        run_program(["/bin/sh", "-c", f"(while :; do date >> {witness}; sleep 0.05; done) & sleep 100"], 0.3, os.environ)
+        run_program(
+            ["/bin/sh", "-c", f"(while :; do date >> {witness}; sleep 0.05; done) & sleep 100"],
+            0.3,
+            os.environ,
+        )
     assert time.monotonic() - began < 20
     time.sleep(0.2)
     size = witness.stat().st_size

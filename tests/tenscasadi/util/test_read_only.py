@@ -25,7 +25,11 @@ def arrays(value):
     return {name: item for name, item in vars(value).items() if isinstance(item, np.ndarray)}
 
 
-@pytest.mark.parametrize("structure", [tc.shapes.double_pendulum(), tc.shapes.prism(string_mass=0.1).subdivide(2)], ids=["pinned", "subdivided"])
+@pytest.mark.parametrize(
+    "structure",
+    [tc.shapes.double_pendulum(), tc.shapes.prism(string_mass=0.1).subdivide(2)],
+    ids=["pinned", "subdivided"],
+)
 def test_structure(structure, copied):
     again = copied(structure)
     assert again.pinned == structure.pinned
@@ -41,24 +45,40 @@ def test_structure(structure, copied):
 
 def test_structure_that_keeps_the_columns_it_was_made_from(copied):
     split = tc.shapes.double_pendulum().class_one()
-    structure = tc.Structure.from_matrices(split.N, C_b=split.C_b @ split.C_nb, P=split.P, D=split.D)
+    structure = tc.Structure.from_matrices(
+        split.N, C_b=split.C_b @ split.C_nb, P=split.P, D=split.D
+    )
     np.testing.assert_array_equal(copied(structure).class_one().P, split.P)
 
 
-@pytest.mark.parametrize("options", [{}, {"coordinates": "full"}, {"coordinates": "full", "bar_length": "constant"}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"coordinates": "full"}, {"coordinates": "full", "bar_length": "constant"}],
+    ids=str,
+)
 def test_model(options, copied):
     push = tc.NodalForce(np.full((2, 6, 3), (0.0, 1.0, 2.0)), times=(0.0, 1.0))
     ground = tc.Ground(stiffness=1e3, damping=1.0, friction=0.5)
-    model = tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0), control=tc.ForceDensity(), ground=ground, forces=push), **options)
+    model = tc.Model(
+        tc.Scene(
+            tc.shapes.prism(prestress=50.0), control=tc.ForceDensity(), ground=ground, forces=push
+        ),
+        **options,
+    )
     again = copied(model)
     x, u = model.initial_state, model.initial_control
     np.testing.assert_array_equal(again.ode(x, u).full(), model.ode(x, u).full())
-    assert (again.coordinates, again.mechanism.constant_length) == (model.coordinates, model.mechanism.constant_length)
+    assert (again.coordinates, again.mechanism.constant_length) == (
+        model.coordinates,
+        model.mechanism.constant_length,
+    )
     assert not again.scene.forces.values.flags.writeable
 
 
 def test_model_warns_once(copied):
-    triangle = tc.Structure([(0, 0, 0), (1, 0, 0), (0, 1, 0)], bars=[(0, 1), (1, 2), (2, 0)], pinned=(0, 1))
+    triangle = tc.Structure(
+        [(0, 0, 0), (1, 0, 0), (0, 1, 0)], bars=[(0, 1), (1, 2), (2, 0)], pinned=(0, 1)
+    )
     with pytest.warns(tc.RedundantConstraints):
         model = tc.Model(tc.Scene(triangle))
     with warnings.catch_warnings():
@@ -77,7 +97,11 @@ def test_trajectory(copied):
 def test_problem_and_plan(copied):
     prism = tc.shapes.prism(stiffness=1000.0, prestress=50.0)
     model = tc.Model(tc.Scene(prism, control=tc.ForceDensity()))
-    problem = ocp.Problem(model, goals=[ocp.StringLengths({0: 0.9 * prism.string_lengths[0]})], bounds=[ocp.ForceDensityLimits(1.0, 200.0)])
+    problem = ocp.Problem(
+        model,
+        goals=[ocp.StringLengths({0: 0.9 * prism.string_lengths[0]})],
+        bounds=[ocp.ForceDensityLimits(1.0, 200.0)],
+    )
     given = problem, ocp.Variational(intervals=6), ocp.Ipopt()
     plan, other = ocp.solve(*given), ocp.solve(*map(copied, given))
     np.testing.assert_array_equal(other.force_density, plan.force_density)
@@ -94,7 +118,9 @@ def writeable(value, path, seen):
     elif isinstance(value, (tuple, list)):
         for k, part in enumerate(value):
             yield from writeable(part, f"{path}[{k}]", seen)
-    elif type(value).__module__.partition(".")[0] in ("tenscasadi", "ocp") and id(value) not in seen:
+    elif (
+        type(value).__module__.partition(".")[0] in ("tenscasadi", "ocp") and id(value) not in seen
+    ):
         seen.add(id(value))
         for name, part in vars(value).items():
             if name[0] != "_":
@@ -103,7 +129,14 @@ def writeable(value, path, seen):
 
 def test_no_array_of_a_frozen_value_can_be_written():
     cross = tc.shapes.d_bar(pinned=[0], stiffness=100.0)
-    model = tc.Model(tc.Scene(cross, control=tc.ForceDensity(), gravity=tc.Gravity((0, 0, 0)), parameters=tc.Parameters("bar_mass")))
+    model = tc.Model(
+        tc.Scene(
+            cross,
+            control=tc.ForceDensity(),
+            gravity=tc.Gravity((0, 0, 0)),
+            parameters=tc.Parameters("bar_mass"),
+        )
+    )
     full = tc.Model(model.scene, coordinates="full")
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     plan = ocp.solve(ocp.Problem(model, start=cross.nodes, goals=goals), ocp.MultipleShooting(10))
@@ -115,7 +148,9 @@ def test_no_array_of_a_frozen_value_can_be_written():
         "Trajectory": tc.simulate(full, 0.02, 0.01, compiled=False),
         "Modes": tc.modes(model),
         "Linearization": tc.linearize(model),
-        "Sensitivities": tc.sensitivities(model, model.initial_state, 0.02, 0.01, by="state", compiled=False),
+        "Sensitivities": tc.sensitivities(
+            model, model.initial_state, 0.02, 0.01, by="state", compiled=False
+        ),
         "Plan": plan,
         "Tracker": ocp.track(plan, decisions=40),
     }

@@ -26,7 +26,9 @@ def check(A: Any, tolerance: float = 1e-9) -> int:
 def test_random_nets(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n, m = rng.integers(5, 120, 2)
-    A = sp.random_array((int(n), int(m)), density=float(rng.uniform(0.005, 0.1)), rng=rng, data_sampler=rng.normal).tocsc()
+    A = sp.random_array(
+        (int(n), int(m)), density=float(rng.uniform(0.005, 0.1)), rng=rng, data_sampler=rng.normal
+    ).tocsc()
     copies = rng.integers(0, m, int(m) // 3)
     check(sp.hstack([A, A[:, copies] @ sp.diags_array(rng.normal(size=len(copies)))]).tocsc())
 

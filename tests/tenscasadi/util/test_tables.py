@@ -15,7 +15,13 @@ import tenscasadi as tc
 
 @pytest.fixture(scope="module")
 def run():
-    model = tc.Model(tc.Scene(tc.shapes.prism(stiffness=1000.0, prestress=30.0), control=tc.ForceDensity(), gravity=tc.Gravity()))
+    model = tc.Model(
+        tc.Scene(
+            tc.shapes.prism(stiffness=1000.0, prestress=30.0),
+            control=tc.ForceDensity(),
+            gravity=tc.Gravity(),
+        )
+    )
     return tc.simulate(model, 0.05, 0.01, compiled=False)
 
 
@@ -33,7 +39,9 @@ def test_a_trajectory_comes_back_to_the_last_bit(run, tmp_path):
     assert np.array_equal(table[:, 1:19].reshape(-1, 6, 3), run.nodes)
     assert np.array_equal(table[:, names.index("node 5 velocity z (m/s)")], run.velocities[:, 5, 2])
     assert np.array_equal(table[:, names.index("string 8 tension (N)")], run.tension[:, 8])
-    assert np.array_equal(table[:, names.index("string 0 force density (N/m)")], run.force_density[:, 0])
+    assert np.array_equal(
+        table[:, names.index("string 0 force density (N/m)")], run.force_density[:, 0]
+    )
     assert np.array_equal(table[:, names.index("gravitational energy (J)")], run.energy_parts[:, 2])
     assert np.array_equal(table[:, names.index("control 8")], run.control[:, 8])
 
@@ -57,7 +65,9 @@ def test_pandas_reads_the_file_as_it_is_given_the_table(run, tmp_path):
 
 def test_without_pandas_it_says_what_to_install(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"to_pandas needs pandas: pip install 'tenscasadi\[exchange\]'"):
+    with pytest.raises(
+        ImportError, match=r"to_pandas needs pandas: pip install 'tenscasadi\[exchange\]'"
+    ):
         run.to_pandas()
 
 
@@ -78,7 +88,9 @@ def test_a_plan_tells_what_is_held_from_each_node_of_the_mesh_on(tmp_path):
     assert np.array_equal(table[-1, held], found.force_density[-1])
     assert np.array_equal(table[:, names.index("node 4 x (m)")], found.trajectory.nodes[:, 4, 0])
     assert np.array_equal(table[:-1, names.index("string 2 tension (N)")], found.tension()[:, 2])
-    assert np.array_equal(table[:-1, names.index("string 2 rest length (m)")], found.rest_lengths()[:, 2])
+    assert np.array_equal(
+        table[:-1, names.index("string 2 rest length (m)")], found.rest_lengths()[:, 2]
+    )
 
 
 def test_a_plan_whose_strings_are_too_soft_has_no_rest_lengths():

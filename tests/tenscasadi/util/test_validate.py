@@ -193,7 +193,9 @@ MISTAKES: list[tuple[str, type[Exception], str, Callable[[], Any]]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("kind", "field", "make"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES])
+@pytest.mark.parametrize(
+    ("kind", "field", "make"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES]
+)
 def test_mistakes_are_named(kind: type[Exception], field: str, make: Callable[[], Any]) -> None:
     with pytest.raises((TypeError, ValueError), match=rf"(^|\W){field}(?!\w)") as caught:
         make()
@@ -205,13 +207,23 @@ def test_messages_name_the_value_and_the_cure() -> None:
         build(bar_mass=[1, -2])
     with pytest.raises(ValueError, match=r"^bars\[1\] is 4: node indices run from 0 to 3$"):
         build(bars=[(1, 2), (3, 4)])
-    with pytest.raises(ValueError, match=r"node_mass of node 2 is 0 and no bar ends there: give it a mass, pin it .* string_mass"):
+    with pytest.raises(
+        ValueError,
+        match=r"node_mass of node 2 is 0 and no bar ends there: give it a mass, pin it .* string_mass",
+    ):
         build(bars=[(0, 1)], pinned=[3])
-    with pytest.raises(ValueError, match=r"^nodes has shape \(3, 4\): give an array of shape \(any, 3\)$"):
+    with pytest.raises(
+        ValueError, match=r"^nodes has shape \(3, 4\): give an array of shape \(any, 3\)$"
+    ):
         build(nodes=N)
-    with pytest.raises(TypeError, match=r"^nodes is not an array of real numbers \(got str of <U3\): give an array of shape \(any, 3\)$"):
+    with pytest.raises(
+        TypeError,
+        match=r"^nodes is not an array of real numbers \(got str of <U3\): give an array of shape \(any, 3\)$",
+    ):
         build(nodes="abc")
-    with pytest.raises(TypeError, match=r"^length is not a real number \(got str of <U4\): give one number$"):
+    with pytest.raises(
+        TypeError, match=r"^length is not a real number \(got str of <U4\): give one number$"
+    ):
         shapes.pendulum("long")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"^length has shape \(2,\): give one number$"):
         shapes.pendulum([1.0, 2.0])  # type: ignore[arg-type]
@@ -224,7 +236,9 @@ def test_numbers_of_any_kind_are_read() -> None:
     assert validate.per_item("mass", (1, Fraction(1, 2)), 2).tolist() == [1.0, 0.5]
     assert validate.finite_array("state", ca.DM([1, 2]), (2,)).tolist() == [1.0, 2.0]
     assert validate.finite_array("nodes", ca.DM([1, 2]), (2, 1)).tolist() == [[1.0], [2.0]]
-    pairs = validate.node_pairs("bars", (pair for pair in np.array([(0, 1), (1, 2)], dtype=np.uint8)), 3, "bar")
+    pairs = validate.node_pairs(
+        "bars", (pair for pair in np.array([(0, 1), (1, 2)], dtype=np.uint8)), 3, "bar"
+    )
     assert pairs.tolist() == [[0, 1], [1, 2]]
     assert validate.node_pairs("bars", [], 3, "bar").shape == (0, 2)
     assert validate.whole_number("count", np.int64(3), 1) == 3
@@ -236,27 +250,52 @@ def test_results_are_read_only_copies() -> None:
     array = validate.finite_array("nodes", source, (None, 3))
     source[0, 0] = 7.0
     assert array[0, 0] == 1.0
-    for result in (array, validate.per_item("mass", 1.0, 3), validate.node_pairs("bars", [(0, 1)], 2, "bar")):
+    for result in (
+        array,
+        validate.per_item("mass", 1.0, 3),
+        validate.node_pairs("bars", [(0, 1)], 2, "bar"),
+    ):
         assert not result.flags.writeable
 
 
 def test_coordinates_are_three_numbers_or_none() -> None:
-    assert validate.coordinates("place", (1, None, Fraction(1, 2)), "a free axis") == (1.0, None, 0.5)
-    assert validate.coordinates("place", ca.DM([1, 2, 3]), "a free axis", some=True) == (1.0, 2.0, 3.0)
+    assert validate.coordinates("place", (1, None, Fraction(1, 2)), "a free axis") == (
+        1.0,
+        None,
+        0.5,
+    )
+    assert validate.coordinates("place", ca.DM([1, 2, 3]), "a free axis", some=True) == (
+        1.0,
+        2.0,
+        3.0,
+    )
     assert validate.coordinates("place", [None] * 3, "a free axis") == (None, None, None)
-    for kind, place in ((TypeError, 1.0), (TypeError, "abc"), (ValueError, (1, 2)), (ValueError, (1, 2, NAN))):
+    for kind, place in (
+        (TypeError, 1.0),
+        (TypeError, "abc"),
+        (ValueError, (1, 2)),
+        (ValueError, (1, 2, NAN)),
+    ):
         with pytest.raises(kind, match=r"^place is "):
             validate.coordinates("place", place, "a free axis")
-    with pytest.raises(ValueError, match=r"^place is \(None, None, None\): give three coordinates, None for a free axis$"):
+    with pytest.raises(
+        ValueError,
+        match=r"^place is \(None, None, None\): give three coordinates, None for a free axis$",
+    ):
         validate.coordinates("place", (None, None, None), "a free axis", some=True)
 
 
 def test_one_number_or_one_for_each() -> None:
     assert validate.number_or_vector("level", 2).shape == ()
     assert validate.number_or_vector("level", (2, 3)).tolist() == [2.0, 3.0]
-    with pytest.raises(TypeError, match=r"^level is not an array of real numbers .*: give an array of shape \(any,\)$"):
+    with pytest.raises(
+        TypeError,
+        match=r"^level is not an array of real numbers .*: give an array of shape \(any,\)$",
+    ):
         validate.number_or_vector("level", [(1, 2), 3])
-    with pytest.raises(ValueError, match=r"^level has shape \(1, 2\): give an array of shape \(any,\)$"):
+    with pytest.raises(
+        ValueError, match=r"^level has shape \(1, 2\): give an array of shape \(any,\)$"
+    ):
         validate.number_or_vector("level", [(1, 2)])
 
 
@@ -275,10 +314,18 @@ class Mute:
         raise RuntimeError("mute")
 
 
-SHOWN = [(3, "3"), ("x", "'x'"), (-(10**5000), "a value of type int"), (Mute(), "a value of type Mute"), ("x" * 500, f"'{'x' * 299} …")]
+SHOWN = [
+    (3, "3"),
+    ("x", "'x'"),
+    (-(10**5000), "a value of type int"),
+    (Mute(), "a value of type Mute"),
+    ("x" * 500, f"'{'x' * 299} …"),
+]
 
 
-@pytest.mark.parametrize(("value", "words"), SHOWN, ids=["number", "text", "many digits", "no repr", "long"])
+@pytest.mark.parametrize(
+    ("value", "words"), SHOWN, ids=["number", "text", "many digits", "no repr", "long"]
+)
 def test_messages_show_any_value(value: Any, words: str) -> None:
     assert validate.shown(value) == words
     with pytest.raises(TypeError, match=rf"^field is {words}: give what is right$"):

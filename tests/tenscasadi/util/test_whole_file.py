@@ -62,7 +62,9 @@ def test_a_file_that_was_there_is_replaced_as_a_whole(name: str, tmp_path: Path)
     assert (tmp_path / name).stat().st_size > 3
 
 
-def test_a_film_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_film_that_fails_leaves_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fail_next(*_: Any, **__: Any) -> None:
         monkeypatch.setattr(animation.Canvas, "draw", lambda *_: 1 / 0)
 

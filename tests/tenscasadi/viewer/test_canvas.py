@@ -35,18 +35,27 @@ def colours(found):
 def test_colours_run_from_the_first_to_the_last_of_the_ramp():
     scale = Scale.of("tension", "N", [np.array([0.0, 2.0, 4.0, -1.0, np.nan])])
     assert (scale.largest, scale.slack, scale.pushing, scale.least) == (4.0, True, True, -1.0)
-    np.testing.assert_array_equal(scale.colours(np.array([0.0, -1.0, 4.0, 2.0, np.nan])), [SLACK, PUSHING, RAMP[-1], RAMP[len(RAMP) // 2], SLACK])
-    np.testing.assert_array_equal(linear(np.array([0, 255, 188], dtype=np.uint8)), [0, 255, 128])  # sRGB's 188 is half of the light
+    np.testing.assert_array_equal(
+        scale.colours(np.array([0.0, -1.0, 4.0, 2.0, np.nan])),
+        [SLACK, PUSHING, RAMP[-1], RAMP[len(RAMP) // 2], SLACK],
+    )
+    np.testing.assert_array_equal(
+        linear(np.array([0, 255, 188], dtype=np.uint8)), [0, 255, 128]
+    )  # sRGB's 188 is half of the light
 
 
 def test_strings_take_the_colour_of_what_they_bear(shown, motion):
     player = shown.player
     player.show(0.2)
-    np.testing.assert_array_equal(colours(shown), linear(player.canvas.scale.colours(motion.tension[20])))
+    np.testing.assert_array_equal(
+        colours(shown), linear(player.canvas.scale.colours(motion.tension[20]))
+    )
     before = colours(shown)
     player._recolour("force density")
     assert player.canvas.scale.unit == "N/m"
-    np.testing.assert_array_equal(colours(shown), linear(player.canvas.scale.colours(motion.force_density[20])))
+    np.testing.assert_array_equal(
+        colours(shown), linear(player.canvas.scale.colours(motion.force_density[20]))
+    )
     assert not np.array_equal(before, colours(shown))
     assert "force density of strings (N/m)" in player._legend.content
     player._recolour("nonsense")  # as a page could send it
@@ -107,7 +116,9 @@ def test_what_diverged_is_drawn_without_the_rest():
     flown = thrown(0.1)
     nodes = flown.nodes.copy()
     nodes[5:] = np.nan
-    lost = tc.Trajectory(**{**vars(flown), "nodes": nodes, "success": False, "message": "it diverged"})
+    lost = tc.Trajectory(
+        **{**vars(flown), "nodes": nodes, "success": False, "message": "it diverged"}
+    )
     with lost.view(browser=False, wait=False) as found:
         found.player.show(0.09)
         for batch in (found.player.canvas.layers[0].bars, found.player.canvas.layers[0].strings):
@@ -123,4 +134,9 @@ def test_all_sizes_are_seen():
             away = np.linalg.norm(found._server.initial_camera.position - prism.nodes.mean(axis=0))
             assert 1 < away / size < 10
             assert 1e-3 < canvas.radius / size < 0.1
-            assert found._server.initial_camera.near < 0.1 * away < away < found._server.initial_camera.far
+            assert (
+                found._server.initial_camera.near
+                < 0.1 * away
+                < away
+                < found._server.initial_camera.far
+            )

@@ -24,16 +24,24 @@ def scales(svg):
         if tick.attrib.get("text-anchor") == "end" and "." in tick.attrib["y"]
     ]
     (a, ya), (b, yb) = ticks[0], ticks[-1]
-    return lambda x: TIME[0] + (x - left) / wide * (TIME[-1] - TIME[0]), lambda y: a + (y - ya) / (yb - ya) * (b - a)
+    return (
+        lambda x: TIME[0] + (x - left) / wide * (TIME[-1] - TIME[0]),
+        lambda y: a + (y - ya) / (yb - ya) * (b - a),
+    )
 
 
 def curves(svg):
-    return [np.array([[float(v) for v in point.split(",")] for point in line.attrib["points"].split()]) for line in svg.findall("polyline")]
+    return [
+        np.array([[float(v) for v in point.split(",")] for point in line.attrib["points"].split()])
+        for line in svg.findall("polyline")
+    ]
 
 
 def test_curves_lie_at_their_values():
     values = np.column_stack([3 * np.sin(TIME), TIME**2])
-    svg = ElementTree.fromstring(chart_svg(Chart("γ & more", "N/m", TIME, values, ("string 0", "string <1>"))))
+    svg = ElementTree.fromstring(
+        chart_svg(Chart("γ & more", "N/m", TIME, values, ("string 0", "string <1>")))
+    )
     time, value = scales(svg)
     for k, curve in enumerate(curves(svg)):
         np.testing.assert_allclose(time(curve[:, 0]), TIME, atol=0.01)
@@ -43,7 +51,9 @@ def test_curves_lie_at_their_values():
 
 
 def test_what_is_held_is_drawn_in_steps():
-    svg = ElementTree.fromstring(chart_svg(Chart("γ", "N/m", TIME, np.arange(20.0)[:, None], ("string 0",))))
+    svg = ElementTree.fromstring(
+        chart_svg(Chart("γ", "N/m", TIME, np.arange(20.0)[:, None], ("string 0",)))
+    )
     time, value = scales(svg)
     (curve,) = curves(svg)
     np.testing.assert_allclose(time(curve[:, 0]), np.repeat(TIME, 2)[1:-1], atol=0.01)
@@ -52,9 +62,13 @@ def test_what_is_held_is_drawn_in_steps():
 
 def test_limits_are_dashed_and_told():
     limits = {"lower": np.full(1, 1.0), "upper": np.full(1, 9.0)}
-    text = chart_svg(Chart("γ", "N/m", TIME, np.linspace(2, 8, 21)[:, None], ("string 0",), **limits))
+    text = chart_svg(
+        Chart("γ", "N/m", TIME, np.linspace(2, 8, 21)[:, None], ("string 0",), **limits)
+    )
     _, value = scales(ElementTree.fromstring(text))
-    dashed = [float(y) for y in re.findall(r'd="M44 ([\d.]+)h\d+" stroke="#000" stroke-dasharray', text)]
+    dashed = [
+        float(y) for y in re.findall(r'd="M44 ([\d.]+)h\d+" stroke="#000" stroke-dasharray', text)
+    ]
     np.testing.assert_allclose(np.sort([value(y) for y in dashed]), [1.0, 9.0], atol=0.05)
     assert "limits ≥ 1, ≤ 9" in text
     far = chart_svg(Chart("γ", "N/m", TIME, np.ones((21, 1)), ("string 0",), upper=np.full(1, 1e6)))
@@ -74,7 +88,15 @@ def test_a_cursor_marks_the_time():
 def test_many_long_and_lost_curves_stay_light():
     values = np.random.default_rng(0).normal(size=(5000, 900))
     values[100:, 3] = np.nan
-    text = chart_svg(Chart("tension", "N", np.linspace(0, 1, 5000), values, tuple(f"string {k}" for k in range(900))))
+    text = chart_svg(
+        Chart(
+            "tension",
+            "N",
+            np.linspace(0, 1, 5000),
+            values,
+            tuple(f"string {k}" for k in range(900)),
+        )
+    )
     assert len(text) < 400_000
     assert "40 of 900" in text
     assert "nan" not in text

@@ -23,23 +23,34 @@ def test_labels_tell_lengths_forces_and_units(trajectory):
     length = np.linalg.norm(trajectory.nodes[row, b] - trajectory.nodes[row, a])
     told = describe(motion, "strings", string, float(trajectory.time[row]))
     tension, density = trajectory.tension[row, string], trajectory.force_density[row, string]
-    assert told == f"string 4, nodes {a} – {b}\nlength {length:.4g} m\ntension {tension:.4g} N, force density {density:.4g} N/m"
+    assert (
+        told
+        == f"string 4, nodes {a} – {b}\nlength {length:.4g} m\ntension {tension:.4g} N, force density {density:.4g} N/m"
+    )
     assert describe(motion, "bars", 2, 0.0).startswith("bar 2, nodes ")
     x, y, z = trajectory.nodes[-1, 3]
     speed = np.linalg.norm(trajectory.velocities[-1, 3])
-    assert describe(motion, "nodes", 3, 9.0) == f"node 3\n({x:.4g}, {y:.4g}, {z:.4g}) m\nspeed {speed:.3g} m/s"
+    assert (
+        describe(motion, "nodes", 3, 9.0)
+        == f"node 3\n({x:.4g}, {y:.4g}, {z:.4g}) m\nspeed {speed:.3g} m/s"
+    )
 
 
 def test_slack_strings_say_so():
     prism = tc.shapes.prism(stiffness=10.0)
     loose = prism.replace(rest_length=2 * prism.string_lengths)
-    motion = of_trajectory(tc.simulate(tc.Model(tc.Scene(loose)), 0.02, 0.01, compiled=False), "loose")
+    motion = of_trajectory(
+        tc.simulate(tc.Model(tc.Scene(loose)), 0.02, 0.01, compiled=False), "loose"
+    )
     assert describe(motion, "strings", 0, 0.0).endswith("\nslack")
 
 
 def test_copies_count_their_own_nodes():
     model = tc.Model(tc.Scene(tc.shapes.double_pendulum(), gravity=tc.Gravity((0, -9.81, 0))))
-    motion = of_rollouts(tc.rollouts(model, 0.1, 0.01, states=np.tile(model.initial_state, (3, 1)), save_every=5), "many")
+    motion = of_rollouts(
+        tc.rollouts(model, 0.1, 0.01, states=np.tile(model.initial_state, (3, 1)), save_every=5),
+        "many",
+    )
     assert count(motion, "bars") == 6
     assert describe(motion, "bars", 3, 0.0).startswith("bar 1 of motion 1, nodes 1 – 2\n")
     assert describe(motion, "nodes", 8, 0.0).startswith("node 2 of motion 2\n")
@@ -48,6 +59,9 @@ def test_copies_count_their_own_nodes():
 def test_labels_stand_in_the_middle_of_members(trajectory):
     motion = of_trajectory(trajectory, "thrown")
     nodes = trajectory.nodes[5].copy()
-    np.testing.assert_allclose(places(motion, "bars", nodes), (nodes[trajectory.bars[:, 0]] + nodes[trajectory.bars[:, 1]]) / 2)
+    np.testing.assert_allclose(
+        places(motion, "bars", nodes),
+        (nodes[trajectory.bars[:, 0]] + nodes[trajectory.bars[:, 1]]) / 2,
+    )
     nodes[0] = np.nan
     assert np.isfinite(places(motion, "nodes", nodes)).all()

@@ -26,27 +26,43 @@ def test_rows_are_shown_as_they_are(swing):
 
 
 def test_between_rows_nodes_are_those_of_a_hermite_spline(swing):
-    motion, spline = of_trajectory(swing, "swing"), CubicHermiteSpline(swing.time, swing.nodes, swing.velocities)
+    motion, spline = (
+        of_trajectory(swing, "swing"),
+        CubicHermiteSpline(swing.time, swing.nodes, swing.velocities),
+    )
     for time in np.linspace(0, 1, 37):
         np.testing.assert_allclose(motion.nodes_at(float(time)), spline(time), atol=1e-12)
 
 
 def test_without_velocities_they_are_linear():
     nodes = np.array([[(0.0, 0, 0)], [(1.0, 0, 0)]])
-    motion = Motion("line", np.array([0.0, 2.0]), nodes, np.zeros((0, 2), int), np.zeros((0, 2), int), np.zeros(0, int))
+    motion = Motion(
+        "line",
+        np.array([0.0, 2.0]),
+        nodes,
+        np.zeros((0, 2), int),
+        np.zeros((0, 2), int),
+        np.zeros(0, int),
+    )
     np.testing.assert_allclose(motion.nodes_at(0.5), [(0.25, 0, 0)])
 
 
 def test_a_structure_shows_what_its_rest_lengths_pull():
     prism = tc.shapes.prism(stiffness=1000.0, prestress=50.0)
     motion, model = of_structure(prism, "prism"), tc.Model(tc.Scene(prism))
-    np.testing.assert_allclose(motion.tension[0], np.ravel(model.tension(model.initial_state)), rtol=1e-12)
-    np.testing.assert_allclose(motion.force_density[0], np.ravel(model.force_density(model.initial_state)), rtol=1e-12)
+    np.testing.assert_allclose(
+        motion.tension[0], np.ravel(model.tension(model.initial_state)), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        motion.force_density[0], np.ravel(model.force_density(model.initial_state)), rtol=1e-12
+    )
 
 
 def test_rollouts_are_copies_side_by_side():
     model = tc.Model(tc.Scene(tc.shapes.double_pendulum(), gravity=tc.Gravity((0, -9.81, 0))))
-    many = tc.rollouts(model, 0.1, 0.01, states=np.tile(model.initial_state, (MOST_COPIES + 40, 1)), save_every=5)
+    many = tc.rollouts(
+        model, 0.1, 0.01, states=np.tile(model.initial_state, (MOST_COPIES + 40, 1)), save_every=5
+    )
     motion = of_rollouts(many, "many")
     n = len(model.structure.nodes)
     assert motion.copies == MOST_COPIES

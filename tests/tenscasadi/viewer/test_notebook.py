@@ -14,12 +14,16 @@ shown"""
 @pytest.mark.filterwarnings("default")  # those of Jupyter's own
 def test_a_view_shows_itself_in_its_cell(tmp_path):
     for name in ("viser", "nbclient", "ipykernel"):
-        pytest.importorskip(name, reason=f"{name} is not installed: pip install 'tenscasadi[view,docs]'")
+        pytest.importorskip(
+            name, reason=f"{name} is not installed: pip install 'tenscasadi[view,docs]'"
+        )
     import nbclient
     import nbformat
 
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(CELL)])
-    nbclient.NotebookClient(book, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    nbclient.NotebookClient(
+        book, timeout=120, resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
     printed, result = book.cells[0].outputs  # and nothing of what viser prints
     assert printed["text"] == "None\n"
     page = result["data"]["text/html"]

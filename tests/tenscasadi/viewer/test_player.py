@@ -9,7 +9,12 @@ from moving import thrown
 
 from tenscasadi.viewer import view
 
-CANVAS = {"x": 0.0, "y": 160.0, "width": 560.0, "height": 400.0}  # left of the panel, below what viser says of drawing in software
+CANVAS = {
+    "x": 0.0,
+    "y": 160.0,
+    "width": 560.0,
+    "height": 400.0,
+}  # left of the panel, below what viser says of drawing in software
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +71,11 @@ def time_box(page):
 def pause(page, found):
     press(page, "Pause")
     wait_until(page, lambda: not found.player.playing, "it pauses")
-    wait_until(page, lambda: abs(float(time_box(page).input_value()) - found.player.time) < 0.002, "the page tells the time")
+    wait_until(
+        page,
+        lambda: abs(float(time_box(page).input_value()) - found.player.time) < 0.002,
+        "the page tells the time",
+    )
 
 
 def go_to(page, found, time):
@@ -93,7 +102,11 @@ def test_it_plays_pauses_and_goes_where_it_is_told(shown, motion):
         pictures[time] = settled(page)
     assert apart(pictures[0.5], pictures[1.25]) > 0.01
     go_to(page, found, 0.5)
-    wait_until(page, lambda: apart(canvas(page), pictures[0.5]) < 0.2 * apart(pictures[1.25], pictures[0.5]), "the frame of 0.5 s is shown again")
+    wait_until(
+        page,
+        lambda: apart(canvas(page), pictures[0.5]) < 0.2 * apart(pictures[1.25], pictures[0.5]),
+        "the frame of 0.5 s is shown again",
+    )
     assert apart(still, np.ones_like(still)) > 0.01
     press(page, "Play")
     wait_until(page, lambda: found.player.playing and found.player.time != 0.5, "it plays on")
@@ -110,7 +123,9 @@ def on_page(found, page, point):
     right /= np.linalg.norm(right)
     away = point - camera.position
     scale = size["height"] / 2 / np.tan(camera.fov / 2) / (away @ ahead)
-    return size["width"] / 2 + scale * (away @ right), size["height"] / 2 - scale * (away @ np.cross(right, ahead))
+    return size["width"] / 2 + scale * (away @ right), size["height"] / 2 - scale * (
+        away @ np.cross(right, ahead)
+    )
 
 
 def test_a_click_labels_a_string_with_its_numbers(shown, motion):
@@ -128,9 +143,16 @@ def test_a_click_labels_a_string_with_its_numbers(shown, motion):
     a, b = getattr(motion, kind)[index]
     label = clicked[0, kind, index]
     wait_until(page, lambda: label.text, "the label has a text")
-    assert label.text.startswith(f"{kind[:-1]} {index}, nodes {a} – {b}\nlength {np.linalg.norm(nodes[b] - nodes[a]):.4g} m")
+    assert label.text.startswith(
+        f"{kind[:-1]} {index}, nodes {a} – {b}\nlength {np.linalg.norm(nodes[b] - nodes[a]):.4g} m"
+    )
     assert np.hypot(*(np.array(on_page(found, page, nodes[[a, b]].mean(axis=0))) - (x, y))) < 150
-    for wrong in ((0, "strings", 10**6), (0, "strings", -1), (9, "bars", 0), (0, "feet", 0)):  # what a page can send
+    for wrong in (
+        (0, "strings", 10**6),
+        (0, "strings", -1),
+        (9, "bars", 0),
+        (0, "feet", 0),
+    ):  # what a page can send
         found.player.labels.toggle(wrong)
     assert len(clicked) == 1
     found.player._click(0, kind, index)
@@ -145,7 +167,9 @@ def test_numbers_of_nodes_are_written_beside_them(shown, motion):
     before = settled(page)
     page.get_by_text("Numbers", exact=True).click()
     page.get_by_text("Numbers of nodes").click()
-    wait_until(page, lambda: len(found.player.labels._numbered["nodes"]) == 6, "there are six numbers")
+    wait_until(
+        page, lambda: len(found.player.labels._numbered["nodes"]) == 6, "there are six numbers"
+    )
     for label, node in zip(found.player.labels._numbered["nodes"], motion.nodes[50], strict=True):
         np.testing.assert_allclose(label.position, node, atol=1e-6)
     wait_until(page, lambda: apart(canvas(page), before) > 1e-3, "the numbers are seen")

@@ -7,7 +7,15 @@ import zlib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tenscasadi.viewer.poses import ball, coarse, cone, cylinder, member_poses, node_places, octahedron
+from tenscasadi.viewer.poses import (
+    ball,
+    coarse,
+    cone,
+    cylinder,
+    member_poses,
+    node_places,
+    octahedron,
+)
 
 
 def test_a_cylinder_is_turned_onto_each_member():
@@ -17,7 +25,12 @@ def test_a_cylinder_is_turned_onto_each_member():
     members = np.array([(0, 1), (2, 3), (4, 5), (6, 7), (8, 9), (10, 11)])
     places, turns, scales = member_poses(nodes, members, 0.1)
     w, x, y, z = turns.T
-    ends = Rotation.from_quat(np.stack([x, y, z, w], axis=1)).apply(np.array([0, 0, 0.5]) * scales[:, 2:]) + places
+    ends = (
+        Rotation.from_quat(np.stack([x, y, z, w], axis=1)).apply(
+            np.array([0, 0, 0.5]) * scales[:, 2:]
+        )
+        + places
+    )
     np.testing.assert_allclose(ends, nodes[members[:, 1]], atol=1e-6)
     np.testing.assert_allclose(scales[:, :2], 0.1, rtol=1e-6)
 
@@ -37,7 +50,9 @@ def test_meshes_are_closed_and_face_outwards():
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         middle = mesh.vertices.mean(axis=0)
         outward = np.einsum("ij,ij->i", normal, corners.mean(axis=1) - middle)
-        assert (outward[np.linalg.norm(normal, axis=1) > 1e-12] > 0).all()  # at the poles of a ball half of the triangles are lines
+        assert (
+            outward[np.linalg.norm(normal, axis=1) > 1e-12] > 0
+        ).all()  # at the poles of a ball half of the triangles are lines
 
 
 def test_rounded_places_stay_near_and_pack_well():

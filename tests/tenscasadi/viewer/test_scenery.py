@@ -35,7 +35,9 @@ def test_lines_are_1_2_or_5_apart(size):
     assert np.isclose(spacing / 10 ** np.floor(np.log10(spacing * (1 + 1e-9))), [1, 2, 5]).any()
 
 
-@pytest.mark.parametrize("normal", [(0, 0, 1), (0.3, 0, 1), (1, 0.5, 0), (0, 0, -1), (-0.2, 0.7, 0.4)])
+@pytest.mark.parametrize(
+    "normal", [(0, 0, 1), (0.3, 0, 1), (1, 0.5, 0), (0, 0, -1), (-0.2, 0.7, 0.4)]
+)
 def test_planes_are_where_the_ground_is(normal):
     ground, scene = tc.Ground(normal=normal, height=0.2), Recorder()
     add_grounds(scene, "ground", (ground,), LOW, HIGH)
@@ -56,8 +58,14 @@ def test_height_fields_are_where_the_ground_is():
     corners = vertices[faces]
     assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all()
     spacing = grid_spacing(1.2 * float((HIGH - LOW).max()))
-    across = np.abs(lines[:, :, :2] / spacing - np.round(lines[:, :, :2] / spacing)).max(axis=1).min(axis=1)
-    np.testing.assert_allclose(across, 0.0, atol=1e-9)  # each piece of a line lies at a multiple of the spacing, in x or y
+    across = (
+        np.abs(lines[:, :, :2] / spacing - np.round(lines[:, :, :2] / spacing))
+        .max(axis=1)
+        .min(axis=1)
+    )
+    np.testing.assert_allclose(
+        across, 0.0, atol=1e-9
+    )  # each piece of a line lies at a multiple of the spacing, in x or y
 
 
 def test_half_open_boxes_show_the_sides_that_there_are():

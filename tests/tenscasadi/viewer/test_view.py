@@ -28,8 +28,15 @@ def plan():
     model = tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), ground=tc.Ground(height=-1.0)))
     place = tuple(PRISM.nodes[0] + [0, 0, 0.05])
     goals = [ocp.NodePositions({0: (None, None, place[2])})]
-    bounds = [ocp.ForceDensityLimits(1.0, 200.0), ocp.Obstacle((3.0, 0, 0), 0.5), ocp.AboveGround(-0.9), ocp.TensionLimits(upper=500.0)]
-    return ocp.solve(ocp.Problem(model, goals=goals, bounds=bounds, costs=[ocp.Effort()]), ocp.Variational(6))
+    bounds = [
+        ocp.ForceDensityLimits(1.0, 200.0),
+        ocp.Obstacle((3.0, 0, 0), 0.5),
+        ocp.AboveGround(-0.9),
+        ocp.TensionLimits(upper=500.0),
+    ]
+    return ocp.solve(
+        ocp.Problem(model, goals=goals, bounds=bounds, costs=[ocp.Effort()]), ocp.Variational(6)
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -54,7 +61,10 @@ def test_a_plan_is_its_replay_with_the_plan_over_it(plan):
     assert exhibit.boxes[0][0][2] == -0.9
     end = plan.trajectory.nodes[-1, 0]
     np.testing.assert_allclose(exhibit.targets, [(end[0], end[1], PRISM.nodes[0, 2] + 0.05)])
-    assert [(chart.title, chart.unit) for chart in exhibit.charts] == [("force density", "N/m"), ("tension of the replay", "N")]
+    assert [(chart.title, chart.unit) for chart in exhibit.charts] == [
+        ("force density", "N/m"),
+        ("tension of the replay", "N"),
+    ]
     np.testing.assert_array_equal(exhibit.charts[0].values, plan.force_density)
     assert exhibit.charts[0].upper.tolist() == [200.0] * 9
     assert exhibit.charts[1].upper.tolist() == [500.0] * 9
@@ -63,10 +73,18 @@ def test_a_plan_is_its_replay_with_the_plan_over_it(plan):
 def test_targets_on_the_way_lie_where_the_plan_is_then(plan):
     wanted = ocp.NodePositions({0: (None, None, 1.0)})
     half, end = len(plan.time) // 2, len(plan.time) - 1
-    for goal, row in ((ocp.Waypoint([wanted], share=0.5), half), (ocp.Waypoint([wanted.soft()], share=0.5), half), (wanted.soft(), end)):
+    for goal, row in (
+        (ocp.Waypoint([wanted], share=0.5), half),
+        (ocp.Waypoint([wanted.soft()], share=0.5), half),
+        (wanted.soft(), end),
+    ):
         asked = ocp.Problem(plan.model, goals=[goal])
         place = plan.trajectory.nodes[row, 0]
-        np.testing.assert_allclose(exhibit_of(dataclasses.replace(plan, problem=asked)).targets, [(place[0], place[1], 1.0)], atol=1e-12)
+        np.testing.assert_allclose(
+            exhibit_of(dataclasses.replace(plan, problem=asked)).targets,
+            [(place[0], place[1], 1.0)],
+            atol=1e-12,
+        )
 
 
 def test_targets_of_phases_lie_where_the_plan_is_at_their_ends(plan):
@@ -93,17 +111,24 @@ def test_scenes_bear_what_the_laws_of_their_strings_give_them():
         begun = tc.simulate(tc.Model(scene), 0.002, 0.001, compiled=False)
         shown = exhibit_of(scene).motions[0]
         np.testing.assert_allclose(shown.tension[0], begun.tension[0], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(shown.force_density[0], begun.force_density[0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            shown.force_density[0], begun.force_density[0], rtol=1e-9, atol=1e-9
+        )
 
 
 def test_a_plan_that_was_not_found_says_so(plan):
     lost = dataclasses.replace(plan, success=False)
     assert any("no plan was found" in note for note in exhibit_of(lost).notes)
-    assert not any("no plan was found" in note for note in exhibit_of(plan).notes) or not plan.success
+    assert (
+        not any("no plan was found" in note for note in exhibit_of(plan).notes) or not plan.success
+    )
 
 
 def test_motions_over_each_other_have_names_of_their_own(motion):
-    assert [m.name for m in exhibit_of([motion, motion]).motions] == ["1: trajectory", "2: trajectory"]
+    assert [m.name for m in exhibit_of([motion, motion]).motions] == [
+        "1: trajectory",
+        "2: trajectory",
+    ]
     assert [m.name for m in exhibit_of({"a": motion, "b": PRISM}).motions] == ["a", "b"]
 
 
@@ -119,7 +144,13 @@ def test_lost_motions_leave_room_for_the_rest(motion):
 
 @pytest.mark.usefixtures("_viser")
 def test_pages_hold_their_title_legend_and_units(motion, plan):
-    scene = tc.Scene(PRISM, ground=[tc.Ground(normal=(0.2, 0, 1)), tc.Terrain(np.random.default_rng(0).normal(size=(5, 4)) / 9, (-1, -1), (1, 1))])
+    scene = tc.Scene(
+        PRISM,
+        ground=[
+            tc.Ground(normal=(0.2, 0, 1)),
+            tc.Terrain(np.random.default_rng(0).normal(size=(5, 4)) / 9, (-1, -1), (1, 1)),
+        ],
+    )
     things = {"motion": motion, "plan": plan, "scene": scene, "structure": PRISM}
     for name, thing in things.items():
         assert isinstance(thing.view(html=f"{name}.html", title=f"<{name}>"), View)
@@ -128,8 +159,12 @@ def test_pages_hold_their_title_legend_and_units(motion, plan):
         assert f"<title>&lt;{name}&gt;</title>" in page
         assert "tension of strings (N)" in text
         assert len(page) > 500_000  # with the player itself
-    assert "force density (N/m)</tspan>, limits ≥ 1, ≤ 200" in Path("plan.html").read_text(encoding="utf-8")
-    assert re.search(r"lines of the ground [\d.]+ m apart", Path("scene.html").read_text(encoding="utf-8"))
+    assert "force density (N/m)</tspan>, limits ≥ 1, ≤ 200" in Path("plan.html").read_text(
+        encoding="utf-8"
+    )
+    assert re.search(
+        r"lines of the ground [\d.]+ m apart", Path("scene.html").read_text(encoding="utf-8")
+    )
 
 
 @pytest.mark.usefixtures("_viser")

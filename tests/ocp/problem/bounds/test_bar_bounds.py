@@ -32,11 +32,31 @@ def test_bars_do_not_buckle(free):
 
 
 BAD = {
-    "no limit": (lambda: ocp.BarForceLimits(), ValueError, "BarForceLimits.compression and .tension"),
-    "negative compression": (lambda: ocp.BarForceLimits(-1.0), ValueError, "BarForceLimits.compression"),
-    "wrong number of bars": (lambda: raised(ocp.BarForceLimits([1.0, 2.0])), ValueError, "BarForceLimits.compression"),
-    "no radius": (lambda: raised(ocp.Buckling(1e9), model=driven(prism(1.0))), ValueError, "Buckling needs the radius of bar 0"),
-    "compression in words": (lambda: ocp.BarForceLimits("5"), TypeError, "BarForceLimits.compression is not a real number"),
+    "no limit": (
+        lambda: ocp.BarForceLimits(),
+        ValueError,
+        "BarForceLimits.compression and .tension",
+    ),
+    "negative compression": (
+        lambda: ocp.BarForceLimits(-1.0),
+        ValueError,
+        "BarForceLimits.compression",
+    ),
+    "wrong number of bars": (
+        lambda: raised(ocp.BarForceLimits([1.0, 2.0])),
+        ValueError,
+        "BarForceLimits.compression",
+    ),
+    "no radius": (
+        lambda: raised(ocp.Buckling(1e9), model=driven(prism(1.0))),
+        ValueError,
+        "Buckling needs the radius of bar 0",
+    ),
+    "compression in words": (
+        lambda: ocp.BarForceLimits("5"),
+        TypeError,
+        "BarForceLimits.compression is not a real number",
+    ),
     "modulus zero": (lambda: ocp.Buckling(0.0), ValueError, "Buckling.modulus"),
     "safety zero": (lambda: ocp.Buckling(1.0, 0.0), ValueError, "Buckling.safety"),
 }

@@ -29,7 +29,9 @@ def test_bars_keep_clear_of_each_other(free):
 def true_distance(a, b, c, d):
     """By trying points along both segments."""
     s = np.linspace(0, 1, 201)
-    return np.linalg.norm((a + s[:, None] * (b - a))[:, None] - (c + s[:, None] * (d - c))[None], axis=2).min()
+    return np.linalg.norm(
+        (a + s[:, None] * (b - a))[:, None] - (c + s[:, None] * (d - c))[None], axis=2
+    ).min()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -43,7 +45,11 @@ def test_the_distance_of_segments(seed):
 
 def test_parallel_bars_have_a_distance():
     symbols = [ca.SX.sym("p", 3) for _ in range(4)]
-    slope = ca.Function("d", symbols, [segment_distance(*symbols), ca.jacobian(segment_distance(*symbols), symbols[0])])
+    slope = ca.Function(
+        "d",
+        symbols,
+        [segment_distance(*symbols), ca.jacobian(segment_distance(*symbols), symbols[0])],
+    )
     value, gradient = slope([0, 0, 0], [1, 0, 0], [0, 0.3, 0], [1, 0.3, 0])
     assert float(value) == pytest.approx(0.3, rel=1e-3)
     assert np.all(np.isfinite(gradient.full()))
@@ -52,14 +58,23 @@ def test_parallel_bars_have_a_distance():
 def arm():
     """A bar on a hinge between two strings, in the plane."""
     nodes = [(0, 0, 0), (0, 0, 1.0), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)]
-    return tc.Structure(nodes, bars=[(0, 1)], strings=[(1, 2), (1, 3), (1, 4), (1, 5)], pinned=[0, 2, 3, 4, 5])
+    return tc.Structure(
+        nodes, bars=[(0, 1)], strings=[(1, 2), (1, 3), (1, 4), (1, 5)], pinned=[0, 2, 3, 4, 5]
+    )
 
 
 def swung(*bounds):
     start = arm().nodes.copy()
     start[1] = (-0.6, 0.1, np.sqrt(1 - 0.37))
     goals = [ocp.NodePositions({1: (0.6, 0.1, None)}), ocp.AtRest()]
-    problem = ocp.Problem(driven(arm()), 1.0, start, goals=goals, bounds=bounds, costs=[ocp.Effort(), ocp.Smoothness(1e-3)])
+    problem = ocp.Problem(
+        driven(arm()),
+        1.0,
+        start,
+        goals=goals,
+        bounds=bounds,
+        costs=[ocp.Effort(), ocp.Smoothness(1e-3)],
+    )
     return ocp.solve(problem, ocp.MultipleShooting(16))
 
 
@@ -73,7 +88,10 @@ def test_an_arm_goes_round_an_obstacle(over):
     round_it = swung(ocp.Obstacle(centre, 0.2))
     assert over.success
     assert round_it.success, round_it.message
-    least = [min(true_distance(*state[[0, 1]], centre, centre + 1e-9) for state in plan.trajectory.nodes) for plan in (over, round_it)]
+    least = [
+        min(true_distance(*state[[0, 1]], centre, centre + 1e-9) for state in plan.trajectory.nodes)
+        for plan in (over, round_it)
+    ]
     assert least[0] < 0.19
     assert least[1] > 0.199
 
@@ -105,29 +123,85 @@ def test_the_ground_is_a_box():
 
 BAD = {
     "box open": (lambda: ocp.InsideBox(), ValueError, "InsideBox.lower and .upper are open"),
-    "box inside out": (lambda: ocp.InsideBox((1, None, None), (0, None, None)), ValueError, "InsideBox.lower is 1"),
+    "box inside out": (
+        lambda: ocp.InsideBox((1, None, None), (0, None, None)),
+        ValueError,
+        "InsideBox.lower is 1",
+    ),
     "box of two": (lambda: ocp.InsideBox((1, None)), ValueError, "InsideBox.lower"),
     "box of a number": (lambda: ocp.InsideBox(1.0), TypeError, "InsideBox.lower"),
-    "box without a node": (lambda: raised(ocp.AboveGround(-1.0, nodes=[7])), ValueError, "InsideBox.nodes is 7"),
-    "start below ground": (lambda: raised(ocp.AboveGround(0.5)), ValueError, "Problem.start has z of node 0 at 0"),
-    "pin below ground": (lambda: raised(ocp.AboveGround(0.5), model=driven(prism(1.0, pinned=[0]))), ValueError, "leaves out node 0"),
+    "box without a node": (
+        lambda: raised(ocp.AboveGround(-1.0, nodes=[7])),
+        ValueError,
+        "InsideBox.nodes is 7",
+    ),
+    "start below ground": (
+        lambda: raised(ocp.AboveGround(0.5)),
+        ValueError,
+        "Problem.start has z of node 0 at 0",
+    ),
+    "pin below ground": (
+        lambda: raised(ocp.AboveGround(0.5), model=driven(prism(1.0, pinned=[0]))),
+        ValueError,
+        "leaves out node 0",
+    ),
     "clearance negative": (lambda: ocp.BarClearance(-0.1), ValueError, "BarClearance.distance"),
-    "clearance of no bar": (lambda: raised(ocp.BarClearance(0.1, [(0, 3)])), ValueError, "BarClearance.pairs names bar 3"),
-    "clearance of one bar": (lambda: ocp.BarClearance(0.1, (0, 1)), TypeError, r"BarClearance.pairs\[0\] is 0: give a list"),
-    "clearance of three bars": (lambda: ocp.BarClearance(0.1, [(0, 1, 2)]), ValueError, r"BarClearance.pairs\[0\] is \(0, 1, 2\): give two bars"),
-    "box of one node": (lambda: ocp.AboveGround(-1.0, nodes=3), TypeError, "InsideBox.nodes is 3: give a list"),
-    "obstacle of one bar": (lambda: ocp.Obstacle((9, 0, 0), 1.0, bars=3), TypeError, "Obstacle.bars is 3: give a list"),
-    "clearance of a sparse matrix": (lambda: ocp.BarClearance(0.1, coo_matrix(np.eye(2))), TypeError, "BarClearance.pairs is"),
-    "obstacle of a matrix of CasADi": (lambda: ocp.Obstacle((9, 0, 0), 1.0, bars=ca.DM.eye(2)), TypeError, "Obstacle.bars is"),
-    "goals sparse": (lambda: ocp.FreeStart(goals=coo_matrix(np.eye(2))), TypeError, "FreeStart.goals is"),
+    "clearance of no bar": (
+        lambda: raised(ocp.BarClearance(0.1, [(0, 3)])),
+        ValueError,
+        "BarClearance.pairs names bar 3",
+    ),
+    "clearance of one bar": (
+        lambda: ocp.BarClearance(0.1, (0, 1)),
+        TypeError,
+        r"BarClearance.pairs\[0\] is 0: give a list",
+    ),
+    "clearance of three bars": (
+        lambda: ocp.BarClearance(0.1, [(0, 1, 2)]),
+        ValueError,
+        r"BarClearance.pairs\[0\] is \(0, 1, 2\): give two bars",
+    ),
+    "box of one node": (
+        lambda: ocp.AboveGround(-1.0, nodes=3),
+        TypeError,
+        "InsideBox.nodes is 3: give a list",
+    ),
+    "obstacle of one bar": (
+        lambda: ocp.Obstacle((9, 0, 0), 1.0, bars=3),
+        TypeError,
+        "Obstacle.bars is 3: give a list",
+    ),
+    "clearance of a sparse matrix": (
+        lambda: ocp.BarClearance(0.1, coo_matrix(np.eye(2))),
+        TypeError,
+        "BarClearance.pairs is",
+    ),
+    "obstacle of a matrix of CasADi": (
+        lambda: ocp.Obstacle((9, 0, 0), 1.0, bars=ca.DM.eye(2)),
+        TypeError,
+        "Obstacle.bars is",
+    ),
+    "goals sparse": (
+        lambda: ocp.FreeStart(goals=coo_matrix(np.eye(2))),
+        TypeError,
+        "FreeStart.goals is",
+    ),
     "clearance at a joint": (
         lambda: ocp.Problem(driven(tc.shapes.d_bar()), bounds=[ocp.BarClearance(0.1, [(0, 1)])]),
         ValueError,
         "bars 0 and 1 share a node",
     ),
     "obstacle of no size": (lambda: ocp.Obstacle((0, 0, 0), 0.0), ValueError, "Obstacle.radius"),
-    "obstacle of no bar": (lambda: raised(ocp.Obstacle((9, 0, 0), 1.0, bars=[5])), ValueError, "Obstacle.bars is 5"),
-    "start in obstacle": (lambda: raised(ocp.Obstacle(prism(1.0).nodes[0], 0.1)), ValueError, "Problem.start has obstacle clear of bar"),
+    "obstacle of no bar": (
+        lambda: raised(ocp.Obstacle((9, 0, 0), 1.0, bars=[5])),
+        ValueError,
+        "Obstacle.bars is 5",
+    ),
+    "start in obstacle": (
+        lambda: raised(ocp.Obstacle(prism(1.0).nodes[0], 0.1)),
+        ValueError,
+        "Problem.start has obstacle clear of bar",
+    ),
 }
 
 

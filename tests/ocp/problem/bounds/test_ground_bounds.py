@@ -28,9 +28,13 @@ def test_the_rows_are_distances_from_the_surface(ground):
     row = ocp.AboveSurface(ground, 0.02, nodes=[1, 2, 5]).constraint(driven)
     assert len(row.names) == 2  # node 1 cannot move
     x = driven.initial_state + 0.1 * np.random.default_rng(0).normal(size=driven.nx)
-    values = [x if symbol.shape[0] == driven.nx else np.zeros(symbol.shape) for symbol in row.symbols]
+    values = [
+        x if symbol.shape[0] == driven.nx else np.zeros(symbol.shape) for symbol in row.symbols
+    ]
     found = ca.Function("distances", list(row.symbols), [row.value])(*values).full().ravel()
-    assert found == pytest.approx(-ground.depth(driven.nodes(x)[[2, 5]].T).full().ravel(), abs=1e-12)
+    assert found == pytest.approx(
+        -ground.depth(driven.nodes(x)[[2, 5]].T).full().ravel(), abs=1e-12
+    )
     assert row.lower.tolist() == [0.02, 0.02]
 
 
@@ -40,7 +44,9 @@ def test_a_plan_stays_above_hills_that_are_in_its_way(transcription):
     plans = [
         ocp.solve(
             ocp.Problem(
-                tc.Model(tc.Scene(PRISM, gravity=tc.Gravity((0, 0, -2.0)), control=tc.ForceDensity())),
+                tc.Model(
+                    tc.Scene(PRISM, gravity=tc.Gravity((0, 0, -2.0)), control=tc.ForceDensity())
+                ),
                 0.25,
                 goals=[ocp.StringLengths(lengths)],
                 bounds=[ocp.ForceDensityLimits(0.0, 300.0), *bounds],
@@ -50,7 +56,9 @@ def test_a_plan_stays_above_hills_that_are_in_its_way(transcription):
         )
         for bounds in ([], [ocp.AboveSurface(HILLS, 0.03)])
     ]
-    distances = [-HILLS.depth(plan.trajectory.nodes[1:].reshape(-1, 3).T).full().max() for plan in plans]
+    distances = [
+        -HILLS.depth(plan.trajectory.nodes[1:].reshape(-1, 3).T).full().max() for plan in plans
+    ]
     assert all(plan.success for plan in plans), [plan.message for plan in plans]
     assert distances[0] < 0.029
     assert distances[1] > 0.03 - 1e-5
@@ -59,11 +67,20 @@ def test_a_plan_stays_above_hills_that_are_in_its_way(transcription):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ocp.AboveSurface(0.1), "AboveSurface.ground is 0.1: give a tenscasadi.Ground or Terrain"),
+        (
+            lambda: ocp.AboveSurface(0.1),
+            "AboveSurface.ground is 0.1: give a tenscasadi.Ground or Terrain",
+        ),
         (lambda: ocp.AboveSurface(SLOPE, "high"), "AboveSurface.distance is not a real number"),
         (lambda: ocp.AboveSurface(SLOPE, nodes=3), "AboveSurface.nodes is 3: give a list"),
-        (lambda: ocp.AboveSurface(SLOPE, nodes=[9]).check(PRISM), "AboveSurface.nodes is 9: node indices run from 0 to 5"),
-        (lambda: ocp.AboveSurface(SLOPE, nodes=[1]).check(PRISM.replace(pinned=[1])), "AboveSurface.nodes names nodes that are pinned alone"),
+        (
+            lambda: ocp.AboveSurface(SLOPE, nodes=[9]).check(PRISM),
+            "AboveSurface.nodes is 9: node indices run from 0 to 5",
+        ),
+        (
+            lambda: ocp.AboveSurface(SLOPE, nodes=[1]).check(PRISM.replace(pinned=[1])),
+            "AboveSurface.nodes names nodes that are pinned alone",
+        ),
     ],
 )
 def test_what_is_wrong_is_refused_by_name(make, message):
@@ -73,5 +90,9 @@ def test_what_is_wrong_is_refused_by_name(make, message):
 
 def test_a_start_below_the_surface_is_refused():
     bounds = [ocp.AboveSurface(HILLS, 0.5), ocp.ForceDensityLimits(0.0, 9.0)]
-    with pytest.raises(ValueError, match=r"Problem\.start has distance of node \d from the Terrain at"):
-        ocp.solve(ocp.Problem(model(), 1.0, goals=[ocp.AtRest()], bounds=bounds), ocp.Variational(2))
+    with pytest.raises(
+        ValueError, match=r"Problem\.start has distance of node \d from the Terrain at"
+    ):
+        ocp.solve(
+            ocp.Problem(model(), 1.0, goals=[ocp.AtRest()], bounds=bounds), ocp.Variational(2)
+        )

@@ -19,7 +19,9 @@ def test_rest_lengths_have_limits(free):
     assert plan.success
     assert plan.rest_lengths().max() <= most * (1 + 1e-6)
     k = 0.98 * free.force_density.max()
-    soft = raised(ocp.RestLengthLimits(stiffness=k))  # without the limit its strings would need rest lengths below 0
+    soft = raised(
+        ocp.RestLengthLimits(stiffness=k)
+    )  # without the limit its strings would need rest lengths below 0
     assert soft.success
     assert soft.force_density.max() <= k * (1 + 1e-6)
 
@@ -34,7 +36,12 @@ def test_motors_have_a_speed(free):
 @pytest.mark.parametrize("profile", [ocp.PiecewiseConstant(), ocp.PiecewiseLinear()])
 def test_force_densities_change_slowly(profile):
     def planned(*bounds):
-        problem = ocp.Problem(MODEL, goals=GOALS, bounds=[ocp.ForceDensityLimits(1.0, 100.0), *bounds], costs=[ocp.Effort()])
+        problem = ocp.Problem(
+            MODEL,
+            goals=GOALS,
+            bounds=[ocp.ForceDensityLimits(1.0, 100.0), *bounds],
+            costs=[ocp.Effort()],
+        )
         return ocp.solve(problem, ocp.Variational(16, control=profile))
 
     def fastest(plan):
@@ -44,10 +51,14 @@ def test_force_densities_change_slowly(profile):
     limit = 0.7 * fastest(free)
     plan = planned(ocp.ForceDensityRateLimits(limit))
     assert plan.success, plan.message
-    assert (1 - 1e-3) * limit < fastest(plan) < (1 + 1e-6) * limit  # an interior-point method ends a little within
+    assert (
+        (1 - 1e-3) * limit < fastest(plan) < (1 + 1e-6) * limit
+    )  # an interior-point method ends a little within
     assert plan.objective > free.objective
     active = {finding.name: finding.unit for finding in plan.report().active}
-    assert "N/(m s)" in {unit for name, unit in active.items() if name.startswith("force density rate of string")}
+    assert "N/(m s)" in {
+        unit for name, unit in active.items() if name.startswith("force density rate of string")
+    }
 
 
 def rates(plan):
@@ -67,24 +78,37 @@ def test_motors_have_a_speed_up_to_the_end_of_linear_profiles():
     assert rates(plan).max() <= speed * (1 + 1e-5)
     assert not plan.report().violated
     fast = replace(asked, bounds=[PRESTRESS, ocp.RestLengthRateLimits(2 * rates(unlimited).max())])
-    assert ocp.solve(fast, linear, ocp.Fatrop()).objective == pytest.approx(unlimited.objective, rel=1e-5)
+    assert ocp.solve(fast, linear, ocp.Fatrop()).objective == pytest.approx(
+        unlimited.objective, rel=1e-5
+    )
 
 
 def test_one_interval_of_a_linear_profile_has_a_rate():
-    limited = ocp.Problem(MODEL, 0.1, bounds=[PRESTRESS, ocp.RestLengthRateLimits(0.1)], costs=[ocp.Prestress(np.arange(9.0, 18.0)), ocp.Duration()])
+    limited = ocp.Problem(
+        MODEL,
+        0.1,
+        bounds=[PRESTRESS, ocp.RestLengthRateLimits(0.1)],
+        costs=[ocp.Prestress(np.arange(9.0, 18.0)), ocp.Duration()],
+    )
     plan = ocp.solve(limited, ocp.MultipleShooting(1, control=ocp.PiecewiseLinear()))
     assert rates(plan).max() <= 0.1 * (1 + 1e-5)
-    assert not any("rate" in name for name in ocp.solve(limited, ocp.MultipleShooting(1)).duals.names)
+    assert not any(
+        "rate" in name for name in ocp.solve(limited, ocp.MultipleShooting(1)).duals.names
+    )
 
 
 def test_a_report_calls_rates_beyond_their_limit_violated(free):
     limit = 0.5 * rates(free).max()
-    report = replace(free, problem=replace(free.problem, bounds=[PRESTRESS, ocp.RestLengthRateLimits(limit)])).report()
+    report = replace(
+        free, problem=replace(free.problem, bounds=[PRESTRESS, ocp.RestLengthRateLimits(limit)])
+    ).report()
     worst = max(report.violated, key=lambda one: abs(one.worst))
     assert worst.name.startswith("rest length rate of string")
     assert abs(worst.worst) == pytest.approx(2 * limit, rel=1e-9)
     assert worst.time in free.time[1:-1]
-    assert not {(one.name, one.side) for one in report.violated} & {(one.name, one.side) for one in report.active}
+    assert not {(one.name, one.side) for one in report.violated} & {
+        (one.name, one.side) for one in report.active
+    }
 
 
 class Broken:
@@ -95,20 +119,46 @@ class Broken:
 
 
 BAD = {
-    "limit in words": (lambda: ocp.ForceDensityLimits(0.0, "200"), TypeError, "ForceDensityLimits.upper is not a real number"),
-    "limits in words": (lambda: ocp.ForceDensityLimits(0.0, ["200"] * 9), TypeError, "ForceDensityLimits.upper is not an array of real numbers"),
-    "limit of truth": (lambda: ocp.TensionLimits(upper=True), TypeError, "TensionLimits.upper is not a real number"),
-    "speed in words": (lambda: ocp.RestLengthRateLimits("12"), TypeError, "RestLengthRateLimits.speed is not a real number"),
+    "limit in words": (
+        lambda: ocp.ForceDensityLimits(0.0, "200"),
+        TypeError,
+        "ForceDensityLimits.upper is not a real number",
+    ),
+    "limits in words": (
+        lambda: ocp.ForceDensityLimits(0.0, ["200"] * 9),
+        TypeError,
+        "ForceDensityLimits.upper is not an array of real numbers",
+    ),
+    "limit of truth": (
+        lambda: ocp.TensionLimits(upper=True),
+        TypeError,
+        "TensionLimits.upper is not a real number",
+    ),
+    "speed in words": (
+        lambda: ocp.RestLengthRateLimits("12"),
+        TypeError,
+        "RestLengthRateLimits.speed is not a real number",
+    ),
     "groups without common ground": (
         lambda: ocp.solve(
-            ocp.Problem(MODEL, bounds=[ocp.ForceDensityLimits([5, 20] + 7 * [5], [10, 50] + 7 * [100])]),
+            ocp.Problem(
+                MODEL, bounds=[ocp.ForceDensityLimits([5, 20] + 7 * [5], [10, 50] + 7 * [100])]
+            ),
             ocp.MultipleShooting(8, control=ocp.PiecewiseLinear(((2, 0, 1),))),
         ),
         ValueError,
         r"PiecewiseLinear.groups: strings 0, 1, 2 share a force density.*string 1 at 20 N/m or more.*string 0 at 10 N/m or less",
     ),
-    "limits that NumPy cannot read": (lambda: ocp.ForceDensityLimits(upper=Broken()), TypeError, "ForceDensityLimits.upper"),
-    "limits of CasADi": (lambda: ocp.TensionLimits(upper=ca.MX.sym("x")), TypeError, "TensionLimits.upper"),
+    "limits that NumPy cannot read": (
+        lambda: ocp.ForceDensityLimits(upper=Broken()),
+        TypeError,
+        "ForceDensityLimits.upper",
+    ),
+    "limits of CasADi": (
+        lambda: ocp.TensionLimits(upper=ca.MX.sym("x")),
+        TypeError,
+        "TensionLimits.upper",
+    ),
     "limits under a mask": (
         lambda: ocp.ForceDensityLimits(upper=np.ma.array([1.0, 2.0], mask=[True, False])),
         ValueError,

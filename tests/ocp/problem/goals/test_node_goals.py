@@ -24,7 +24,9 @@ def test_the_centre_of_mass_is_put_in_its_place_at_the_end_and_on_the_way():
     model = driven(prism(1.0, pinned=[0, 1, 2], node_mass=[0.1, 0.2, 0.3, 0.4, 0.5, 2.0]))
     begun = centre(model, model.structure.nodes)
     goals = [ocp.CentreOfMass((begun[0] + 0.01, None, begun[2] - 0.02)), ocp.AtRest()]
-    plan = planned(model, *goals, ocp.Waypoint([ocp.CentreOfMass((None, begun[1] + 0.01, None))], share=0.5))
+    plan = planned(
+        model, *goals, ocp.Waypoint([ocp.CentreOfMass((None, begun[1] + 0.01, None))], share=0.5)
+    )
     assert plan.success, plan.message
     ended, passed = (centre(model, model.nodes(integrated(plan, share))) for share in (1.0, 0.5))
     assert ended[[0, 2]] == pytest.approx([begun[0] + 0.01, begun[2] - 0.02], abs=2e-4)
@@ -34,7 +36,10 @@ def test_the_centre_of_mass_is_put_in_its_place_at_the_end_and_on_the_way():
 def test_a_node_passes_a_place_at_a_velocity():
     model = driven(prism(1.0, pinned=[0, 1, 2]))
     place, velocity = model.structure.nodes[3] + [0.0, 0.0, 0.01], (None, 0.1, 0.15)
-    goals = [ocp.Waypoint([ocp.NodePositions({3: (None, None, place[2])})], share=1.0), ocp.NodeVelocities({3: velocity})]
+    goals = [
+        ocp.Waypoint([ocp.NodePositions({3: (None, None, place[2])})], share=1.0),
+        ocp.NodeVelocities({3: velocity}),
+    ]
     plan = planned(model, *goals)
     assert plan.success, plan.message
     ended = integrated(plan)
@@ -55,7 +60,10 @@ def test_a_waypoint_at_the_end_is_a_goal_of_the_end():
 
 
 def test_strings_do_not_give_what_is_free_a_speed():
-    with pytest.raises(ocp.UnreachableGoal, match=r"NodeVelocities: node 0 x misses its goal by .* as the centre of mass keeps its speed along x"):
+    with pytest.raises(
+        ocp.UnreachableGoal,
+        match=r"NodeVelocities: node 0 x misses its goal by .* as the centre of mass keeps its speed along x",
+    ):
         planned(driven(prism(1.0)), ocp.NodeVelocities(np.tile([1.0, 0.0, 0.0], (6, 1))))
 
 
@@ -63,16 +71,23 @@ def test_masses_inside_strings_count():
     structure = prism(1.0, string_mass=0.5)
     model = driven(structure, segments=2)
     problem = ocp.Problem(model, goals=[ocp.CentreOfMass((None, None, 0.5))])
-    assert np.sum(problem.goals[0].masses) == pytest.approx(structure.bar_mass.sum() + structure.string_mass.sum())
+    assert np.sum(problem.goals[0].masses) == pytest.approx(
+        structure.bar_mass.sum() + structure.string_mass.sum()
+    )
     assert len(problem.goals[0].masses) == len(model.structure.nodes)
 
 
 def test_strings_do_not_move_the_centre_of_mass_of_what_is_free():
     model = driven(prism(1.0))
     height = centre(model, model.structure.nodes)[2]
-    with pytest.raises(ocp.UnreachableGoal, match=r"CentreOfMass: z misses its goal by 0\.1 m at best, as the centre of mass follows"):
+    with pytest.raises(
+        ocp.UnreachableGoal,
+        match=r"CentreOfMass: z misses its goal by 0\.1 m at best, as the centre of mass follows",
+    ):
         planned(model, ocp.CentreOfMass((None, None, height + 0.1)))
-    with pytest.raises(ocp.UnreachableGoal, match=r"waypoint at 0\.5 of the duration: CentreOfMass: x misses"):
+    with pytest.raises(
+        ocp.UnreachableGoal, match=r"waypoint at 0\.5 of the duration: CentreOfMass: x misses"
+    ):
         planned(model, ocp.Waypoint([ocp.CentreOfMass((9.0, None, None))], share=0.5))
 
 
@@ -81,7 +96,9 @@ def test_what_falls_is_where_galilei_says():
     height = centre(model, model.structure.nodes)[2]
     plan = planned(model, ocp.CentreOfMass((None, None, height - 9.81 * 0.6**2 / 2)))
     assert plan.success, plan.message
-    with pytest.raises(ocp.UnreachableGoal, match=r"CentreOfMass: z misses its goal by 1\.77 m at best"):
+    with pytest.raises(
+        ocp.UnreachableGoal, match=r"CentreOfMass: z misses its goal by 1\.77 m at best"
+    ):
         planned(model, ocp.CentreOfMass((None, None, height)))
 
 
@@ -96,20 +113,52 @@ def test_files_and_pickles_hold_them(tmp_path):
 
 
 BAD = {
-    "two coordinates": (lambda: ocp.CentreOfMass((1.0, 2.0)), ValueError, "CentreOfMass.position .* give three coordinates"),
-    "no coordinate": (lambda: ocp.CentreOfMass((None, None, None)), ValueError, "CentreOfMass.position"),
+    "two coordinates": (
+        lambda: ocp.CentreOfMass((1.0, 2.0)),
+        ValueError,
+        "CentreOfMass.position .* give three coordinates",
+    ),
+    "no coordinate": (
+        lambda: ocp.CentreOfMass((None, None, None)),
+        ValueError,
+        "CentreOfMass.position",
+    ),
     "no place": (lambda: ocp.CentreOfMass(1.0), TypeError, "CentreOfMass.position is 1.0"),
-    "no mass": (lambda: ocp.CentreOfMass((1.0, None, None), np.zeros(6)), ValueError, "CentreOfMass.masses are all 0"),
-    "two components": (lambda: ocp.NodeVelocities({0: (1.0, 2.0)}), ValueError, r"NodeVelocities.velocities\[0\] .* give three"),
-    "no velocity": (lambda: ocp.NodeVelocities({}), ValueError, r"NodeVelocities.velocities is empty: give {node: \(vx, vy, vz\)}"),
-    "velocity of no node": (lambda: planned(driven(prism(1.0)), ocp.NodeVelocities({9: (1.0, 0, 0)})), ValueError, "velocities: node is 9"),
+    "no mass": (
+        lambda: ocp.CentreOfMass((1.0, None, None), np.zeros(6)),
+        ValueError,
+        "CentreOfMass.masses are all 0",
+    ),
+    "two components": (
+        lambda: ocp.NodeVelocities({0: (1.0, 2.0)}),
+        ValueError,
+        r"NodeVelocities.velocities\[0\] .* give three",
+    ),
+    "no velocity": (
+        lambda: ocp.NodeVelocities({}),
+        ValueError,
+        r"NodeVelocities.velocities is empty: give {node: \(vx, vy, vz\)}",
+    ),
+    "velocity of no node": (
+        lambda: planned(driven(prism(1.0)), ocp.NodeVelocities({9: (1.0, 0, 0)})),
+        ValueError,
+        "velocities: node is 9",
+    ),
     "velocity of a pin": (
         lambda: planned(driven(prism(1.0, pinned=[2])), ocp.NodeVelocities({2: (1.0, 0, 0)})),
         ValueError,
         "wants x = 1 m/s of a node that is pinned along it: leave that axis None",
     ),
-    "few masses": (lambda: planned(driven(prism(1.0)), ocp.CentreOfMass((1.0, None, None), np.ones(5))), ValueError, "CentreOfMass.masses has 5"),
-    "many masses": (lambda: planned(driven(prism(1.0)), ocp.CentreOfMass((1.0, None, None), np.ones(7))), ValueError, r"CentreOfMass.masses .* \(6"),
+    "few masses": (
+        lambda: planned(driven(prism(1.0)), ocp.CentreOfMass((1.0, None, None), np.ones(5))),
+        ValueError,
+        "CentreOfMass.masses has 5",
+    ),
+    "many masses": (
+        lambda: planned(driven(prism(1.0)), ocp.CentreOfMass((1.0, None, None), np.ones(7))),
+        ValueError,
+        r"CentreOfMass.masses .* \(6",
+    ),
 }
 
 

@@ -16,15 +16,24 @@ MODEL = driven(prism(1.0))
 
 def planned(*goals, duration=1.0, intervals=12, model=MODEL, **changes):
     given = {"bounds": [PRESTRESS], "costs": [ocp.Effort()], **changes}
-    return ocp.solve(ocp.Problem(model, duration, goals=goals, **given), ocp.MultipleShooting(intervals))
+    return ocp.solve(
+        ocp.Problem(model, duration, goals=goals, **given), ocp.MultipleShooting(intervals)
+    )
 
 
 def distances(nodes):
-    return np.array([np.linalg.norm(nodes[a] - nodes[b]) for a, b in combinations(range(len(nodes)), 2)])
+    return np.array(
+        [np.linalg.norm(nodes[a] - nodes[b]) for a, b in combinations(range(len(nodes)), 2)]
+    )
 
 
 def test_a_waypoint_between_the_ends_of_intervals():
-    plan = planned(ocp.Waypoint([ocp.Shape(prism(1.06).nodes)], time=0.47), ocp.Shape(prism(1.0).nodes), ocp.AtRest(), intervals=16)
+    plan = planned(
+        ocp.Waypoint([ocp.Shape(prism(1.06).nodes)], time=0.47),
+        ocp.Shape(prism(1.0).nodes),
+        ocp.AtRest(),
+        intervals=16,
+    )
     assert plan.success
     replay = plan.replay(step=1e-3)
     middle = replay.nodes[np.argmin(abs(replay.time - 0.47))]
@@ -33,16 +42,23 @@ def test_a_waypoint_between_the_ends_of_intervals():
 
 
 def test_waypoints_count_in_the_replay_error():
-    coarse = planned(ocp.Waypoint([ocp.Shape(prism(1.15).nodes), ocp.AtRest()], share=0.5), intervals=8)
+    coarse = planned(
+        ocp.Waypoint([ocp.Shape(prism(1.15).nodes), ocp.AtRest()], share=0.5), intervals=8
+    )
     assert coarse.success
     replay = coarse.replay()
     middle = replay.nodes[np.argmin(abs(replay.time - 0.5))]
-    assert coarse.replay_error >= 0.99 * np.abs(distances(middle) - distances(prism(1.15).nodes)).max()
+    assert (
+        coarse.replay_error >= 0.99 * np.abs(distances(middle) - distances(prism(1.15).nodes)).max()
+    )
 
 
 def test_a_missed_waypoint_is_named():
     asked = ocp.Waypoint([ocp.Shape(prism(1.3).nodes), ocp.AtRest()], share=0.1)
-    with pytest.raises(ValueError, match=r"intervals is 10: waypoint at 0.1 .* 9 force densities in each of the 1 .* 18 rows .* at least 20"):
+    with pytest.raises(
+        ValueError,
+        match=r"intervals is 10: waypoint at 0.1 .* 9 force densities in each of the 1 .* 18 rows .* at least 20",
+    ):
         planned(asked, intervals=10)
     plan = planned(asked, intervals=20, bounds=[ocp.ForceDensityLimits(5.0, 12.0)])
     assert not plan.success
@@ -55,7 +71,11 @@ def test_waypoints_at_one_time_are_one():
     high, still = ocp.StringLengths({0: 0.9}), ocp.AtRest()
     shape = ocp.Shape(prism(1.0).nodes)
     once = planned(ocp.Waypoint([high, still], time=0.3), shape, intervals=16)
-    parts = [ocp.Waypoint([high], share=0.1 + 0.2), ocp.Waypoint([still], time=0.3), ocp.Waypoint([high], time=0.3)]
+    parts = [
+        ocp.Waypoint([high], share=0.1 + 0.2),
+        ocp.Waypoint([still], time=0.3),
+        ocp.Waypoint([high], time=0.3),
+    ]
     several = planned(*parts, shape, intervals=16)
     assert once.success
     assert several.success, several.message
@@ -63,7 +83,12 @@ def test_waypoints_at_one_time_are_one():
 
 
 def test_a_free_duration_with_a_waypoint():
-    plan = planned(ocp.Waypoint([ocp.Shape(prism(1.05).nodes)], share=0.5), ocp.Shape(prism(1.1).nodes), ocp.AtRest(), duration=(0.8, 1.4))
+    plan = planned(
+        ocp.Waypoint([ocp.Shape(prism(1.05).nodes)], share=0.5),
+        ocp.Shape(prism(1.1).nodes),
+        ocp.AtRest(),
+        duration=(0.8, 1.4),
+    )
     assert plan.success
     assert 0.8 <= plan.time[-1] <= 1.4
 
@@ -75,20 +100,36 @@ PRICED = {"bounds": [PRESTRESS], "costs": [ocp.Effort(), ocp.Duration(100.0)]}
 def test_times_of_waypoints_and_of_the_end_are_free():
     """The waypoint is met as SciPy integrates the plan, and the same waypoint at other shares of the duration costs more."""
     way = [ocp.Shape(prism(1.05).nodes)]
-    plan = ocp.solve(ocp.Problem(MODEL, (0.4, 1.0), goals=[ocp.Waypoint(way, time=(0.1, 0.9)), *SHAPES], **PRICED))
+    plan = ocp.solve(
+        ocp.Problem(
+            MODEL, (0.4, 1.0), goals=[ocp.Waypoint(way, time=(0.1, 0.9)), *SHAPES], **PRICED
+        )
+    )
     assert plan.success, plan.message
     met = plan.time[len(plan.time) // 2]
     assert 0.1 <= met <= 0.9
     assert 0.4 <= plan.time[-1] < 1.0
-    assert distances(MODEL.nodes(integrated(plan, met / plan.time[-1]))) == pytest.approx(distances(prism(1.05).nodes), abs=1e-3)
-    assert distances(MODEL.nodes(integrated(plan))) == pytest.approx(distances(prism(1.1).nodes), abs=1e-3)
+    assert distances(MODEL.nodes(integrated(plan, met / plan.time[-1]))) == pytest.approx(
+        distances(prism(1.05).nodes), abs=1e-3
+    )
+    assert distances(MODEL.nodes(integrated(plan))) == pytest.approx(
+        distances(prism(1.1).nodes), abs=1e-3
+    )
     for change in (-0.15, 0.0, 0.15):
-        fixed = ocp.Problem(MODEL, (0.4, 1.0), goals=[ocp.Waypoint(way, share=met / plan.time[-1] + change), *SHAPES], **PRICED)
+        fixed = ocp.Problem(
+            MODEL,
+            (0.4, 1.0),
+            goals=[ocp.Waypoint(way, share=met / plan.time[-1] + change), *SHAPES],
+            **PRICED,
+        )
         assert ocp.solve(fixed, ocp.Variational(40)).objective > 0.99 * plan.objective
 
 
 def test_times_of_waypoints_have_limits_and_an_order():
-    ways = [ocp.Waypoint([ocp.Shape(prism(height).nodes)], time=times) for height, times in ((1.04, (0.3, 0.32)), (1.07, (0.1, 0.8)))]
+    ways = [
+        ocp.Waypoint([ocp.Shape(prism(height).nodes)], time=times)
+        for height, times in ((1.04, (0.3, 0.32)), (1.07, (0.1, 0.8)))
+    ]
     problem = ocp.Problem(MODEL, (0.5, 1.5), goals=[*ways, *SHAPES], **PRICED)
     assert [phase.until for phase in problem.phases] == [(0.3, 0.32), (0.1, 0.8), (0.5, 1.5)]
     plan = ocp.solve(problem, ocp.Variational(12))
@@ -101,15 +142,29 @@ def test_times_of_waypoints_have_limits_and_an_order():
 
 WAY = [ocp.AtRest()]
 UNTIMELY = {
-    "pair of nothing": (lambda: ocp.Waypoint(WAY, time=(0.0, 1.0)), r"Waypoint.time is \(0, 1\): give \(earliest, latest\), greater than 0"),
+    "pair of nothing": (
+        lambda: ocp.Waypoint(WAY, time=(0.0, 1.0)),
+        r"Waypoint.time is \(0, 1\): give \(earliest, latest\), greater than 0",
+    ),
     "pair crossed": (lambda: ocp.Waypoint(WAY, time=(0.5, 0.4)), r"Waypoint.time is \(0.5, 0.4\)"),
-    "beyond the end": (lambda: timed((2.0, 3.0)), r"Waypoint.time is \(2, 3\), and the plan takes 1 s at most"),
-    "out of order": (lambda: timed((0.5, 0.6), (0.1, 0.2)), r"Waypoint.time is \(0.1, 0.2\), and the waypoint before is met at 0.5 s or later"),
+    "beyond the end": (
+        lambda: timed((2.0, 3.0)),
+        r"Waypoint.time is \(2, 3\), and the plan takes 1 s at most",
+    ),
+    "out of order": (
+        lambda: timed((0.5, 0.6), (0.1, 0.2)),
+        r"Waypoint.time is \(0.1, 0.2\), and the waypoint before is met at 0.5 s or later",
+    ),
     "free and given": (
-        lambda: ocp.Problem(MODEL, goals=[ocp.Waypoint(WAY, time=(0.1, 0.2)), ocp.Waypoint(WAY, share=0.5)]),
+        lambda: ocp.Problem(
+            MODEL, goals=[ocp.Waypoint(WAY, time=(0.1, 0.2)), ocp.Waypoint(WAY, share=0.5)]
+        ),
         "waypoints of free and of given times",
     ),
-    "wish": (lambda: ocp.Problem(MODEL, goals=[ocp.Waypoint(WAY, time=(0.1, 0.2)).soft()]), "goals of phases are met"),
+    "wish": (
+        lambda: ocp.Problem(MODEL, goals=[ocp.Waypoint(WAY, time=(0.1, 0.2)).soft()]),
+        "goals of phases are met",
+    ),
 }
 
 

@@ -19,8 +19,15 @@ from scipy.sparse import csc_array, issparse
 import tenscasadi as tc
 from tenscasadi.exchange.matlab.mat_file import read_mat, write_mat
 
-MATLAB = Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"  # files that MATLAB itself has written
-CROSS = {"N": np.eye(3, 4), "C_b": np.array([[-1.0, 0, 1, 0], [0, -1, 0, 1]]), "C_s": np.array([[-1.0, 1, 0, 0]]), "s_0": 1.0}
+MATLAB = (
+    Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"
+)  # files that MATLAB itself has written
+CROSS = {
+    "N": np.eye(3, 4),
+    "C_b": np.array([[-1.0, 0, 1, 0], [0, -1, 0, 1]]),
+    "C_s": np.array([[-1.0, 1, 0, 0]]),
+    "s_0": 1.0,
+}
 
 
 def element(kind: int, content: bytes) -> bytes:
@@ -28,7 +35,11 @@ def element(kind: int, content: bytes) -> bytes:
 
 
 def matrix(form: int, dimensions: tuple[int, ...], *parts: bytes, name: bytes = b"x") -> bytes:
-    head = element(6, struct.pack("<II", form, 0)) + element(5, struct.pack(f"<{len(dimensions)}i", *dimensions)) + element(1, name)
+    head = (
+        element(6, struct.pack("<II", form, 0))
+        + element(5, struct.pack(f"<{len(dimensions)}i", *dimensions))
+        + element(1, name)
+    )
     return element(14, head + b"".join(parts))
 
 
@@ -37,7 +48,12 @@ def mat(*elements: bytes) -> bytes:
 
 
 def test_variables_come_back(tmp_path):
-    content = {"a": np.arange(6.0).reshape(2, 3), "text": "γ", "s": {"inner": {"x": 2.0}}, "sparse": csc_array(np.eye(3))}
+    content = {
+        "a": np.arange(6.0).reshape(2, 3),
+        "text": "γ",
+        "s": {"inner": {"x": 2.0}},
+        "sparse": csc_array(np.eye(3)),
+    }
     read = read_mat(write_mat(tmp_path / "x", content))  # no ending is added
     assert np.array_equal(read["a"], content["a"])
     assert read["text"] == "γ"
@@ -51,7 +67,11 @@ def agree(ours, theirs) -> bool:
         return all(agree(value, theirs[0, 0][name]) for name, value in ours.items())
     if isinstance(ours, str):
         return ours == (str(theirs.flat[0]) if theirs.size else "")
-    return np.array_equal(ours.toarray(), theirs.toarray()) if issparse(ours) else np.array_equal(ours, theirs)
+    return (
+        np.array_equal(ours.toarray(), theirs.toarray())
+        if issparse(ours)
+        else np.array_equal(ours, theirs)
+    )
 
 
 @pytest.mark.skipif(not MATLAB.exists(), reason="this SciPy came without its test files")
@@ -64,28 +84,59 @@ def test_files_of_matlab_on_several_machines_are_read_as_scipy_reads_them():
                 assert agree(value, theirs[name]), (path.name, name)
                 compared += 1
     assert compared > 30
-    for name in ("big_endian", "little_endian", "logical_sparse", "miuint32_for_miint32", "one_by_zero_char"):
+    for name in (
+        "big_endian",
+        "little_endian",
+        "logical_sparse",
+        "miuint32_for_miint32",
+        "one_by_zero_char",
+    ):
         theirs = loadmat(MATLAB / f"{name}.mat", spmatrix=False)
-        assert all(agree(value, theirs[key]) for key, value in read_mat(MATLAB / f"{name}.mat").items()), name
+        assert all(
+            agree(value, theirs[key]) for key, value in read_mat(MATLAB / f"{name}.mat").items()
+        ), name
 
 
 @pytest.mark.skipif(not MATLAB.exists(), reason="this SciPy came without its test files")
-@pytest.mark.parametrize("name", ["testfunc_7.4_GLNX86", "testobject_7.1_GLNX86", "testcell_7.1_GLNX86", "parabola", "some_functions"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "testfunc_7.4_GLNX86",
+        "testobject_7.1_GLNX86",
+        "testcell_7.1_GLNX86",
+        "parabola",
+        "some_functions",
+    ],
+)
 def test_function_handles_and_objects_beside_a_structure_are_left_out(name, tmp_path):
     savemat(tmp_path / "x.mat", CROSS)
     with open(tmp_path / "x.mat", "ab") as file:
         file.write((MATLAB / f"{name}.mat").read_bytes()[128:])
     assert len(tc.load_mat(tmp_path / "x.mat").bars) == 2
-    assert not {"parabola", "sqr", "testfunc", "testobject", "testcell"} & set(read_mat(tmp_path / "x.mat"))
+    assert not {"parabola", "sqr", "testfunc", "testobject", "testcell"} & set(
+        read_mat(tmp_path / "x.mat")
+    )
 
 
 @pytest.mark.parametrize(
     ("content", "cure"),
     [
-        (b"\x89HDF\r\n\x1a\n" + bytes(600), r"has MATLAB's format v7\.3 \(HDF5\): save it in MATLAB with save\('x\.mat', \.\.\., '-v7'\)"),
-        (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF\r\n\x1a\n", r"format v7\.3 \(HDF5\)"),
-        (b"# Created by Octave 7.3\n# name: N", "no .mat file of version 5, 6 or 7: save it .*in Octave with '-mat7-binary'"),
-        (struct.pack("<5i", 0, 1, 1, 0, 2) + b"N\0" + bytes(200), "no .mat file of version 5, 6 or 7"),
+        (
+            b"\x89HDF\r\n\x1a\n" + bytes(600),
+            r"has MATLAB's format v7\.3 \(HDF5\): save it in MATLAB with save\('x\.mat', \.\.\., '-v7'\)",
+        ),
+        (
+            b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF\r\n\x1a\n",
+            r"format v7\.3 \(HDF5\)",
+        ),
+        (
+            b"# Created by Octave 7.3\n# name: N",
+            "no .mat file of version 5, 6 or 7: save it .*in Octave with '-mat7-binary'",
+        ),
+        (
+            struct.pack("<5i", 0, 1, 1, 0, 2) + b"N\0" + bytes(200),
+            "no .mat file of version 5, 6 or 7",
+        ),
         (b"", "no .mat file of version 5, 6 or 7"),
     ],
     ids=["HDF5", "v7.3", "text", "v4", "empty"],
@@ -107,27 +158,68 @@ def nested(depth: int) -> bytes:
 @pytest.mark.parametrize(
     ("content", "named"),
     [
-        (matrix(2, (1, 1), element(5, struct.pack("<i", 2)), element(1, b"a\0b\0")), "a struct has 4 characters of names, each 2 long, and 0 values"),
-        (matrix(2, (1, 1), element(5, struct.pack("<i", 0)), element(1, b"")), "a struct has 0 characters of names, each 0 long"),
+        (
+            matrix(2, (1, 1), element(5, struct.pack("<i", 2)), element(1, b"a\0b\0")),
+            "a struct has 4 characters of names, each 2 long, and 0 values",
+        ),
+        (
+            matrix(2, (1, 1), element(5, struct.pack("<i", 0)), element(1, b"")),
+            "a struct has 0 characters of names, each 0 long",
+        ),
         (matrix(4, (-1, -9), element(16, b"")), r"x has shape \(-1, -9\)"),
-        (matrix(6, (10**5, 10**5), element(9, bytes(8))), r"x of shape \(100000, 100000\) holds 1 numbers"),
+        (
+            matrix(6, (10**5, 10**5), element(9, bytes(8))),
+            r"x of shape \(100000, 100000\) holds 1 numbers",
+        ),
         (matrix(6, (1, 1), element(99, bytes(8))), "numbers are of the unknown type 99"),
-        (matrix(5, (10**9, 10**9), element(5, bytes(4)), element(5, bytes(8)), element(9, bytes(8))), "a sparse matrix of shape .* does not hold"),
-        (matrix(6, (1, 1), struct.pack("<II", 9, 2**32 - 8)), "an element of 4294967288 bytes is cut off"),
+        (
+            matrix(
+                5, (10**9, 10**9), element(5, bytes(4)), element(5, bytes(8)), element(9, bytes(8))
+            ),
+            "a sparse matrix of shape .* does not hold",
+        ),
+        (
+            matrix(6, (1, 1), struct.pack("<II", 9, 2**32 - 8)),
+            "an element of 4294967288 bytes is cut off",
+        ),
         (struct.pack("<II", 14, 2**31), "an element of 2147483648 bytes is cut off"),
         (nested(20_000), "nested deeper than 30 times"),
-        (element(15, zlib.compress(bytes(500_000_000), 9)), "a compressed variable is cut off, or longer than it says"),
-        (element(15, zlib.compress(struct.pack("<II", 14, 500_000_000) + bytes(500_000_000), 9)), "it unpacks to more than"),
-        (element(15, zlib.compress(matrix(6, (1, 1), element(9, bytes(8))))[:-9]), "a compressed variable is cut off"),
+        (
+            element(15, zlib.compress(bytes(500_000_000), 9)),
+            "a compressed variable is cut off, or longer than it says",
+        ),
+        (
+            element(15, zlib.compress(struct.pack("<II", 14, 500_000_000) + bytes(500_000_000), 9)),
+            "it unpacks to more than",
+        ),
+        (
+            element(15, zlib.compress(matrix(6, (1, 1), element(9, bytes(8))))[:-9]),
+            "a compressed variable is cut off",
+        ),
     ],
-    ids=["struct", "names", "negative", "numbers", "type", "sparse", "long", "longer", "deep", "zeros", "honest", "cut"],
+    ids=[
+        "struct",
+        "names",
+        "negative",
+        "numbers",
+        "type",
+        "sparse",
+        "long",
+        "longer",
+        "deep",
+        "zeros",
+        "honest",
+        "cut",
+    ],
 )
 def test_what_claims_more_than_it_holds_takes_no_memory(content, named, tmp_path, monkeypatch):
     monkeypatch.setattr("tenscasadi.util.archive._LIMIT", 1_000_000)
     (tmp_path / "x.mat").write_bytes(mat(content))
     tracemalloc.start()
     try:
-        with pytest.raises(ValueError, match=rf"x\.mat is no \.mat file that can be read: .*({named})"):
+        with pytest.raises(
+            ValueError, match=rf"x\.mat is no \.mat file that can be read: .*({named})"
+        ):
             read_mat(tmp_path / "x.mat")
         assert tracemalloc.get_traced_memory()[1] < 60_000_000
     finally:
@@ -135,8 +227,18 @@ def test_what_claims_more_than_it_holds_takes_no_memory(content, named, tmp_path
 
 
 def test_what_is_left_out_is_not_believed_either(tmp_path):
-    cells, structs = matrix(1, (10**5, 10**5)), matrix(2, (10**5, 10**4), element(5, struct.pack("<i", 2)), element(1, b"a\0"))
-    (tmp_path / "x.mat").write_bytes(mat(cells, structs, matrix(4, (1, 10**9), element(16, b"")), matrix(6, (1, 1), element(9, bytes(8)), name=b"y")))
+    cells, structs = (
+        matrix(1, (10**5, 10**5)),
+        matrix(2, (10**5, 10**4), element(5, struct.pack("<i", 2)), element(1, b"a\0")),
+    )
+    (tmp_path / "x.mat").write_bytes(
+        mat(
+            cells,
+            structs,
+            matrix(4, (1, 10**9), element(16, b"")),
+            matrix(6, (1, 1), element(9, bytes(8)), name=b"y"),
+        )
+    )
     assert read_mat(tmp_path / "x.mat").keys() == {"x", "y"}
     assert read_mat(tmp_path / "x.mat")["x"] == ""
 
@@ -144,7 +246,10 @@ def test_what_is_left_out_is_not_believed_either(tmp_path):
 def test_what_unpacks_to_too_much_is_not_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr("tenscasadi.util.archive._LIMIT", 1_000_000)
     savemat(tmp_path / "x.mat", {"a": np.zeros(10**6)}, do_compression=True)
-    with pytest.raises(ValueError, match=r"x\.mat is no .*: it unpacks to more than 0.001 GB, the limit for a file of its size"):
+    with pytest.raises(
+        ValueError,
+        match=r"x\.mat is no .*: it unpacks to more than 0.001 GB, the limit for a file of its size",
+    ):
         read_mat(tmp_path / "x.mat")
 
 
@@ -157,12 +262,22 @@ def test_sparse_matrices_whose_indices_lead_elsewhere_are_refused(tmp_path):
 
 
 def test_damaged_files_are_refused_with_a_reason_or_read(tmp_path):
-    savemat(tmp_path / "whole.mat", {"task": CROSS, "text": "x", "sparse": csc_array(np.eye(3)), "cell": np.array([1, "a"], dtype=object)})
+    savemat(
+        tmp_path / "whole.mat",
+        {
+            "task": CROSS,
+            "text": "x",
+            "sparse": csc_array(np.eye(3)),
+            "cell": np.array([1, "a"], dtype=object),
+        },
+    )
     run = tc.simulate(tc.Model(tc.Scene(tc.shapes.prism())), 0.02, 0.01, compiled=False)
     packed = tc.save_mat(run, tmp_path / "run.mat")
     draw, refused = random.Random(0), 0
     for attempt in range(400):
-        load, source = ((tc.load_mat, tmp_path / "whole.mat"), (tc.load_mat_trajectory, packed))[attempt % 2]
+        load, source = ((tc.load_mat, tmp_path / "whole.mat"), (tc.load_mat_trajectory, packed))[
+            attempt % 2
+        ]
         content = bytearray(source.read_bytes())
         if attempt % 5 == 0:
             content = content[: draw.randrange(len(content))]

@@ -12,7 +12,13 @@ from scipy.io import loadmat
 
 import tenscasadi as tc
 
-ROLLING = tc.Structure([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1)], [(1, 2)], node_mass=[0.1, 0.2, 0.3], rollers={0: (1, 0, 1)})
+ROLLING = tc.Structure(
+    [(0, 0, 0), (1, 0, 0), (0, 1, 0)],
+    [(0, 1)],
+    [(1, 2)],
+    node_mass=[0.1, 0.2, 0.3],
+    rollers={0: (1, 0, 1)},
+)
 STRUCTURES = {
     "prism": tc.shapes.prism(stiffness=500.0, prestress=20.0, damping=1.0, bar_radius=0.01),
     "D-bar": tc.shapes.d_bar(pinned={0: "xyz", 2: "z"}),
@@ -26,10 +32,14 @@ STRUCTURES = {
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_a_structure_comes_back_to_the_last_bit(name, tmp_path):
-    assert_same_structure(tc.load_mat(tc.save_mat(STRUCTURES[name], tmp_path / "x.mat")), STRUCTURES[name])
+    assert_same_structure(
+        tc.load_mat(tc.save_mat(STRUCTURES[name], tmp_path / "x.mat")), STRUCTURES[name]
+    )
 
 
-@pytest.mark.parametrize("name", ["ex02_dbar", "px_prism_seg02", "ex00_double_pendulum", "ex01_string_only_dt1e-4"])
+@pytest.mark.parametrize(
+    "name", ["ex02_dbar", "px_prism_seg02", "ex00_double_pendulum", "ex01_string_only_dt1e-4"]
+)
 def test_the_split_is_the_one_that_motes_was_run_with(name, tmp_path):
     data, structure = np.load(DATA / "motes" / f"{name}.npz"), motes(name).scene.structure
     task = loadmat(tc.save_mat(structure, tmp_path / "x.mat", class_one=True))
@@ -40,11 +50,15 @@ def test_the_split_is_the_one_that_motes_was_run_with(name, tmp_path):
     assert np.array_equal(task["k"], data["k"][None])
     assert np.array_equal(task["ms"].ravel(), data["m_string_node"])
     assert_same_structure(tc.load_mat(tmp_path / "x.mat"), structure)
-    assert json.loads((DATA / "motes" / f"{name}.json").read_text())["n_bars"] == task["C_b"].shape[0]
+    assert (
+        json.loads((DATA / "motes" / f"{name}.json").read_text())["n_bars"] == task["C_b"].shape[0]
+    )
 
 
 def test_ends_of_bars_come_first_as_motes_takes_the_first_columns_for_them(tmp_path):
-    structure = tc.Structure(np.eye(4, 3), [(1, 3)], [(0, 1), (0, 3), (2, 3)], node_mass=[0.5, 0.0, 0.7, 0.0])
+    structure = tc.Structure(
+        np.eye(4, 3), [(1, 3)], [(0, 1), (0, 3), (2, 3)], node_mass=[0.5, 0.0, 0.7, 0.0]
+    )
     task = loadmat(tc.save_mat(structure, tmp_path / "x.mat", class_one=True))
     assert np.array_equal(task["N"].T, structure.nodes[[1, 3, 0, 2]])
     assert task["ms"].tolist() == [[0.5, 0.7]]
@@ -54,12 +68,18 @@ def test_ends_of_bars_come_first_as_motes_takes_the_first_columns_for_them(tmp_p
 @pytest.mark.parametrize(
     ("structure", "named"),
     [
-        (STRUCTURES["prism"], "bar_radius of bar 0 is 0.01, which MOTES does not model: give structure.replace"),
+        (
+            STRUCTURES["prism"],
+            "bar_radius of bar 0 is 0.01, which MOTES does not model: give structure.replace",
+        ),
         (STRUCTURES["ball"], "string_mass of string 0 is 0.1"),
         (STRUCTURES["D-bar"], "roller of node 2"),
         (ROLLING.replace(node_mass=[0.0, 0.0, 0.3]), "roller of node 0"),
         (ROLLING.replace(rollers={}), "node_mass of node 0 is 0.1"),
-        (tc.Structure(np.eye(3), [(0, 1)], [(1, 2)], pinned=[2]), "node_mass of node 2 is 0, which MOTES does not model: give a mass"),
+        (
+            tc.Structure(np.eye(3), [(0, 1)], [(1, 2)], pinned=[2]),
+            "node_mass of node 2 is 0, which MOTES does not model: give a mass",
+        ),
     ],
 )
 def test_what_motes_would_leave_out_is_refused_by_name(structure, named, tmp_path):

@@ -22,8 +22,22 @@ CROSS = {"N": N, "C_b": C_b, "C_s": C_s, "s_0": np.full((4, 1), 0.9)}
 def task_of(name: str) -> dict:
     """The struct that MOTES simulates, from its recorded inputs."""
     data = np.load(DATA / "motes" / f"{name}.npz")
-    task = {"N": data["N0"], "Nd0": data["Nd0"], "C_b": data["C_b"], "C_s": data["C_s"], "s_0": data["s0"][:, None], "W": data["W"]}
-    task |= {"k": data["k"][None], "c": data["c"][None], "m": data["m_bar"][None], "tf": 5.0, "dt": 1e-3, "video": 0.0}
+    task = {
+        "N": data["N0"],
+        "Nd0": data["Nd0"],
+        "C_b": data["C_b"],
+        "C_s": data["C_s"],
+        "s_0": data["s0"][:, None],
+        "W": data["W"],
+    }
+    task |= {
+        "k": data["k"][None],
+        "c": data["c"][None],
+        "m": data["m_bar"][None],
+        "tf": 5.0,
+        "dt": 1e-3,
+        "video": 0.0,
+    }
     if data["m_string_node"].size:
         task["ms"] = data["m_string_node"][None]
     return task | ({"P": data["P"], "D": data["D"]} if data["P"].size else {})
@@ -32,7 +46,13 @@ def task_of(name: str) -> dict:
 @pytest.mark.parametrize("name", MOTES)
 def test_a_workspace_of_motes(name, tmp_path):
     info = json.loads((DATA / "motes" / f"{name}.json").read_text())
-    more = {"i": 3.0, "Cb_in": np.array(info["bars_1based"], dtype=float).reshape(-1, 2), "k": 7.0, "prism_name": "x", "found": {"a": 1.0}}
+    more = {
+        "i": 3.0,
+        "Cb_in": np.array(info["bars_1based"], dtype=float).reshape(-1, 2),
+        "k": 7.0,
+        "prism_name": "x",
+        "found": {"a": 1.0},
+    }
     savemat(tmp_path / "motes.mat", {"task": task_of(name), **more})
     assert_same_structure(tc.load_mat(tmp_path / "motes.mat"), motes(name).scene.structure)
 
@@ -41,9 +61,23 @@ def test_defaults_are_those_of_motes(tmp_path):
     savemat(tmp_path / "x.mat", CROSS)
     read = tc.load_mat(tmp_path / "x.mat")
     assert_same_structure(
-        read, tc.Structure(N.T, [(0, 2), (1, 3)], [(0, 1), (1, 2), (2, 3), (3, 0)], 1.0, stiffness=100.0, damping=0.0, rest_length=0.9)
+        read,
+        tc.Structure(
+            N.T,
+            [(0, 2), (1, 3)],
+            [(0, 1), (1, 2), (2, 3), (3, 0)],
+            1.0,
+            stiffness=100.0,
+            damping=0.0,
+            rest_length=0.9,
+        ),
     )
-    loose = {"N": np.column_stack([N, [0.0, 0.0, 1.0]]), "C_b": np.pad(C_b, ((0, 0), (0, 1))), "C_s": np.pad(C_s, ((0, 0), (0, 1))), "s_0": 0.9}
+    loose = {
+        "N": np.column_stack([N, [0.0, 0.0, 1.0]]),
+        "C_b": np.pad(C_b, ((0, 0), (0, 1))),
+        "C_s": np.pad(C_s, ((0, 0), (0, 1))),
+        "s_0": 0.9,
+    }
     loose["C_s"][0] = [-1, 0, 0, 0, 1]
     savemat(tmp_path / "y.mat", loose)
     assert tc.load_mat(tmp_path / "y.mat").node_mass.tolist() == [0.0, 0.0, 0.0, 0.0, 0.1]
@@ -54,8 +88,14 @@ def test_defaults_are_those_of_motes(tmp_path):
     [
         {"C_b": csc_array(C_b), "C_s": coo_array(C_s)},
         {"C_b": C_b.astype(np.int8), "C_s": C_s.astype(np.int32)},
-        {"C_b_in": np.array([[1.0, 3], [2, 4]]), "C_s_in": np.array([[1.0, 2], [2, 3], [3, 4], [4, 1]])},
-        {"Cb_in": np.array([[1, 3], [2, 4]], dtype=np.uint8), "Cs_in": np.array([[1, 2], [2, 3], [3, 4], [4, 1]])},
+        {
+            "C_b_in": np.array([[1.0, 3], [2, 4]]),
+            "C_s_in": np.array([[1.0, 2], [2, 3], [3, 4], [4, 1]]),
+        },
+        {
+            "Cb_in": np.array([[1, 3], [2, 4]], dtype=np.uint8),
+            "Cs_in": np.array([[1, 2], [2, 3], [3, 4], [4, 1]]),
+        },
         {"C_b": np.array([[1.0, 3], [2, 4]]), "C_s": C_s},
     ],
     ids=["sparse", "integers", "pairs", "pairs of integers", "pairs under the name of matrices"],
@@ -67,7 +107,9 @@ def test_members_are_matrices_or_pairs_that_count_from_one(members, tmp_path):
 
 
 def test_two_nodes_are_not_taken_for_pairs(tmp_path):
-    savemat(tmp_path / "x.mat", {"N": N[:, :2], "C_b": np.array([[1.0, -1.0]]), "C_s": np.zeros((0, 0))})
+    savemat(
+        tmp_path / "x.mat", {"N": N[:, :2], "C_b": np.array([[1.0, -1.0]]), "C_s": np.zeros((0, 0))}
+    )
     assert tc.load_mat(tmp_path / "x.mat").bars.tolist() == [[1, 0]]
     savemat(tmp_path / "x.mat", {"N": N[:, :2], "C_b": np.array([[1.0, 2.0]])})
     assert tc.load_mat(tmp_path / "x.mat").bars.tolist() == [[0, 1]]
@@ -76,9 +118,19 @@ def test_two_nodes_are_not_taken_for_pairs(tmp_path):
 def tsgfem() -> dict:
     """A workspace of TsgFEM: a pinned cross whose members are numbered bars first."""
     length = np.linalg.norm(N @ np.vstack([C_b, C_s]).T, axis=0)
-    E, A = np.array([2e11, 2e11, *[76e9] * 4])[:, None], np.array([1e-4, 1e-4, *[1e-6] * 4])[:, None]
+    E, A = (
+        np.array([2e11, 2e11, *[76e9] * 4])[:, None],
+        np.array([1e-4, 1e-4, *[1e-6] * 4])[:, None],
+    )
     l0 = np.concatenate([length[:2], 0.99 * length[2:]])[:, None]
-    workspace = {"N": N, "C_b": C_b, "C_s": C_s, "C": np.vstack([C_b, C_s]), "mass": 7870 * A * l0, "pinned_X": [[1.0], [2.0]]}
+    workspace = {
+        "N": N,
+        "C_b": C_b,
+        "C_s": C_s,
+        "C": np.vstack([C_b, C_s]),
+        "mass": 7870 * A * l0,
+        "pinned_X": [[1.0], [2.0]],
+    }
     data = {
         "N": N,
         "C": np.vstack([C_b, C_s]),
@@ -89,19 +141,30 @@ def tsgfem() -> dict:
         "index_s": [[3.0, 4, 5, 6]],
         "D": np.zeros((12, 12)),
     }
-    return {**workspace, "pinned_Y": np.array([[1.0]]), "pinned_Z": np.array([[1.0], [3.0]]), "data": data}
+    return {
+        **workspace,
+        "pinned_Y": np.array([[1.0]]),
+        "pinned_Z": np.array([[1.0], [3.0]]),
+        "data": data,
+    }
 
 
 def test_a_workspace_of_tsgfem(tmp_path):
     workspace = tsgfem()
-    savemat(tmp_path / "x.mat", {**workspace, "data_out": {**workspace["data"], "n_t": np.zeros((12, 5))}})
+    savemat(
+        tmp_path / "x.mat",
+        {**workspace, "data_out": {**workspace["data"], "n_t": np.zeros((12, 5))}},
+    )
     read, data = tc.load_mat(tmp_path / "x.mat"), workspace["data"]
-    assert read.stiffness == pytest.approx((data["E"] * data["A"] / data["l0"]).ravel()[2:], rel=1e-15)
+    assert read.stiffness == pytest.approx(
+        (data["E"] * data["A"] / data["l0"]).ravel()[2:], rel=1e-15
+    )
     assert read.rest_length == pytest.approx(0.99 * np.sqrt(2), rel=1e-12)
     assert read.bar_mass.tolist() == workspace["mass"].ravel()[:2].tolist()
     assert read.string_mass.tolist() == workspace["mass"].ravel()[2:].tolist()
     assert dict(read.pinned) == {0: "xyz", 1: "x", 2: "z"}
-    # the consistent mass matrix of TsgFEM, a sixth of [2 1; 1 2] for each bar, is that of rigid bars
+    # the consistent mass matrix of TsgFEM, a sixth of [2 1; 1 2] for each bar, is that of rigid
+    # bars
     both = np.abs(C_b).T @ np.diag(read.bar_mass) @ np.abs(C_b)
     assert read.mass_matrix().toarray() == pytest.approx((both + np.diag(np.diag(both))) / 6)
 
@@ -120,16 +183,28 @@ def without(fields: dict, *names: str) -> dict:
     ("content", "named"),
     [
         ({"x": 1.0}, "holds no structure, .* it holds x"),
-        ({"a": CROSS, "b": {**CROSS, "N": 2 * N}}, "holds the structures a, b: say which by name='a'"),
+        (
+            {"a": CROSS, "b": {**CROSS, "N": 2 * N}},
+            "holds the structures a, b: say which by name='a'",
+        ),
         ({**CROSS, "N": N.T}, r"N has shape \(4, 3\): give an array of shape \(3, any\)"),
         ({**CROSS, "N": N * np.nan}, "N.* is nan"),
         ({**CROSS, "N": "run me"}, "N is not"),
-        ({**CROSS, "C_b": C_b[:, :3]}, r"C_b has shape \(2, 3\): give a column for each of the 4 nodes"),
+        (
+            {**CROSS, "C_b": C_b[:, :3]},
+            r"C_b has shape \(2, 3\): give a column for each of the 4 nodes",
+        ),
         ({**CROSS, "C_s": np.abs(C_s)}, "C_s has a row other than zeros with one −1 and one [+]1"),
-        ({**CROSS, "C_s": csc_array(np.abs(C_s))}, "C_s has a row other than zeros with one −1 and one [+]1"),
+        (
+            {**CROSS, "C_s": csc_array(np.abs(C_s))},
+            "C_s has a row other than zeros with one −1 and one [+]1",
+        ),
         ({**CROSS, "C_b": np.array([[1.0, 5.0]])}, "C_b holds 5: give whole numbers from 1 to 4"),
         ({**CROSS, "C_b": np.array([[1.0, 2.5]])}, "C_b holds 2.5"),
-        ({**CROSS, "s_0": np.ones((4, 7))}, r"s_0 has shape \(4, 7\): rest lengths over time are a control"),
+        (
+            {**CROSS, "s_0": np.ones((4, 7))},
+            r"s_0 has shape \(4, 7\): rest lengths over time are a control",
+        ),
         ({**CROSS, "s_0": "rest_script"}, "s_0 is a text, 'rest_script', which is not run"),
         ({**CROSS, "k": np.ones(3)}, "k has shape .*: give 4 numbers or one"),
         ({**CROSS, "m": -1.0}, "bar_mass of bar 0 is -1"),
@@ -137,9 +212,18 @@ def without(fields: dict, *names: str) -> dict:
         ({**CROSS, "P": np.ones((4, 1)), "D": np.zeros((3, 1))}, "P: column 0"),
         ({"N": N, "C": C_s}, "C holds all members: say which are bars"),
         ({**CROSS, "pinned_nodes": 0.0}, "pinned_nodes holds 0: give whole numbers from 1 to 4"),
-        (without(tsgfem(), "mass"), "mass is missing, from which bar_mass follows: give bar_mass=..."),
-        ({**tsgfem(), "data": {**tsgfem()["data"], "D": np.eye(12)}}, "D is not 0: damping of nodes"),
-        ({**tsgfem(), "data": {**tsgfem()["data"], "l0": 0.0}}, "l0 of member 1 is 0: it must be greater than 0"),
+        (
+            without(tsgfem(), "mass"),
+            "mass is missing, from which bar_mass follows: give bar_mass=...",
+        ),
+        (
+            {**tsgfem(), "data": {**tsgfem()["data"], "D": np.eye(12)}},
+            "D is not 0: damping of nodes",
+        ),
+        (
+            {**tsgfem(), "data": {**tsgfem()["data"], "l0": 0.0}},
+            "l0 of member 1 is 0: it must be greater than 0",
+        ),
     ],
 )
 def test_what_is_wrong_is_named_with_the_file(content, named, tmp_path):
@@ -165,5 +249,8 @@ def test_options_replace_what_the_file_says(tmp_path):
 def test_a_struct_is_chosen_by_name(tmp_path):
     savemat(tmp_path / "x.mat", {"small": CROSS, "large": {**CROSS, "N": 2 * N}})
     assert tc.load_mat(tmp_path / "x.mat", "large").nodes[0, 0] == 2.0
-    with pytest.raises(ValueError, match="name is 'huge': the file's structs with N and C_b or C_s are small, large"):
+    with pytest.raises(
+        ValueError,
+        match="name is 'huge': the file's structs with N and C_b or C_s are small, large",
+    ):
         tc.load_mat(tmp_path / "x.mat", "huge")

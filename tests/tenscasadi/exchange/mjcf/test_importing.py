@@ -21,7 +21,9 @@ FEET = {0: "xyz", 1: "xyz", 2: "xyz"}
 masses = [0.1, 0.2, 0.3, 0.0, 0.5, 0.6]
 STRUCTURES: dict[str, tc.Structure] = {
     "prism": tc.shapes.prism(**LAW),
-    "thick bars and masses": tc.shapes.prism(bar_radius=0.05, bar_mass=[1.0, 2.0, 3.0], node_mass=masses, damping=0.5, **LAW),
+    "thick bars and masses": tc.shapes.prism(
+        bar_radius=0.05, bar_mass=[1.0, 2.0, 3.0], node_mass=masses, damping=0.5, **LAW
+    ),
     "thin bars": tc.shapes.prism(bar_radius=[1e-4, 1e-3, 0.0], **LAW),
     "ball": tc.shapes.six_bar_ball(**LAW),
     "D-bar": tc.shapes.d_bar(pinned=[0], **LAW),
@@ -30,7 +32,12 @@ STRUCTURES: dict[str, tc.Structure] = {
     "mast": tc.shapes.prism(pinned=FEET, node_mass=masses, **LAW),
     "rolling": tc.shapes.prism(pinned={0: "z", 1: "z", 2: "xz"}, **LAW),
     "membrane": tc.shapes.membrane(p=4, q=3, pinned={0: "xyz", 1: "z", 2: "xy"}),
-    "pinned nodes alone": tc.Structure([(0, 0, 0), (0, 0, -1), (1, 0, 0), (2, 0, 0)], [(0, 1)], node_mass=[0, 0, 1, 2], pinned=[0, 2, 3]),
+    "pinned nodes alone": tc.Structure(
+        [(0, 0, 0), (0, 0, -1), (1, 0, 0), (2, 0, 0)],
+        [(0, 1)],
+        node_mass=[0, 0, 1, 2],
+        pinned=[0, 2, 3],
+    ),
     "point": tc.Structure([(1, 2, 3)], node_mass=2.0),
 }
 
@@ -56,7 +63,10 @@ def test_what_was_written_reads_back_the_same(name: str, joints: Any, tmp_path: 
 
 
 def test_laws_controls_and_segments_read_back(tmp_path: Path) -> None:
-    prism, path = tc.shapes.prism(pinned=FEET, damping=1.0, string_mass=0.1, **LAW), tmp_path / "s.xml"
+    prism, path = (
+        tc.shapes.prism(pinned=FEET, damping=1.0, string_mass=0.1, **LAW),
+        tmp_path / "s.xml",
+    )
     for scene in (
         tc.Scene(prism, slack={0: tc.Linear(), 3: tc.Linear()}, segments=2),
         tc.Scene(prism, control=tc.RestLength(), slack={1: tc.Linear()}),
@@ -74,17 +84,36 @@ def test_rollers_hold_along_the_same_directions(tmp_path: Path) -> None:
     s = tc.shapes.prism(rollers={0: (1, 0, 1), 1: [(1, 1, 0), (0, 1, 1)]}, pinned=[2])
     found = tc.import_mjcf(tc.export_mjcf(tc.Scene(s), tmp_path / "s.xml")).structure
     for node, normals in s.rollers.items():
-        same = [np.transpose(each) @ np.array(each) for each in (normals, found.rollers[node])]  # projectors
+        same = [
+            np.transpose(each) @ np.array(each) for each in (normals, found.rollers[node])
+        ]  # projectors
         assert same[1] == pytest.approx(same[0], abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["prism", "thick bars and masses", "D-bar", "T-bar", "point"])
 def test_grounds_read_back(name: str, tmp_path: Path) -> None:
     first = tc.Ground(2000.0, 20.0, height=-0.5, normal=(0.1, 0, 1))
-    grounds = [first, tc.Ground(100.0, friction=0.3, slip_speed=0.02, height=-3.0, nodes=[0] if name == "point" else [1, 3])]
-    found = tc.import_mjcf(tc.export_mjcf(tc.Scene(STRUCTURES[name], ground=grounds), tmp_path / "s.xml"))
+    grounds = [
+        first,
+        tc.Ground(
+            100.0,
+            friction=0.3,
+            slip_speed=0.02,
+            height=-3.0,
+            nodes=[0] if name == "point" else [1, 3],
+        ),
+    ]
+    found = tc.import_mjcf(
+        tc.export_mjcf(tc.Scene(STRUCTURES[name], ground=grounds), tmp_path / "s.xml")
+    )
     for wanted, ground in zip(grounds, found.grounds, strict=True):
-        for field in ("stiffness", "damping", "height", "normal", *(["slip_speed"] if wanted.friction else [])):
+        for field in (
+            "stiffness",
+            "damping",
+            "height",
+            "normal",
+            *(["slip_speed"] if wanted.friction else []),
+        ):
             assert getattr(ground, field) == pytest.approx(getattr(wanted, field), rel=1e-9), field
         assert ground.friction == wanted.friction
         assert ground.nodes == (None if name == "point" else wanted.nodes)
@@ -206,10 +235,18 @@ CASES = [(FREE_PRISM, (6, 3, 9), 0.1), (ROBOT, (4, 2, 4), 0.2), (MAST, (4, 2, 2)
 
 
 @pytest.mark.parametrize(("text", "size", "time"), CASES, ids=["prism", "robot", "mast"])
-def test_scenes_of_other_peoples_files_move_as_in_mujoco(text: str, size: tuple[int, ...], time: float, tmp_path: Path) -> None:
+def test_scenes_of_other_peoples_files_move_as_in_mujoco(
+    text: str, size: tuple[int, ...], time: float, tmp_path: Path
+) -> None:
     scene = read(text, tmp_path)
-    assert (len(scene.structure.nodes), len(scene.structure.bars), len(scene.structure.strings)) == size
-    run = tc.simulate(tc.Model(scene), time, time / 2000, correction=tc.Projection(), compiled=False)
+    assert (
+        len(scene.structure.nodes),
+        len(scene.structure.bars),
+        len(scene.structure.strings),
+    ) == size
+    run = tc.simulate(
+        tc.Model(scene), time, time / 2000, correction=tc.Projection(), compiled=False
+    )
     theirs = sites(tmp_path / "scene.xml", time)
     assert abs(run.nodes[-1] - run.nodes[0]).max() > 1e-3
     moving = [node for node in range(size[0]) if node not in scene.structure.pinned]
@@ -222,7 +259,9 @@ def test_masses_are_those_that_mujoco_reckons(tmp_path: Path) -> None:
     for text in (FREE_PRISM, ROBOT, MAST):
         s = read(text, tmp_path).structure
         world = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
-        assert s.bar_mass.sum() + s.node_mass.sum() == pytest.approx(world.body_mass.sum(), rel=1e-12)
+        assert s.bar_mass.sum() + s.node_mass.sum() == pytest.approx(
+            world.body_mass.sum(), rel=1e-12
+        )
 
 
 TURNS = {
@@ -234,7 +273,14 @@ TURNS = {
         'zaxis="0.3 -1 -2"',
         'zaxis="0 0 -3"',
     ],
-    "radian": ['quat="0 0 -2 0"', 'axisangle="0 0 -1 3"', 'euler="1 -0.5 3"', 'xyaxes="0 0 1 0 1 0"', 'zaxis="0 0 1"', 'zaxis="1 0 0"'],
+    "radian": [
+        'quat="0 0 -2 0"',
+        'axisangle="0 0 -1 3"',
+        'euler="1 -0.5 3"',
+        'xyaxes="0 0 1 0 1 0"',
+        'zaxis="0 0 1"',
+        'zaxis="1 0 0"',
+    ],
 }
 
 
@@ -254,11 +300,18 @@ def test_orientations_are_as_mujoco_reads_them(angle: str, sequence: str, tmp_pa
     world = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(world)
     mujoco.mj_kinematics(world, data)
-    bodies_read = Bodies(read_elements(tmp_path / "scene.xml"), Defaults(Element("mujoco", {}, "", 1)), Units(angle == "degree", sequence), None)
+    bodies_read = Bodies(
+        read_elements(tmp_path / "scene.xml"),
+        Defaults(Element("mujoco", {}, "", 1)),
+        Units(angle == "degree", sequence),
+        None,
+    )
     for k, piece in bodies_read.moving():
         assert piece.anchor == pytest.approx(data.xanchor[k - 1], abs=1e-12)
         middle, axis = data.geom_xpos[k - 1], data.geom_xmat[k - 1].reshape(3, 3)[:, 2]
-        assert piece.shapes[0].rod.ends == pytest.approx(np.array([middle - axis / 2, middle + axis / 2]), abs=1e-12)
+        assert piece.shapes[0].rod.ends == pytest.approx(
+            np.array([middle - axis / 2, middle + axis / 2]), abs=1e-12
+        )
 
 
 FLOOR = """<mujoco>
@@ -288,7 +341,10 @@ def test_planes_become_grounds_of_the_nodes_that_touch_them(tmp_path: Path) -> N
     rough = sorted(s.bars[1].tolist())
     top = next(node for node in s.bars[0].tolist() if node != foot)
     floor = [ground for ground in scene.grounds if ground.normal == (0, 0, 1)]
-    assert {ground.nodes: ground.friction for ground in floor} == {(top,): 1.0, tuple(rough): 1.7}  # the greater of plane and geom
+    assert {ground.nodes: ground.friction for ground in floor} == {
+        (top,): 1.0,
+        tuple(rough): 1.7,
+    }  # the greater of plane and geom
     (wall,) = (ground for ground in scene.grounds if ground.normal != (0, 0, 1))
     assert wall.nodes == (top,)
     assert wall.friction is None
@@ -296,20 +352,29 @@ def test_planes_become_grounds_of_the_nodes_that_touch_them(tmp_path: Path) -> N
     assert wall.stiffness == pytest.approx(400 * 0.12)  # per the mass that MuJoCo reckons
     assert wall.damping == pytest.approx(6 * 0.12)
     assert all(ground.height == pytest.approx(-0.4 + 0.011) for ground in floor)
-    assert all(ground.stiffness == pytest.approx(0.12 / 0.02**2) for ground in floor)  # of MuJoCo's time constant and damping ratio
+    assert all(
+        ground.stiffness == pytest.approx(0.12 / 0.02**2) for ground in floor
+    )  # of MuJoCo's time constant and damping ratio
 
 
 def test_contacts_that_are_switched_off_leave_no_ground(tmp_path: Path) -> None:
     off = '<flag contact="disable"/></option>'
-    assert read(FLOOR.replace('integrator="RK4"/>', 'integrator="RK4">' + off), tmp_path).ground is None
+    assert (
+        read(FLOOR.replace('integrator="RK4"/>', 'integrator="RK4">' + off), tmp_path).ground
+        is None
+    )
     apart = FLOOR.replace("<contact>", '<contact><exclude body1="world" body2="two"/>')
-    assert {node for ground in read(apart, tmp_path).grounds for node in ground.nodes} <= set(read(apart, tmp_path).structure.bars[0].tolist())
+    assert {node for ground in read(apart, tmp_path).grounds for node in ground.nodes} <= set(
+        read(apart, tmp_path).structure.bars[0].tolist()
+    )
 
 
 def test_a_body_that_connect_pins_swings_as_in_mujoco(tmp_path: Path) -> None:
     scene = replace(read(FLOOR, tmp_path), ground=None)
     hung = FLOOR.replace("<connect", '<connect solref="2e-4 1" solimp="0.9999 0.9999 0.001"')
-    (tmp_path / "scene.xml").write_text(hung.replace('integrator="RK4"/>', 'integrator="RK4"><flag contact="disable"/></option>'))
+    (tmp_path / "scene.xml").write_text(
+        hung.replace('integrator="RK4"/>', 'integrator="RK4"><flag contact="disable"/></option>')
+    )
     run = tc.simulate(tc.Model(scene), 0.1, 1e-4, correction=tc.Projection(), compiled=False)
     theirs = sites(tmp_path / "scene.xml", 0.1)
     assert abs(run.nodes[-1] - run.nodes[0]).max() > 0.01
@@ -339,7 +404,11 @@ def test_what_mujoco_saves_reads_back(name: str, joints: Any, tmp_path: Path) ->
 
 def test_a_servo_told_as_a_general_actuator_is_a_control_by_rest_lengths(tmp_path: Path) -> None:
     law = 'gaintype="fixed" gainprm="50" biastype="affine" biasprm="0 -50 -2" ctrlrange="0 1"'
-    text = MAST.replace(' stiffness="100"', "").replace(' stiffness="50"', "").replace('"0 0.5"', '"-1"')
+    text = (
+        MAST.replace(' stiffness="100"', "")
+        .replace(' stiffness="50"', "")
+        .replace('"0 0.5"', '"-1"')
+    )
     actuators = f'<actuator><general tendon="up" {law}/><position tendon="down" kp="50" kv="2"/></actuator></mujoco>'
     scene = read(text.replace("</mujoco>", actuators), tmp_path)
     assert scene.control == tc.RestLength()

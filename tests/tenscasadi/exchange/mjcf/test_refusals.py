@@ -20,7 +20,9 @@ SITES = '<site name="a"/><site name="b" pos="1 0 0"/>'
 STRING = '<spatial stiffness="1"><site site="a"/><site site="w"/></spatial>'
 
 
-def file(body: str = FREE + ROD + SITES, tendon: str = STRING, more: str = "", world: str = "") -> str:
+def file(
+    body: str = FREE + ROD + SITES, tendon: str = STRING, more: str = "", world: str = ""
+) -> str:
     """A file of one bar and one string, each line an element of its own."""
     inside = f'<worldbody>\n<site name="w" pos="0 1 0"/>{world}\n<body name="bar">{body}</body>\n</worldbody>\n<tendon>{tendon}</tendon>\n{more}\n'
     return f"<mujoco>\n{inside}</mujoco>"
@@ -149,8 +151,15 @@ def test_sizes_are_checked_before_memory_is_taken(tmp_path: Path) -> None:
     assert "16 MB" in refusal(b"<mujoco>" + b" " * 16_000_000 + b"</mujoco>", tmp_path)
     assert "nested more than" in refusal("<mujoco><worldbody>" + "<body>" * (DEEPEST + 1), tmp_path)
     assert "nested more than" in refusal("<mujoco>" + "<default>" * (DEEPEST + 1), tmp_path)
-    assert "more than 100000 elements" in refusal("<mujoco><worldbody>" + "<site/>" * 100_001, tmp_path)
-    deep = "<mujoco><worldbody>" + "<body>" * (DEEPEST - 3) + "</body>" * (DEEPEST - 3) + "</worldbody></mujoco>"
+    assert "more than 100000 elements" in refusal(
+        "<mujoco><worldbody>" + "<site/>" * 100_001, tmp_path
+    )
+    deep = (
+        "<mujoco><worldbody>"
+        + "<body>" * (DEEPEST - 3)
+        + "</body>" * (DEEPEST - 3)
+        + "</worldbody></mujoco>"
+    )
     assert "nodes is empty" in refusal(deep, tmp_path)
 
 
@@ -166,7 +175,26 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
         tc.import_mjcf(tmp_path / "fifo")
 
 
-ODD = ["", "nan", "-1", "0", "1e308", "x", "1 2 3 4 5 6 7", "0 0 0", "true", "🦴", "1e-300", "-1 -1", "&lt;", " ", "auto", "n0", "bar1", "ground0"]
+ODD = [
+    "",
+    "nan",
+    "-1",
+    "0",
+    "1e308",
+    "x",
+    "1 2 3 4 5 6 7",
+    "0 0 0",
+    "true",
+    "🦴",
+    "1e-300",
+    "-1 -1",
+    "&lt;",
+    " ",
+    "auto",
+    "n0",
+    "bar1",
+    "ground0",
+]
 
 
 def damaged(draw: random.Random, text: str) -> str:
@@ -180,7 +208,11 @@ def damaged(draw: random.Random, text: str) -> str:
         spot = draw.choice(list(re.finditer(r"<\w+[^<>]*/>", text)))
         return text[: spot.start()] + spot.group() * draw.choice([0, 2]) + text[spot.end() :]
     spot = draw.choice(list(re.finditer(r"(?<=<)\w+|(?<= )\w+(?==)", text)))
-    return text[: spot.start()] + draw.choice(["geom", "joint", "site", "body", "pos", "default", "size", "mass"]) + text[spot.end() :]
+    return (
+        text[: spot.start()]
+        + draw.choice(["geom", "joint", "site", "body", "pos", "default", "size", "mass"])
+        + text[spot.end() :]
+    )
 
 
 @pytest.mark.parametrize("joints", ["ball", "connect"])
@@ -188,7 +220,9 @@ def test_damaged_files_are_refused_or_of_use(joints: str, tmp_path: Path) -> Non
     s = tc.shapes.d_bar(pinned=[0], node_mass=0.1, stiffness=1000.0, prestress=50.0)
     ground = tc.Ground(height=-2.0, friction=0.4)
     path, draw = tmp_path / "scene.xml", random.Random(1)
-    whole = tc.export_mjcf(tc.Scene(s, ground=ground, control=tc.RestLength()), path, joints=joints).read_text()
+    whole = tc.export_mjcf(
+        tc.Scene(s, ground=ground, control=tc.RestLength()), path, joints=joints
+    ).read_text()
     used = 0
     for _ in range(300):
         text = damaged(draw, whole)

@@ -64,10 +64,14 @@ def load(folder, text, **options):
 
 def test_rods_and_strings_in_si_units(tmp_path):
     box = load(tmp_path, BOX, length_unit=0.1)
-    assert box.nodes.tolist() == pytest.approx(0.1 * np.array([(0, 0, 0), (4, 0, 0), (4, -4, 0), (0, 0, 3), (4, 0, 3), (4, -4, 3)]))
+    assert box.nodes.tolist() == pytest.approx(
+        0.1 * np.array([(0, 0, 0), (4, 0, 0), (4, -4, 0), (0, 0, 3), (4, 0, 3), (4, -4, 3)])
+    )
     assert box.bars.tolist() == [[0, 3], [1, 4], [2, 5]]
     assert box.strings.tolist()[:3] == [[0, 1], [1, 2], [2, 0]]
-    assert box.bar_mass == pytest.approx(np.pi * 0.25**2 * 3 * 0.5)  # kg: density is per unit of volume
+    assert box.bar_mass == pytest.approx(
+        np.pi * 0.25**2 * 3 * 0.5
+    )  # kg: density is per unit of volume
     assert box.bar_radius == pytest.approx(0.025)
     assert set(box.stiffness) == {200.0}  # kg/s² in any unit of length
     assert set(box.damping) == {3.0}
@@ -85,23 +89,37 @@ def test_defaults_are_those_of_ntrt(tmp_path):
 
 
 def test_builders_fit_by_tags_the_last_one_wins_and_rods_come_first(tmp_path):
-    more = BOX + "  tall rod:\n    class: tgRodInfo\n    parameters: {density: 2}\n  tall:\n    class: tgKinematicActuatorInfo\n"
+    more = (
+        BOX
+        + "  tall rod:\n    class: tgRodInfo\n    parameters: {density: 2}\n  tall:\n    class: tgKinematicActuatorInfo\n"
+    )
     assert load(tmp_path, more).bar_mass == pytest.approx(np.pi * 0.5**2 * 3 * 2)
-    swapped = BOX.replace("  string:\n    class: tgBasicActuatorInfo", "  muscle:\n    class: tgBasicContactCableInfo")
+    swapped = BOX.replace(
+        "  string:\n    class: tgBasicActuatorInfo", "  muscle:\n    class: tgBasicContactCableInfo"
+    )
     assert set(load(tmp_path, swapped).stiffness) == {1000.0}
-    assert set(load(tmp_path, swapped.replace("  string:\n    - [a0", "  string muscle:\n    - [a0")).stiffness) == {200.0}
+    assert set(
+        load(
+            tmp_path, swapped.replace("  string:\n    - [a0", "  string muscle:\n    - [a0")
+        ).stiffness
+    ) == {200.0}
 
 
 def test_nodes_that_nothing_uses_are_left_out_and_those_at_one_place_are_one(tmp_path):
     box = load(
-        tmp_path, BOX.replace("pair_groups", "  spare: [9, 9, 9]\n  b0_again: [4, 1.0e-12, 0]\npair_groups").replace("[a0, b0]", "[a0, b0_again]")
+        tmp_path,
+        BOX.replace(
+            "pair_groups", "  spare: [9, 9, 9]\n  b0_again: [4, 1.0e-12, 0]\npair_groups"
+        ).replace("[a0, b0]", "[a0, b0_again]"),
     )
     assert len(box.nodes) == 6
     assert box.strings[0].tolist() == [0, 1]
 
 
 def joined(attributes="", bonds="", more="") -> str:
-    return f"substructures:\n  low/high:\n    path: parts/box.yaml\n    {attributes}\n{bonds}\n{more}"
+    return (
+        f"substructures:\n  low/high:\n    path: parts/box.yaml\n    {attributes}\n{bonds}\n{more}"
+    )
 
 
 STRUNG = "bond_groups:\n  string:\n    low/high/node_node:\n      - [a1, a0]\n      - [b1, b0]\n"
@@ -117,26 +135,40 @@ def test_substructures_are_turned_scaled_and_moved(tmp_path):
     grown = turned.mean(axis=0) + 2 * (turned - turned.mean(axis=0)) + [1, 0, 0]
     for k, nodes in enumerate((both.nodes[:6], both.nodes[6:])):
         assert nodes[:, [0, 2, 1]] * [1, 1, -1] == pytest.approx(grown + k * np.array([0, 5, 0]))
-    assert both.strings[:2].tolist() == [[3, 6], [4, 7]]  # bonds stand in the whole, before its parts
+    assert both.strings[:2].tolist() == [
+        [3, 6],
+        [4, 7],
+    ]  # bonds stand in the whole, before its parts
     assert both.bar_mass == pytest.approx(np.pi * 0.25**2 * 6 * 0.5)
 
 
 def test_substructures_turn_about_their_middle(tmp_path):
     write(tmp_path / "parts", BOX, "box.yaml")
-    both = load(tmp_path, joined("rotation: {axis: [1, 1, 0], angle: -30}\n    offset: [20, 0, 0]", STRUNG))
+    both = load(
+        tmp_path, joined("rotation: {axis: [1, 1, 0], angle: -30}\n    offset: [20, 0, 0]", STRUNG)
+    )
     box = load(tmp_path, BOX).nodes
     assert both.nodes[:6].mean(axis=0) == pytest.approx(box.mean(axis=0))
-    assert np.linalg.norm(both.nodes[:6, None] - both.nodes[None, :6], axis=2) == pytest.approx(np.linalg.norm(box[:, None] - box[None], axis=2))
+    assert np.linalg.norm(both.nodes[:6, None] - both.nodes[None, :6], axis=2) == pytest.approx(
+        np.linalg.norm(box[:, None] - box[None], axis=2)
+    )
 
 
-def test_the_builder_of_the_whole_wins_over_those_of_its_parts_and_names_of_parts_are_tags(tmp_path):
+def test_the_builder_of_the_whole_wins_over_those_of_its_parts_and_names_of_parts_are_tags(
+    tmp_path,
+):
     write(tmp_path / "parts", BOX, "box.yaml")
     own = "builders:\n  string:\n    class: tgBasicActuatorInfo\n    parameters: {stiffness: 7}\n"
     both = load(tmp_path, joined("offset: [0, 9, 0]", STRUNG, own))
     assert set(both.stiffness) == {7.0}
     high = "builders:\n  string high:\n    class: tgBasicActuatorInfo\n    parameters: {stiffness: 7}\n"
     both = load(tmp_path, joined("offset: [0, 9, 0]", STRUNG, high))
-    assert both.stiffness.tolist() == [7.0, 7.0, *[200.0] * 6, *[7.0] * 6]  # bonds have the names of both as tags
+    assert both.stiffness.tolist() == [
+        7.0,
+        7.0,
+        *[200.0] * 6,
+        *[7.0] * 6,
+    ]  # bonds have the names of both as tags
 
 
 EDGES = """bond_groups:
@@ -146,13 +178,15 @@ EDGES = """bond_groups:
       - [b1, b0/c0]
       - [c1, c0/a0]
 """
-# a twisted prism on an equilateral triangle: its upper nodes can meet the middles of the next one's lower strings
+# a twisted prism on an equilateral triangle: its upper nodes can meet the middles of the next one's
+# lower strings
 CORNERS = [(float(np.cos(angle)), float(np.sin(angle))) for angle in np.deg2rad([0, 120, 240])]
 TRIANGLE = BOX
 for _place, (_x, _z) in enumerate(CORNERS):
     for _old, _half, _height in (("0", 2, 0), ("1", 1, 3)):
         TRIANGLE = TRIANGLE.replace(
-            ["  %s: [0, %d, 0]", "  %s: [4, %d, 0]", "  %s: [4, %d, 4]"][_place] % ("abc"[_place] + _old, _height),
+            ["  %s: [0, %d, 0]", "  %s: [4, %d, 0]", "  %s: [4, %d, 4]"][_place]
+            % ("abc"[_place] + _old, _height),
             f"  {'abc'[_place]}{_old}: [{_half * _x!r}, {_height}, {_half * _z!r}]",
         )
 
@@ -163,28 +197,49 @@ def test_nodes_meet_the_middles_of_strings(tmp_path):
     low, high = both.nodes[:6], both.nodes[6:]
     assert np.ptp(both.nodes[:, 2]) == pytest.approx(6.0)
     for node, (first, last) in zip(low[3:], ((0, 1), (1, 2), (2, 0)), strict=True):
-        assert node == pytest.approx((high[first] + high[last]) / 2, abs=1e-9)  # side 2√3: its middle is at 1 from the axis
-    assert len(both.strings) == 12 - 3 - 3 + 6  # edges and strings between the nodes give way to two for each edge
+        assert node == pytest.approx(
+            (high[first] + high[last]) / 2, abs=1e-9
+        )  # side 2√3: its middle is at 1 from the axis
+    assert (
+        len(both.strings) == 12 - 3 - 3 + 6
+    )  # edges and strings between the nodes give way to two for each edge
     assert both.strings[:2].tolist() == [[6, 3], [3, 7]]
     assert both.string_lengths[:6] == pytest.approx(np.sqrt(3))
     apart = np.linalg.norm(low[:, None] - low[None], axis=2)
-    assert np.linalg.norm(high[:, None] - high[None], axis=2) == pytest.approx(apart)  # moved as a rigid body
+    assert np.linalg.norm(high[:, None] - high[None], axis=2) == pytest.approx(
+        apart
+    )  # moved as a rigid body
 
 
 def test_a_substructure_upside_down_is_turned_about(tmp_path):
     write(tmp_path / "parts", TRIANGLE, "box.yaml")
-    below = EDGES.replace("[a1, a0/b0]", "[a0/b0, a1]").replace("[b1, b0/c0]", "[b0/c0, b1]").replace("[c1, c0/a0]", "[c0/a0, c1]")
+    below = (
+        EDGES.replace("[a1, a0/b0]", "[a0/b0, a1]")
+        .replace("[b1, b0/c0]", "[b0/c0, b1]")
+        .replace("[c1, c0/a0]", "[c0/a0, c1]")
+    )
     assert np.ptp(load(tmp_path, joined(bonds=below)).nodes[:, 2]) == pytest.approx(6.0)
-    mirrored = EDGES.replace("b1, b0/c0", "x").replace("c1, c0/a0", "b1, c0/a0").replace("x", "c1, b0/c0")
-    flat = load(tmp_path, joined(bonds=mirrored)).nodes  # the other way round about the normal: the second one hangs down
+    mirrored = (
+        EDGES.replace("b1, b0/c0", "x").replace("c1, c0/a0", "b1, c0/a0").replace("x", "c1, b0/c0")
+    )
+    flat = load(
+        tmp_path, joined(bonds=mirrored)
+    ).nodes  # the other way round about the normal: the second one hangs down
     assert np.ptp(flat[:, 2]) == pytest.approx(3.0)
     for node, (first, last) in zip(flat[3:6], ((0, 1), (2, 0), (1, 2)), strict=True):
         assert node == pytest.approx((flat[6 + first] + flat[6 + last]) / 2, abs=1e-9)
 
 
 def test_rods_that_meet_are_welded_by_ntrt_and_refused(tmp_path):
-    corner = BOX.replace("[b0, b1]", "[a0, b1]").replace("    - [b0, c0]\n", "").replace("    - [a0, b0]\n", "")
-    with pytest.raises(ValueError, match=r"x\.yaml: 2 rods meet at node a0: NTRT welds them .* give ball_joints=True"):
+    corner = (
+        BOX.replace("[b0, b1]", "[a0, b1]")
+        .replace("    - [b0, c0]\n", "")
+        .replace("    - [a0, b0]\n", "")
+    )
+    with pytest.raises(
+        ValueError,
+        match=r"x\.yaml: 2 rods meet at node a0: NTRT welds them .* give ball_joints=True",
+    ):
         load(tmp_path, corner)
     jointed = load(tmp_path, corner, ball_joints=True)
     assert len(jointed.bars) == 3
@@ -194,26 +249,62 @@ def test_rods_that_meet_are_welded_by_ntrt_and_refused(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("nodes:", "knots:", "line 2: knots is not known: the keys here are nodes, pair_groups, builders, substructures, bond_groups"),
+        (
+            "nodes:",
+            "knots:",
+            "line 2: knots is not known: the keys here are nodes, pair_groups, builders, substructures, bond_groups",
+        ),
         ("  b0: [4, 0, 0]", "  b0: [4, 0]", "line 4: b0 is 'a list': give a list of 3"),
         ("  b0: [4, 0, 0]", "  b0: [4, 0, x]", "line 4: b0 is 'x': give a number"),
         ("  b0: [4, 0, 0]", "  b0: [4, 0, .inf]", "line 4: b0 is '.inf': give a"),
         ("  b0: [4, 0, 0]", "  b0: [4, 0, 1e300]", "line 4: b0 is '1e300': give a finite number"),
         ("  b0: [4, 0, 0]", "  a0: [4, 0, 0]", "line 4: a0 is given twice: leave one out"),
         ("    - [a0, b0]", "    - [a0, b9]", "line 15: string names the node 'b9': there is none"),
-        ("    - [a0, b0]", "    - [a0, box.b0]", "line 15: string names the substructure 'box': there is none"),
+        (
+            "    - [a0, b0]",
+            "    - [a0, box.b0]",
+            "line 15: string names the substructure 'box': there is none",
+        ),
         ("    - [a0, b0]", "    - [a0, b0, c0]", "line 15: string is 'a list': give a list of 2"),
-        ("    - [a0, b0]", "    - [a0, a0]", "line 15: string joins a0 and a0, which are at one place"),
-        ("  string:\n    - [a0", "  cable:\n    - [a0", "line 15: cable has the tags cable, which no builder fits: NTRT builds nothing there"),
-        ("class: tgRodInfo", "class: tgBoxInfo", "line 23: class of rod is 'tgBoxInfo': only tgRodInfo, "),
+        (
+            "    - [a0, b0]",
+            "    - [a0, a0]",
+            "line 15: string joins a0 and a0, which are at one place",
+        ),
+        (
+            "  string:\n    - [a0",
+            "  cable:\n    - [a0",
+            "line 15: cable has the tags cable, which no builder fits: NTRT builds nothing there",
+        ),
+        (
+            "class: tgRodInfo",
+            "class: tgBoxInfo",
+            "line 23: class of rod is 'tgBoxInfo': only tgRodInfo, ",
+        ),
         ("    class: tgRodInfo\n", "", "line 22: rod has no class: give one of tgRodInfo"),
-        ("radius: 0.25", "girth: 0.25", "line 24: girth is not known: the keys here are radius, density, friction"),
-        ("stiffness: 200", "stiffness: 0", "line 28: stiffness of string is 0: it must be greater than 0"),
+        (
+            "radius: 0.25",
+            "girth: 0.25",
+            "line 24: girth is not known: the keys here are radius, density, friction",
+        ),
+        (
+            "stiffness: 200",
+            "stiffness: 0",
+            "line 28: stiffness of string is 0: it must be greater than 0",
+        ),
         ("damping: 3", "damping: -3", "line 29: damping of string is -3: it must be at least 0"),
-        ("pretension: 100", "pretension: 800", "line 15: string has the pretension 800 on a length of 4: it must be less than 800"),
+        (
+            "pretension: 100",
+            "pretension: 800",
+            "line 15: string has the pretension 800 on a length of 4: it must be less than 800",
+        ),
         ("    - [a0, a1]\n", "", "node a0 has strings, and no rod ends there"),
         ("    - [b0, c0]", "    - [a1, b1\n    - [b0, c0]", "line 17: this is no YAML"),
-        ("nodes:", "nodes: !!python/object/apply:os.system ['touch hacked']\nmore:", "line 3: more is not known"),
+        (
+            "nodes:",
+            "nodes: !!python/object/apply:os.system ['touch hacked']\nmore:",
+            "line 3: more is not known",
+        ),
         ("nodes:", "nodes: &a {x: *a}\nmore:", "an alias in line 2 holds itself"),
     ],
 )
@@ -232,21 +323,54 @@ def test_what_is_wrong_is_told_with_file_line_and_cure(old, new, told, tmp_path,
     [
         (joined("size: 3"), "line 4: size is not known: the keys here are path, rotation"),
         (joined("rotation: {angle: 3}"), "line 4: rotation needs an axis and an angle"),
-        (joined("rotation: {axis: [0, 0, 0], angle: 3}"), "line 4: axis is (0, 0, 0): give a direction"),
-        (joined().replace("parts/box.yaml", "../box.yaml"), "path is '../box.yaml': give a .yaml file in"),
-        (joined().replace("parts/box.yaml", "/etc/passwd"), "path is '/etc/passwd': give a .yaml file in"),
-        (joined().replace("parts/box.yaml", "parts/box.txt"), "path is 'parts/box.txt': give a .yaml file in"),
-        (joined().replace("parts/box.yaml", "parts/none.yaml"), "path is 'parts/none.yaml': there is no such file"),
+        (
+            joined("rotation: {axis: [0, 0, 0], angle: 3}"),
+            "line 4: axis is (0, 0, 0): give a direction",
+        ),
+        (
+            joined().replace("parts/box.yaml", "../box.yaml"),
+            "path is '../box.yaml': give a .yaml file in",
+        ),
+        (
+            joined().replace("parts/box.yaml", "/etc/passwd"),
+            "path is '/etc/passwd': give a .yaml file in",
+        ),
+        (
+            joined().replace("parts/box.yaml", "parts/box.txt"),
+            "path is 'parts/box.txt': give a .yaml file in",
+        ),
+        (
+            joined().replace("parts/box.yaml", "parts/none.yaml"),
+            "path is 'parts/none.yaml': there is no such file",
+        ),
         (joined().replace("parts/box.yaml", "x.yaml"), "path is 'x.yaml', which holds itself"),
         (joined().replace("path: parts/box.yaml", ""), "low/high has no path"),
-        (joined(bonds=STRUNG.replace("node_node", "node_face")), "is of the bond low/high/node_face: give two substructures or more"),
-        (joined(bonds=STRUNG.replace("low/high/node_node", "node_node")), "stands in string: give tags and a bond"),
-        (joined(bonds=STRUNG.replace("low/high", "low/top")), "names the substructure 'top': there is none"),
-        (joined(bonds=EDGES.replace("      - [c1, c0/a0]\n", "")), "has fewer than 3 pairs of a node and an edge"),
+        (
+            joined(bonds=STRUNG.replace("node_node", "node_face")),
+            "is of the bond low/high/node_face: give two substructures or more",
+        ),
+        (
+            joined(bonds=STRUNG.replace("low/high/node_node", "node_node")),
+            "stands in string: give tags and a bond",
+        ),
+        (
+            joined(bonds=STRUNG.replace("low/high", "low/top")),
+            "names the substructure 'top': there is none",
+        ),
+        (
+            joined(bonds=EDGES.replace("      - [c1, c0/a0]\n", "")),
+            "has fewer than 3 pairs of a node and an edge",
+        ),
         (joined(bonds=EDGES.replace("c0/a0", "c0")), "does not pair a node with an edge"),
         (joined(bonds=EDGES.replace("c0/a0", "c0/a0/b0")), "an edge has two ends"),
-        (joined(bonds=EDGES.replace("c0/a0", "a0/a1")), "has the rod a0/a1 for an edge: only strings can be edges"),
-        (joined(bonds=EDGES.replace("[c1, c0/a0]", "[a1, a0/b0]")), "pairs places on one line: their first three must span a plane"),
+        (
+            joined(bonds=EDGES.replace("c0/a0", "a0/a1")),
+            "has the rod a0/a1 for an edge: only strings can be edges",
+        ),
+        (
+            joined(bonds=EDGES.replace("[c1, c0/a0]", "[a1, a0/b0]")),
+            "pairs places on one line: their first three must span a plane",
+        ),
         (joined(), "2 rods meet at node a0: NTRT welds them"),  # both parts at one place
     ],
 )
@@ -261,13 +385,19 @@ def test_wrong_substructures_and_bonds_are_told(text, told, tmp_path):
 
 def test_other_folders_are_opened_where_they_are_named(tmp_path):
     write(tmp_path / "parts", BOX, "box.yaml")
-    path = write(tmp_path / "wholes", joined("offset: [0, 9, 0]", STRUNG).replace("parts/box.yaml", "../parts/box.yaml"))
+    path = write(
+        tmp_path / "wholes",
+        joined("offset: [0, 9, 0]", STRUNG).replace("parts/box.yaml", "../parts/box.yaml"),
+    )
     with pytest.raises(ValueError, match="or another folder by load_ntrt"):
         tc.load_ntrt(path)
     assert len(tc.load_ntrt(path, folder=tmp_path).bars) == 6
 
 
-LAUGHS = "a: &a [x, x]\n" + "".join(f"{name}: &{name} [{', '.join(['*' + before] * 10)}]\n" for before, name in pairwise("abcdefghij"))
+LAUGHS = "a: &a [x, x]\n" + "".join(
+    f"{name}: &{name} [{', '.join(['*' + before] * 10)}]\n"
+    for before, name in pairwise("abcdefghij")
+)
 
 
 @pytest.mark.parametrize(
@@ -327,5 +457,7 @@ def test_wrong_arguments_and_what_is_missing(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError):
         tc.load_ntrt(tmp_path / "missing.yaml")
     monkeypatch.setitem(sys.modules, "yaml", None)
-    with pytest.raises(ImportError, match=r"load_ntrt needs PyYAML: pip install 'tenscasadi\[exchange\]'"):
+    with pytest.raises(
+        ImportError, match=r"load_ntrt needs PyYAML: pip install 'tenscasadi\[exchange\]'"
+    ):
         tc.load_ntrt(path)

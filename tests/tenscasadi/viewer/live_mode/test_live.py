@@ -58,7 +58,11 @@ def pixel(motion, page, point):
     size = page.viewport_size
     away = np.asarray(point) - place
     scale = size["height"] / 2 / np.tan(camera.fov / 2) / (away @ ahead)
-    return size["width"] / 2 + scale * (away @ right), size["height"] / 2 - scale * (away @ np.cross(right, ahead)), scale
+    return (
+        size["width"] / 2 + scale * (away @ right),
+        size["height"] / 2 - scale * (away @ np.cross(right, ahead)),
+        scale,
+    )
 
 
 def test_people_drive_pull_save_and_reset(shown, tmp_path):
@@ -96,7 +100,11 @@ def pull(motion, page):
         page.wait_for_timeout(30)
     wait_until(page, lambda: run.pull is not None, "the mouse has got hold of a node")
     assert run.pull.node == node
-    wait_until(page, lambda: abs(pixel(motion, page, run.pull.target)[0] - (x - 0.4 * scale)) < 3, "the spring ends at the pointer")
+    wait_until(
+        page,
+        lambda: abs(pixel(motion, page, run.pull.target)[0] - (x - 0.4 * scale)) < 3,
+        "the spring ends at the pointer",
+    )
     wait_until(page, lambda: np.linalg.norm(run.nodes[node] - begin) > 0.2, "the node follows")
     assert motion._stage._arrow.visible
     wait_until(page, lambda: "pull at node 3" in status(page), "the panel tells")
@@ -135,12 +143,18 @@ def test_a_motion_that_breaks_down_says_so_on_the_page_and_starts_again(open_pag
     stiff = tc.Scene(PRISM.structure.replace(stiffness=1e6, damping=0.0))
     with quiet(stiff, stepping=Stepping(step=0.01, compiled=False)) as motion:
         page = open_page(motion.url, width=1000, height=700)
-        motion.do(lambda: motion.simulation.set_control([0], 0.5 * motion.simulation.start_control[0]))
+        motion.do(
+            lambda: motion.simulation.set_control([0], 0.5 * motion.simulation.start_control[0])
+        )
         wait_until(page, lambda: "Reset starts again" in status(page), "the page says so")
         assert "try step=" in status(page)
         press(page, "Pause")
         press(page, "Reset")
-        wait_until(page, lambda: motion.simulation.time == 0 and not motion.simulation.fault, "it is at the start")
+        wait_until(
+            page,
+            lambda: motion.simulation.time == 0 and not motion.simulation.fault,
+            "it is at the start",
+        )
         wait_until(page, lambda: "Reset" not in status(page), "the message goes")
         press(page, "Go on")
         wait_until(page, lambda: motion.simulation.time > 0, "it goes on")
@@ -155,7 +169,9 @@ def test_a_page_that_is_closed_lets_go(open_page):
         page.mouse.move(x, y)
         page.mouse.down()
         page.mouse.move(x - 0.2 * scale, y, steps=5)
-        wait_until(page, lambda: motion.simulation.pull is not None, "the mouse has got hold of a node")
+        wait_until(
+            page, lambda: motion.simulation.pull is not None, "the mouse has got hold of a node"
+        )
         page.close()
         wait_for(lambda: motion.simulation.pull is None, "nobody pulls any more")
 
@@ -169,24 +185,62 @@ def test_messages_that_no_page_of_ours_sends_do_nothing(tmp_path):
         with connect(motion._server) as page:
             say(page, **CAMERA)
             wait_for(motion._server.get_clients, "the page is known")
-            drag = {"type": "SceneNodeDragMessage", "start_screen_pos": (0.5, 0.5), "end_screen_pos": (0.5, 0.5), "button": "left", "modifier": None}
-            drag |= {"owner": layer.nodes._impl.api._owner_id, "start_position": (0.0, 0.0, 0.0), "end_position": (1.0, 0.0, 0.0)}
+            drag = {
+                "type": "SceneNodeDragMessage",
+                "start_screen_pos": (0.5, 0.5),
+                "end_screen_pos": (0.5, 0.5),
+                "button": "left",
+                "modifier": None,
+            }
+            drag |= {
+                "owner": layer.nodes._impl.api._owner_id,
+                "start_position": (0.0, 0.0, 0.0),
+                "end_position": (1.0, 0.0, 0.0),
+            }
             for name in (layer.nodes.name, layer.bars.name, layer.strings.name):
                 for index in (10**9, -5, None, np.inf):
                     say(page, **drag, name=name, phase="start", instance_index=index)
                 for place in ((np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0), (1e300, 1e300, 1e300)):
-                    say(page, **{**drag, "end_position": place}, name=name, phase="start", instance_index=0)
-                    say(page, **{**drag, "start_position": place}, name=name, phase="start", instance_index=0)
+                    say(
+                        page,
+                        **{**drag, "end_position": place},
+                        name=name,
+                        phase="start",
+                        instance_index=0,
+                    )
+                    say(
+                        page,
+                        **{**drag, "start_position": place},
+                        name=name,
+                        phase="start",
+                        instance_index=0,
+                    )
                     say(page, **drag, name=name, phase="end", instance_index=0)
             for slider, entry in motion.panel._inputs:
                 for value in ("nan", "inf", -1e9, 1e300, True):
-                    say(page, type="GuiUpdateMessage", uuid=entry._impl.uuid, updates={"value": value})
-                say(page, type="GuiUpdateMessage", uuid=entry._impl.uuid, updates={"value": slider.low})
-            wait_for(lambda: motion.simulation.control[-1] == motion.panel._inputs[-1][0].low, "all has been heard")
+                    say(
+                        page,
+                        type="GuiUpdateMessage",
+                        uuid=entry._impl.uuid,
+                        updates={"value": value},
+                    )
+                say(
+                    page,
+                    type="GuiUpdateMessage",
+                    uuid=entry._impl.uuid,
+                    updates={"value": slider.low},
+                )
+            wait_for(
+                lambda: motion.simulation.control[-1] == motion.panel._inputs[-1][0].low,
+                "all has been heard",
+            )
             assert motion._thread.is_alive()
             assert np.isfinite(motion.simulation.nodes).all()
             say(page, **drag, name=layer.nodes.name, phase="start", instance_index=2)
-            wait_for(lambda: motion.simulation.pull is not None and motion.simulation.pull.node == 2, "what is right is heard")
+            wait_for(
+                lambda: motion.simulation.pull is not None and motion.simulation.pull.node == 2,
+                "what is right is heard",
+            )
         assert os.listdir(tmp_path) == []
 
 
@@ -238,7 +292,9 @@ def test_what_falls_is_followed():
         pause(motion)
         assert motion.simulation.nodes[:, 2].max() < 0
         shown = np.array(stage.layer.nodes.batched_positions)
-        np.testing.assert_allclose(shown.mean(axis=0), PRISM.structure.nodes.mean(axis=0), atol=1e-5)
+        np.testing.assert_allclose(
+            shown.mean(axis=0), PRISM.structure.nodes.mean(axis=0), atol=1e-5
+        )
         np.testing.assert_allclose(stage.place(shown), motion.simulation.nodes, atol=1e-5)
     grounded = tc.Scene(PRISM.structure, gravity=tc.Gravity(), ground=tc.Ground(height=-2.0))
     with quiet(grounded) as motion:
@@ -248,14 +304,18 @@ def test_what_falls_is_followed():
         wait_for(lambda: motion.simulation.time > 0.3, "it falls")
         pause(motion)
         shown = np.array(stage.layer.nodes.batched_positions) + stage.canvas.root.position
-        np.testing.assert_allclose(shown.mean(axis=0), PRISM.structure.nodes.mean(axis=0), atol=1e-5)
+        np.testing.assert_allclose(
+            shown.mean(axis=0), PRISM.structure.nodes.mean(axis=0), atol=1e-5
+        )
         np.testing.assert_allclose(stage.place(shown), motion.simulation.nodes, atol=1e-5)
     with quiet() as motion:
         assert not motion._stage.followed
 
 
 def test_force_densities_have_sliders_and_colours():
-    with quiet(tc.Scene(PRISM.structure, control=tc.ForceDensity()), groups={"ring": [0, 1, 2]}) as motion:
+    with quiet(
+        tc.Scene(PRISM.structure, control=tc.ForceDensity()), groups={"ring": [0, 1, 2]}
+    ) as motion:
         motion.do(lambda: motion.panel._drive(1, 0.0))
         wait_for(lambda: (motion.simulation.control[:3] == 0).all(), "they are driven")
         motion.do(lambda: motion._stage.recolour("force density"))

@@ -17,7 +17,14 @@ VIRTUAL = Stepping(compiled=False)
 
 def mass_on_a_string(**options):
     """1 kg that hangs 1 m below a pin, by a string of 0.9 m and 100 N/m."""
-    structure = tc.Structure([(0, 0, 0), (0, 0, -1)], strings=[(0, 1)], node_mass=[0, 1.0], pinned=[0], stiffness=100.0, rest_length=0.9)
+    structure = tc.Structure(
+        [(0, 0, 0), (0, 0, -1)],
+        strings=[(0, 1)],
+        node_mass=[0, 1.0],
+        pinned=[0],
+        stiffness=100.0,
+        rest_length=0.9,
+    )
     return tc.Scene(structure, **options)
 
 
@@ -29,13 +36,22 @@ def test_what_is_done_by_hand_is_what_simulate_does_of_a_table():
         table.append(run.control)
         assert run.advance() == 1
     scene = tc.Scene(PRISM, control=tc.RestLength(), gravity=tc.Gravity((0, 0, -1.0)))
-    same = tc.simulate(tc.Model(scene), 12 * run.tick, run.step, control=np.array(table), correction=tc.Projection(), save_every=run.substeps)
+    same = tc.simulate(
+        tc.Model(scene),
+        12 * run.tick,
+        run.step,
+        control=np.array(table),
+        correction=tc.Projection(),
+        save_every=run.substeps,
+    )
     kept = run.trajectory()
     assert same.step == pytest.approx(run.step)
     np.testing.assert_allclose(kept.nodes, same.nodes, rtol=0, atol=1e-9)
     np.testing.assert_allclose(kept.control[:-1], same.control[:-1], rtol=0, atol=0)
     np.testing.assert_allclose(kept.energy_error, same.energy_error, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(kept.correction_shift[:-1], same.correction_shift[:-1], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        kept.correction_shift[:-1], same.correction_shift[:-1], rtol=0, atol=1e-9
+    )
     assert kept.success
     assert len(kept.parameters) == 0
 
@@ -54,12 +70,20 @@ def test_a_pull_is_the_force_of_a_damped_spring():
         q, v = y[:3], y[3:]
         length = np.linalg.norm(q)
         string = -100.0 * max(length - 0.9, 0.0) * q / length
-        return np.concatenate([v, string + [0, 0, -9.81] + forces[min(int(t / run.tick + 1e-9), 29)]])
+        return np.concatenate(
+            [v, string + [0, 0, -9.81] + forces[min(int(t / run.tick + 1e-9), 29)]]
+        )
 
     y = np.array([0, 0, -1.0, 0, 0, 0])
     for k in range(30):
         span = (k * run.tick, (k + 1) * run.tick)
-        y = solve_ivp(lambda t, y, force=forces[k], begin=span[0]: rate(begin, y), span, y, rtol=1e-10, atol=1e-12).y[:, -1]
+        y = solve_ivp(
+            lambda t, y, force=forces[k], begin=span[0]: rate(begin, y),
+            span,
+            y,
+            rtol=1e-10,
+            atol=1e-12,
+        ).y[:, -1]
     np.testing.assert_allclose(run.nodes[1], y[:3], atol=1e-6)
     np.testing.assert_allclose(forces[0], pull.stiffness * (target - [0, 0, -1.0]), rtol=1e-12)
     assert abs(run.trajectory().energy_error).max() < 1e-6  # with the work of the pull
@@ -74,7 +98,9 @@ def test_a_node_that_is_pulled_comes_to_the_pointer_and_rests_there():
     free.advance(60 * 20)
     assert free.fault == ""
     assert np.linalg.norm(free.nodes[3] - target) < 0.1
-    assert np.linalg.norm(free.nodes.mean(axis=0) - PRISM.nodes.mean(axis=0)) > 0.2  # the others follow
+    assert (
+        np.linalg.norm(free.nodes.mean(axis=0) - PRISM.nodes.mean(axis=0)) > 0.2
+    )  # the others follow
 
 
 def test_force_densities_are_driven_too():
@@ -132,11 +158,16 @@ def test_the_default_step_is_stable():
 
 
 @pytest.mark.parametrize(
-    "scheme", [tc.Rattle(), tc.DormandPrince853(rtol=1e-8), tc.Collocation(2), tc.Cvodes()], ids=lambda scheme: type(scheme).__name__
+    "scheme",
+    [tc.Rattle(), tc.DormandPrince853(rtol=1e-8), tc.Collocation(2), tc.Cvodes()],
+    ids=lambda scheme: type(scheme).__name__,
 )
 def test_any_scheme_goes(scheme):
     correction = tc.Projection() if not isinstance(scheme, tc.Rattle) else None
-    run = LiveSimulation(mass_on_a_string(gravity=tc.Gravity()), stepping=Stepping(0.002, scheme, correction, compiled=False))
+    run = LiveSimulation(
+        mass_on_a_string(gravity=tc.Gravity()),
+        stepping=Stepping(0.002, scheme, correction, compiled=False),
+    )
     reference = LiveSimulation(mass_on_a_string(gravity=tc.Gravity()), stepping=VIRTUAL)
     for one in (run, reference):
         one.set_control([0], 0.8)
@@ -147,7 +178,10 @@ def test_any_scheme_goes(scheme):
 
 
 def test_machine_code_does_the_same():
-    runs = [LiveSimulation(mass_on_a_string(), stepping=Stepping(step=5e-4, compiled=compiled)) for compiled in (None, False)]
+    runs = [
+        LiveSimulation(mass_on_a_string(), stepping=Stepping(step=5e-4, compiled=compiled))
+        for compiled in (None, False)
+    ]
     for run in runs:
         run.set_control([0], 0.7)
         run.advance(20)
@@ -158,7 +192,11 @@ def test_a_trajectory_is_saved_and_read(tmp_path):
     run = LiveSimulation(tc.Scene(PRISM), stepping=VIRTUAL)
     run.advance(4)
     kept = run.trajectory()
-    assert tc.Trajectory.load(kept.save(tmp_path / "live.npz")).nodes.shape == kept.nodes.shape == (5, 6, 3)
+    assert (
+        tc.Trajectory.load(kept.save(tmp_path / "live.npz")).nodes.shape
+        == kept.nodes.shape
+        == (5, 6, 3)
+    )
     model = tc.Model(tc.Scene(PRISM))
     assert kept.states.shape[1] == model.nx  # what was recorded fits the scene itself
 
@@ -178,7 +216,10 @@ def test_parameters_have_the_values_that_are_given(stiffness):
     values = None if stiffness is None else {"stiffness": stiffness}
     built = replace(scene, parameters=None, structure=scene.structure.replace(**(values or {})))
     plain = LiveSimulation(built, stepping=VIRTUAL)
-    runs = [LiveSimulation(given, stepping=VIRTUAL, parameters=values) for given in (tc.Model(scene), scene)]
+    runs = [
+        LiveSimulation(given, stepping=VIRTUAL, parameters=values)
+        for given in (tc.Model(scene), scene)
+    ]
     for one in (plain, *runs):
         one.advance(10)
         assert (plain.nodes == one.nodes).all()

@@ -21,7 +21,10 @@ def simulation(structure, **options):
 def test_few_strings_have_one_each_and_one_for_all():
     run = simulation(PRISM)
     sliders = sliders_of(run)
-    assert [slider.name for slider in sliders] == ["all (factor)", *(f"string {k}" for k in range(9))]
+    assert [slider.name for slider in sliders] == [
+        "all (factor)",
+        *(f"string {k}" for k in range(9)),
+    ]
     sliders[3].apply(run, 0.9 * run.start_control[2])
     expected = run.start_control.copy()
     expected[2] *= 0.9
@@ -38,7 +41,9 @@ def test_many_strings_that_are_alike_share_one():
     assert len(sliders) == 1
     assert sliders[0].strings == tuple(range(24))
     assert sliders[0].name.startswith("24 strings: 0, 1, 2")
-    unlike = tc.Structure(BALL.nodes, BALL.bars, BALL.strings, rest_length=np.linspace(0.4, 0.6, 24))
+    unlike = tc.Structure(
+        BALL.nodes, BALL.bars, BALL.strings, rest_length=np.linspace(0.4, 0.6, 24)
+    )
     sliders = sliders_of(simulation(unlike))
     assert len(sliders) == 1 <= MOST
     assert sliders[0].factor
@@ -51,7 +56,12 @@ def test_groups_of_ones_own():
     assert [slider.name for slider in sliders[1:]] == ["top", "mixed (factor)"]
     sliders[2].apply(run, 1.2)
     np.testing.assert_allclose(run.control[[0, 8]], 1.2 * run.start_control[[0, 8]])
-    for wrong, words in (({"top": []}, "empty"), ({"top": [9]}, r"groups\['top'\]"), ([0, 1], "groups is"), ({3: [0]}, "groups")):
+    for wrong, words in (
+        ({"top": []}, "empty"),
+        ({"top": [9]}, r"groups\['top'\]"),
+        ([0, 1], "groups is"),
+        ({3: [0]}, "groups"),
+    ):
         with pytest.raises((TypeError, ValueError), match=words):
             sliders_of(run, wrong)
 
@@ -61,7 +71,9 @@ def test_force_densities_run_from_zero():
     sliders = sliders_of(run)
     assert all(slider.low == 0 for slider in sliders)
     assert sliders[1].high == pytest.approx(3 * run.start_control[0])
-    slack = simulation(PRISM.replace(rest_length=10.0), control=tc.ForceDensity())  # no force at the start: a factor on it does nothing
+    slack = simulation(
+        PRISM.replace(rest_length=10.0), control=tc.ForceDensity()
+    )  # no force at the start: a factor on it does nothing
     assert all(not slider.factor and slider.high == 100 for slider in sliders_of(slack))
 
 

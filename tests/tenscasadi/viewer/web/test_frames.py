@@ -23,7 +23,9 @@ def test_few_frames_are_told_by_the_server_s_page_and_by_a_saved_one(open_page, 
         for url in (served.url, (tmp_path / "page.html").as_uri()):
             page = open_page(url)
             page.evaluate(BUSY)
-            found = wait_until(page, lambda page=page: re.match(r"(\d+) frames a second", told(page)), "it tells")
+            found = wait_until(
+                page, lambda page=page: re.match(r"(\d+) frames a second", told(page)), "it tells"
+            )
             assert int(found[1]) < 15
             assert page.faults == []
             page.close()

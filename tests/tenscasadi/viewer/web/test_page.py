@@ -25,7 +25,11 @@ def test_a_page_plays_and_goes_where_it_is_told(motion, open_page, tmp_path):
     told = float(clock.inner_text().split()[0])
     wait_until(page, lambda: float(clock.inner_text().split()[0]) != told, "the clock runs")
     before = picture(page, **canvas)
-    wait_until(page, lambda: (np.abs(picture(page, **canvas) - before).max(axis=2) > 0.2).mean() > 1e-3, "the picture moves")
+    wait_until(
+        page,
+        lambda: (np.abs(picture(page, **canvas) - before).max(axis=2) > 0.2).mean() > 1e-3,
+        "the picture moves",
+    )
     page.keyboard.press("Space")  # while it plays, what is typed would be overwritten
 
     def stands():
@@ -34,10 +38,16 @@ def test_a_page_plays_and_goes_where_it_is_told(motion, open_page, tmp_path):
         return clock.inner_text() == before
 
     wait_until(page, stands, "it pauses")
-    box = page.locator("input[inputmode]").first  # of the player: in seconds shown, two for each simulated one
+    box = page.locator(
+        "input[inputmode]"
+    ).first  # of the player: in seconds shown, two for each simulated one
     box.fill("1.2")
     box.press("Enter")
-    wait_until(page, lambda: abs(float(clock.inner_text().split()[0]) - 0.6) < 0.051, "the clock tells 0.6 s")
+    wait_until(
+        page,
+        lambda: abs(float(clock.inner_text().split()[0]) - 0.6) < 0.051,
+        "the clock tells 0.6 s",
+    )
     assert "tension of strings (N)" in page.locator("#shown").inner_text()
     assert page.title() == "falling"
     assert page.faults == []
@@ -47,6 +57,9 @@ def test_a_page_plays_and_goes_where_it_is_told(motion, open_page, tmp_path):
 def test_frames_are_even_and_not_too_many():
     np.testing.assert_allclose(frame_times(1.0, 3.0, 2.0, 30), np.linspace(1, 3, 31))
     assert len(frame_times(0.0, 1e-9, 1.0, 30)) == 2
-    with pytest.raises(ValueError, match="speed is 1: 1000 s would take 30001 frames in the page, give a speed of at least 10"):
+    with pytest.raises(
+        ValueError,
+        match="speed is 1: 1000 s would take 30001 frames in the page, give a speed of at least 10",
+    ):
         frame_times(0.0, 1000.0, 1.0, 30)
     assert len(frame_times(0.0, 1000.0, 10.01, 30)) <= MOST_FRAMES

@@ -11,7 +11,9 @@ from visitor import CAMERA, connect, say, wait_for
 
 from tenscasadi.viewer.web.server import OpenToNetwork, address, is_plain, refuse, start_server
 
-viser = pytest.importorskip("viser", reason="viser is not installed: pip install 'tenscasadi[view]'")
+viser = pytest.importorskip(
+    "viser", reason="viser is not installed: pip install 'tenscasadi[view]'"
+)
 refusals = pytest.importorskip("websockets.exceptions")
 
 
@@ -39,8 +41,12 @@ def test_serves_its_page_to_this_machine_alone(server):
     assert status == 200
     assert b"<html" in body
     assert address(server) == f"http://127.0.0.1:{server.get_port()}"
-    own = {entry[4][0] for entry in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)} - {"127.0.0.1"}
-    for other in [place for place in own if not place.startswith("127.")]:  # by its other addresses it is not reached
+    own = {
+        entry[4][0] for entry in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
+    } - {"127.0.0.1"}
+    for other in [
+        place for place in own if not place.startswith("127.")
+    ]:  # by its other addresses it is not reached
         with pytest.raises(OSError, match=r"refused|timed out"):
             socket.create_connection((other, server.get_port()), timeout=2)
 
@@ -73,7 +79,9 @@ def test_names_that_resolve_to_this_machine_are_refused(server):
     assert answer(server, "/", {"Host": "localhost:9000"})[0] == 200  # a port that is forwarded
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://127.0.0.1:[", "file://"])
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://127.0.0.1:[", "file://"]
+)
 def test_pages_of_other_sites_cannot_connect(server, origin):
     with pytest.raises(refusals.InvalidStatus, match="403"):
         connect(server, origin=origin)
@@ -102,11 +110,27 @@ def test_a_page_cannot_upload_nor_publish_nor_change_inner_values(server, monkey
         wait_for(server.get_clients, "the page is known")
         say(page, type="ShareUrlRequest")
         upload = {"source_component_uuid": uuid, "transfer_uuid": "t"}
-        say(page, type="FileTransferStartUpload", **upload, filename="../x", mime_type="a/b", part_count=2, size_bytes=9)
+        say(
+            page,
+            type="FileTransferStartUpload",
+            **upload,
+            filename="../x",
+            mime_type="a/b",
+            part_count=2,
+            size_bytes=9,
+        )
         say(page, type="FileTransferPart", **upload, part_index=0, content=b"12345")
-        for updates in ({"update_cb": ["x"]}, {"removed": True}, {"value": 2.0, "sync_cb": "x"}, {"value": float("nan")}, {"value": {"a": 1}}):
+        for updates in (
+            {"update_cb": ["x"]},
+            {"removed": True},
+            {"value": 2.0, "sync_cb": "x"},
+            {"value": float("nan")},
+            {"value": {"a": 1}},
+        ):
             say(page, type="GuiUpdateMessage", uuid=uuid, updates=updates)
-        say(page, type="GuiUpdateMessage", uuid=uuid, updates={"value": 4.0})  # heard after all others
+        say(
+            page, type="GuiUpdateMessage", uuid=uuid, updates={"value": 4.0}
+        )  # heard after all others
         wait_for(lambda: slider.value == 4.0, "what is right is heard")
     assert asked == []
     assert server.gui._current_file_upload_states == {}
@@ -123,7 +147,9 @@ def test_a_page_cannot_fill_the_memory(server):
 
 def test_what_is_plain():
     assert all(map(is_plain, (True, 1, 2.5, "text", (1.0, 2.0), [])))
-    assert not any(map(is_plain, (float("nan"), float("inf"), "x" * 5000, {}, None, b"x", [[1]], [0.0] * 100)))
+    assert not any(
+        map(is_plain, (float("nan"), float("inf"), "x" * 5000, {}, None, b"x", [[1]], [0.0] * 100))
+    )
 
 
 def test_a_server_for_others_knows_itself_by_any_name():
@@ -153,7 +179,9 @@ def test_hosts():
         start_server("no.such.host.invalid")
     with pytest.raises(OSError, match=r"host is '203\.0\.113\.7'"):
         start_server("203.0.113.7")
-    with pytest.warns(OpenToNetwork, match=r"host is 0\.0\.0\.0: other machines can see .* without a password"):
+    with pytest.warns(
+        OpenToNetwork, match=r"host is 0\.0\.0\.0: other machines can see .* without a password"
+    ):
         wide = start_server("0.0.0.0")
     try:
         assert address(wide) == f"http://127.0.0.1:{wide.get_port()}"
