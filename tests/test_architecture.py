@@ -50,11 +50,11 @@ ONWARD = {
     ("ocp.plan.plan", "ocp.control.lqr"),
     ("ocp.plan.plan", "ocp.solve"),
 }
-ENTRANCES = {
-    "tenscasadi.__main__",
-    "tenscasadi.animation",
-}  # documented paths that only lead into a room
-LINES = 530
+# documented paths that only lead into a room
+ENTRANCES = {"tenscasadi.__main__", "tenscasadi.animation"}
+LINES = 530  # of a file
+CHAIN = 37  # modules that import each other in a row
+LATE_IMPORTS = 30  # of own modules, within functions
 
 
 def modules() -> dict[str, Path]:
@@ -71,21 +71,58 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
-def imported(path: Path) -> Iterator[tuple[str, bool]]:
-    """(module, at module level) of each import of the two packages."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    top = set(map(id, tree.body))
-    for node in ast.walk(tree):
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+
+
+def imported(module: str) -> Iterator[tuple[str, ast.stmt]]:
+    """(module of the two packages, statement) of each import of a module."""
+    for node in ast.walk(TREES[module]):
         names: list[str] = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path.name} imports relatively"
+            assert node.level == 0, f"{module} imports relatively"
             inside = [f"{node.module}.{alias.name}" for alias in node.names]
             names = [name if name in MODULES else str(node.module) for name in inside]
+        else:
+            continue
         for name in names:
             if name.partition(".")[0] in ("tenscasadi", "ocp"):
-                yield name, id(node) in top
+                yield name, node
+
+
+def at_top(module: str, node: ast.stmt) -> bool:
+    """Return whether a statement runs where the module is loaded."""
+    return node in TREES[module].body
+
+
+def late_imports() -> list[str]:
+    """Imports of own modules within functions, as "module.function: statement"."""
+    return sorted(
+        {
+            f"{name}.{function.name}: {ast.unparse(node)}"
+            for name, tree in TREES.items()
+            for function in ast.walk(tree)
+            if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef))
+            for node in ast.walk(function)
+            if isinstance(node, (ast.Import, ast.ImportFrom))
+            and any(node is found for _, found in imported(name))
+        }
+    )
+
+
+def longest_chain() -> list[str]:
+    """The longest row of modules of which each imports the next where it is loaded."""
+    graph = {
+        name: {other for other, node in imported(name) if at_top(name, node)}
+        for name, path in MODULES.items()
+        if path.name != "__init__.py"
+    }
+    chains: dict[str, list[str]] = {}
+    for name in graphlib.TopologicalSorter(graph).static_order():
+        below = (chains[other] for other in sorted(graph.get(name, ())) if other in graph)
+        chains[name] = [name, *max(below, key=len, default=[])]
+    return max(chains.values(), key=len)
 
 
 def place(module: str) -> tuple[str, int]:
@@ -102,35 +139,43 @@ def place(module: str) -> tuple[str, int]:
     return room, found[0]
 
 
-@pytest.mark.parametrize(
-    "module", [name for name in MODULES if "." in name and name not in ENTRANCES]
-)
-def test_a_package_imports_only_packages_to_its_left(module):
+def misplaced_import(module: str, other: str, top: bool) -> str:
+    """Explain why a module may not import another; "" where it may."""
     package = module.partition(".")[0]
     room, own = place(module)
-    for other, at_top in imported(MODULES[module]):
-        assert "." in other or (room == "cli" and other == "ocp"), (
-            f"{module} imports the whole package: name the module"
-        )
-        other_room, level = place(other) if "." in other else ("", 0)
-        if (module, other) in ONWARD:
-            assert not at_top, (
-                f"{module} imports {other} where it is loaded: what is made of a value is loaded when it is asked for"
-            )
-            continue
-        if package == "tenscasadi" and other.startswith("ocp"):
-            assert room == "cli", f"{module} imports {other}: only the command line may"
-            assert not at_top, (
-                f"{module} imports {other} where it is loaded: the command line imports ocp inside functions"
-            )
-        elif package == "ocp" and other.startswith("tenscasadi."):
-            assert other_room in OPEN_TO_OCP, (
-                f"{module} imports {other}: ocp uses {sorted(OPEN_TO_OCP)} only"
-            )
-        else:
-            assert level < own or other_room == room, (
-                f"{module} imports {other}, which is not to its left"
-            )
+    if "." not in other:
+        return "" if room == "cli" and other == "ocp" and not top else "name the module"
+    other_room, level = place(other)
+    if (module, other) in ONWARD:
+        return "import it where it is used: it is made of the value" if top else ""
+    if package == "tenscasadi" and other.startswith("ocp"):
+        return "" if room == "cli" and not top else "only functions of the command line may"
+    if package == "ocp" and other.startswith("tenscasadi."):
+        return "" if other_room in OPEN_TO_OCP else f"ocp uses {sorted(OPEN_TO_OCP)} only"
+    return "" if level < own or other_room == room else "it is not to its left"
+
+
+def test_rooms_import_only_rooms_to_their_left():
+    faults = [
+        f"{module} imports {other}: {why}"
+        for module in MODULES
+        if "." in module and module not in ENTRANCES
+        for other, node in imported(module)
+        if (why := misplaced_import(module, other, at_top(module, node)))
+    ]
+    assert not faults, "\n".join(faults)
+
+
+def test_import_chain_is_short():
+    chain = longest_chain()
+    print(f"longest import chain, {len(chain)} modules:", *chain, sep="\n    ")
+    assert len(chain) <= CHAIN
+
+
+def test_late_imports_are_few():
+    late = late_imports()
+    print(f"{len(late)} late imports of own modules:", *late, sep="\n    ")
+    assert len(late) <= LATE_IMPORTS
 
 
 @pytest.mark.parametrize(("package", "order"), [("tenscasadi", TENSCASADI), ("ocp", OCP)])
@@ -151,38 +196,52 @@ def test_the_picture_shows_every_folder():
 
 
 def test_no_circle_of_modules():
-    modules = {name: path for name, path in MODULES.items() if path.name != "__init__.py"}
     graph = {
-        name: {other for other, at_top in imported(path) if at_top or (name, other) not in ONWARD}
-        for name, path in modules.items()
+        name: {
+            other
+            for other, node in imported(name)
+            if at_top(name, node) or (name, other) not in ONWARD
+        }
+        for name, path in MODULES.items()
+        if path.name != "__init__.py"
     }
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
-@pytest.mark.parametrize(
-    "module", [name for name, path in MODULES.items() if path.name == "__init__.py"]
-)
-def test_packages_only_re_export(module):
-    for node in ast.parse(MODULES[module].read_text(encoding="utf-8")).body:
-        kinds = (ast.Import, ast.ImportFrom, ast.Expr)
-        assert isinstance(node, kinds) or ast.unparse(node).startswith("__all__"), (
-            f"{module} holds more than imports: {ast.unparse(node)[:80]}"
+def test_packages_only_re_export():
+    kinds = (ast.Import, ast.ImportFrom, ast.Expr)
+    faults = [
+        f"{module} holds more than imports: {ast.unparse(node)[:80]}"
+        for module, path in MODULES.items()
+        if path.name == "__init__.py"
+        for node in TREES[module].body
+        if not isinstance(node, kinds) and not ast.unparse(node).startswith("__all__")
+    ]
+    assert not faults, "\n".join(faults)
+
+
+def test_drawing_libraries_are_imported_in_their_rooms():
+    faults = [
+        f"{module} imports {name}: only tenscasadi.{room} may"
+        for module, tree in TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.Import, ast.ImportFrom))
+        for name in (
+            [node.module] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names]
         )
+        for library, room in (("matplotlib", "plots"), ("viser", "viewer"))
+        if str(name).split(".")[0] == library and not module.startswith(f"tenscasadi.{room}")
+    ]
+    assert not faults, "\n".join(faults)
 
 
-@pytest.mark.parametrize("module", MODULES)
-@pytest.mark.parametrize(("library", "room"), [("matplotlib", "plots"), ("viser", "viewer")])
-def test_what_draws_is_imported_in_its_room_only(module, library, room):
-    if not module.startswith(f"tenscasadi.{room}"):
-        text = MODULES[module].read_text(encoding="utf-8")
-        assert f"import {library}" not in text
-        assert f"from {library}" not in text
-
-
-@pytest.mark.parametrize("module", MODULES)
-def test_files_hold_one_concept(module):
-    lines = len(MODULES[module].read_text(encoding="utf-8").splitlines())
-    assert lines <= LINES, f"{module} has {lines} lines: is there a second concept inside?"
+def test_files_hold_one_concept():
+    lines = {
+        module: len(path.read_text(encoding="utf-8").splitlines())
+        for module, path in MODULES.items()
+    }
+    long = {module: count for module, count in lines.items() if count > LINES}
+    assert not long, f"{long}: is there a second concept inside?"
 
 
 def test_importing_loads_nothing_that_draws():

@@ -153,17 +153,16 @@ def test_examples_run(example, tmp_path, monkeypatch):
     assert not told, "".join(told)
 
 
-@pytest.mark.parametrize(
-    "path",
-    [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))],
-    ids=str,
-)
-def test_no_docstring_opens_with_what(path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
-            assert not (ast.get_docstring(node) or "").startswith("What "), getattr(
-                node, "name", path.name
-            )
+def test_no_docstring_opens_with_what():
+    faults = [
+        f"{path.relative_to(ROOT)}: {getattr(node, 'name', 'the module')}"
+        for package in PACKAGES
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
+        and (ast.get_docstring(node) or "").startswith("What ")
+    ]
+    assert not faults, "\n".join(faults)
 
 
 def test_a_missing_parameter_would_be_seen():
