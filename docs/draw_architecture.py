@@ -37,7 +37,7 @@ ROOMS = {
 }
 PLANNING = {
     "problem": (1, BOTTOM, "goals, bounds,\ncosts"),
-    "boundary": (2, BOTTOM, "start and end\nthat say\nsomething new"),
+    "targets": (2, BOTTOM, "start and end\nthat say\nsomething new"),
     "transcription": (3, BOTTOM, "sparse nonlinear\nprogram"),
     "solvers": (4, BOTTOM, "IPOPT, Fatrop"),
     "plan": (5, BOTTOM, "replay, report,\nrefinement"),
@@ -55,8 +55,8 @@ FLOW = [
     ("integrators", "simulation", "step"),
     ("simulation", "plots", "Trajectory"),
     ("plots", "cli", "Figure"),
-    ("problem", "boundary", "Problem"),
-    ("boundary", "transcription", "Target"),
+    ("problem", "targets", "Problem"),
+    ("targets", "transcription", "Target"),
     ("transcription", "solvers", "Program"),
     ("solvers", "plan", "Solution"),
     ("plan", "control", "Plan"),

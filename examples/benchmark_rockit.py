@@ -21,8 +21,8 @@ import numpy as np
 
 import ocp
 import tenscasadi as tc
-from ocp.boundary.find_target import find_target
 from ocp.problem.scaling import Scales
+from ocp.targets.find_target import find_target
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import make_guess
 

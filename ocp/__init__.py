@@ -7,7 +7,6 @@ is for.
 
 from __future__ import annotations
 
-from ocp.boundary.unreachable import UnreachableGoal
 from ocp.control.closed_loop import ClosedLoop, run
 from ocp.control.lqr import Tracker, track
 from ocp.control.mpc import Mpc
@@ -38,6 +37,7 @@ from ocp.problem.instant import Instant
 from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.tracking import Tracking
+from ocp.renamed import __getattr__ as __getattr__
 from ocp.sampling.solver import Sampling
 from ocp.sampling.spline_noise import SplineNoise
 from ocp.solve import solve
@@ -45,6 +45,7 @@ from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt, Progress
 from ocp.solvers.multipliers import Duals
+from ocp.targets.infeasible_goal import InfeasibleGoalError
 from ocp.transcription.collocation import Collocation, ImplicitMidpoint
 from ocp.transcription.initial_guess import Arrays, Equilibrium, InverseDynamics
 from ocp.transcription.mesh import PiecewiseConstant, PiecewiseLinear
@@ -106,7 +107,7 @@ __all__ = [
     "Arrays",
     # what comes of it
     "Plan",
-    "UnreachableGoal",
+    "InfeasibleGoalError",
     "Duals",
     "Report",
     "Robustness",

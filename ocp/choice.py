@@ -9,7 +9,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Target
 from ocp.condensed.method import applies, limited_on_the_way
 from ocp.problem.control import winds
 from ocp.problem.costs import Duration, Effort
@@ -20,6 +19,7 @@ from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
+from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, InitialGuess, InverseDynamics, evaluate_guess
 from ocp.transcription.multiple_shooting import MultipleShooting

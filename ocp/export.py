@@ -47,7 +47,7 @@ def export_program(
 
     Raises
     ------
-    UnreachableGoal
+    InfeasibleGoalError
         No strings can bring the goals about.
     TypeError, ValueError
         An argument is wrong, or limits and goals contradict each other.

@@ -11,15 +11,15 @@ import scipy.optimize
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ocp.boundary.tangents import Tangents
-from ocp.boundary.target import Target
-from ocp.boundary.unreachable import UnreachableGoal
 from ocp.problem.bounds.bound import PathBound, PathConstraint, RateBound
 from ocp.problem.bounds.geometric_bounds import Obstacle
 from ocp.problem.control import control_name, winds
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.targets.infeasible_goal import InfeasibleGoalError
+from ocp.targets.tangents import Tangents
+from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Profile, group_matrix, locate_share, spans
 from tenscasadi.util.validate import Array
@@ -67,7 +67,7 @@ def check_start(problem: Problem) -> None:
 def check_end(problem: Problem, target: Target) -> None:
     """Refuse goals at which limits cannot be met: of what the goals leave no choice.
 
-    Raises UnreachableGoal, naming goal and limit, where a limit excludes the goal; ValueError where
+    Raises InfeasibleGoalError, naming goal and limit, where a limit excludes the goal; ValueError where
     limits leave no force densities there.
     """
     state = target.state
@@ -100,7 +100,9 @@ def check_end(problem: Problem, target: Target) -> None:
                 value = at.limit[k] - at.size[k] * at.room[k]
                 goal = _goal_of(target, needed[entry])
                 kept = f"{at.name[k]} has to be {at.wanted[k]}, and is {value:.4g} where the goals are met"
-                raise UnreachableGoal(f"{goal} and {kept}: move the goal, or give another limit")
+                raise InfeasibleGoalError(
+                    f"{goal} and {kept}: move the goal, or give another limit"
+                )
         limits.append(at)
     told = _left_nothing(problem, limits)
     if told:
@@ -331,7 +333,7 @@ def _check_rates(problem: Problem, state: Array, fixed: Flags) -> None:
             ):
                 if settled and wrong and abs(value) > HASTE * abs(limit):
                     told = f"{name} has to be {side} {limit:g} {bound.unit}, and from the start to the goals its mean is {value:.4g} {bound.unit}"
-                    raise UnreachableGoal(
+                    raise InfeasibleGoalError(
                         f"{told} at best: allow a faster rate, or a longer duration than {problem.longest:g} s"
                     )
 

@@ -9,10 +9,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.controlled import controlled, count_rows
-from ocp.boundary.find_target import find_target
-from ocp.boundary.sensitivities import HARDLY_REACHED, Reach
-from ocp.boundary.target import Target
 from ocp.plan.diagnosis import (
     StateAt,
     explain_failure,
@@ -39,6 +35,10 @@ from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import NOWHERE, TIME_UP, Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
 from ocp.solvers.wider_rates import TOO_SLOW, Patience, from_wider
+from ocp.targets.control_sensitivities import HARDLY_REACHED, ControlSensitivities
+from ocp.targets.controllable_rows import count_rows, drop_uncontrollable_rows
+from ocp.targets.find_target import find_target
+from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
 from ocp.transcription.mesh import Profile, group_matrix, held_values, spans
@@ -61,7 +61,7 @@ class _Task(NamedTuple):
     transcription: Transcription
     target: Target
     scales: Scales
-    reach: Reach
+    reach: ControlSensitivities
     solver: Solver
 
 
@@ -101,7 +101,7 @@ def solve_program(
     disturbed = guess.disturbed(
         problem
     )  # what strings do not move along a symmetric guess they may move along others
-    imposed = controlled(target, task.reach, disturbed.force_density, guess.duration)
+    imposed = drop_uncontrollable_rows(target, task.reach, disturbed.force_density, guess.duration)
     guess = guess if isinstance(solver, Ipopt) and not problem.free_start else disturbed
     found = _attempt(task, imposed, guess, deadline, duals)
     if (
@@ -112,7 +112,7 @@ def solve_program(
         # Rows that no string moved along the guess are missed: along a less regular motion they may
         # be within reach.
         loosened = _loosened(problem, disturbed)
-        more = controlled(
+        more = drop_uncontrollable_rows(
             target, task.reach, loosened.force_density, loosened.duration, HARDLY_REACHED
         )
         if count_rows(more) > count_rows(imposed):
@@ -147,7 +147,7 @@ def program_of(
     problem = _smooth(problem)
     _check(problem, transcription, target)
     first = evaluate_guess(guess, problem, target, transcription.count).disturbed(problem)
-    imposed = controlled(
+    imposed = drop_uncontrollable_rows(
         target, _reach(problem, transcription), first.force_density, first.duration
     )
     return transcription.program(problem, imposed, scales, first)
@@ -164,7 +164,7 @@ def _check(problem: Problem, transcription: Transcription, target: Target) -> No
         check_freedom(problem, target, transcription)
 
 
-def _reach(problem: Problem, transcription: Transcription) -> Reach:
+def _reach(problem: Problem, transcription: Transcription) -> ControlSensitivities:
     together = group_matrix(transcription.control, problem.model.nu)
     equal = np.full(transcription.count, 1 / transcription.count)  # as intervals of guesses are
     held = spans(transcription.control, equal)
@@ -177,7 +177,9 @@ def _reach(problem: Problem, transcription: Transcription) -> Reach:
                 np.ceil(rate * problem.longest / transcription.count / GENTLE), 1, MOST_SUBSTEPS
             )
         )
-    return Reach(problem.model, problem.shortest < problem.longest, substeps, together, held)
+    return ControlSensitivities(
+        problem.model, problem.shortest < problem.longest, substeps, together, held
+    )
 
 
 def _late(deadline: float | None) -> bool:

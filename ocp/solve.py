@@ -11,9 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ocp.boundary.find_target import find_target
-from ocp.boundary.target import Target
-from ocp.boundary.unreachable import UnreachableGoal
 from ocp.choice import Choice, Method, choose, matching
 from ocp.condensed.interior_point import TIME
 from ocp.condensed.method import NOT_SETTLED, solve_condensed
@@ -34,6 +31,9 @@ from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import SADDLE, TIME_UP, Ipopt
 from ocp.solvers.wider_rates import TOO_SLOW
 from ocp.starts import MOST_STARTS, seeded, solve_each
+from ocp.targets.find_target import find_target
+from ocp.targets.infeasible_goal import InfeasibleGoalError
+from ocp.targets.target import Target
 from ocp.transcription.base import ReducedOnly, Transcription
 from ocp.transcription.initial_guess import InitialGuess, evaluate_guess, on_mesh
 from ocp.transcription.mesh import PiecewiseConstant
@@ -116,7 +116,7 @@ def solve(
 
     Raises
     ------
-    UnreachableGoal
+    InfeasibleGoalError
         No strings can bring the goals about; found before solving.
     TypeError, ValueError
         An argument is wrong, or limits and goals contradict each other; the message names them.
@@ -331,7 +331,7 @@ def _by_method(asked: _Asked, way: Choice, target: Target, scales: Scales) -> Pl
             break
         try:
             target = find_target(asked.problem, scales, _motion_of(plan))
-        except UnreachableGoal:
+        except InfeasibleGoalError:
             break
         iterations += plan.iterations
         plan = _at_once(asked._replace(guess=plan), way._replace(guess=None), target, scales)

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.boundary.target import Target
 from ocp.plan.diagnosis import long_steps, measure_misses
 from ocp.plan.end_limits import broken_at_end
 from ocp.plan.error_growth import UNSTABLE
 from ocp.plan.plan import Plan
 from ocp.plan.report import report_of
 from ocp.solvers.base import Outcome
+from ocp.targets.target import Target
 from ocp.transcription.mesh import held_values
 from tenscasadi.simulation.trajectory import Trajectory
 

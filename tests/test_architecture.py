@@ -29,7 +29,7 @@ TENSCASADI = (
 )
 OCP = (
     "problem",
-    "boundary",
+    "targets",
     "transcription",
     {"solvers", "presolve"},
     "sampling",
@@ -37,7 +37,7 @@ OCP = (
     {"program", "phases", "condensed", "verdict"},
     {"choice", "starts", "reduced_twin"},
     {"control", "solve", "files"},
-    "export",
+    {"export", "renamed"},
 )
 
 OPEN_TO_OCP = {*_MODEL, "design", "ensemble", "files"}

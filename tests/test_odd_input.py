@@ -32,7 +32,7 @@ OWN = (
     tc.EquilibriumError,
     tc.NoReference,
     tc.NoScheme,
-    ocp.UnreachableGoal,
+    ocp.InfeasibleGoalError,
 )
 NUMBER_OF_CALLS = int(os.environ.get("TENSCASADI_FUZZ", "20000"))  # of the slow run
 LONGEST = 15  # s a call

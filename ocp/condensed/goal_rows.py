@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from ocp.boundary.target import Target
 from ocp.condensed.chain import Chain, Motion
+from ocp.targets.target import Target
 from ocp.transcription.mesh import hermite_state, locate_share
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.boundary.sensitivities import find_controlled
-from ocp.boundary.target import Target
 from ocp.condensed.correction import Corrected, correct
 from ocp.condensed.interior_point import TIME, Found, Point, polish, solve
 from ocp.condensed.motions import first_motion, states_of
@@ -25,6 +23,8 @@ from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.deferred_correction import TOO_COARSE
 from ocp.solvers.multipliers import Duals
+from ocp.targets.control_sensitivities import find_controllable_rows
+from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import node_values
@@ -190,7 +190,7 @@ def _controlled(target: Target, jacobian: Array) -> Target:
     """Return the target without the rows that the force densities do not move, given their gradient."""
     start, parts = 0, []
     for part in [*(one.target for one in target.waypoints), target]:
-        kept = find_controlled(jacobian[start : start + part.count])
+        kept = find_controllable_rows(jacobian[start : start + part.count])
         start += part.count
         parts.append(part if len(kept) == part.count else part.keep(kept, "out of control"))
     *waypoints, end = parts

@@ -11,11 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ocp.boundary.target import Target
 from ocp.condensed.chain import Chain, Motion
 from ocp.condensed.limits import Limits
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.targets.target import Target
 from ocp.transcription.assemble import path_blocks
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess

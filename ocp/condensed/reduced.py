@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp.boundary.target import Target
 from ocp.condensed.chain import Chain, Motion, Rows
 from ocp.condensed.goal_rows import GoalRows, needed_taps
 from ocp.condensed.linear_chain import Costate, LinearChain
@@ -14,6 +13,7 @@ from ocp.condensed.objective import Objective
 from ocp.condensed.path_rows import Limited, PathRows, Slopes
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import group_matrix, spans
 from tenscasadi.util.validate import Array

@@ -10,15 +10,15 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
 
-from ocp.boundary.regulator import riccati_gains
-from ocp.boundary.sensitivities import Motion
-from ocp.boundary.tangents import Tangents
 from ocp.control.closed_loop import run
 from ocp.control.departures import departures
 from ocp.control.holding import Rest, find_rest, stationary_cost
 from ocp.plan.plan import Plan
 from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
 from ocp.problem.control import pulled, winds
+from ocp.targets.control_sensitivities import Motion
+from ocp.targets.regulator import riccati_gains
+from ocp.targets.tangents import Tangents
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.ensemble.feedback import Feedback

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.find_target import find_target
 from ocp.control.departures import departures
 from ocp.control.holding import find_rest
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
@@ -21,6 +20,7 @@ from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.scaling import Scales
 from ocp.solvers.interior_point_qp import solve_qp
+from ocp.targets.find_target import find_target
 from ocp.transcription.inverse_dynamics import inverse_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
@@ -69,7 +69,7 @@ class Mpc:
 
     Raises
     ------
-    UnreachableGoal
+    InfeasibleGoalError
         No strings can bring the goals about.
     TypeError, ValueError
         An argument is wrong.
@@ -395,7 +395,7 @@ def _reference(
     plan: followed over time, and held at its end, by force densities of equilibrium where it is at
     rest; None: the state of the goals is held, likewise. Raises ValueError for goals that ask for a
     motion
-    without a plan, UnreachableGoal.
+    without a plan, InfeasibleGoalError.
     """
     time = ca.MX.sym("time")
     if plan is None:

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.boundary.target import Target
 from ocp.phases.program import PhasedProgram
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import Ipopt
+from ocp.targets.target import Target
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import contact_step

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ocp.boundary.target import Target
 from ocp.plan.plan import Plan
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.targets.target import Target
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import held_values
 from tenscasadi.util.validate import Array, shown

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Target
 from ocp.phases.correction import correct
 from ocp.phases.first_guess import guess_phases, split_plan
 from ocp.phases.motion import PhaseMotion
@@ -24,6 +23,7 @@ from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import named_duals
+from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, InitialGuess
 from ocp.transcription.variables import Variables
@@ -76,7 +76,7 @@ def solve_phased(
 
     transcription: a `Variational`, whose intervals are those of each phase. deadline: of
     `time.perf_counter`, s; None: no limit. tolerance: how far the replay may end from the goals, m.
-    Raises TypeError, ValueError, UnreachableGoal.
+    Raises TypeError, ValueError, InfeasibleGoalError.
     """
     if not isinstance(solver, Ipopt):
         raise ValueError(f"solver is {type(solver).__name__}: phases take ocp.Ipopt()")
@@ -97,7 +97,7 @@ def solve_phased(
 def link_problem(
     problem: Problem, transcription: Transcription, guess: InitialGuess | None = None
 ) -> PhasedTask:
-    """Return a problem with phases as a program. Raises TypeError, ValueError, UnreachableGoal."""
+    """Return a problem with phases as a program. Raises TypeError, ValueError, InfeasibleGoalError."""
     if (
         not isinstance(transcription, Variational)
         or transcription.accuracy is not None

@@ -8,13 +8,13 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.find_target import find_target
-from ocp.boundary.row_reduction import reduce_rows
-from ocp.boundary.target import Target, WaypointTarget
-from ocp.boundary.unreachable import UnreachableGoal
 from ocp.phases.motion import node_coordinates
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.scaling import Scales
+from ocp.targets.find_target import find_target
+from ocp.targets.infeasible_goal import InfeasibleGoalError
+from ocp.targets.row_reduction import reduce_rows
+from ocp.targets.target import Target, WaypointTarget
 from tenscasadi.util.validate import Array
 
 
@@ -29,13 +29,13 @@ def phase_problems(problem: Problem, air: Problem) -> list[Problem]:
 
 
 def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> list[Target]:
-    """Return the target of each phase, near that of the one before. Raises `UnreachableGoal`, naming the phase."""
+    """Return the target of each phase, near that of the one before. Raises `InfeasibleGoalError`, naming the phase."""
     targets, near, since_start = [], problem.first_state, set(problem.phases[0].stands)
     for k, (phase, part) in enumerate(zip(problem.phases, parts, strict=True)):
         try:
             target = find_target(replace(part, start=FreeStart(near)), scales)
-        except UnreachableGoal as error:
-            raise UnreachableGoal(f"phase {k}: {error}") from None
+        except InfeasibleGoalError as error:
+            raise InfeasibleGoalError(f"phase {k}: {error}") from None
         since_start &= set(phase.stands)
         targets.append(_without_standing(target, part, phase.stands, sorted(since_start), scales))
         if target.state is not None:

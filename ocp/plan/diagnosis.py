@@ -9,14 +9,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.sensitivities import Reach
-from ocp.boundary.target import Target
 from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import SADDLE, STOPPED, TIME_UP
 from ocp.solvers.wider_rates import TOO_SLOW, rate_rows, widening
+from ocp.targets.control_sensitivities import ControlSensitivities
+from ocp.targets.target import Target
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import hermite_state, locate_share
 from ocp.transcription.sparse_nlp import Program
@@ -121,7 +121,7 @@ def goals_met(target: Target, state_at: StateAt) -> bool:
 def explain_failure(
     missed: Misses,
     imposed: Target,
-    reach: Reach | None,
+    reach: ControlSensitivities | None,
     program: Program,
     solution: Solution,
     found: Guess,
@@ -192,7 +192,7 @@ def explain_failure(
         states = reach.rollout(imposed.start, found.force_density, found.duration)
         if np.all(np.isfinite(states)):
             rank = len(
-                reach.controlled(
+                reach.controllable_rows(
                     imposed.single,
                     imposed.weights,
                     imposed.start,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ocp.boundary.regulator import linear_steps
-from ocp.boundary.tangents import Tangents
+from ocp.targets.regulator import linear_steps
+from ocp.targets.tangents import Tangents
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
@@ -21,7 +21,7 @@ def grown_errors(model: Model, time: Array, states: Array, force_density: Array)
 
     The largest singular value of the state transition over time (K + 1,) along states (K + 1, nx)
     under γ (K, α) or (K + 1, α), over the changes of the start that bars and joints allow, of the
-    linear steps of `ocp.boundary.regulator`. inf where it overflows, NaN where it is not known.
+    linear steps of `ocp.targets.regulator`. inf where it overflows, NaN where it is not known.
     """
     if not np.all(np.isfinite(states)) or not np.all(np.isfinite(force_density)) or len(states) < 2:
         return np.nan

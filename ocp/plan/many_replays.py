@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ocp.boundary.find_target import find_target
 from ocp.plan.open_loop import STEPS
 from ocp.plan.robustness import (
     STRINGS,
@@ -23,6 +22,7 @@ from ocp.plan.winding import wind
 from ocp.problem.control import refuse_wound
 from ocp.problem.phase import refuse_phases
 from ocp.problem.scaling import Scales
+from ocp.targets.find_target import find_target
 from tenscasadi.ensemble.feedback import Feedback
 from tenscasadi.ensemble.rollouts import rollouts
 from tenscasadi.scene.strings import RestLength, rest_length

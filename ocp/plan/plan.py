@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ocp.boundary.target import Target
 from ocp.plan.error_growth import grown_errors
 from ocp.plan.exhibit import exhibit_of_plan
 from ocp.plan.many_replays import measure_robustness
@@ -26,6 +25,7 @@ from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.multipliers import Duals
+from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, resampled
 from tenscasadi.dynamics.model import Model

@@ -16,7 +16,7 @@ from tenscasadi.util.validate import Array
 class Rows:
     """A column of CasADi expressions, each with a name and a unit: "m", "m/s", "m²/s" or "s".
 
-    kind: what the rows are of: "goal", or what keeps them, as in `ocp.boundary.invariants`.
+    kind: what the rows are of: "goal", or what keeps them, as in `ocp.targets.invariants`.
     """
 
     value: Any

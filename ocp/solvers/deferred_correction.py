@@ -9,9 +9,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.regulator import plan_gains
 from ocp.solvers.base import Solution, Solver
 from ocp.solvers.ipopt import Ipopt
+from ocp.targets.regulator import plan_gains
 from ocp.transcription.base import Transcription
 from ocp.transcription.multiple_shooting import ramped_step, shooting_step
 from ocp.transcription.sparse_nlp import Program

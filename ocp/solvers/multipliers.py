@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp.boundary.target import Target
+from ocp.targets.target import Target
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices, instance

@@ -12,9 +12,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Target
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.targets.target import Target
 from ocp.transcription.assemble import Defects, asked_blocks, assemble
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import (

@@ -9,9 +9,9 @@ import numpy as np
 import scipy.interpolate
 from numpy.typing import ArrayLike
 
-from ocp.boundary.target import Target
 from ocp.problem.control import winds
 from ocp.problem.problem import Problem
+from ocp.targets.target import Target
 from ocp.transcription.inverse_dynamics import inverse_dynamics
 from ocp.transcription.mesh import Profile, node_values, profile_at
 from tenscasadi.dynamics.model import Model

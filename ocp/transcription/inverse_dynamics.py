@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 import scipy.optimize
 
-from ocp.boundary.dynamics import Dynamics
 from ocp.problem.control import pulled, winds
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
+from ocp.targets.dynamics import Dynamics
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.structure.structure import Structure

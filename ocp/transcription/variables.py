@@ -9,11 +9,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.target import Target
 from ocp.problem.control import control_name
 from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, control_scale, typical_cost
+from ocp.targets.target import Target
 from ocp.transcription.initial_guess import Guess, on_mesh
 from ocp.transcription.mesh import Profile, group_matrix, spans
 from ocp.transcription.sparse_nlp import Block, Unknowns, invertible

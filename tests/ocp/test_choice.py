@@ -12,10 +12,10 @@ from planning import driven, folding, prism, raising, shaken
 
 import ocp
 import tenscasadi as tc
-from ocp.boundary.find_target import find_target
 from ocp.choice import Choice, choose, choose_intervals
 from ocp.condensed.method import NOT_SETTLED, solve_condensed
 from ocp.problem.scaling import Scales
+from ocp.targets.find_target import find_target
 from ocp.transcription.initial_guess import Guess
 
 

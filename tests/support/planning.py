@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 
 import ocp
 import tenscasadi as tc
-from ocp.boundary.find_target import find_target
 from ocp.problem.scaling import Scales
+from ocp.targets.find_target import find_target
 from ocp.transcription.initial_guess import make_guess
 
 BAR = 1.4

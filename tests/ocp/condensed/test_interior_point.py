@@ -7,12 +7,12 @@ import pytest
 
 import ocp
 import tenscasadi as tc
-from ocp.boundary.find_target import find_target
 from ocp.condensed.interior_point import Search, point_at
 from ocp.condensed.motions import first_motion
 from ocp.condensed.path_rows import Limited
 from ocp.condensed.reduced import ReducedProblem
 from ocp.problem.scaling import Scales
+from ocp.targets.find_target import find_target
 from ocp.transcription.initial_guess import evaluate_guess
 from tests.ocp.condensed.test_reduced import LIMITS, RISE, driven
 

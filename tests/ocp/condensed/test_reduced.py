@@ -8,13 +8,13 @@ import pytest
 
 import ocp
 import tenscasadi as tc
-from ocp.boundary.find_target import find_target
 from ocp.condensed.interior_point import point_at
 from ocp.condensed.motions import first_motion
 from ocp.condensed.path_rows import Limited
 from ocp.condensed.reduced import ReducedProblem
 from ocp.problem.bounds.bound import Bound
 from ocp.problem.scaling import Scales
+from ocp.targets.find_target import find_target
 from ocp.transcription.initial_guess import evaluate_guess
 
 EVERY = [ocp.Effort(), ocp.Smoothness(0.1), ocp.Prestress(3.0), ocp.Duration(3.0)]

@@ -8,8 +8,8 @@ from planning import driven, leaning_arm, raising
 
 import ocp
 import tenscasadi as tc
-from ocp.boundary.tangents import Tangents
 from ocp.plan.error_growth import grown_errors
+from ocp.targets.tangents import Tangents
 
 
 def test_a_free_mass_drifts():

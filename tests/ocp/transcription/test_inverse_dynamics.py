@@ -7,8 +7,8 @@ import pytest
 
 import ocp
 import tenscasadi as tc
-from ocp.boundary.find_target import find_target
 from ocp.problem.scaling import Scales
+from ocp.targets.find_target import find_target
 from ocp.transcription.initial_guess import make_guess
 
 PRISM = tc.shapes.prism()

@@ -98,7 +98,7 @@ BAD = {
         lambda: planned(
             *(ocp.Waypoint([ocp.StringLengths({0: length})], time=0.5) for length in (0.8, 0.9))
         ),
-        ocp.UnreachableGoal,
+        ocp.InfeasibleGoalError,
         "waypoint at 0.5 of the duration: StringLengths: string 0 misses its goal by 0.05 m at best, as the goals contradict each other",
     ),
     "waypoint at no time": (
@@ -130,14 +130,14 @@ BAD = {
     ),
     "periodic leaves": (
         lambda: planned(ocp.Periodic((1.0, 0.0, 0.0))),
-        ocp.UnreachableGoal,
+        ocp.InfeasibleGoalError,
         "Periodic: node 0 x misses its goal by 1 m at best, as the centre of mass",
     ),
     "waypoint out of reach": (
         lambda: planned(
             ocp.Waypoint([ocp.NodePositions(prism(1.0).nodes + [1.0, 0, 0])], time=0.5)
         ),
-        ocp.UnreachableGoal,
+        ocp.InfeasibleGoalError,
         "waypoint at 0.5 of the duration: NodePositions",
     ),
 }

@@ -63,7 +63,7 @@ def test_wishes_on_the_way_and_speeds():
 
 def test_a_wish_that_no_strings_meet_is_no_reason_to_fail():
     away = prism(1.0).nodes + [0.0, 0.0, 1.0]
-    with pytest.raises(ocp.UnreachableGoal):
+    with pytest.raises(ocp.InfeasibleGoalError):
         planned(ocp.NodePositions(away), REST)
     plan = planned(ocp.NodePositions(away).soft(1e3), REST, model=driven(prism(1.0)))
     assert plan.success

@@ -1,7 +1,7 @@
 """Invariants of every motion of a model, whatever its strings do: bar lengths, joints, momenta, the plane it lies in.
 
 Rows of a goal that repeat these have linearly dependent gradients with the dynamics, so that no
-solver can impose them: they are left out (`ocp.boundary.row_reduction`), after a check that they
+solver can impose them: they are left out (`ocp.targets.row_reduction`), after a check that they
 hold by themselves.
 """
 

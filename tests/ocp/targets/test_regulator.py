@@ -8,7 +8,7 @@ import scipy.linalg
 from planning import leaning_arm, prism
 
 import tenscasadi as tc
-from ocp.boundary.regulator import linear_steps, plan_gains, riccati_gains
+from ocp.targets.regulator import linear_steps, plan_gains, riccati_gains
 
 STEPS = 20
 

@@ -8,7 +8,12 @@ import pytest
 from planning import driven
 
 import tenscasadi as tc
-from ocp.boundary.sensitivities import FEW, Motion, Reach, find_controlled
+from ocp.targets.control_sensitivities import (
+    FEW,
+    ControlSensitivities,
+    Motion,
+    find_controllable_rows,
+)
 
 PRISM = tc.shapes.prism()
 
@@ -16,7 +21,7 @@ PRISM = tc.shapes.prism()
 def test_sensitivities_agree_with_differences():
     model = driven(PRISM)
     intervals = 5
-    reach = Reach(model, free_duration=True)
+    reach = ControlSensitivities(model, free_duration=True)
     controls = np.random.default_rng(4).uniform(1, 5, size=(intervals, 9))
     x = ca.SX.sym("x", model.nx)
     rows = ca.Function("rows", [x], [x[:7] ** 2])
@@ -71,8 +76,8 @@ def test_many_rows_are_judged_as_by_their_whole_gradient(conserved):
     rows = ca.Function("rows", [x], [ca.vertcat(*about, *[ca.sum2(V)[0]] * conserved)])
     count = rows.size1_out(0)
     assert count >= FEW
-    reach = Reach(model, free_duration=False)
+    reach = ControlSensitivities(model, free_duration=False)
     controls = np.random.default_rng(2).uniform(1, 5, (30, model.nu))
     given = rows, np.eye(count), model.initial_state, controls, 1.0
-    kept = reach.controlled(*given)
-    assert len(kept) == count - conserved == len(find_controlled(reach.of_rows(*given)))
+    kept = reach.controllable_rows(*given)
+    assert len(kept) == count - conserved == len(find_controllable_rows(reach.of_rows(*given)))

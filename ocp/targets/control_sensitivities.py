@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.dynamics import Dynamics, Linearised
+from ocp.targets.dynamics import Dynamics, Linearised
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.tableaux import CLASSICAL
 from tenscasadi.util.casadi_tools import ArrayFunction
@@ -116,7 +116,7 @@ class Motion:
         return rates.reshape(-1, 4, nx), J.reshape(-1, 4, nx, width)
 
 
-class Reach:
+class ControlSensitivities:
     """Sensitivities of a motion to its controls over `count` intervals, in steps of Runge and Kutta.
 
     grouping: E (nu, groups) of ones, γ of all strings from those of groups that pull alike
@@ -181,7 +181,7 @@ class Reach:
         last, motion = self._linearised(rows, weights, start, self._even(controls)[:at], length)
         return self._gradient(last, motion, len(controls), length)
 
-    def controlled(
+    def controllable_rows(
         self,
         rows: ca.Function,
         weights: Array,
@@ -191,7 +191,7 @@ class Reach:
         at: int | None = None,
         least: float = REACHED,
     ) -> Array:
-        """Return orthonormal combinations (rank, m) of the rows that the controls can move, as `find_controlled` of `of_rows`."""
+        """Return orthonormal combinations (rank, m) of the rows that the controls can move, as `find_controllable_rows` of `of_rows`."""
         length = duration / len(controls)
         last, motion = self._linearised(rows, weights, start, self._even(controls)[:at], length)
         if (
@@ -200,7 +200,7 @@ class Reach:
             and self._surely_controlled(last, motion, length, least)
         ):
             return np.eye(len(weights))
-        return find_controlled(self._gradient(last, motion, len(controls), length), least)
+        return find_controllable_rows(self._gradient(last, motion, len(controls), length), least)
 
     def _surely_controlled(
         self, last: Array, motion: Linearised, length: float, least: float
@@ -308,7 +308,7 @@ def _slope(rows: ca.Function, x: Array) -> Array:
     return np.asarray(ca.Function("slope", [symbol], [ca.jacobian(rows(symbol), symbol)])(x).full())
 
 
-def find_controlled(sensitivity: Array, least: float = REACHED) -> Array:
+def find_controllable_rows(sensitivity: Array, least: float = REACHED) -> Array:
     """Return orthonormal combinations (rank, m) of rows that the controls can move, given their gradient; all of them where it is not finite."""
     if not np.all(np.isfinite(sensitivity)) or not sensitivity.size:
         return np.eye(len(sensitivity))

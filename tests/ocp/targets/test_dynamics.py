@@ -8,7 +8,7 @@ import pytest
 from scenes import every_term
 
 import tenscasadi as tc
-from ocp.boundary.dynamics import Dynamics
+from ocp.targets.dynamics import Dynamics
 
 BAR = tc.Structure(
     [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 1)], [(1, 2)], node_mass=[0, 0, 1], pinned=[2]

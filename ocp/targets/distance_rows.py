@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ocp.boundary.row_reduction import RANK
+from ocp.targets.row_reduction import RANK
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices
 

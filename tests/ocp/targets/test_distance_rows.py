@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 import tenscasadi as tc
-from ocp.boundary.shape import all_pairs, feel, neighbours, squared_distances
+from ocp.targets.distance_rows import all_pairs, feel, neighbours, squared_distances
 
 NODES = [(k, 0.3 * (k % 2), 0) for k in range(6)]
 CHAIN = tc.Structure(NODES, [(k, k + 1) for k in range(5)], [(0, 2)])

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from ocp.boundary.row_reduction import separate_parts
+from ocp.targets.row_reduction import separate_parts
 from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import REFINEMENTS, REGULARISATION, ArrayFunction, block_inverse

@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
-from ocp.boundary.free_start import FreeStartRows
-from ocp.boundary.row_reduction import Reduction
+from ocp.targets.free_start import FreeStartRows
+from ocp.targets.row_reduction import Reduction
 from tenscasadi.util.validate import Array
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse as sp
 
-from ocp.boundary.row_reduction import RANK, SMALL, RowFunction, separate_parts, soft_directions
+from ocp.targets.row_reduction import RANK, SMALL, RowFunction, separate_parts, soft_directions
 from tenscasadi.util.validate import Array
 
 STRIDE = 0.1  # of the structure's size: how far a step may move nodes relative to each other

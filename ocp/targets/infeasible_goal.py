@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-class UnreachableGoal(ValueError):
+class InfeasibleGoalError(ValueError):
     """Goals that cannot be met, found before anything is solved.
 
     `solve` raises it, and so does `Mpc` where it holds the goals without a plan. The message names
@@ -45,6 +45,6 @@ class UnreachableGoal(ValueError):
     >>> ocp.solve(away)
     Traceback (most recent call last):
         ...
-    ocp.boundary.unreachable.UnreachableGoal: NodePositions: node ... misses its goal by 1 m at
+    ocp.targets.infeasible_goal.InfeasibleGoalError: NodePositions: node ... misses its goal by 1 m at
     best, as the centre of mass ...
     """

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import scipy.linalg
 
-from ocp.boundary.dynamics import Dynamics
-from ocp.boundary.tangents import Tangents
+from ocp.targets.dynamics import Dynamics
+from ocp.targets.tangents import Tangents
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 

@@ -9,10 +9,10 @@ from planning import driven
 
 import ocp
 import tenscasadi as tc
-from ocp.boundary.find_target import find_target
-from ocp.boundary.invariants import invariants
-from ocp.boundary.row_reduction import RowFunction, null_space, separate_parts, soft_directions
 from ocp.problem.scaling import Scales
+from ocp.targets.find_target import find_target
+from ocp.targets.invariants import invariants
+from ocp.targets.row_reduction import RowFunction, null_space, separate_parts, soft_directions
 
 PRISM = tc.shapes.prism()
 

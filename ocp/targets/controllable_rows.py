@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ocp.boundary.sensitivities import REACHED, Reach
-from ocp.boundary.target import Target
+from ocp.targets.control_sensitivities import REACHED, ControlSensitivities
+from ocp.targets.target import Target
 from tenscasadi.util.validate import Array
 
 
-def controlled(
-    target: Target, reach: Reach, force_density: Array, duration: float, least: float = REACHED
+def drop_uncontrollable_rows(
+    target: Target,
+    reach: ControlSensitivities,
+    force_density: Array,
+    duration: float,
+    least: float = REACHED,
 ) -> Target:
     """Return the target without the rows that the strings cannot move, to first order, along the motion under force densities (K, α)."""
     if not count_rows(target) or target.free_start is not None:  # a free start moves them too
@@ -21,7 +25,7 @@ def controlled(
         if not part.count:
             return part
         end = max(1, round(share * intervals))
-        kept = reach.controlled(
+        kept = reach.controllable_rows(
             part.single, part.weights, target.start, force_density, duration, end, least
         )
         return part if len(kept) == part.count else part.keep(kept, "out of control")

@@ -13,12 +13,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.invariants import invariants
-from ocp.boundary.row_reduction import Reduction, RowFunction, reduce_rows
-from ocp.boundary.unreachable import UnreachableGoal
 from ocp.problem.problem import Problem
 from ocp.problem.rows import Rows, stack
 from ocp.problem.scaling import Scales
+from ocp.targets.infeasible_goal import InfeasibleGoalError
+from ocp.targets.invariants import invariants
+from ocp.targets.row_reduction import Reduction, RowFunction, reduce_rows
 from tenscasadi.util.validate import Array
 
 # of typical momenta (`Scales.units`): a greater change within the shortest duration is no rounding
@@ -43,7 +43,7 @@ class FreeStartRows:
 def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
     """Return the rows of a free start, None where it is given.
 
-    Raises `UnreachableGoal` where the motion cannot repeat, as all of the structure falls.
+    Raises `InfeasibleGoalError` where the motion cannot repeat, as all of the structure falls.
     """
     if not problem.free_start:
         return None
@@ -98,6 +98,6 @@ def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None
     change = np.abs(np.asarray(ca.Function("change", [x], [scaled])(near).full()).ravel())
     if change.max(initial=0.0) > FALLS:
         name = momentum.names[int(np.argmax(change))]
-        raise UnreachableGoal(
+        raise InfeasibleGoalError(
             f"Periodic cannot be met, as {name} whatever the strings do: give a scene with a ground, or pin a node"
         )

@@ -8,9 +8,9 @@ import pytest
 from planning import driven
 
 import tenscasadi as tc
-from ocp.boundary.invariants import bodies, free_motions, invariants
-from ocp.boundary.row_reduction import null_space
-from ocp.boundary.sensitivities import Reach, find_controlled
+from ocp.targets.control_sensitivities import ControlSensitivities, find_controllable_rows
+from ocp.targets.invariants import bodies, free_motions, invariants
+from ocp.targets.row_reduction import null_space
 
 PRISM = tc.shapes.prism()
 BALL = tc.shapes.six_bar_ball()
@@ -95,7 +95,7 @@ def test_invariants_are_all_that_the_strings_cannot_change(name):
     x = ca.SX.sym("x", model.nx)
     gradients = [ca.jacobian(group.value, x) for group in invariants(model, start, x, ca.SX(1.0))]
     intervals = 16
-    reach = Reach(model, free_duration=False, substeps=16)
+    reach = ControlSensitivities(model, free_duration=False, substeps=16)
     controls = np.random.default_rng(3).uniform(0, 10, size=(intervals, model.nu))
     states = reach.rollout(start, controls, 1.0)
     A = ca.Function("A", [x], [ca.vertcat(*gradients)])(states[-1]).full()
@@ -104,7 +104,7 @@ def test_invariants_are_all_that_the_strings_cannot_change(name):
     sensitivity = reach.of_rows(
         ca.Function("state", [x], [x]), np.eye(model.nx), start, controls, 1.0
     )
-    assert len(find_controlled(sensitivity)) == model.nx - count
+    assert len(find_controllable_rows(sensitivity)) == model.nx - count
     assert np.abs(A @ sensitivity).max() < 1e-4 * np.abs(A).max() * np.abs(sensitivity).max()
 
 

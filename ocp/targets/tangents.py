@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.boundary.invariants import rigid_rows
+from ocp.targets.invariants import rigid_rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 

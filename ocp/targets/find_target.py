@@ -11,17 +11,17 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from ocp.boundary.free_start import find_free_start
-from ocp.boundary.gauss_newton import NEARLY_SINGULAR, GaussNewton
-from ocp.boundary.invariants import invariants
-from ocp.boundary.row_reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
-from ocp.boundary.shape import all_pairs, feel, neighbours, squared_distances
-from ocp.boundary.target import Target, WaypointTarget
-from ocp.boundary.unreachable import UnreachableGoal
 from ocp.problem.control import pulled
 from ocp.problem.problem import Problem
 from ocp.problem.rows import stack
 from ocp.problem.scaling import Scales
+from ocp.targets.distance_rows import all_pairs, feel, neighbours, squared_distances
+from ocp.targets.free_start import find_free_start
+from ocp.targets.gauss_newton import NEARLY_SINGULAR, GaussNewton
+from ocp.targets.infeasible_goal import InfeasibleGoalError
+from ocp.targets.invariants import invariants
+from ocp.targets.row_reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
+from ocp.targets.target import Target, WaypointTarget
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices
 
@@ -39,15 +39,15 @@ def find_target(
 ) -> Target:
     """Return the target of a problem: the state that meets the goals, nearest to its start or to a motion at the same share of the duration.
 
-    Raises `UnreachableGoal`, naming the goal's row, what stands against it and by how much.
+    Raises `InfeasibleGoalError`, naming the goal's row, what stands against it and by how much.
     """
     waypoints = []
     for share, part in problem.waypoints:
         try:
             met = _find_end(part, scales, near and near(share))
             _check_time(problem, met, part.longest)
-        except UnreachableGoal as error:
-            raise UnreachableGoal(f"waypoint at {share:.3g} of the duration: {error}") from None
+        except InfeasibleGoalError as error:
+            raise InfeasibleGoalError(f"waypoint at {share:.3g} of the duration: {error}") from None
         waypoints.append(WaypointTarget(share, met))
     if problem.start_goals:
         closed = any(
@@ -63,8 +63,8 @@ def find_target(
                 ),
                 scales,
             )
-        except UnreachableGoal as error:
-            raise UnreachableGoal(f"free start: {error}") from None
+        except InfeasibleGoalError as error:
+            raise InfeasibleGoalError(f"free start: {error}") from None
     end = _find_end(problem, scales, near and near(1.0))
     _check_time(problem, end, problem.longest)
     return replace(end, waypoints=tuple(waypoints), free_start=find_free_start(problem, scales))
@@ -107,7 +107,7 @@ def _check_time(problem: Problem, target: Target, seconds: float) -> None:
     away = np.abs(model.split(target.state - start)[0])
     if away.max() > AMPLE * reach:
         way = f"{model.mechanism.coordinate_names[np.argmax(away)]} has to move by {away.max():.2g} m in {seconds:.2g} s"
-        raise UnreachableGoal(
+        raise InfeasibleGoalError(
             f"{way}, in which force densities within their limits move it by about {reach:.2g} m: give more time"
         )
 
@@ -216,7 +216,7 @@ class _Finder:
             kind, name = rows[int(np.argmax(push))]
             if push.max() > 1e-2 * np.abs(r).max() or later.any():
                 reason = f"{name}{_CURES[kind]}"
-        raise UnreachableGoal(
+        raise InfeasibleGoalError(
             f"{self.goals.names[worst]} misses its goal by {size:.3g} {unit} at best, as {reason}"
         )
 

@@ -108,7 +108,7 @@ SPLIT = tc.Model(
 BAD = {
     "falls": (
         lambda: ocp.solve(problem(FALLING, goals=[ocp.Periodic()])),
-        ocp.UnreachableGoal,
+        ocp.InfeasibleGoalError,
         "Periodic cannot be met, as the centre of mass",
     ),
     "joints": (lambda: problem(SPLIT, goals=[]), ValueError, "Problem.start is free"),
@@ -156,7 +156,7 @@ def starting(*goals, end=()):
 BAD |= {
     "a place out of reach": (
         lambda: starting(ocp.NodePositions({1: (5.0, None, None)})),
-        ocp.UnreachableGoal,
+        ocp.InfeasibleGoalError,
         "free start: NodePositions: node 1 x misses its goal by 4.* m at best, as bar 0 keeps its length",
     ),
     "another place than the end, which repeats it": (
@@ -164,12 +164,12 @@ BAD |= {
             ocp.NodePositions({1: (0.1, None, None)}),
             end=[ocp.NodePositions({1: (0.3, None, None)})],
         ),
-        ocp.UnreachableGoal,
+        ocp.InfeasibleGoalError,
         "free start: NodePositions: node 1 x misses its goal by 0.1 m at best, as the goals contradict each other",
     ),
     "two places at once": (
         lambda: starting(*(ocp.NodePositions({1: (x, None, None)}) for x in (0.1, 0.3))),
-        ocp.UnreachableGoal,
+        ocp.InfeasibleGoalError,
         "free start: NodePositions: node 1 x misses its goal by 0.1 m at best, as the goals contradict each other",
     ),
 }
