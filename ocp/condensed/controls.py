@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ocp.transcription.discrete_equations import EARLY, LATE
 from ocp.transcription.mesh import Profile, group_matrix, spans
-from ocp.transcription.variational import EARLY, LATE
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices
 

@@ -1,4 +1,4 @@
-"""Where nodes are to the ground in a phase, and the cone of friction that its pushes stay in."""
+"""Rows of contact: nodes above the ground, and reactions within the cone of friction."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from ocp.phases.motion import PhaseMotion
+from ocp.transcription.contact_set import ContactSet, node_coordinates
 from ocp.transcription.sparse_nlp import Block, split_symbol
+from ocp.transcription.variables import Variables
 from tenscasadi.scene.ground import Surface
-from tenscasadi.util.validate import Indices
 
 # of the pyramid inside the cone: its rows are linear, and have gradients also where nothing pushes
 SIDES = 8
@@ -18,66 +18,63 @@ SIDES = 8
 # speed
 SHARE = 0.8
 
+# of its share of the weight: less holds no node that stands where the ground gives way a little
+PRESSED = 0.1
 
-def cone_blocks(motion: PhaseMotion, ground: Surface) -> list[Block]:
-    """Return the rows that keep reactions, and the impulses of an impact, in the cone of friction about the ground's normal."""
-    nodes = motion.stands
-    place = motion.v.states[0, motion.held].reshape(-1, 3)
-    time, blocks = motion.v.scales.time, []
-    for what, pushes, size, least in (
-        ("reaction", motion.reactions, motion.weight, motion.least_push),
-        ("impulse", motion.impulses, motion.weight * time, 0.0),
+
+def cone_blocks(v: Variables, contact: ContactSet, ground: Surface, least: float) -> list[Block]:
+    """Keep reactions and impulses in the cone of friction about the ground's normal.
+
+    least: N, of every reaction along the normal.
+    """
+    place = v.states[0, contact.held].reshape(-1, 3)
+    blocks = []
+    for what, pushes, size, tip in (
+        ("reaction", contact.reactions, contact.force, least),
+        ("impulse", contact.impulses, contact.force * v.scales.time, 0.0),
     ):
-        cone = friction_cone(ground, least)
-        pushed = pushes.reshape(-1, len(nodes), 3)
-        index = np.concatenate([np.broadcast_to(place, pushed.shape), pushed], axis=2).reshape(
-            -1, 6
-        )
-        names = [
-            f"{what} on node {node} within the cone of friction, side {side}"
-            for node in nodes
+        cone = friction_cone(ground, tip)
+        pushed = pushes.reshape(-1, len(contact.stands), 3)
+        index = np.concatenate([np.broadcast_to(place, pushed.shape), pushed], axis=2)
+        names = tuple(
+            f"{what} on node {node} within the cone of friction, side {side}, interval {k}"
+            for k in range(len(pushed))
+            for node in contact.stands
             for side in range(SIDES)
-        ]
-        every = tuple(f"{name}, interval {k}" for k in range(len(pushed)) for name in names)
-        if len(index):
-            blocks.append(Block(_scaled(cone, size), index, every, 0.0, np.inf, size, kind="path"))
+        )
+        if names:
+            function, index = _scaled(cone, size), index.reshape(-1, 6)
+            blocks.append(Block(function, index, names, 0.0, np.inf, size, kind="path"))
     return blocks
 
 
 def height_blocks(
-    motion: PhaseMotion, grounds: Sequence[Surface], landing: Sequence[int]
+    v: Variables, contact: ContactSet, grounds: Sequence[Surface], landing: Sequence[int]
 ) -> list[Block]:
-    """Return the rows that keep nodes which do not stand above all grounds, and put those that are `landing` onto theirs at the end."""
-    v, size = motion.v, motion.v.scales.length
+    """Keep nodes that do not stand above all grounds, and put those that land onto theirs."""
+    size, coordinates = v.scales.length, node_coordinates(v.model)
     blocks = []
     for ground in grounds:
-        acts = (
-            range(len(motion.model.scene.structure.nodes)) if ground.nodes is None else ground.nodes
-        )
-        off = [
-            node
-            for node in acts
-            if node not in motion.stands and (motion.coordinates[node] >= 0).all()
-        ]
+        acts = range(len(v.model.scene.structure.nodes)) if ground.nodes is None else ground.nodes
+        off = [k for k in acts if k not in contact.stands and (coordinates[k] >= 0).all()]
         down = [node for node in off if node in landing]
-        height = _scaled(_height(ground), size)
-        pairs = [
+        z = ca.SX.sym("z", 3)
+        height = ca.Function("height", [z], [-ground.depth(z) / size])
+        above = [
             (k, node)
             for k in range(1, v.count + 1)
             for node in off
             if k < v.count or node not in down
         ]
-        if pairs:
-            index = np.concatenate([_places(motion, k, [node]) for k, node in pairs])
-            names = tuple(
-                f"height of node {node} above the ground, interval {k}" for k, node in pairs
-            )
-            blocks.append(Block(height, index, names, 0.0, np.inf, size, kind="path"))
-        if down:
-            names = tuple(f"height of node {node}, which lands" for node in down)
-            blocks.append(
-                Block(height, _places(motion, v.count, down), names, scale=size, kind="path")
-            )
+        onto = [(v.count, node) for node in down]
+        for pairs, upper, text in (
+            (above, np.inf, "height of node {} above the ground, interval {}"),
+            (onto, 0.0, "height of node {}, which lands"),
+        ):
+            if pairs:
+                index = np.stack([v.states[k][coordinates[node]] for k, node in pairs])
+                names = tuple(text.format(node, k) for k, node in pairs)
+                blocks.append(Block(height, index, names, 0.0, upper, size, kind="path"))
     return blocks
 
 
@@ -104,17 +101,6 @@ def friction_cone(ground: Surface, least: float = 0.0) -> ca.Function:
     return ca.Function(
         "cone", [z], [steepest * (ca.dot(normal, push) - least) - ca.vertcat(*along)]
     )
-
-
-def _places(motion: PhaseMotion, k: int, nodes: Sequence[int]) -> Indices:
-    """Return the entries (·, 3) of the places of nodes at a node of the mesh."""
-    found: Indices = motion.v.states[k][motion.coordinates[list(nodes)]]
-    return found
-
-
-def _height(ground: Surface) -> ca.Function:
-    z = ca.SX.sym("z", 3)
-    return ca.Function("height", [z], [-ground.depth(z)])
 
 
 def _scaled(function: ca.Function, size: float) -> ca.Function:

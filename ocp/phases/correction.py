@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.phases.program import PhasedProgram
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import Ipopt
 from ocp.targets.target import Target
+from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import contact_step
@@ -28,7 +28,8 @@ Read = Callable[
 
 
 def correct(
-    linked: PhasedProgram,
+    program: Program,
+    harder: float,
     model: Model,
     solver: Ipopt,
     solution: Solution,
@@ -42,13 +43,13 @@ def correct(
     Where that does not help, nodes slip that ought to stand: they are made to press harder, round
     by round.
 
-    tolerance: m, and m per duration, of which half is enough. Only limits of rows change, so
+    harder: least reaction that is added in a round, as a share of a typical one. tolerance: m, and
+    m per duration, of which half is enough. Only limits of rows change, so
     nothing is built again.
     """
-    program, again, best = linked.program, None, solution
+    again, best = None, solution
     least, residuals = _replayed(model, *read(solution.w), targets)
     pressing = np.array([name.startswith("reaction") for name in program.names])
-    harder = max((motion.least_push / motion.weight for motion in linked.motions), default=0.0)
     shift, missed, pressed, iterations = np.zeros_like(residuals), least, 0.0, solution.iterations
     for _ in range(MOST_ROUNDS):
         if not ENOUGH * tolerance < missed < np.inf:

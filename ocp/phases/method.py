@@ -1,4 +1,4 @@
-"""Plans in phases: one program of all, solved by IPOPT, and solved again for what contact on the true ground leaves."""
+"""Plans in phases: one program, corrected for the errors that remain on the true ground."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from ocp.phases.contact import PRESSED, cone_blocks, height_blocks
 from ocp.phases.correction import correct
 from ocp.phases.first_guess import guess_phases, split_plan
-from ocp.phases.motion import PhaseMotion
-from ocp.phases.program import PhasedProgram, link_phases
 from ocp.phases.targets import find_targets, phase_problems, whole_target
 from ocp.plan.diagnosis import explain_failure, measure_misses
 from ocp.plan.plan import Plan
@@ -24,9 +23,12 @@ from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import named_duals
 from ocp.targets.target import Target
+from ocp.transcription.assemble import Stage, assemble
 from ocp.transcription.base import Transcription
+from ocp.transcription.contact_set import ContactSet, stand
 from ocp.transcription.initial_guess import Guess, InitialGuess
-from ocp.transcription.variables import Variables
+from ocp.transcription.sparse_nlp import Block, Program
+from ocp.transcription.variables import Entries, Variables
 from ocp.transcription.variational import Variational
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, shown
@@ -34,18 +36,66 @@ from tenscasadi.util.validate import Array, shown
 MET = 3e-4  # of the structure's size: goals missed by more are missed
 
 
+class PhaseValues(NamedTuple):
+    """A solution of a phase, in which s nodes stand.
+
+    The state before its impact, if it has one, is the end of the phase before.
+
+    states (K + 1, nx); force_density (K, α), N/m; duration, s; reactions (K + 1, s, 3), N; impulses
+    of the impact (0 or 1, s, 3), N·s.
+    """
+
+    states: Array
+    force_density: Array
+    duration: float
+    reactions: Array
+    impulses: Array
+
+
 class PhasedTask(NamedTuple):
-    """A problem with phases as a program: the problem, and the target, of each phase, and all of them linked."""
+    """A problem with phases as a program.
+
+    parts, targets, stages, contacts: of each phase. harder: the least reaction of a node that
+    stands, as a share of a typical one.
+    """
 
     parts: list[Problem]
     targets: list[Target]
-    scales: Scales
-    transcription: Transcription
-    linked: PhasedProgram
+    stages: list[Stage]
+    contacts: list[ContactSet]
+    harder: float
+    program: Program
+
+    @property
+    def intervals(self) -> int:
+        """Number of intervals of a phase."""
+        return self.stages[0].variables.count
+
+    def values(self, w: Array) -> list[PhaseValues]:
+        """Return the values of each phase that scaled unknowns stand for."""
+        phases, count = len(self.parts), self.intervals
+        states, gamma, durations = (np.asarray(one.full()).T for one in self.program.unpack(w))
+        y = self.stages[0].variables.entries.values(w)
+        return [
+            PhaseValues(
+                own_states,
+                own_gamma,
+                float(duration),
+                y[contact.reactions].reshape(count + 1, len(contact.stands), 3),
+                y[contact.impulses].reshape(int(contact.lands), len(contact.stands), 3),
+            )
+            for own_states, own_gamma, duration, contact in zip(
+                np.split(states, phases),
+                np.split(gamma, phases),
+                durations[:, 0],
+                self.contacts,
+                strict=True,
+            )
+        ]
 
     def joined(self, w: Array) -> tuple[Array, Array, Array]:
         """Return time (K + 1,), states (K + 1, nx) and force densities of all phases, where nodes land those after the impact."""
-        values, shares = self.linked.values(w), self.transcription.fractions
+        values, nodes = self.values(w), self.stages[0].variables.fractions
         durations = [
             float(np.clip(one.duration, part.shortest, part.longest))
             for one, part in zip(values, self.parts, strict=True)
@@ -55,13 +105,8 @@ class PhasedTask(NamedTuple):
             np.clip(one.force_density, *part.force_density_limits)
             for one, part in zip(values, self.parts, strict=True)
         ]
-        return (
-            np.append(
-                0.0, np.cumsum(np.concatenate([duration * shares for duration in durations]))
-            ),
-            states,
-            np.concatenate(gamma),
-        )
+        intervals = np.concatenate([duration * nodes for duration in durations])
+        return np.append(0.0, np.cumsum(intervals)), states, np.concatenate(gamma)
 
 
 def solve_phased(
@@ -81,12 +126,20 @@ def solve_phased(
     if not isinstance(solver, Ipopt):
         raise ValueError(f"solver is {type(solver).__name__}: phases take ocp.Ipopt()")
     task = link_problem(problem, transcription, guess)
-    solution = solver.solve(task.linked.program, deadline)
+    solution = solver.solve(task.program, deadline)
     planned, target = _outcome(task, solution)
     if not planned.success:
         return planned, target
     corrected = correct(
-        task.linked, problem.model, solver, solution, task.joined, task.targets, tolerance, deadline
+        task.program,
+        task.harder,
+        problem.model,
+        solver,
+        solution,
+        task.joined,
+        task.targets,
+        tolerance,
+        deadline,
     )
     outcome, target = _outcome(task, corrected)
     return outcome._replace(
@@ -132,27 +185,56 @@ def link_problem(
         if guess is None
         else split_plan(guess, parts, count)
     )
-    motions = []
-    for k, (part, target, own) in enumerate(zip(parts, targets, first, strict=True)):
-        stands = tuple(problem.phases[k].stands)
-        lands = k > 0 and bool(set(stands) - set(problem.phases[k - 1].stands))
+    stages: list[Stage] = []
+    contacts: list[ContactSet] = []
+    entries, least = Entries(), 0.0
+    for k, (phase, part, target, own) in enumerate(
+        zip(problem.phases, parts, targets, first, strict=True)
+    ):
+        entries.begin_phase()
+        last = k + 1 == len(parts)
         v = Variables(
-            _without_end(part, problem) if k + 1 < len(parts) else part,
+            part if last else _without_end(part, problem),
             target,
             scales,
             own,
             transcription.fractions,
             transcription.control,
+            entries,
+            stages[-1].variables.states[-1] if stages else None,
         )
-        reactions = np.tile(-weight / max(len(stands), 1), len(stands))
-        motions.append(PhaseMotion(v, stands, lands, -float(np.mean(own.force_density)), reactions))
-    return PhasedTask(
-        parts,
-        targets,
-        scales,
-        transcription,
-        link_phases(motions, scene.grounds, [phase.until for phase in problem.phases]),
-    )
+        lands = k > 0 and bool(set(phase.stands) - set(problem.phases[k - 1].stands))
+        share = -weight / max(len(phase.stands), 1)
+        contact = stand(v, phase.stands, lands, np.tile(share, len(phase.stands)))
+        stage = transcription.stage(v, contact)
+        if phase.stands:
+            pressed = PRESSED * float(np.linalg.norm(share))
+            least = max(least, pressed / contact.force)
+            stage.blocks.rows.extend(cone_blocks(v, contact, scene.grounds[0], pressed))
+        landing = () if last else problem.phases[k + 1].stands
+        stage.blocks.rows.extend(height_blocks(v, contact, scene.grounds, landing))
+        stages.append(stage)
+        contacts.append(contact)
+    program = assemble(stages, _end_times(problem, stages))
+    return PhasedTask(parts, targets, stages, contacts, least, program)
+
+
+def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:
+    """Limit the times at which phases end: sums of durations; the first one's are those of its duration."""
+    durations = np.concatenate([stage.variables.duration for stage in stages])
+    blocks = []
+    for k, phase in enumerate(problem.phases):
+        if phase.until is not None and k:
+            z, size = ca.SX.sym("z", k + 1), sum(stage.variables.scales.time for stage in stages)
+            earliest, latest = (time / size for time in phase.until)
+            function = ca.Function("end", [z], [ca.sum1(z) / size])
+            names = (f"end of phase {k}",)
+            blocks.append(
+                Block(
+                    function, durations[None, : k + 1], names, earliest, latest, size, kind="path"
+                )
+            )
+    return blocks
 
 
 def _without_end(part: Problem, problem: Problem) -> Problem:
@@ -172,10 +254,9 @@ def _without_end(part: Problem, problem: Problem) -> Problem:
 
 
 def _outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
-    values, program = task.linked.values(solution.w), task.linked.program
+    values, program = task.values(solution.w), task.program
     time, states, gamma = task.joined(solution.w)
-    count = task.transcription.count
-    ends = time[count::count] / time[-1]
+    ends = time[task.intervals :: task.intervals] / time[-1]
     target = whole_target(task.targets, ends)
     missed = measure_misses(
         target, lambda share: values[int(np.argmin(np.abs(ends - share)))].states[-1]
@@ -185,7 +266,10 @@ def _outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
         why = explain_failure(
             missed, target, None, program, solution, Guess(states, gamma, float(time[-1])), "", {}
         )
-    elif max((amount for amount, _ in missed.places), default=0.0) > MET * task.scales.length:
+    elif (
+        max((amount for amount, _ in missed.places), default=0.0)
+        > MET * task.stages[0].variables.scales.length
+    ):
         why = f"no plan: {missed.worst()}: nodes that stand keep it from there, leave it out or let them step"
     cost = ca.Function("cost", [program.problem["x"]], [program.problem["f"]])(solution.w)
     outcome = Outcome(

@@ -8,13 +8,13 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ocp.phases.motion import node_coordinates
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import InfeasibleGoalError
 from ocp.targets.row_reduction import reduce_rows
 from ocp.targets.target import Target, WaypointTarget
+from ocp.transcription.contact_set import node_coordinates
 from tenscasadi.util.validate import Array
 
 
@@ -41,21 +41,19 @@ def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> 
         if target.state is not None:
             near = target.state.copy()
             near[part.model.nq :] = 0.0
-    targets[0] = replace(targets[0], start=problem.first_state, free_start=None)
-    return targets
+    targets[0] = replace(targets[0], start=problem.first_state)
+    return [replace(target, free_start=None) for target in targets]
 
 
 def whole_target(targets: Sequence[Target], ends: Array) -> Target:
     """Return the target of the plan, in which phases end at shares of its duration."""
     start = targets[0].start
     on_the_way = [
-        WaypointTarget(float(end), replace(part, free_start=None))
-        for end, part in zip(ends[:-1], targets[:-1], strict=True)
+        WaypointTarget(float(end), part) for end, part in zip(ends[:-1], targets[:-1], strict=True)
     ]
     return replace(
         targets[-1],
         start=start,
-        free_start=None,
         waypoints=tuple(one for one in on_the_way if one.target.names),
     )
 

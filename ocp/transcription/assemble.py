@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -28,8 +28,8 @@ from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Indices, shown
 
 
-class Asked(NamedTuple):
-    """Blocks of what is asked of a motion: path constraints and goals, and costs."""
+class ProblemBlocks(NamedTuple):
+    """Blocks of path constraints and goals, and of costs."""
 
     rows: list[Block]
     costs: list[Block]
@@ -46,26 +46,56 @@ class Defects(NamedTuple):
     states: Callable[[Any], Any] | None = None
 
 
-def asked_blocks(v: Variables) -> Asked:
-    """Return the blocks of path constraints, goals and costs."""
-    return Asked([*path_blocks(v), *waypoint_blocks(v), *end_blocks(v)], cost_blocks(v))
+class Stage(NamedTuple):
+    """The variables of a plan, or of one of its phases, and all blocks in them."""
+
+    variables: Variables
+    blocks: ProblemBlocks
+    defects: Defects
+
+    @property
+    def rows(self) -> list[Block]:
+        """All rows, named after the phase."""
+        v = self.variables
+        return [
+            replace(block, names=tuple(name + v.suffix for name in block.names))
+            for block in (*start_blocks(v), *self.defects.rows, *self.blocks.rows)
+        ]
+
+    def states(self, entries: Any) -> Any:
+        """Return the states (nx, K + 1) from the column of all entries."""
+        if self.defects.states is None:
+            return gathered(entries, self.variables.states)
+        return self.defects.states(entries)
 
 
-def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
-    """Return the program: costs are least where defects vanish, and path constraints and goals are met."""
-    unknowns, place = v.entries.ordered()
-    rows, costs = (
-        [block.relabelled(place) for block in blocks]
-        for blocks in ([*start_blocks(v), *defects.rows, *asked.rows], asked.costs)
-    )
-    parts = Separable(unknowns, rows, costs, 1 / v.objective)
+def problem_blocks(v: Variables) -> ProblemBlocks:
+    """Build the blocks of path constraints, goals and costs."""
+    return ProblemBlocks([*path_blocks(v), *waypoint_blocks(v), *end_blocks(v)], cost_blocks(v))
+
+
+def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:
+    """Build the program of a plan, or of its phases, which share their entries.
+
+    linkage: rows in entries of several phases.
+    """
+    variables = [stage.variables for stage in stages]
+    first = variables[0]
+    unknowns, place = first.entries.ordered()
+    rows = [block for stage in stages for block in stage.rows] + list(linkage)
+    costs = [block for stage in stages for block in stage.blocks.costs]
+    rows, costs = ([block.relabelled(place) for block in blocks] for blocks in (rows, costs))
+    objective = sum(v.objective for v in variables)
+    parts = Separable(unknowns, rows, costs, 1 / objective)
     entries = unknowns.entries(parts.w)[place.tolist()]
-    states = gathered(entries, v.states) if defects.states is None else defects.states(entries)
-    controls = ca.mtimes(sparse(v.group_matrix), gathered(entries, v.controls))
+    states = ca.horzcat(*(stage.states(entries) for stage in stages))
+    decided = np.concatenate([v.controls for v in variables])
+    controls = ca.mtimes(sparse(first.group_matrix), gathered(entries, decided))
+    durations = gathered(entries, np.concatenate([v.duration for v in variables])[:, None])
     noise = None
-    if v.noise is not None:
+    if first.noise is not None:
         noise = np.zeros(unknowns.count)
-        noise[place[v.controls]] = v.noise
+        noise[place[decided]] = first.noise
         noise /= unknowns.scale
     lower, upper, scale = (
         np.concatenate(columns) for columns in zip(*(block.limits() for block in rows), strict=True)
@@ -78,16 +108,14 @@ def assemble(v: Variables, asked: Asked, defects: Defects) -> Program:
         lower=lower,
         upper=upper,
         scale=scale,
-        objective=v.objective,
-        unpack=ca.Function(
-            "unpack", [parts.w], [states, controls, gathered(entries, v.duration[:, None])]
-        ),
-        states=place[v.states],
-        controls=place[v.controls]
-        if not v.profile.linear and len(np.unique(v.controls)) == v.controls.size
+        objective=objective,
+        unpack=ca.Function("unpack", [parts.w], [states, controls, durations]),
+        states=place[np.concatenate([v.states for v in variables])],
+        controls=place[decided]
+        if not first.profile.linear and len(np.unique(decided)) == decided.size
         else None,
-        together=v.group_matrix,
-        contact=v.model.scene.ground is not None,
+        together=first.group_matrix,
+        contact=any(v.model.scene.ground is not None for v in variables),
         noise=noise,
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.targets.target import Target
-from ocp.transcription.assemble import Defects, asked_blocks, assemble
+from ocp.transcription.assemble import Defects, Stage, assemble, problem_blocks
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import (
     Intervals,
@@ -82,9 +82,13 @@ class Transcription:
         """Return the nonlinear program, scaled about the guess. Raise ValueError for a model that the transcription cannot take."""
         self.check_model(problem.model)
         variables = Variables(problem, target, scales, guess, self.fractions, self.control)
-        asked = asked_blocks(variables)
-        used = variables.entries.used_by([*asked.rows, *asked.costs])
-        return assemble(variables, asked, self.defects(variables, used))
+        return assemble([self.stage(variables)])
+
+    def stage(self, variables: Variables, *contact: Any) -> Stage:
+        """Build all blocks in variables; contact: what `defects` takes beside them."""
+        blocks = problem_blocks(variables)
+        used = variables.entries.used_by([*blocks.rows, *blocks.costs])
+        return Stage(variables, blocks, self.defects(variables, used, *contact))
 
     def check_model(self, model: Model) -> None:
         """Raise ValueError for a model that the transcription cannot take."""

@@ -237,9 +237,10 @@ class Program:
     start. lower, upper, scale: limits of the rows of g, and what these are multiplied by to be
     physical (rows of goals have no unit); objective: the same for f. unpack: Function w → states
     (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise
-    linear), duration. states: entries of x (intervals + 1, nx). controls: None, or entries
-    (intervals, m) of what is held in each interval, none held over several, which `together` (α, m)
-    makes force densities of. contact: whether nodes may meet a ground. multipliers: those of g and
+    linear), duration; those of one phase after the other, and their durations (1, phases). states:
+    entries of x (intervals + 1, nx). controls: None, or entries (intervals, m) of what is held in
+    each interval, none held over several, which `together` (α, m) makes force densities of.
+    contact: whether nodes may meet a ground. multipliers: those of g and
     of w's limits to start from, where they are known. noise: None, or what is to be added to
     `first` where that leads to a saddle.
     """

@@ -34,11 +34,25 @@ _ENTRY = np.dtype(
 
 
 class Entries:
-    """Numbers that rows refer to, numbered in the order in which they are added: unknowns, described as in `Unknowns`, and constants."""
+    """Numbers that rows refer to: unknowns, described as in `Unknowns`, and constants.
+
+    They are numbered in the order in which they are added. suffix: of the names of the phase that
+    adds them; "" where there are no phases.
+    """
 
     def __init__(self) -> None:
         self._names: list[str] = []
         self._table = np.zeros(0, _ENTRY)
+        self._phases = self._first_interval = 0
+        self.suffix = ""
+
+    def begin_phase(self) -> None:
+        """Count intervals from those of the phase before, and name what is added after the phase."""
+        interval = self._table["interval"]
+        if interval.size:
+            self._first_interval = 1 + int(interval[np.isfinite(interval)].max())
+        self.suffix = f", phase {self._phases}"
+        self._phases += 1
 
     def unknowns(
         self,
@@ -50,7 +64,9 @@ class Entries:
         interval: Any = 0,
     ) -> Indices:
         """Add unknowns and return their numbers in the shape of `first`; all else is broadcast to it."""
-        return self._add(names, first, scale, lower, upper, interval, True)
+        named = [name + self.suffix for name in names]
+        counted = np.add(self._first_interval, interval)
+        return self._add(named, first, scale, lower, upper, counted, True)
 
     def constants(self, values: Any) -> Indices:
         """Add constants and return their numbers in the shape of `values`."""
@@ -94,6 +110,11 @@ class Entries:
             names, first, invertible(scale), lower, upper, interval, table["first"][~unknown]
         ), place
 
+    def values(self, w: Array) -> Array:
+        """Return the values of all entries that scaled unknowns stand for."""
+        unknowns, place = self.ordered()
+        return np.concatenate([unknowns.scale * w, unknowns.constants])[place]
+
 
 class Variables:
     """The variables of a plan on a mesh, and what is needed to write rows in them.
@@ -102,7 +123,8 @@ class Variables:
     profile has them. As numbers of `entries`: states (K + 1, nx), controls (K, m) or (K + 1, m) of
     the m groups of strings, duration (1,), and, as parts of it, share (K, 1) of each interval and
     time (K + 1, 1) of the nodes of the mesh. strength: a typical γ, N/m; objective: a typical cost;
-    noise: None, or that of the guess, for each group.
+    noise: None, or that of the guess, for each group. start: entries (nx,) of the state with which a
+    phase begins, the end of the one before; None for that of the target.
     """
 
     def __init__(
@@ -113,6 +135,8 @@ class Variables:
         guess: Guess,
         fractions: Array,
         profile: Profile,
+        entries: Entries | None = None,
+        start: Indices | None = None,
     ) -> None:
         self.problem, self.target, self.fractions, self.profile = (
             problem,
@@ -136,8 +160,9 @@ class Variables:
             if guess.noise is None
             else guess.noise @ (self.group_matrix / self.group_matrix.sum(axis=0))
         )
-        self.entries = Entries()
-        self.states = np.vstack([self._start(), self._later_states()])
+        self.entries = Entries() if entries is None else entries
+        self.suffix = self.entries.suffix
+        self.states = np.vstack([self._start() if start is None else start, self._later_states()])
         self.controls = self._controls()
         self.duration = self._duration()
         self.share = self.entries.constants(fractions[:, None])
@@ -206,6 +231,15 @@ class Variables:
         m = self.group_matrix.shape[1]
         held = (1 - share) * local[:m] + share * local[m:] if self.profile.linear else local
         return ca.mtimes(sparse(self.group_matrix), held)
+
+    def unknowns_at_nodes(
+        self, names: Sequence[str], first: Array, scale: float, node: int = 0
+    ) -> Indices:
+        """Add unknowns, `first` (n, m), at the nodes of the mesh from `node` on."""
+        every = [f"{name}, interval {k}" for k in range(len(first)) for name in names]
+        return self.entries.unknowns(
+            every, first, scale, interval=node + np.arange(len(first))[:, None]
+        )
 
     def repeated(self, index: Indices, count: int | None = None) -> Indices:
         """Return the same entries (n,) for every interval, or for `count` instances."""

@@ -21,9 +21,9 @@ PLAN = ocp.Variational(10)
 def jump():
     """The task, and what it says of a push and a flight to 0.2 m."""
     task = link_problem(jumping(push(), flight(0.2)), ocp.Variational(20))
-    solution = ocp.Ipopt().solve(task.linked.program)
+    solution = ocp.Ipopt().solve(task.program)
     assert solution.success
-    return task, task.linked.values(solution.w)
+    return task, task.values(solution.w)
 
 
 def heights(model, states):
@@ -72,9 +72,9 @@ def test_reactions_are_those_of_pins():
             costs=[ocp.Smoothness()],
         )
         task = link_problem(squat, ocp.Variational(count))
-        solution = ocp.Ipopt().solve(task.linked.program)
+        solution = ocp.Ipopt().solve(task.program)
         assert solution.success
-        (stance,) = task.linked.values(solution.w)
+        (stance,) = task.values(solution.w)
         k = count // 2
         model = task.parts[0].model
         x = pinned.state(model.nodes(stance.states[k]), model.velocities(stance.states[k]))
@@ -122,9 +122,9 @@ def landing():
         costs=[ocp.Effort()],
     )
     task = link_problem(problem, PLAN)
-    solution = ocp.Ipopt().solve(task.linked.program)
+    solution = ocp.Ipopt().solve(task.program)
     assert solution.success, solution.status
-    air, stance = task.linked.values(solution.w)
+    air, stance = task.values(solution.w)
     return task.parts[0].model, air.states[-1], stance.states[0], stance.impulses[0]
 
 
@@ -247,9 +247,9 @@ def test_a_shape_is_a_goal_of_nodes_that_land():
     )
     nodes = low_prism().nodes + [0, 0, 0.1]
     task = link_problem(jumping(air, stance, start=nodes), PLAN)
-    solution = ocp.Ipopt().solve(task.linked.program)
+    solution = ocp.Ipopt().solve(task.program)
     assert solution.success
-    end = task.parts[0].model.nodes(task.linked.values(solution.w)[-1].states[-1])
+    end = task.parts[0].model.nodes(task.values(solution.w)[-1].states[-1])
     a, b = low_prism().strings[0]
     assert np.linalg.norm(end[a] - end[b]) == pytest.approx(0.9 * wanted[0], abs=1e-6)
 
