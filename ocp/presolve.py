@@ -18,10 +18,10 @@ from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.targets.infeasible_goal import InfeasibleGoalError
-from ocp.targets.tangents import Tangents
 from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Profile, group_matrix, locate_share, spans
+from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.util.validate import Array
 
 Flags = NDArray[np.bool_]
@@ -250,7 +250,7 @@ def _fixed_entries(
     The second: but for motions of the structure as a whole, where it is free.
     """
     scale = Scales.of(problem).state
-    basis, _ = np.linalg.qr(Tangents.of(problem.model)(state) / scale[:, None])
+    basis, _ = np.linalg.qr(tangents(problem.model, state) / scale[:, None])
     x = ca.SX.sym("x", len(state))
     J = (
         np.asarray(ca.Function("goals", [x], [ca.jacobian(target.single(x), x)])(state).full())

@@ -23,13 +23,14 @@ from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.deferred_correction import TOO_COARSE
 from ocp.solvers.multipliers import Duals
-from ocp.targets.control_sensitivities import find_controllable_rows
+from ocp.targets.control_sensitivities import REACHED
 from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import node_values
 from ocp.transcription.variables import control_names
 from ocp.transcription.variational import Variational
+from tenscasadi.util.linear_algebra import independent_rows
 from tenscasadi.util.validate import Array
 
 MET = 1e-9  # in order-one rows: the motion and the goals that are imposed are met
@@ -190,7 +191,7 @@ def _controlled(target: Target, jacobian: Array) -> Target:
     """Return the target without the rows that the force densities do not move, given their gradient."""
     start, parts = 0, []
     for part in [*(one.target for one in target.waypoints), target]:
-        kept = find_controllable_rows(jacobian[start : start + part.count])
+        kept = independent_rows(jacobian[start : start + part.count], REACHED)
         start += part.count
         parts.append(part if len(kept) == part.count else part.keep(kept, "out of control"))
     *waypoints, end = parts

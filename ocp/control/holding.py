@@ -8,6 +8,7 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 
+from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
@@ -35,12 +36,8 @@ def equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equil
     Where none does, they leave the least accelerations.
     """
     count = model.nu
-    still = at_rest(model, state)
-    trials = np.column_stack([np.zeros(count), np.eye(count)])
-    free, *pulled = model.split(np.asarray(model.ode.map(count + 1)(still, trials).full()).T)[
-        1
-    ]  # accelerations are linear in γ
-    A = np.array(pulled).T - free[:, None]
+    still = EquationDerivatives.of(model).at(at_rest(model, state)[None], np.zeros((1, count)))
+    (free,), (A,) = model.split(still.rates)[1], still.accelerations_by_control()
     size = float(np.linalg.norm(A, 2)) or 1.0
     strength = (
         max(

@@ -16,11 +16,11 @@ from ocp.control.holding import Rest, find_rest, stationary_cost
 from ocp.plan.plan import Plan
 from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
 from ocp.problem.control import pulled, winds
-from ocp.targets.control_sensitivities import Motion
-from ocp.targets.regulator import riccati_gains
-from ocp.targets.tangents import Tangents
 from ocp.transcription.mesh import profile_at
+from tenscasadi.dynamics.linear_steps import transitions
+from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.regulator import riccati_gains
 from tenscasadi.ensemble.feedback import Feedback
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate
@@ -340,16 +340,11 @@ def _regulate(
         states = states[:-1]
     looked_at = sorted({0, len(gamma) // 2, len(gamma) - 1})
     rate = max(fastest_rate(model, states[k], gamma[k]) for k in looked_at)
-    motion = Motion(
-        model,
-        len(gamma),
-        int(np.clip(np.ceil(rate * period), LEAST_SUBSTEPS, MOST_SUBSTEPS))
-        if np.isfinite(rate)
-        else MOST_SUBSTEPS,
-    )
-    A, B = motion.derivatives(motion.points(states, gamma, period), gamma, period)
-    tangents = Tangents.of(model)
-    Z = [tangents(x) for x in ends]
+    count = MOST_SUBSTEPS
+    if np.isfinite(rate):
+        count = int(np.clip(np.ceil(rate * period), LEAST_SUBSTEPS, MOST_SUBSTEPS))
+    A, B = _linearize(model, states, gamma, period, count)
+    Z = [tangents(model, x) for x in ends]
     C = [np.asarray(kept(x)[1].full()) @ basis for x, basis in zip(ends, Z, strict=True)]
     R = effort * np.eye(B.shape[2])
     P = C[-1].T @ C[-1]
@@ -357,3 +352,16 @@ def _regulate(
         P = stationary_cost(Z[-1].T @ A[-1] @ Z[-1], Z[-1].T @ B[-1], P, R)
         Z[-2] = Z[-1]  # the end of the plan, but for its rounding
     return riccati_gains(A, B, Z, C, P, R)
+
+
+def _linearize(
+    model: Model, states: Array, controls: Array, period: float, count: int
+) -> tuple[Array, Array]:
+    """Linearize the motions from states (K, nx) over a period, in so many steps of RK4."""
+    step, h = RungeKutta4().step(model.ode).mapaccum(count).map(len(states)), period / count
+    held = np.repeat(controls, count, axis=0)
+    ends = np.asarray(step(states.T, held.T, h).full()).T.reshape(len(states), count, -1)
+    starts = np.concatenate([states[:, None], ends[:, :-1]], axis=1)
+    rows = len(held), model.nx
+    lengths = np.full(len(held), h)
+    return transitions(model, starts.reshape(rows), ends.reshape(rows), held, lengths, count)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ocp.targets.regulator import linear_steps
-from ocp.targets.tangents import Tangents
 from ocp.transcription.mesh import profile_at
+from tenscasadi.dynamics.linear_steps import linear_steps
+from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
@@ -21,7 +21,7 @@ def grown_errors(model: Model, time: Array, states: Array, force_density: Array)
 
     The largest singular value of the state transition over time (K + 1,) along states (K + 1, nx)
     under γ (K, α) or (K + 1, α), over the changes of the start that bars and joints allow, of the
-    linear steps of `ocp.targets.regulator`. inf where it overflows, NaN where it is not known.
+    `linear_steps`. inf where it overflows, NaN where it is not known.
     """
     if not np.all(np.isfinite(states)) or not np.all(np.isfinite(force_density)) or len(states) < 2:
         return np.nan
@@ -33,10 +33,12 @@ def grown_errors(model: Model, time: Array, states: Array, force_density: Array)
     scale = np.concatenate(
         [np.ones(model.nq), np.full(model.nq, T), np.ones(model.nx - 2 * model.nq)]
     )
-    Q, _ = np.linalg.qr(scale[:, None] * Tangents.of(model)(states[0]))
+    Q, _ = np.linalg.qr(scale[:, None] * tangents(model, states[0]))
     with np.errstate(all="ignore"):
         try:
-            for left, right in linear_steps(model, states[nodes], gamma, lengths):
+            for left, right in linear_steps(
+                model, states[nodes[:-1]], states[nodes[1:]], gamma, lengths
+            ):
                 Q = scale[:, None] * np.linalg.solve(
                     left, right[:, : model.nx] @ (Q / scale[:, None])
                 )

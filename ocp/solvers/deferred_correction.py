@@ -11,11 +11,11 @@ import numpy as np
 
 from ocp.solvers.base import Solution, Solver
 from ocp.solvers.ipopt import Ipopt
-from ocp.targets.regulator import plan_gains
 from ocp.transcription.base import Transcription
 from ocp.transcription.multiple_shooting import ramped_step, shooting_step
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.regulator import plan_gains
 from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.util.validate import Array
 

@@ -9,10 +9,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.targets.dynamics import Dynamics, Linearised
+from tenscasadi.dynamics.linearization import EquationDerivatives, LinearDynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.tableaux import CLASSICAL
 from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.linear_algebra import independent_rows
 from tenscasadi.util.validate import Array, Indices
 
 # of the strongest direction: below it a row of the goal is not controlled to first order, or by
@@ -27,93 +28,6 @@ FEW = 50  # rows that are looked at as a whole
 PROBES = 8  # random combinations of rows from which the size of a gradient is estimated
 # intervals from the end after which it is compared for the first time, then after twice as many
 FIRST_COMPARED = 4
-
-
-class Motion:
-    """Runge-Kutta steps of order 4 over `count` intervals, `substeps` in each; built once, evaluated along any controls."""
-
-    def __init__(self, model: Model, count: int, substeps: int = 1) -> None:
-        self.model, self.count, self._substeps = model, count, substeps
-        x, u, h = (
-            ca.MX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("h", 1))
-        )
-        stages: list[Any] = []
-        points: list[Any] = []
-        for row in CLASSICAL.a:
-            points.append(
-                x + sum((h * a * k for a, k in zip(row, stages, strict=True) if a), start=ca.MX(0))
-            )
-            stages.append(model.ode(points[-1], u))
-        end = x + h * sum((b * k for b, k in zip(CLASSICAL.b, stages, strict=True)), start=ca.MX(0))
-        one = ca.Function("step", [x, u, h], [end, ca.horzcat(*points)])
-        self._run = one.mapaccum(count * substeps)
-        self._restarted = one.mapaccum(substeps).map(count)
-        kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
-        sx, su = kind.sym("x", model.nx), kind.sym("u", model.nu)
-        rate = model.ode(sx, su)
-        slopes = ca.jacobian(rate, ca.vertcat(sx, su))
-        self._row, self._column = (
-            np.array(entries, dtype=np.intp) for entries in slopes.sparsity().get_triplet()
-        )
-        self._slopes = ArrayFunction(
-            ca.Function("slopes", [sx, su], [ca.densify(rate), ca.vec(slopes.nz[:])]).map(
-                count * substeps
-            )
-        )
-
-    def states(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
-        """Return the states (count + 1, nx) under controls (count, nu) in intervals of `length` s.
-
-        And the points (count · substeps, 4, nx) where the derivative is taken.
-        """
-        n = self._substeps
-        ends, points = (
-            np.asarray(value.full())
-            for value in self._run(start, np.repeat(controls, n, axis=0).T, length / n)
-        )
-        return np.column_stack([start, ends[:, n - 1 :: n]]).T, points.T.reshape(
-            -1, 4, self.model.nx
-        )
-
-    def points(self, states: Array, controls: Array, length: float) -> Array:
-        """Return the points of `states` (count · substeps, 4, nx) for a motion that starts anew at given states (count, nx) in each interval."""
-        n = self._substeps
-        _, points = self._restarted(states.T, np.repeat(controls, n, axis=0).T, length / n)
-        return np.asarray(points.full()).T.reshape(-1, 4, self.model.nx)
-
-    def derivatives(self, points: Array, controls: Array, length: float) -> tuple[Array, Array]:
-        """Return ∂x⁺/∂x (count, nx, nx) and ∂x⁺/∂u (count, nx, nu) of each interval, exact for the steps taken."""
-        nx, nu, n, h = self.model.nx, self.model.nu, self._substeps, length / self._substeps
-        _, J = self._rates(points, controls)
-        eye = np.broadcast_to(np.eye(nx, nx + nu), (len(J), nx, nx + nu))
-        stages: list[Array] = []
-        for i, row in enumerate(CLASSICAL.a):
-            change = eye + h * sum(
-                (a * k for a, k in zip(row, stages, strict=True) if a), start=np.zeros_like(eye)
-            )
-            stage = J[:, i, :, :nx] @ change
-            stage[:, :, nx:] += J[:, i, :, nx:]
-            stages.append(stage)
-        step = eye + h * sum(
-            (b * k for b, k in zip(CLASSICAL.b, stages, strict=True)), start=np.zeros_like(eye)
-        )
-        A, B = step[0::n, :, :nx], step[0::n, :, nx:]
-        for k in range(1, n):
-            A, B = step[k::n, :, :nx] @ A, step[k::n, :, :nx] @ B + step[k::n, :, nx:]
-        return A, B
-
-    def _rates(self, points: Array, controls: Array) -> tuple[Array, Array]:
-        """Return f (steps, 4, nx) and its derivative (steps, 4, nx, nx + nu) with respect to state and control."""
-        nx, width = self.model.nx, self.model.nx + self.model.nu
-        held = np.repeat(controls, self._substeps, axis=0)
-        # stage by stage: to make a map takes as long as its size
-        rates, entries = (
-            np.stack(parts, axis=1).reshape(4 * len(held), -1)
-            for parts in zip(*(self._slopes(points[:, i], held) for i in range(4)), strict=True)
-        )
-        J = np.zeros((len(rates), nx * width))
-        J[:, self._row * width + self._column] = entries
-        return rates.reshape(-1, 4, nx), J.reshape(-1, 4, nx, width)
 
 
 class ControlSensitivities:
@@ -137,10 +51,6 @@ class ControlSensitivities:
         self._grouping = np.eye(model.nu) if grouping is None else grouping
         self._evened = self._grouping / self._grouping.sum(axis=0) @ self._grouping.T
         self._spans = None if spans is None or spans[-1] + 1 == len(spans) else spans
-
-    @property
-    def _dynamics(self) -> Dynamics:
-        return Dynamics.of(self._model)
 
     @cached_property
     def _rate(self) -> ArrayFunction:
@@ -191,7 +101,7 @@ class ControlSensitivities:
         at: int | None = None,
         least: float = REACHED,
     ) -> Array:
-        """Return orthonormal combinations (rank, m) of the rows that the controls can move, as `find_controllable_rows` of `of_rows`."""
+        """Return orthonormal combinations (rank, m) of the rows that the controls can move, see `independent_rows`."""
         length = duration / len(controls)
         last, motion = self._linearised(rows, weights, start, self._even(controls)[:at], length)
         if (
@@ -200,10 +110,10 @@ class ControlSensitivities:
             and self._surely_controlled(last, motion, length, least)
         ):
             return np.eye(len(weights))
-        return find_controllable_rows(self._gradient(last, motion, len(controls), length), least)
+        return independent_rows(self._gradient(last, motion, len(controls), length), least)
 
     def _surely_controlled(
-        self, last: Array, motion: Linearised, length: float, least: float
+        self, last: Array, motion: LinearDynamics, length: float, least: float
     ) -> bool:
         """Tell whether the controls of the last intervals alone move all rows by more than their share of the size of the whole gradient.
 
@@ -229,7 +139,9 @@ class ControlSensitivities:
                     return True
         return False
 
-    def _gradient(self, last: Array, motion: Linearised | None, count: int, length: float) -> Array:
+    def _gradient(
+        self, last: Array, motion: LinearDynamics | None, count: int, length: float
+    ) -> Array:
         """Return the derivatives of `of_rows` of rows with the gradient `last` (m, nx) at the end of the motion."""
         groups = self._grouping.shape[1]
         result = np.zeros((len(last), count * groups + self._free_duration))
@@ -249,12 +161,12 @@ class ControlSensitivities:
 
     def _linearised(
         self, rows: ca.Function, weights: Array, start: Array, controls: Array, length: float
-    ) -> tuple[Array, Linearised | None]:
+    ) -> tuple[Array, LinearDynamics | None]:
         """Return the gradient (m, nx) of the rows at the end of the motion under even controls, and the motion; None where it diverges."""
         states, points = self._rolled(start, controls, length)
         if not np.all(np.abs(states) <= LARGEST):
             return np.zeros((len(weights), len(start))), None
-        return weights @ _slope(rows, states[-1]), self._dynamics.linearise(
+        return weights @ _slope(rows, states[-1]), EquationDerivatives.of(self._model).at(
             points, np.repeat(controls, 4 * self._substeps, axis=0)
         )
 
@@ -278,7 +190,7 @@ class ControlSensitivities:
         return states[::n], np.array(points)
 
     def _backwards(
-        self, last: Array, motion: Linearised, length: float
+        self, last: Array, motion: LinearDynamics, length: float
     ) -> Iterator[tuple[Array, Array]]:
         """Yield the derivatives of rows with the gradient `last` (m, nx), interval by interval from the last to the first.
 
@@ -294,10 +206,10 @@ class ControlSensitivities:
                 if i == 3:
                     before, later = pulled, np.zeros_like(pulled)
                 pull = CLASSICAL.b[i] * before + (CLASSICAL.a[i + 1][i] * later if i < 3 else 0.0)
-                slopes = h * self._dynamics.pull(motion, k, pull)
+                slopes = h * motion.adjoint(k, pull)
                 later = slopes[:nx]
                 pulled = pulled + later
-                by_control += slopes[nx:]
+                by_control += slopes[nx : nx + self._model.nu]
                 by_length += motion.rates[k] @ pull / self._substeps
             yield by_control.T @ self._grouping, by_length
 
@@ -306,11 +218,3 @@ def _slope(rows: ca.Function, x: Array) -> Array:
     """Return the gradient (m, nx) of the rows of a Function of x."""
     symbol: Any = (ca.SX if rows.is_a("SXFunction") else ca.MX).sym("x", len(x))
     return np.asarray(ca.Function("slope", [symbol], [ca.jacobian(rows(symbol), symbol)])(x).full())
-
-
-def find_controllable_rows(sensitivity: Array, least: float = REACHED) -> Array:
-    """Return orthonormal combinations (rank, m) of rows that the controls can move, given their gradient; all of them where it is not finite."""
-    if not np.all(np.isfinite(sensitivity)) or not sensitivity.size:
-        return np.eye(len(sensitivity))
-    left, values, _ = np.linalg.svd(sensitivity, full_matrices=False)
-    return np.asarray(left[:, values > least * values.max(initial=0.0)].T)

@@ -22,6 +22,7 @@ from ocp.targets.infeasible_goal import InfeasibleGoalError
 from ocp.targets.invariants import invariants
 from ocp.targets.row_reduction import RANK, Reduction, RowFunction, reduce_rows, soft_directions
 from ocp.targets.target import Target, WaypointTarget
+from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices
 
@@ -94,15 +95,9 @@ def _check_time(problem: Problem, target: Target, seconds: float) -> None:
         or not np.all(np.isfinite(most))
     ):
         return
-    nu = model.nu
-    pulls = np.column_stack([np.zeros(nu), np.eye(nu)])
-    free, *slopes = model.split(np.asarray(pulled(model).ode.map(nu + 1)(start, pulls).full()).T)[
-        1
-    ]  # accelerations are linear in γ
-    fastest = np.max(
-        np.abs(free)
-        + sum(np.abs(slope - free) * limit for slope, limit in zip(slopes, most, strict=True))
-    )
+    linear = EquationDerivatives.of(pulled(model)).at(start[None], np.zeros((1, model.nu)))
+    (free,), (by_control,) = model.split(linear.rates)[1], linear.accelerations_by_control()
+    fastest = np.max(np.abs(free) + np.abs(by_control) @ most)
     reach = (np.abs(model.split(start)[1]).max() + fastest * seconds) * seconds
     away = np.abs(model.split(target.state - start)[0])
     if away.max() > AMPLE * reach:

@@ -8,7 +8,8 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse as sp
 
-from ocp.targets.row_reduction import RANK, SMALL, RowFunction, separate_parts, soft_directions
+from ocp.targets.row_reduction import RANK, RowFunction, soft_directions
+from tenscasadi.util.linear_algebra import separate_parts
 from tenscasadi.util.validate import Array
 
 STRIDE = 0.1  # of the structure's size: how far a step may move nodes relative to each other
@@ -114,7 +115,7 @@ class GaussNewton:
         By the eigenvectors of A Aᵀ or Aᵀ A, the smaller: tolerances are far above the root of
         rounding.
         """
-        A = np.asarray((J if len(J) < SMALL else sp.csr_array(J)) @ self._basis)
+        A = np.asarray(sp.csr_array(J) @ self._basis)
         parts = []
         for rows, columns in separate_parts(A):
             own = A[np.ix_(rows, columns)]

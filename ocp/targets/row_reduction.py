@@ -20,13 +20,12 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.linear_algebra import null_space, separated_svd
 from tenscasadi.util.validate import Array, Indices
 
 # smallest singular value, relative to rows of norm one, that counts: below it a row has two
 # solutions closer than a plan resolves
 RANK = 1e-3
-
-SMALL = 50  # rows or columns of a matrix that is taken as a whole, and dense
 
 
 class RowFunction:
@@ -167,13 +166,13 @@ def reduce_rows(
     """Return independent combinations of rows with gradient H (m, ny), given the invariants' gradients by kind (each (·, ny))."""
     norms = np.linalg.norm(H, axis=1)
     rows = H / np.maximum(norms, 1e-12)[:, None]
-    left, values, _ = _svd(rows)
+    left, values, _ = separated_svd(rows)
     repeated = {"another": len(H) - int(np.sum(values > RANK))}
     known = np.zeros((0, H.shape[1]))
     for kind, A in groups:
         before = int(np.sum(values > RANK))
         known = np.concatenate([known, _normalised(A)])
-        left, values, _ = _svd(rows @ null_space(known))
+        left, values, _ = separated_svd(rows @ null_space(known, RANK))
         repeated[kind] = repeated.get(kind, 0) + before - int(np.sum(values > RANK))
     kept = values > RANK
     combinations = (left[:, : len(values)][:, kept] / values[kept]).T / np.maximum(norms, 1e-12)
@@ -193,7 +192,7 @@ def soft_directions(
     _, J = rows(y)
     norms = np.linalg.norm(J, axis=1)
     used = norms > 1e-12
-    left, singular, right = _svd(J[used] / norms[used, None])
+    left, singular, right = separated_svd(J[used] / norms[used, None])
     rank = int(np.sum(singular > rank_tolerance))
     W = np.zeros((len(J), left.shape[1] - rank))
     W[used] = left[:, rank:] / norms[used, None]
@@ -207,51 +206,6 @@ def soft_directions(
     return F @ D, W, np.asarray(D.T @ forms @ D)
 
 
-def null_space(A: Array) -> Array:
-    """Return an orthonormal basis (n, n − rank) of the null space of A (m, n)."""
-    _, values, right = _svd(A)
-    return np.asarray(right[int(np.sum(values > RANK)) :].T)
-
-
 def _normalised(A: Array) -> Array:
     norms = np.linalg.norm(A, axis=1, keepdims=True)
     return np.asarray(np.divide(A, norms, out=np.zeros_like(A), where=norms > 1e-9))
-
-
-def _svd(A: Array) -> tuple[Array, Array, Array]:
-    """U, σ padded with zeros to the number of rows or columns, Vᵀ, all of full size."""
-    m, n = A.shape
-    if not A.size:
-        return np.eye(m), np.zeros(0), np.eye(n)
-    left, values, right = np.zeros((m, m)), np.zeros(min(m, n)), np.zeros((n, n))
-    parts = [
-        (rows, columns, np.linalg.svd(A[np.ix_(rows, columns)]))
-        for rows, columns in separate_parts(A)
-    ]
-    found = np.concatenate([part[1] for _, _, part in parts]) if parts else np.zeros(0)
-    rank = np.argsort(np.argsort(-found, kind="stable"), kind="stable")  # where each value goes
-    values[rank] = found
-    begin, spare = 0, [len(found), len(found)]
-    for rows, columns, (U, own, Vt) in parts:
-        place, begin = rank[begin : begin + len(own)], begin + len(own)
-        for whole, lines, vectors, k in ((left, rows, U, 0), (right, columns, Vt.T, 1)):
-            more = vectors.shape[1] - len(own)
-            whole[np.ix_(lines, np.append(place, np.arange(spare[k], spare[k] + more)))] = vectors
-            spare[k] += more
-    for whole, k in ((left, 0), (right, 1)):  # rows and columns of zeros
-        empty = np.flatnonzero(~whole.any(axis=1))
-        whole[empty, spare[k] + np.arange(len(empty))] = 1.0
-    return left, values, right.T
-
-
-def separate_parts(A: Array) -> list[tuple[Indices, Indices]]:
-    """Return the rows and columns of the parts of a matrix that share neither; all but zeros, as one where it is small."""
-    m, n = A.shape
-    if min(m, n) < SMALL:
-        return [(np.arange(m), np.arange(n))] if A.size else []
-    row, column = np.nonzero(A)
-    links = sp.coo_array((np.ones(len(row)), (row, m + column)), shape=(m + n, m + n))
-    _, label = sp.csgraph.connected_components(links, directed=False)
-    order = np.argsort(label, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
-    return [(group[group < m], group[group >= m] - m) for group in groups if len(group) > 1]

@@ -9,8 +9,8 @@ import scipy.optimize
 from ocp.problem.control import pulled, winds
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
-from ocp.targets.dynamics import Dynamics
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
+from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
@@ -35,10 +35,9 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
     wanted = np.diff(model.split(states)[1], axis=0) / interval
     lower, upper = problem.force_density_limits
     count = len(middle)
-    dynamics = Dynamics.of(model)
-    at_none = dynamics.linearise(middle, np.zeros((count, model.nu)))
-    free = model.split(at_none.rates)[1]
-    A = dynamics.by_control(at_none)
+    linear = EquationDerivatives.of(model).at(middle, np.zeros((count, model.nu)))
+    free = model.split(linear.rates)[1]
+    A = linear.accelerations_by_control()
     size = np.sqrt(np.maximum(np.linalg.eigvalsh(A.transpose(0, 2, 1) @ A)[:, -1:], 1e-300))
     A = np.concatenate(
         [

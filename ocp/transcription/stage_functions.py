@@ -23,7 +23,8 @@ from tenscasadi.dynamics.constraint_forces import (
 from tenscasadi.dynamics.equation_of_motion import lifted_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.util.casadi_tools import REGULARISATION, ArrayFunction, sparse
+from tenscasadi.util.casadi_tools import ArrayFunction, sparse
+from tenscasadi.util.linear_algebra import semidefinite_inverse
 from tenscasadi.util.validate import Array
 
 
@@ -102,7 +103,7 @@ class Curve:
         self._first = _mapped(count, [inputs, s], dense)
         if self._solved:
             self._system = _mapped(count, [inputs], [S, b])
-            self._inverse = _diagonal_inverse if S.sparsity().is_diag() else _semidefinite_inverse
+            self._inverse = _diagonal_inverse if S.sparsity().is_diag() else semidefinite_inverse
         weights, others = ca.SX.sym("weights", f.shape[0]), ca.SX.sym("others", self._solved)
         H = ca.hessian(ca.dot(weights, f) + ca.dot(others, rest), ca.vertcat(y, s))[0]
         z, r, after = places.z.stop, places.size, H.shape[0]
@@ -235,17 +236,4 @@ def _triangle(matrix: Any) -> Any:
 def _diagonal_inverse(S: Array) -> Array:
     """Return the inverse of diagonal matrices (K, n, n)."""
     result: Array = np.eye(S.shape[1]) / np.einsum("kii->ki", S)[:, None]
-    return result
-
-
-def _semidefinite_inverse(S: Array) -> Array:
-    """Return what solves S x = b (K, n, n), also where rows repeat each other: see `solve_semidefinite`."""
-    diagonal = np.einsum("kii->ki", S)
-    scale = 1 / np.sqrt(diagonal + 1e-14 * diagonal.sum(axis=1, keepdims=True))
-    values, vectors = np.linalg.eigh(S * scale[:, :, None] * scale[:, None, :])
-    weights = np.divide(
-        1.0, values, out=np.zeros_like(values), where=values > REGULARISATION
-    )  # nothing along repeated rows
-    scaled = vectors * scale[:, :, None]
-    result: Array = np.matmul(scaled * weights[:, None], scaled.transpose(0, 2, 1))
     return result

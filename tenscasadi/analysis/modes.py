@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
@@ -17,8 +16,7 @@ from tenscasadi.analysis.constrained_eigenproblem import (
     fastest_rate,
     lowest_eigenpairs,
 )
-from tenscasadi.dynamics.constraint_forces import nodal_forces
-from tenscasadi.dynamics.equation_of_motion import applied_forces
+from tenscasadi.dynamics.linearization import EquationDerivatives, displacements
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
@@ -140,22 +138,13 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
     (3, 2)
     """
     instance("model", model, Model, "a tenscasadi.Model")
-    state, held = _numbers(model, x, u, parameters)
-    if ("linearize",) not in model.functions:
-        sx, sw = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
-        rate = model.stacked(model.ode)(sx, sw)
-        model.functions["linearize",] = ca.Function(
-            "linearize", [sx, sw], [ca.jacobian(rate, sx), ca.jacobian(rate, sw), rate]
-        )
-    A, by_input, residual = (value.full() for value in model.functions["linearize",](state, held))
-    _refuse_degenerate(model, state, A, by_input, residual)
-    return Linearization(
-        A,
-        by_input[:, : model.nu],
-        residual.ravel(),
-        _tangent(model, state),
-        by_input[:, model.nu :],
-    )
+    state, inputs = _numbers(model, x, u, parameters)
+    control, p = np.split(inputs, [model.nu])
+    found = EquationDerivatives.of(model).at(state[None], control[None], p)
+    J, residual = found.jacobian(0), found.rates[0]
+    _reject_degenerate(model, state, J, residual)
+    A, B, by_parameters = np.split(J, [model.nx, model.nx + model.nu], axis=1)
+    return Linearization(A, B, residual, displacements(model, state), by_parameters)
 
 
 def modes(
@@ -229,7 +218,7 @@ def modes(
     [0.4317, 0.4317]
     """
     instance("model", model, Model, "a tenscasadi.Model")
-    state, held = _numbers(model, x, u, parameters)
+    state, inputs = _numbers(model, x, u, parameters)
     number = LOWEST if count is None else whole_number("count", count, 1)
     mech = model.mechanism
     constraints = mech.bars + int(mech.active.sum())
@@ -239,11 +228,9 @@ def modes(
             message = f"modes computes the {number} lowest modes of a structure of more than {DENSE} coordinates: give count= for another number"
             warnings.warn(message, UserWarning, stacklevel=2)
         with suppress(np.linalg.LinAlgError):  # then by dense matrices, in more time
-            found = _lowest_modes(model, state, held, number)
+            found = _lowest_modes(model, state, inputs, number)
         count = number
-    values, vectors, rigid, residual = found or _all_modes(
-        model, linearize(model, state, held[: model.nu, :], held[model.nu :, :]), state, held
-    )
+    values, vectors, rigid, residual = found or _all_modes(model, state, inputs)
     values, vectors = values[:count], vectors[:, :count]
     displacement = np.zeros((len(values), model.nx))
     model.split(displacement)[0][:] = vectors.T
@@ -324,23 +311,17 @@ def mode_motion(
     return record_trajectory(model, time, states, controls, step=float(time[1]), message=message)
 
 
-def _numbers(model: Model, x: Any, u: Any, parameters: Any) -> tuple[ca.DM, ca.DM]:
-    """Return a state and a held input, the initial ones where None, as matrices of CasADi; TypeError or ValueError where they are none."""
+def _numbers(model: Model, x: Any, u: Any, parameters: Any) -> tuple[Array, Array]:
+    """Check a state (nx,) and its inputs (nw,); None: the initial ones."""
     state = model.initial_state if x is None else finite_array("x", x, (model.nx,))
-    return ca.DM(state), ca.DM(model.held(u, parameters))
+    return state, model.held(u, parameters)
 
 
-def _mass(model: Model, held: ca.DM) -> Any:
-    """Return the sparse mass matrix (nq×nq) of the free coordinates, kg."""
-    M = model.weighted(held, inverse=False).free_mass
-    return sp.csc_array(M.sparse() if isinstance(M, ca.DM) else M)
-
-
-def _refuse_degenerate(model: Model, state: ca.DM, *values: Any) -> None:
-    """Raise ValueError, naming the member without length where there is one, unless all the values are finite."""
+def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:
+    """Raise ValueError unless all values are finite, naming the member without length."""
     if all(np.all(np.isfinite(value)) for value in values):
         return
-    structure, nodes = model.structure, model.nodes(state.full().ravel())
+    structure, nodes = model.structure, model.nodes(state)
     reason = "the forces or the accelerations there are not finite"
     for kind, pairs in (("bar", structure.bars), ("string", structure.strings)):
         short = np.flatnonzero(
@@ -354,37 +335,38 @@ def _refuse_degenerate(model: Model, state: ca.DM, *values: Any) -> None:
     )
 
 
-def _all_modes(
-    model: Model, linear: Linearization, state: ca.DM, held: ca.DM
-) -> tuple[Array, Array, int, float]:
-    """Return ω² (k,), shapes (nq, k), the number of rigid-body motions and the largest acceleration, by dense matrices."""
-    nq = model.nq
-    M = _mass(model, held).toarray()
+def _all_modes(model: Model, state: Array, inputs: Array) -> tuple[Array, Array, int, float]:
+    """Compute all modes by dense matrices.
+
+    Returns ω² (k,), shapes (nq, k), the number of rigid-body motions, the largest acceleration.
+    """
+    nq, control, p = model.nq, inputs[: model.nu], inputs[model.nu :]
+    linear = linearize(model, state, control, p)
+    M = EquationDerivatives.of(model).mass(p).toarray()
     T = linear.tangent
     L = scipy.linalg.cholesky(T.T @ M @ T, lower=True)
     T = scipy.linalg.solve_triangular(L, T.T, lower=True).T  # M-orthonormal
     K = -T.T @ M @ linear.A[nq : 2 * nq, :nq] @ T
-    motions = _supported_motions(model, state.full().ravel())
+    motions = _supported_motions(model, state)
     outside = motions - linear.tangent @ (linear.tangent.T @ motions)
     rigid = _neutral(K, T.T @ M @ _allowed(motions, outside))
     if rigid.shape[1]:
         elastic = scipy.linalg.null_space(rigid.T)
         K, T = elastic.T @ K @ elastic, T @ elastic
     values, vectors = np.linalg.eigh((K + K.T) / 2)
-    return (
-        values,
-        T @ vectors,
-        rigid.shape[1],
-        float(np.abs(model.split(linear.residual)[1]).max(initial=0.0)),
-    )
+    acceleration = float(np.abs(model.split(linear.residual)[1]).max(initial=0.0))
+    return values, T @ vectors, rigid.shape[1], acceleration
 
 
 def _lowest_modes(
-    model: Model, state: ca.DM, held: ca.DM, count: int
+    model: Model, state: Array, inputs: Array, count: int
 ) -> tuple[Array, Array, int, float]:
-    """Return the lowest ω² (count,) and the rest as `_all_modes` does, by sparse matrices; LinAlgError where these are too badly conditioned."""
-    K, M, J, acceleration = _stiffness(model, state, held)
-    motions = _supported_motions(model, state.full().ravel())
+    """Compute the lowest modes by sparse matrices, as `_all_modes` does.
+
+    Raises LinAlgError where the matrices are too badly conditioned.
+    """
+    K, M, J, acceleration = _stiffness(model, state, inputs)
+    motions = _supported_motions(model, state)
     motions = _allowed(motions, J @ motions)
     if motions.shape[1]:
         motions = motions @ np.linalg.inv(np.linalg.cholesky(motions.T @ (M @ motions))).T
@@ -399,37 +381,15 @@ def _lowest_modes(
     return values, shapes, motions.shape[1], float(np.abs(acceleration).max(initial=0.0))
 
 
-def _stiffness(model: Model, state: ca.DM, held: ca.DM) -> tuple[Any, Any, Any, Array]:
-    """Return the sparse K and M (nq×nq) and J (m×nq) of K v = ω² M v, J v = 0, and the accelerations at the state."""
-    mech, free = model.mechanism, model.mechanism.free_index.tolist()
-    x, u = model.symbols(scalar=False)
-    lam = ca.MX.sym("lambda", 1, mech.bars)
-    N, V, time = model.unpack(x)
-    kept = model.constraints(x)
-    residual, rate = (
-        ca.vertcat(kept.bars, kept.joints),
-        ca.vertcat(kept.bar_rates, kept.joint_rates),
-    )
-    push, B = applied_forces(model, N, V, u, time)[0], mech.bar_vectors(N)
-    velocity, clock = model.split(x)[1], [1.0] if model.scene.has_clock else []
-    F = mech.local(ca.vec(ca.densify(push)))[free]
-    onward = ca.vertcat(velocity, ca.DM.zeros(model.nq), *clock)  # without accelerations
-    rest = ca.Function(
-        "rest", [x, u], [ca.jacobian(residual, x)[:, : model.nq], F, ca.jtimes(rate, x, onward)]
-    )
-    total = F + mech.local(ca.vec(ca.densify(nodal_forces(mech, B, lam))))[free]
-    slope = ca.Function("slope", [x, u, lam], [ca.jacobian(total, x)[:, : model.nq]])
-    jacobian, force, bend = rest(state, held)
-    _refuse_degenerate(
-        model, state, *(np.asarray(value.nonzeros()) for value in (jacobian, force, bend))
-    )
-    M, J = _mass(model, held), sp.csc_array(jacobian.sparse())
-    acceleration, multiplier = SaddlePoint(M, J).solve(
-        force.full().ravel(), -bend.full().ravel()
-    )  # M a + Jᵀ μ = F, J a = −J̇ v
-    gradient = slope(state, held, -multiplier[: mech.bars] / mech.lengths)
-    _refuse_degenerate(model, state, np.asarray(gradient.nonzeros()), acceleration)
-    K = -sp.csc_array(gradient.sparse())
+def _stiffness(model: Model, state: Array, inputs: Array) -> tuple[Any, Any, Any, Array]:
+    """Compute sparse K, M (nq×nq) and J (m×nq) of K v = ω² M v, J v = 0, and accelerations."""
+    derivatives = EquationDerivatives.of(model)
+    M, J, force, bias = derivatives.system_at(state, inputs)
+    _reject_degenerate(model, state, J.data, force, bias)
+    # M a + Jᵀ (−μ) = F, J a = −c
+    acceleration, opposite = SaddlePoint(M, J).solve(force, -bias)
+    K = -derivatives.slopes_at(state, inputs, -opposite, acceleration)[: model.nq, : model.nq]
+    _reject_degenerate(model, state, K.data, acceleration)
     return sp.csc_array((K + K.T) / 2), M, J, acceleration
 
 
@@ -440,17 +400,6 @@ def _neutral(K: Array, motions: Array) -> Array:
     free = np.ones(basis.shape[1], dtype=bool)
     free[: len(size)] = size <= NEUTRAL * float(np.linalg.norm(K))
     return np.asarray(basis @ right.T[:, free])
-
-
-def _tangent(model: Model, state: ca.DM) -> Array:
-    """Return an orthonormal basis of the displacements that keep bar lengths and joints at a state."""
-    x = ca.MX.sym("x", model.nx)
-    kept = model.constraints(x)
-    jacobian = ca.Function("rows", [x], [ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)])(
-        state
-    ).full()
-    jacobian, _, _ = model.split(jacobian)
-    return np.asarray(scipy.linalg.null_space(jacobian)) if len(jacobian) else np.eye(model.nq)
 
 
 def _supported_motions(model: Model, state: Array) -> Array:

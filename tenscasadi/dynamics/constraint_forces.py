@@ -32,10 +32,10 @@ from tenscasadi.util.casadi_tools import (
     multiplied_rows,
     numbered,
     product,
-    solve_semidefinite,
     sparse,
     weighted_product,
 )
+from tenscasadi.util.linear_algebra import solve_semidefinite
 
 # eigenvalue below which a constraint counts as redundant, relative to the largest of a system of
 # unit diagonal

@@ -18,7 +18,8 @@ from tenscasadi.dynamics.constraint_forces import (
 )
 from tenscasadi.dynamics.mechanism import Mechanism, scene_mechanism
 from tenscasadi.dynamics.state_space import StateSpace
-from tenscasadi.util.casadi_tools import solve_semidefinite, sparse
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.linear_algebra import solve_semidefinite
 
 
 def forward_dynamics(

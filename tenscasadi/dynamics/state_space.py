@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -23,6 +24,8 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import Array, choice, finite_array, instance, rows_of_size
+
+Kept = TypeVar("Kept")
 
 
 class Constraints(NamedTuple):
@@ -79,9 +82,7 @@ class StateSpace:
         self.nu = scene.nu
         self.parameters = scene.layout
         self.np = len(self.parameters)
-        self.functions: dict[
-            tuple[Any, ...], ca.Function
-        ] = {}  # of this model, built by other modules that need the same several times
+        self.functions: dict[Any, Any] = {}  # see `keep`
         self.redundancy = find_redundancy(self.mechanism)
         if self.redundancy:
             warnings.warn(self.redundancy, RedundantConstraints, stacklevel=3)
@@ -299,6 +300,13 @@ class StateSpace:
 
     # --- CasADi Functions ---
 
+    def keep(self, key: Hashable, build: Callable[[], Kept]) -> Kept:
+        """Return a value derived from this model, built at the first call with its key."""
+        if key not in self.functions:
+            self.functions[key] = build()
+        value: Kept = self.functions[key]
+        return value
+
     def stacked(self, function: ca.Function) -> ca.Function:
         """Return a Function (x, u, p) of this model as one of (x, w), with w the control u and below it the parameters p.
 
@@ -316,18 +324,16 @@ class StateSpace:
         """
         if not self.np:
             return function
-        key = "stacked", function.name(), hash(function)
-        if key not in self.functions:
+
+        def build() -> tuple[ca.Function, ca.Function]:
             kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
             x, w = kind.sym("x", self.nx), kind.sym("w", self.nw)
             outputs = function.call([x, w[: self.nu], w[self.nu :]], True, False)
-            self.functions[key] = ca.Function(
-                function.name(), [x, w], outputs, ["x", "w"], function.name_out()
-            )
-            self.functions[("kept", *key)] = (
-                function  # its hash is its place in memory, which no other one may have
-            )
-        return self.functions[key]
+            names = ["x", "w"], function.name_out()
+            return function, ca.Function(function.name(), [x, w], outputs, *names)
+
+        # Its hash is its place in memory, which no other one may have: the Function is kept, too.
+        return self.keep(("stacked", hash(function)), build)[1]
 
     def _function(
         self, name: str, x: Any, w: Any, outputs: list[Any], names: list[str]
@@ -344,7 +350,7 @@ class StateSpace:
             ["x", "u", "p"],
             names,
         )
-        self.functions["stacked", name, hash(public)] = stacked
+        self.functions["stacked", hash(public)] = public, stacked
         return public
 
     # --- expressions ---

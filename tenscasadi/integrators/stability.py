@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
+from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stability_limit
-from tenscasadi.util.validate import finite_array, instance, positive_number
+from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
 DENSE = 400  # states up to which all eigenvalues are computed
 _QUICK = 100  # states up to which the Jacobian is built for a bound
@@ -197,7 +198,7 @@ def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
             sizes.append(size)
         pairs = np.sqrt(np.multiply(sizes[1:], sizes[:-1]))  # positions and velocities by turns
         return _PROBED * float(pairs[-1])
-    jacobian, n = _jacobian(model)(x, w).full(), model.nq
+    jacobian, n = _jacobian(model, x, w), model.nq
     K, C = (
         min(abs(block).sum(axis=0).max(initial=0.0), abs(block).sum(axis=1).max(initial=0.0))
         for block in (jacobian[n : 2 * n, :n], jacobian[n : 2 * n, n : 2 * n])
@@ -205,28 +206,22 @@ def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
     return float(C + np.sqrt(C * C + 4 * K)) / 2
 
 
-def _jacobian(model: Model) -> ca.Function:
-    """Return (x, w) -> ∂ode/∂x."""
-    key = ("linearisation",)
-    if key not in model.functions:
-        X, W = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
-        model.functions[key] = ca.Function(
-            "jacobian", [X, W], [ca.jacobian(model.stacked(model.ode)(X, W), X)]
-        )
-    function: ca.Function = model.functions[key]
-    return function
+def _jacobian(model: Model, x: Any, w: Any) -> Array:
+    """Compute ∂ode/∂x at a state and its inputs."""
+    control, p = np.split(np.asarray(w), [model.nu])
+    at = EquationDerivatives.of(model).at(np.asarray(x)[None], control[None], p)
+    return at.jacobian(0)[:, : model.nx]
 
 
 def _directional(model: Model) -> ca.Function:
-    """Return (x, w, v) -> ∂ode/∂x v."""
-    key = ("linearisation along",)
-    if key not in model.functions:
+    """Build (x, w, v) -> ∂ode/∂x v, which takes large models less than their Jacobian."""
+
+    def build() -> ca.Function:
         X, W, V = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw), ca.MX.sym("v", model.nx)
-        model.functions[key] = ca.Function(
-            "along", [X, W, V], [ca.jtimes(model.stacked(model.ode)(X, W), X, V)]
-        )
-    function: ca.Function = model.functions[key]
-    return function
+        along = ca.jtimes(model.stacked(model.ode)(X, W), X, V)
+        return ca.Function("along", [X, W, V], [along])
+
+    return model.keep("tangent", build)
 
 
 def step_limit(scheme: Scheme, rates: Complex) -> float:
@@ -241,13 +236,13 @@ def step_limit(scheme: Scheme, rates: Complex) -> float:
 def _rates(model: Model, x: Any, u: Any, parameters: Any) -> Complex:
     """Eigenvalues of ∂ode/∂x: all of them for small models, the largest for others."""
     instance("model", model, Model, "a tenscasadi.Model")
-    state = ca.DM(model.initial_state if x is None else finite_array("x", x, (model.nx,)))
-    control = ca.DM(model.held(u, parameters))
+    state = model.initial_state if x is None else finite_array("x", x, (model.nx,))
+    inputs = model.held(u, parameters)
     if model.nx == 0:
         return np.zeros(0, dtype=complex)
     if model.nx <= DENSE:
-        return _eigenvalues(_jacobian(model)(state, control).full())
-    return _largest_eigenvalues(model, state, control)
+        return _eigenvalues(_jacobian(model, state, inputs))
+    return _largest_eigenvalues(model, state, inputs)
 
 
 def _eigenvalues(matrix: Any) -> Complex:
@@ -256,7 +251,7 @@ def _eigenvalues(matrix: Any) -> Complex:
     return np.asarray(np.linalg.eigvals(matrix), dtype=complex)
 
 
-def _largest_eigenvalues(model: Model, state: ca.DM, control: ca.DM) -> Complex:
+def _largest_eigenvalues(model: Model, state: Array, control: Array) -> Complex:
     along = _directional(model)
     start = np.random.default_rng(0).normal(size=model.nx)  # fixed: the same answer every time
     if not np.all(np.isfinite(along(state, control, start).full())):
@@ -275,5 +270,5 @@ def _largest_eigenvalues(model: Model, state: ca.DM, control: ca.DM) -> Complex:
     if len(found):
         return np.asarray(found, dtype=complex)
     # Undamped motion has |eigenvalue|² at most ‖A²‖: a bound, on the safe side.
-    jacobian = _jacobian(model)(state, control).sparse()
+    jacobian = _jacobian(model, state, control)
     return np.array([1j * np.sqrt(abs(jacobian @ jacobian).sum(axis=1).max())])

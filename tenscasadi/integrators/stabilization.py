@@ -202,9 +202,7 @@ def projection(model: Model, iterations: int = 3) -> ca.Function:
     """
     instance("model", model, Model, "a tenscasadi.Model")
     key = "projection", iterations if model.mechanism.system_size else 1
-    if key not in model.functions:  # a plan asks for the same several times
-        model.functions[key] = _projection(model, key[1])
-    return model.functions[key]
+    return model.keep(key, lambda: _projection(model, key[1]))
 
 
 def _projection(model: Model, iterations: int) -> ca.Function:

@@ -171,9 +171,7 @@ def _write_function(task: Task, steps: int) -> ca.Function:
     if isinstance(task.scheme, Collocation):  # tolerances are inputs
         task = task._replace(scheme=replace(task.scheme, tolerance=Collocation.tolerance))
     key = ("steps", *task[1:], steps)
-    if key not in task.model.functions:
-        task.model.functions[key] = _new_function(task, steps)
-    return task.model.functions[key]
+    return task.model.keep(key, lambda: _new_function(task, steps))
 
 
 def _new_function(task: Task, steps: int) -> ca.Function:

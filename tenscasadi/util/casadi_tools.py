@@ -15,34 +15,6 @@ import scipy.sparse as sp
 
 from tenscasadi.util.validate import Array
 
-REGULARISATION = (
-    1e-10  # on a system of unit diagonal; two refinements remove it from all that is not redundant
-)
-REFINEMENTS = 2
-
-
-def solve_semidefinite(A: Any, b: Any) -> Any:
-    """Solve A x = b for x with a symmetric positive semidefinite A, also where rows repeat each other (then b must be consistent).
-
-    The diagonal is scaled to one, the factored matrix is A + εI, and two refinements take ε out of
-    all but the null space.
-    """
-    size = A.shape[0]
-    diagonal = ca.diag(A)
-    scale = 1 / ca.sqrt(diagonal + 1e-14 * ca.sum1(diagonal))  # a row of zeros stays zero
-    scaled = A * _on_pattern(A, scale)
-    target = b * scale
-    shifted = scaled + REGULARISATION * ca.DM.eye(size)
-    solve = (
-        _unrolled_solver(shifted)
-        if isinstance(A, ca.SX)
-        else lambda rhs: ca.solve(shifted, rhs, "ldl")
-    )
-    x = solve(target)
-    for _ in range(REFINEMENTS):
-        x = x + solve(target - ca.mtimes(scaled, x))
-    return x * scale
-
 
 def call_as_sx(
     large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any
@@ -114,17 +86,6 @@ def matrix_with_pattern(sparsity: ca.Sparsity, values: Any) -> Any:
         if isinstance(values, ca.MX)
         else ca.DM(sparsity, values)
     )
-
-
-def _on_pattern(A: Any, scale: Any) -> Any:
-    """scaleᵢ scaleⱼ on the pattern of A."""
-    rows, columns = A.sparsity().get_triplet()
-    return matrix_with_pattern(A.sparsity(), scale[rows] * scale[columns])
-
-
-def _unrolled_solver(A: Any) -> Callable[[Any], Any]:
-    D, LT, permutation = ca.ldl(A)
-    return lambda rhs: ca.ldl_solve(rhs, D, LT, permutation)
 
 
 def hermite_cubic(

@@ -11,7 +11,7 @@ from controlling import MODEL, gust, misfit
 import ocp
 import tenscasadi as tc
 from ocp.control import lqr
-from ocp.control.lqr import Tangents
+from tenscasadi.dynamics.linearization import tangents
 
 
 def test_a_regulator_keeps_nearer_to_the_plan(plan):
@@ -64,7 +64,7 @@ def test_many_motions_roll_out_as_one_does(plan):
 
 
 def test_tangents_are_what_bars_allow():
-    Z = Tangents.of(MODEL)(MODEL.initial_state)
+    Z = tangents(MODEL, MODEL.initial_state)
     assert Z.shape == (36, 30)
     assert pytest.approx(np.eye(30), abs=1e-12) == Z.T @ Z
     moved = MODEL.initial_state + 1e-4 * Z @ np.ones(30)
@@ -111,10 +111,8 @@ def test_bad_arguments_are_refused_by_name(plan, name):
 
 @pytest.mark.parametrize("success", [True, False])
 def test_a_plan_along_which_departures_explode_is_refused(plan, monkeypatch, success):
-    derivatives = lqr.Motion.derivatives
-    monkeypatch.setattr(
-        lqr.Motion, "derivatives", lambda *given: [1e200 * slope for slope in derivatives(*given)]
-    )
+    exact = lqr.transitions
+    monkeypatch.setattr(lqr, "transitions", lambda *given: [1e200 * part for part in exact(*given)])
     told = "motion" if success else "motion of a plan that failed"
     with pytest.raises(
         ValueError,

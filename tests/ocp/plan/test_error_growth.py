@@ -9,7 +9,7 @@ from planning import driven, leaning_arm, raising
 import ocp
 import tenscasadi as tc
 from ocp.plan.error_growth import grown_errors
-from ocp.targets.tangents import Tangents
+from tenscasadi.dynamics.linearization import tangents
 
 
 def test_a_free_mass_drifts():
@@ -60,7 +60,7 @@ def test_growth_is_that_of_replays_that_start_otherwise(arm):
     model, T = arm.model, float(arm.time[-1])
     start = arm.trajectory.states[0]
     scale = np.repeat([1.0, T], model.nq)
-    basis, _ = np.linalg.qr(scale[:, None] * Tangents.of(model)(start))
+    basis, _ = np.linalg.qr(scale[:, None] * tangents(model, start))
 
     def end(change):
         x = np.asarray(tc.projection(model, 5)(start + change / scale).full()).ravel()

@@ -8,12 +8,8 @@ import pytest
 from planning import driven
 
 import tenscasadi as tc
-from ocp.targets.control_sensitivities import (
-    FEW,
-    ControlSensitivities,
-    Motion,
-    find_controllable_rows,
-)
+from ocp.targets.control_sensitivities import FEW, REACHED, ControlSensitivities
+from tenscasadi.util.linear_algebra import independent_rows
 
 PRISM = tc.shapes.prism()
 
@@ -36,31 +32,6 @@ def test_sensitivities_agree_with_differences():
     assert exact @ np.append(change.ravel(), 1.0) == pytest.approx(along, rel=1e-6, abs=1e-9)
 
 
-def test_derivatives_of_the_motion_are_exact():
-    model = driven(PRISM)
-    rng = np.random.default_rng(0)
-    motion = Motion(model, 3, 2)
-    x, u = model.initial_state + 0.01 * rng.normal(size=36), rng.uniform(1, 10, (3, 9))
-    states, points = motion.states(x, u, 0.05)
-    A, B = motion.derivatives(points, u, 0.05)
-    eps = 1e-6
-    for k in range(3):
-        own = Motion(model, 1, 2)
-        for column in (0, 20, 35):
-            step = np.eye(36)[column] * eps
-            slope = (
-                own.states(states[k] + step, u[k : k + 1], 0.05)[0][1]
-                - own.states(states[k] - step, u[k : k + 1], 0.05)[0][1]
-            ) / (2 * eps)
-            assert A[k][:, column] == pytest.approx(slope, abs=1e-7)
-        step = np.eye(9)[4] * eps
-        slope = (
-            own.states(states[k], u[k : k + 1] + step, 0.05)[0][1]
-            - own.states(states[k], u[k : k + 1] - step, 0.05)[0][1]
-        ) / (2 * eps)
-        assert B[k][:, 4] == pytest.approx(slope, abs=1e-7)
-
-
 @pytest.mark.parametrize("conserved", [0, 1])
 def test_many_rows_are_judged_as_by_their_whole_gradient(conserved):
     """Places and speeds of nodes about their mean can be moved, each of them; with the speed of the centre of mass among them, one cannot."""
@@ -80,4 +51,4 @@ def test_many_rows_are_judged_as_by_their_whole_gradient(conserved):
     controls = np.random.default_rng(2).uniform(1, 5, (30, model.nu))
     given = rows, np.eye(count), model.initial_state, controls, 1.0
     kept = reach.controllable_rows(*given)
-    assert len(kept) == count - conserved == len(find_controllable_rows(reach.of_rows(*given)))
+    assert len(kept) == count - conserved == len(independent_rows(reach.of_rows(*given), REACHED))

@@ -12,7 +12,7 @@ import tenscasadi as tc
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
 from ocp.targets.invariants import invariants
-from ocp.targets.row_reduction import RowFunction, null_space, separate_parts, soft_directions
+from ocp.targets.row_reduction import RowFunction, soft_directions
 
 PRISM = tc.shapes.prism()
 
@@ -88,24 +88,3 @@ def test_curvatures_are_second_derivatives():
     one = rows.select(slice(0, 2)).curvatures(at, weights[:2], basis)
     both = rows.curvatures(at, np.vstack([weights[:2], np.zeros((1, 2))]), basis)
     assert one == pytest.approx(both)
-
-
-def test_parts_that_share_nothing_are_taken_apart():
-    rng = np.random.default_rng(0)
-    A = np.zeros((80, 90))
-    parts = [(slice(0, 30), slice(0, 40)), (slice(30, 70), slice(40, 60))]
-    for rows, columns in parts:
-        A[rows, columns] = rng.normal(size=A[rows, columns].shape)
-    A[2] = A[1]
-    A[40] = 0.0
-    rows, columns = rng.permutation(80), rng.permutation(90)
-    A = A[rows][:, columns]
-    assert [
-        (len(own), len(other))
-        for own, other in sorted(separate_parts(A), key=lambda part: -len(part[1]))
-    ] == [(30, 40), (39, 20)]
-    free = null_space(A)
-    rank = np.linalg.matrix_rank(A)
-    assert free.shape == (90, 90 - rank)
-    assert free.T @ free == pytest.approx(np.eye(90 - rank), abs=1e-12)
-    assert np.abs(A @ free).max() < 1e-12

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import pytest
 from planning import driven, prism
 
 import tenscasadi as tc
-from ocp.transcription.stage_functions import Places, _semidefinite_inverse, end_curve, stage_curve
-from tenscasadi.util.casadi_tools import solve_semidefinite
+from ocp.transcription.stage_functions import Places, end_curve, stage_curve
 
 MEETING = tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity())
 MODELS = {
@@ -36,14 +34,3 @@ def test_values_are_those_of_the_model(kind):
     assert end_curve(model, places, count).at(inputs).value == pytest.approx(
         projected, rel=1e-10, abs=1e-12
     )
-
-
-def test_repeated_rows_have_a_solution():
-    """That of solve_semidefinite, for right-hand sides that repeat themselves likewise."""
-    rows = np.random.default_rng(0).standard_normal((2, 4))
-    A = np.stack([rows.T @ rows + np.eye(4), rows.T @ rows])  # the second has rank 2
-    for matrix, inverse in zip(A, _semidefinite_inverse(A), strict=True):
-        b = matrix @ [1.0, 2.0, 3.0, 4.0]
-        solution = solve_semidefinite(ca.DM(matrix), ca.DM(b)).full().ravel()
-        assert matrix @ inverse @ b == pytest.approx(b, rel=1e-8)
-        assert matrix @ inverse @ b == pytest.approx(matrix @ solution, rel=1e-8)

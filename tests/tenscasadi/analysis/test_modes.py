@@ -183,7 +183,7 @@ SCENES = {
 def test_sparse_modes_are_the_dense_ones(name: str, coordinates: str) -> None:
     model = Model(SCENES[name], coordinates)  # type: ignore[arg-type]
     every = modes(model)
-    state, control = ca.DM(model.initial_state), ca.DM(model.initial_control)
+    state, control = model.initial_state, model.initial_control
     count = min(5, len(every.frequency) - 1)
     values, shapes_, rigid, residual = modes_module._lowest_modes(model, state, control, count)
     assert rigid == every.rigid

@@ -15,7 +15,6 @@ from tenscasadi.util.casadi_tools import (
     constant_row,
     drop_rounding,
     is_diagonal,
-    solve_semidefinite,
     sparse,
     weighted_product,
 )
@@ -37,15 +36,6 @@ def test_results_stay_when_it_is_called_again():
     first = direct(np.array([1, 2]))[0]
     second = direct(np.array([[3.0, 0.0], [4.0, 0.0]])[:, 0])[0]
     assert (first.tolist(), second.tolist()) == ([[1.0, 4.0]], [[9.0, 16.0]])
-
-
-@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-def test_systems_are_solved_where_rows_repeat_each_other(kind):
-    B = np.array([[1.0, 0, 2, 0], [0, 3, 0, 0], [2, 0, 4, 0]])  # rank 2
-    A, x = B @ B.T, np.array([1.0, -2.0, 0.5])
-    unknown = kind.sym("A", 3, 3)
-    solve = ca.Function("solve", [unknown], [solve_semidefinite(unknown, ca.DM(A @ x))])
-    assert A @ solve(A).full().ravel() == pytest.approx(A @ x, rel=1e-12)
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX, ca.DM])

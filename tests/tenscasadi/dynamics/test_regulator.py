@@ -5,24 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from planning import leaning_arm, prism
+from planning import leaning_arm
 
 import tenscasadi as tc
-from ocp.targets.regulator import linear_steps, plan_gains, riccati_gains
-
-STEPS = 20
-
-
-@pytest.fixture(scope="module")
-def moving():
-    """Return a model, states of a motion under a constant γ, that, and lengths of intervals that are not the same."""
-    model = tc.Model(tc.Scene(prism(1.0), control=tc.ForceDensity()))
-    lengths = np.linspace(0.001, 0.002, STEPS)
-    gamma = np.linspace(20.0, 30.0, model.nu)
-    states = [model.initial_state]
-    for h in lengths:
-        states.append(advanced(model, states[-1], gamma, h))
-    return model, np.array(states), np.tile(gamma, (STEPS, 1)), lengths
+from tenscasadi.dynamics.regulator import plan_gains, riccati_gains
 
 
 def advanced(model, x, gamma, h):
@@ -30,23 +16,6 @@ def advanced(model, x, gamma, h):
     for _ in range(4):
         x = np.asarray(step(x, gamma, h / 4).full()).ravel()
     return x
-
-
-def test_steps_are_linearised_as_finite_differences_say(moving):
-    model, states, gamma, lengths = moving
-    k, tiny = 7, 1e-5
-    left, right = list(linear_steps(model, states, gamma, lengths))[k]
-    by_state, by_control = np.split(np.linalg.solve(left, right), [model.nx], axis=1)
-    random = np.random.default_rng(0)
-    for _ in range(3):
-        dx, du = random.normal(size=model.nx), random.normal(size=model.nu)
-        ends = [
-            advanced(model, states[k] + sign * tiny * dx, gamma[k] + sign * tiny * du, lengths[k])
-            for sign in (1, -1)
-        ]
-        assert by_state @ dx + by_control @ du == pytest.approx(
-            (ends[0] - ends[1]) / (2 * tiny), rel=1e-5, abs=1e-5
-        )
 
 
 def test_gains_of_a_long_time_are_those_of_the_algebraic_equation():

@@ -1,0 +1,57 @@
+"""Linear steps along a trajectory, from the first derivatives in the middles of intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tenscasadi.dynamics.linearization import EquationDerivatives
+from tenscasadi.dynamics.model import Model
+from tenscasadi.util.validate import Array
+
+
+def linear_steps(
+    model: Model, starts: Array, ends: Array, controls: Array, lengths: Array
+) -> Iterator[tuple[Array, Array]]:
+    """Yield L (nx, nx) and R (nx, nx + nu) with L δx⁺ = R (δx, δu) for each of K intervals.
+
+    They run from states `starts` (K, nx) to `ends` (K, nx) under controls (K, nu) in `lengths` (K,)
+    [s]. Each is linearized exactly in its middle. The step is the (2, 2) Padé approximation of the
+    exponential, of order 4, and stable wherever the linear motion is.
+    """
+    nx, eye = model.nx, np.eye(model.nx)
+    at = EquationDerivatives.of(model).at(_middles(model, starts, ends, lengths), controls)
+    for k, h in enumerate(lengths):
+        both = h * at.jacobian(k)
+        J, by_control = both[:, :nx], both[:, nx : nx + model.nu]
+        even, odd = eye + J @ J / 12, J / 2
+        yield even - odd, np.column_stack([even + odd, by_control])
+
+
+def transitions(
+    model: Model, starts: Array, ends: Array, controls: Array, lengths: Array, substeps: int = 1
+) -> tuple[Array, Array]:
+    """Compute ∂x⁺/∂x (K, nx, nx) and ∂x⁺/∂u (K, nx, nu) of K spans of so many `linear_steps` each.
+
+    The control is constant in a span.
+    """
+    nx = model.nx
+    steps = np.array(
+        [np.linalg.solve(*step) for step in linear_steps(model, starts, ends, controls, lengths)]
+    ).reshape(-1, substeps, nx, nx + model.nu)
+    A, B = steps[:, 0, :, :nx], steps[:, 0, :, nx:]
+    for k in range(1, substeps):
+        A, B = steps[:, k, :, :nx] @ A, steps[:, k, :, :nx] @ B + steps[:, k, :, nx:]
+    return A, B
+
+
+def _middles(model: Model, starts: Array, ends: Array, lengths: Array) -> Array:
+    """Compute the states (K, nx) in the middles of intervals, on the cubics through their ends."""
+    result = (starts + ends) / 2
+    q, v, _ = model.split(result)
+    (q0, v0, _), (q1, v1, _) = model.split(starts), model.split(ends)
+    h = lengths[:, None]
+    q += h / 8 * (v0 - v1)
+    v[:] = 1.5 * (q1 - q0) / h - (v0 + v1) / 4
+    return np.asarray(result)

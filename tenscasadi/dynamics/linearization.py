@@ -1,0 +1,235 @@
+"""First derivatives of the equation of motion: M q̈ = F + Jᵀ μ, J q̈ + c = 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.dynamics.equation_of_motion import applied_forces
+from tenscasadi.dynamics.model import Model
+from tenscasadi.util.casadi_tools import (
+    ArrayFunction,
+    block_inverse,
+    diagonal_row,
+    is_expression,
+)
+from tenscasadi.util.linear_algebra import null_space, semidefinite_inverse
+from tenscasadi.util.validate import Array
+
+# of the norm of the constraints' Jacobian: smaller singular values are those of redundant rows
+REDUNDANT = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class LinearDynamics:
+    """First-order dynamics at K states.
+
+    Attributes
+    ----------
+    model : Model
+        The model of nx states, nq coordinates and nw = nu + np inputs.
+    rates : ndarray (K, nx)
+        Rates of the states.
+    inverse_mass : array (nq, nq)
+        M⁻¹, dense or sparse.
+    weighted, inverse : ndarray (K, c, nq), (K, c, c)
+        J M⁻¹ and (J M⁻¹ Jᵀ)⁻¹, by which accelerations depend on forces.
+    slopes : ndarray (K, ·)
+        Entries of the derivatives of F + Jᵀ μ − M q̈ and J q̈ + c, at constant q̈ and μ.
+    pattern : sparse array (nx + nw, nq + c)
+        Where these entries stand, row by row. The methods write into its data.
+    """
+
+    model: Model
+    rates: Array
+    inverse_mass: Any
+    weighted: Array
+    inverse: Array
+    slopes: Array
+    pattern: sp.csr_array
+
+    def tangent(self, k: int, changes: Array) -> Array:
+        """Compute the changes (nx, m) of the rates by changes (nx + nw, m) of state and input."""
+        nq, result = self.model.nq, np.zeros((self.model.nx, changes.shape[1]))
+        self.pattern.data = self.slopes[k]
+        forces, kept = np.split(self.pattern.T @ changes, [nq])
+        result[:nq] = changes[nq : 2 * nq]
+        back = self.inverse[k] @ (self.weighted[k] @ forces + kept)
+        result[nq : 2 * nq] = self.inverse_mass @ forces - self.weighted[k].T @ back
+        return result
+
+    def adjoint(self, k: int, weights: Array) -> Array:
+        """Compute gradients (nx + nw, m) of weighted sums of the rates, weights (nx, m)."""
+        nq, forces = self.model.nq, weights[self.model.nq : 2 * self.model.nq]
+        back = self.inverse[k] @ (self.weighted[k] @ forces)
+        self.pattern.data = self.slopes[k]
+        free = self.inverse_mass @ forces - self.weighted[k].T @ back
+        result = self.pattern @ np.concatenate([free, -back])
+        result[nq : 2 * nq] += weights[:nq]
+        return np.asarray(result)
+
+    def jacobian(self, k: int) -> Array:
+        """Compute the derivative (nx, nx + nw) of the rates with respect to state and input."""
+        return self.adjoint(k, np.eye(self.model.nx)).T
+
+    def accelerations_by_control(self) -> Array:
+        """Compute the derivatives (K, nq, nu) of the accelerations with respect to the control."""
+        model, nq = self.model, self.model.nq
+        controls = np.eye(model.nx + model.nw)[:, model.nx : model.nx + model.nu]
+        ways = [self.tangent(k, controls)[nq : 2 * nq] for k in range(len(self.rates))]
+        return np.reshape(ways, (len(ways), nq, model.nu))
+
+
+class EquationDerivatives:
+    """Equation of motion of a model and its first derivatives.
+
+    The system of the multipliers is solved in numbers, as expressions of the accelerations'
+    derivatives would be dense.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self._constant_inverse: Any = None
+        nq, nx = model.nq, model.nx
+        kind = _symbol_kind(model)
+        x, w, a = kind.sym("x", nx), kind.sym("w", model.nw), kind.sym("a", nq)
+        N, V, time = model.unpack(x)
+        F, _ = applied_forces(model, N, V, w, time)
+        force = model.split(model.pack(F, F, 0))[0]
+        constraints = model.constraints(x)
+        rates = ca.densify(ca.vertcat(kind(0, 1), constraints.bar_rates, constraints.joint_rates))
+        self.constraints = rates.shape[0]
+        mu = kind.sym("mu", self.constraints)
+        _, v, clock = model.split(x)
+        J = ca.jacobian(rates, x)[:, nq : 2 * nq]
+        drift = ca.vertcat(v, kind.zeros(nq, 1), *([1] if clock.shape[0] else []))
+        bias = ca.jtimes(rates, x, drift) if self.constraints else rates
+        give = _squared_length_error(model, N, w)
+        balance = force + ca.mtimes(J.T, mu)
+        if model.mechanism.masses is not None:
+            balance -= ca.mtimes(model.weighted(w, inverse=False).free_mass, a)
+        kept = ca.mtimes(J, a) + bias - give * mu
+        slopes = ca.jacobian(ca.vertcat(balance, kept), ca.vertcat(x, w))
+        self._places, pattern = J.sparsity().get_triplet(), slopes.sparsity()
+        # entries column by column are those of the transpose row by row
+        self._pattern = sp.csr_array(
+            (np.zeros(pattern.nnz()), pattern.row(), pattern.colind()), shape=slopes.shape[::-1]
+        )
+        self._values = ca.Function(
+            "values", [x, w], [ca.vec(ca.densify(part)) for part in (force, bias, give, J.nz[:])]
+        )
+        self._slopes = ca.Function("slopes", [x, w, mu, a], [ca.densify(slopes.nz[:])])
+
+    @staticmethod
+    def of(model: Model) -> EquationDerivatives:
+        """Return the derivatives of a model, which keeps them."""
+        return model.keep("equation derivatives", lambda: EquationDerivatives(model))
+
+    def at(self, states: Array, controls: Array, parameters: Any = None) -> LinearDynamics:
+        """Linearize at states (K, nx) under controls (K, nu) and parameters (np,)."""
+        K, nq, c = len(states), self.model.nq, self.constraints
+        p = self.model.parameters.values(parameters)
+        inputs = np.column_stack([controls, np.tile(p, (K, 1))])
+        forces, bias, give, entries = ArrayFunction(self._values.map(K))(states, inputs)
+        inverse_mass = self._inverse_mass(p)
+        accelerations, mu = forces @ inverse_mass, bias
+        weighted, inverse = np.zeros((K, c, nq)), np.zeros((K, c, c))
+        if c:
+            J = np.zeros((K, c, nq))
+            J[:, self._places[0], self._places[1]] = entries
+            weighted[:] = (J.reshape(K * c, nq) @ inverse_mass).reshape(J.shape)
+            system = J @ weighted.transpose(0, 2, 1)
+            system[:, np.arange(c), np.arange(c)] -= give
+            inverse[:] = semidefinite_inverse(system)
+            mu = -_times(inverse, _times(J, accelerations) + bias)
+            accelerations = accelerations + _times(weighted.transpose(0, 2, 1), mu)
+        (slopes,) = ArrayFunction(self._slopes.map(K))(states, inputs, mu, accelerations)
+        _, v, clock = self.model.split(states)
+        rates = np.column_stack([v, accelerations, np.ones_like(clock)])
+        pattern = self._pattern.copy()
+        slopes = slopes.reshape(K, pattern.nnz)
+        return LinearDynamics(self.model, rates, inverse_mass, weighted, inverse, slopes, pattern)
+
+    def system_at(self, state: Array, inputs: Array) -> tuple[Any, Any, Array, Array]:
+        """Compute sparse M and J, and F and c, of one state (nx,) and its inputs (nw,)."""
+        values = self._values(state, inputs)
+        force, bias, _, entries = (np.asarray(value.full()).ravel() for value in values)
+        J = sp.csc_array((entries, self._places), shape=(self.constraints, self.model.nq))
+        return self.mass(inputs[self.model.nu :]), J, force, bias
+
+    def slopes_at(self, state: Array, inputs: Array, mu: Array, accelerations: Array) -> Any:
+        """Compute the sparse derivative of F + Jᵀ μ − M q̈ and J q̈ + c (nq + c, nx + nw)."""
+        pattern = self._pattern.copy()
+        pattern.data = self._slopes(state, inputs, mu, accelerations).full().ravel()
+        return sp.csc_array(pattern.T)
+
+    def mass(self, p: Array) -> Any:
+        """Compute the sparse mass matrix (nq, nq) of the free coordinates [kg] at parameters p."""
+        w = ca.DM(np.append(np.zeros(self.model.nu), p))
+        M = self.model.weighted(w, inverse=False).free_mass
+        return sp.csc_array(M.sparse() if is_expression(M) else M)
+
+    def _inverse_mass(self, p: Array) -> Any:
+        """Invert the mass matrix, dense where sparse products would take longer."""
+        if self._constant_inverse is not None:
+            return self._constant_inverse
+        mass, nq = self.mass(p), self.model.nq
+        diagonal = mass.diagonal()  # nodes without mass are pinned: any mass gives the same motion
+        some = np.where(diagonal == 0, diagonal.max(initial=0.0) or 1.0, 0.0)
+        inverse = block_inverse(sp.csr_array(mass + sp.diags_array(some)), np.ones(nq, bool))
+        inverse = inverse.toarray() if 10 * inverse.nnz > nq * nq else inverse
+        if self.model.mechanism.masses is None:
+            self._constant_inverse = inverse
+        return inverse
+
+
+def tangents(model: Model, state: Array) -> Array:
+    """Compute the changes of a state that bars and joints allow, as an orthonormal basis (nx, d).
+
+    The clock does not change.
+    """
+    J = _constraint_jacobian(model, state)
+    return null_space(J, REDUNDANT * float(np.linalg.norm(J)))
+
+
+def displacements(model: Model, state: Array) -> Array:
+    """Compute the displacements that bars and joints allow, as an orthonormal basis (nq, d)."""
+    count = model.mechanism.bars + int(model.mechanism.active.sum())
+    J = _constraint_jacobian(model, state)[:count, : model.nq]
+    return null_space(J, REDUNDANT * float(np.linalg.norm(J)))
+
+
+def _constraint_jacobian(model: Model, state: Array) -> Array:
+    """Compute the derivatives of bars, joints, their rates, and the clock, in this order."""
+
+    def build() -> ca.Function:
+        x = _symbol_kind(model).sym("x", model.nx)
+        own = model.constraints(x)
+        rows = ca.vertcat(own.bars, own.joints, own.bar_rates, own.joint_rates, model.split(x)[2])
+        return ca.Function("jacobian", [x], [ca.densify(ca.jacobian(rows, x))])
+
+    return np.asarray(model.keep("constraint jacobian", build)(state).full())
+
+
+def _symbol_kind(model: Model) -> Any:
+    """Return SX where all forces are scalar code; functions of time may not be."""
+    return ca.SX if not model.scene.has_clock or model.ode.is_a("SXFunction") else ca.MX
+
+
+def _squared_length_error(model: Model, N: Any, w: Any) -> Any:
+    """Compute (bᵀb − l²)/l² G by which λ̂ with constant lengths misses each constraint, or 0."""
+    mech, count = model.mechanism, model.mechanism.bars
+    none = type(N).zeros(int(mech.active.sum()), 1)
+    if not mech.constant_length:
+        return ca.vertcat(type(N).zeros(count, 1), none)
+    B, squares = mech.bar_vectors(N), ca.DM(mech.lengths**2).T
+    give = (ca.sum1(B * B) / squares - 1) * diagonal_row(model.weighted(w).G[0])
+    return ca.vertcat(give.T, none)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])

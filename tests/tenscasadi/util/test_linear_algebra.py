@@ -1,0 +1,65 @@
+"""Singular linear systems."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tenscasadi.util.linear_algebra import (
+    independent_rows,
+    null_space,
+    semidefinite_inverse,
+    separate_parts,
+    solve_semidefinite,
+)
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_systems_are_solved_where_rows_repeat_each_other(kind):
+    B = np.array([[1.0, 0, 2, 0], [0, 3, 0, 0], [2, 0, 4, 0]])  # rank 2
+    A, x = B @ B.T, np.array([1.0, -2.0, 0.5])
+    unknown = kind.sym("A", 3, 3)
+    solve = ca.Function("solve", [unknown], [solve_semidefinite(unknown, ca.DM(A @ x))])
+    assert A @ solve(A).full().ravel() == pytest.approx(A @ x, rel=1e-12)
+
+
+def test_repeated_rows_have_a_solution():
+    """That of solve_semidefinite, for right-hand sides that repeat themselves likewise."""
+    rows = np.random.default_rng(0).standard_normal((2, 4))
+    A = np.stack([rows.T @ rows + np.eye(4), rows.T @ rows])  # the second has rank 2
+    for matrix, inverse in zip(A, semidefinite_inverse(A), strict=True):
+        b = matrix @ [1.0, 2.0, 3.0, 4.0]
+        solution = solve_semidefinite(ca.DM(matrix), ca.DM(b)).full().ravel()
+        assert matrix @ inverse @ b == pytest.approx(b, rel=1e-8)
+        assert matrix @ inverse @ b == pytest.approx(matrix @ solution, rel=1e-8)
+
+
+def test_parts_that_share_nothing_are_taken_apart():
+    rng = np.random.default_rng(0)
+    A = np.zeros((80, 90))
+    parts = [(slice(0, 30), slice(0, 40)), (slice(30, 70), slice(40, 60))]
+    for rows, columns in parts:
+        A[rows, columns] = rng.normal(size=A[rows, columns].shape)
+    A[2] = A[1]
+    A[40] = 0.0
+    rows, columns = rng.permutation(80), rng.permutation(90)
+    A = A[rows][:, columns]
+    assert [
+        (len(own), len(other))
+        for own, other in sorted(separate_parts(A), key=lambda part: -len(part[1]))
+    ] == [(30, 40), (39, 20)]
+    free = null_space(A, 1e-3)
+    rank = np.linalg.matrix_rank(A)
+    assert free.shape == (90, 90 - rank)
+    assert free.T @ free == pytest.approx(np.eye(90 - rank), abs=1e-12)
+    assert np.abs(A @ free).max() < 1e-12
+
+
+def test_independent_rows_span_the_rows():
+    A = np.random.default_rng(0).normal(size=(5, 3)) @ np.random.default_rng(1).normal(size=(3, 8))
+    kept = independent_rows(A, 1e-9)
+    assert kept.shape == (3, 5)
+    assert kept @ kept.T == pytest.approx(np.eye(3))
+    assert kept.T @ kept @ A == pytest.approx(A)
+    assert len(independent_rows(np.full((2, 3), np.nan), 1e-9)) == 2
