@@ -15,7 +15,6 @@ from ocp.phases.targets import find_targets, phase_problems, whole_target
 from ocp.plan.diagnosis import explain_failure, measure_misses
 from ocp.plan.plan import Plan
 from ocp.presolve import check_groups
-from ocp.problem.costs import Duration, FinalCost
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.solvers.base import Outcome, Solution, Solver
@@ -239,9 +238,7 @@ def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:
 
 def _without_end(part: Problem, problem: Problem) -> Problem:
     """Return a phase before the last without the problem's own costs and limits of the end; but its duration is a part of the whole."""
-    costs = [
-        cost for cost in part.costs if isinstance(cost, Duration) or not isinstance(cost, FinalCost)
-    ]
+    costs = [cost for cost in part.costs if cost.additive]
     return replace(
         part,
         costs=costs,

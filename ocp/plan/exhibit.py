@@ -14,8 +14,7 @@ from ocp.problem.bounds.string_bounds import (
     StringLimits,
     TensionLimits,
 )
-from ocp.problem.costs import CostAt
-from ocp.problem.goals.goal import SoftGoal
+from ocp.problem.goals.goal import soft_goals
 from ocp.problem.goals.node_goals import NodePositions
 from ocp.problem.goals.waypoints import Waypoint
 from tenscasadi.util.validate import Array
@@ -75,10 +74,8 @@ def _timed(plan: Any) -> Iterator[tuple[float, Any]]:
             (first + share * (last - first), part)
             for part in (goal.goals if isinstance(goal, Waypoint) else [goal])
         )
-    for cost in problem.costs:  # soft goals are among them
-        share, wish = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
-        if isinstance(wish, SoftGoal):
-            yield first + share * (last - first), wish.goal
+    for share, wish in soft_goals(problem.costs):
+        yield first + share * (last - first), wish.goal
 
 
 def _targets(timed: Iterable[tuple[float, Any]], planned: Motion) -> Array:

@@ -11,8 +11,7 @@ import numpy as np
 
 from ocp.problem.bounds.bound import PathBound, PathConstraint, RateBound
 from ocp.problem.control import control_name, winds
-from ocp.problem.costs import CostAt
-from ocp.problem.goals.goal import SoftGoal
+from ocp.problem.goals.goal import soft_goals
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.solvers.multipliers import Duals
@@ -168,10 +167,7 @@ def report_of(
 def _missed(problem: Problem, replay: Trajectory) -> tuple[Missed, ...]:
     """Return the rows of all soft goals at the instants of a replay at which they are wished for."""
     found, model = [], problem.model
-    for cost in problem.costs:
-        share, goal = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
-        if not isinstance(goal, SoftGoal):
-            continue
+    for share, goal in soft_goals(problem.costs):
         state = [
             np.interp(share * replay.time[-1], replay.time, column) for column in replay.states.T
         ]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 from numpy.typing import ArrayLike
@@ -16,11 +17,49 @@ from tenscasadi.util.validate import (
     number_or_vector,
     per_item,
     positive_number,
+    shown,
 )
+
+ControlTerm = Callable[[Any, Any], Any]  # (force densities α×intervals, interval)
+InstantTerm = Callable[[Instant], Any]
+
+
+class CostTerms(NamedTuple):
+    """Expressions of costs by the part of a plan that they are taken of.
+
+    Attributes
+    ----------
+    control : of the force densities of each interval.
+    changes : of the force densities of neighboring intervals.
+    running : of each instant, integrated over time.
+    instants : of an instant, with its fraction of the duration, 1 at the end.
+    """
+
+    control: tuple[ControlTerm, ...] = ()
+    changes: tuple[ControlTerm, ...] = ()
+    running: tuple[InstantTerm, ...] = ()
+    instants: tuple[tuple[float, InstantTerm], ...] = ()
+
+
+def cost_terms(costs: Iterable[Cost]) -> CostTerms:
+    """Collect the terms of several costs."""
+    each = [cost.terms() for cost in costs]
+    return CostTerms(*(sum(parts, ()) for parts in zip(*each, strict=True)))
 
 
 class Cost:
-    """A number that is summed with those of the other costs and minimised."""
+    """A number that is summed with those of the other costs and minimized.
+
+    additive: whether the cost of a plan is the sum of those of its phases.
+    """
+
+    additive: ClassVar[bool] = True
+
+    def terms(self) -> CostTerms:
+        """Return the terms of the cost."""
+        raise TypeError(
+            f"Problem.costs has {shown(self)}: give a ControlCost, RunningCost or FinalCost"
+        )
 
     def check(self, structure: Structure) -> None:
         """Raise TypeError or ValueError, naming the field, where the cost does not fit the structure."""
@@ -33,6 +72,10 @@ class ControlCost(Cost):
         """Return the cost of force densities (α×intervals, N/m) held for `interval` (s) each, as a CasADi scalar."""
         raise NotImplementedError
 
+    def terms(self) -> CostTerms:
+        """Return the cost of each interval."""
+        return CostTerms(control=(self.expression,))
+
 
 class RunningCost(Cost):
     """A cost that is integrated over time, by Simpson's rule on each interval, its middle on the cubic between its ends."""
@@ -41,19 +84,30 @@ class RunningCost(Cost):
         """Return the cost per second, a CasADi scalar."""
         raise NotImplementedError
 
+    def terms(self) -> CostTerms:
+        """Return the integrand."""
+        return CostTerms(running=(self.rate,))
+
 
 class FinalCost(Cost):
     """A cost of the end."""
 
+    additive: ClassVar[bool] = False
+
     def final(self, end: Instant) -> Any:
         """Return the cost, a CasADi scalar."""
         raise NotImplementedError
+
+    def terms(self) -> CostTerms:
+        """Return the cost of the end."""
+        return CostTerms(instants=((1.0, self.final),))
 
 
 @dataclass(frozen=True, eq=False)
 class CostAt(Cost):
     """A cost of the end that is taken at a share of the duration, between 0 and 1."""
 
+    additive: ClassVar[bool] = False
     cost: FinalCost
     share: float
 
@@ -67,6 +121,10 @@ class CostAt(Cost):
     def check(self, structure: Structure) -> None:
         """Raise TypeError or ValueError, naming the field, where the cost does not fit the structure."""
         self.cost.check(structure)
+
+    def terms(self) -> CostTerms:
+        """Return the cost of the instant."""
+        return CostTerms(instants=((self.share, self.cost.final),))
 
 
 @dataclass(frozen=True)
@@ -149,6 +207,16 @@ class Smoothness(ControlCost):
 
     def __post_init__(self) -> None:
         check_weight(self)
+
+    def terms(self) -> CostTerms:
+        """Return the cost of neighboring intervals.
+
+        Returns
+        -------
+        CostTerms
+            Of changes alone.
+        """
+        return CostTerms(changes=(self.expression,))
 
     def expression(self, force_density: Any, interval: Any) -> Any:
         """Return the cost of some intervals.
@@ -262,6 +330,7 @@ class Duration(FinalCost):
     Duration(weight=10.0)
     """
 
+    additive: ClassVar[bool] = True
     weight: float = 1.0
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint
-from ocp.problem.costs import Cost, CostAt, FinalCost, RunningCost
+from ocp.problem.costs import Cost, FinalCost, RunningCost
 from ocp.problem.instant import Instant, symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import (
@@ -285,14 +285,13 @@ def check_expressions(
                 )
     for cost in costs:
         now = symbolic(model)
-        if isinstance(cost, RunningCost):
-            value, steered = _first(cost, now.symbols, cost.rate(now), start)
+        terms = cost.terms()
+        for rate in terms.running:
+            value, steered = _first(cost, now.symbols, rate(now), start)
             if np.any(~np.isfinite(value) & ~steered):
                 raise ValueError(f"Problem.costs: {_label(cost)} {_NO_NUMBER}")
-        elif isinstance(cost, CostAt):
-            _first(cost, now.symbols, cost.cost.final(now), None)
-        elif isinstance(cost, FinalCost):
-            _first(cost, now.symbols, cost.final(now), None)
+        for _, instant in terms.instants:
+            _first(cost, now.symbols, instant(now), None)
 
 
 def _first(

@@ -11,12 +11,11 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds.bound import Bound, RateBound
-from ocp.problem.costs import Cost, CostAt, Duration, FinalCost, RunningCost
+from ocp.problem.costs import Cost
 from ocp.problem.goals.goal import Goal, SoftGoal
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import symbolic
-from ocp.problem.tracking import Tracking
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import (
     Array,
@@ -217,18 +216,19 @@ def check_phases(
                 f"{name}.bounds has {type(bound).__name__}, which would not hold from phase to phase: leave it out"
             )
     for cost in costs:
-        if isinstance(cost, (Tracking, CostAt)):
-            kind = "a soft Waypoint" if isinstance(cost, CostAt) else "Tracking"
+        now, terms = symbolic(model), cost.terms()
+        if any(share < 1.0 for share, _ in terms.instants):
             raise ValueError(
-                f"Problem has {kind}, whose time is that of the whole plan: with phases give goals of phases"
+                "Problem has a soft Waypoint, whose time is that of the whole plan: with phases give goals of phases"
             )
-        if isinstance(cost, (RunningCost, FinalCost)) and not isinstance(cost, Duration):
-            now = symbolic(model)
-            value = cost.rate(now) if isinstance(cost, RunningCost) else cost.final(now)
-            if ca.depends_on(value, now.time):
-                raise ValueError(
-                    f"Problem.costs has {type(cost).__name__}, which depends on the time: with phases give goals of phases"
-                )
+        expressions = [
+            *terms.running,
+            *(() if cost.additive else (one for _, one in terms.instants)),
+        ]
+        if any(ca.depends_on(one(now), now.time) for one in expressions):
+            raise ValueError(
+                f"Problem.costs has {type(cost).__name__}, which depends on the time: with phases give goals of phases"
+            )
     for phase in phases:
         for goal in phase.goals:
             goal.check(structure)

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.control import winds
-from ocp.problem.costs import ControlCost, CostAt, FinalCost, RunningCost, Smoothness
+from ocp.problem.costs import cost_terms
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
 from tenscasadi.util.validate import Array
@@ -65,34 +65,19 @@ def typical_cost(
         1 + np.sqrt(0.5) * (-1.0) ** string * np.sin(2 * np.pi * (interval + 0.5) / count)
     )
     decided = force_density.T if winds(problem.model) else pattern
-    total, x = 0.0, states.T
-    for cost in problem.costs:
-        now = symbolic(problem.model)
-        if isinstance(cost, Smoothness):
-            total += float(
-                ca.DM(
-                    cost.expression(
-                        ca.DM(np.diag(control_scale(problem, strength) / strength) @ pattern),
-                        duration / count,
-                    )
-                )
-            )
-        elif isinstance(cost, ControlCost):
-            total += float(ca.DM(cost.expression(ca.DM(pattern), duration / count)))
-        elif isinstance(cost, RunningCost):
-            rate = ca.Function("rate", now.symbols, [cost.rate(now)]).map(count)
-            total += (
-                duration
-                / count
-                * float(
-                    ca.sum2(
-                        rate(x[:, 1:], decided, np.linspace(0.0, duration, count + 1)[None, 1:])
-                    )
-                )
-            )
-        elif isinstance(cost, (FinalCost, CostAt)):
-            share, of_end = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
-            k = round(share * count)
-            final = ca.Function("final", now.symbols, [of_end.final(now)])
-            total += float(final(x[:, k], decided[:, max(k - 1, 0)], share * duration))
+    step, time = duration / count, np.linspace(0.0, duration, count + 1)
+    now, terms = symbolic(problem.model), cost_terms(problem.costs)
+    changed = np.diag(control_scale(problem, strength) / strength) @ pattern
+    total = sum(
+        float(ca.DM(expression(ca.DM(held), step)))
+        for expressions, held in ((terms.control, pattern), (terms.changes, changed))
+        for expression in expressions
+    )
+    for expression in terms.running:
+        rate = ca.Function("rate", now.symbols, [expression(now)]).map(count)
+        total += step * float(ca.sum2(rate(states.T[:, 1:], decided, time[None, 1:])))
+    for share, expression in terms.instants:
+        k = round(share * count)
+        value = ca.Function("value", now.symbols, [expression(now)])
+        total += float(value(states[k], decided[:, max(k - 1, 0)], share * duration))
     return abs(total) if np.isfinite(total) and total else 1.0

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds.bound import PathBound, RateBound
-from ocp.problem.costs import ControlCost, CostAt, FinalCost, RunningCost
+from ocp.problem.costs import cost_terms
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
@@ -48,9 +48,8 @@ def horizon_costs(
     """
     now, given = _instant(problem)
     length = period * intervals
-    final = sum(
-        (cost.final(now) for cost in problem.costs if isinstance(cost, FinalCost)), ca.DM(0)
-    )
+    instants = cost_terms(problem.costs).instants
+    final = sum((value(now) for share, value in instants if share == 1.0), ca.DM(0))
     last = [
         rows for rows in scaled_rows(problem, PathBound, scales, strength) if rows.ends == ("last",)
     ]
@@ -74,9 +73,7 @@ def running_cost(
 ) -> ca.Function:
     """Return the Function (x, w) → cost per second of running costs times `weight`, and of limits overstepped within `length`, s."""
     now, given = _instant(problem)
-    stage = weight * sum(
-        (cost.rate(now) for cost in problem.costs if isinstance(cost, RunningCost)), ca.DM(0)
-    )
+    stage = weight * sum((rate(now) for rate in cost_terms(problem.costs).running), ca.DM(0))
     along = [
         rows for rows in scaled_rows(problem, PathBound, scales, strength) if rows.ends != ("last",)
     ]
@@ -97,7 +94,7 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
         for part in (problem.start, *problem.goals)
         if isinstance(part, (FreeStart, Waypoint))
     ]
-    asked += ["Waypoint"] * any(isinstance(cost, CostAt) for cost in problem.costs)
+    asked += ["Waypoint"] * any(share < 1 for share, _ in cost_terms(problem.costs).instants)
     if asked:
         raise ValueError(
             f"problem has {asked[0]}, which asks for a motion of a given duration: solve it, and keep to the plan by ocp.Tracking"
@@ -135,10 +132,10 @@ def _excess(rows: ScaledRows, *given: Any) -> Any:
 
 def control_cost(problem: Problem, period: float, intervals: int) -> ca.Function | None:
     """Return the Function γ (α, K) → costs of force densities alone; None where there are none."""
-    costs = [cost for cost in problem.costs if isinstance(cost, ControlCost)]
+    terms = cost_terms(problem.costs)
     gamma = ca.SX.sym("u", problem.model.nu, intervals)
-    total = sum((ca.SX(cost.expression(gamma, period)) for cost in costs), ca.SX(0))
-    return ca.Function("control", [gamma], [ca.densify(total)]) if costs else None
+    each = [expression(gamma, period) for expression in (*terms.control, *terms.changes)]
+    return ca.Function("control", [gamma], [ca.densify(sum(each, ca.SX(0)))]) if each else None
 
 
 def rate_cost(

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds.bound import PathBound, RateBound
-from ocp.problem.costs import ControlCost, CostAt, FinalCost, RunningCost
+from ocp.problem.costs import cost_terms
 from ocp.problem.instant import symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import Problem
@@ -120,7 +120,7 @@ class Motions:
             if not rows.names:
                 continue
             k, part = locate_share(self.fractions, share)
-            state = after if part == 1.0 else hermite_state(model, before, after, h, part)
+            state = hermite_state(model, before, after, h, part)
             value = ca.Function("rows", [x], [ca.densify(rows.value)])
             between = ca.Function("rows", [before, after, h], [value(state)])
             found.append(
@@ -243,39 +243,26 @@ class Motions:
 
     def objective(self, states: Array, controls: Array, duration: float) -> float:
         """Return the sum of the costs of one motion (K + 1, nx) under γ (K, α); running ones by the trapezoid rule."""
-        problem, h = self.problem, duration * self.fractions
-        ends, now, total = (
-            duration * np.append(0.0, np.cumsum(self.fractions)),
-            symbolic(self.problem.model),
-            0.0,
-        )
-        for cost in problem.costs:
-            if isinstance(cost, ControlCost):
-                total += sum(
-                    float(ca.DM(cost.expression(gamma, step)))
-                    for gamma, step in zip(map(ca.DM, controls), h.tolist(), strict=True)
-                )
-                for k, step in enumerate(
-                    ((h[1:] + h[:-1]) / 2).tolist()
-                ):  # what neighbours cost beside each for itself
-                    pair = [
-                        ca.DM(controls[k : k + 2].T),
-                        ca.DM(controls[k]),
-                        ca.DM(controls[k + 1]),
-                    ]
-                    both, first, second = (
-                        float(ca.DM(cost.expression(gamma, step))) for gamma in pair
-                    )
-                    total += both - first - second
-            elif isinstance(cost, RunningCost):
-                rate = ca.Function("rate", list(now.symbols), [cost.rate(now)]).map(len(h))
-                sides = [
-                    rate(states[k : k + len(h)].T, controls.T, ends[None, k : k + len(h)])
-                    .full()
-                    .ravel()
-                    for k in (0, 1)
-                ]
-                total += float(h @ (sides[0] + sides[1])) / 2
+        h, now = duration * self.fractions, symbolic(self.problem.model)
+        ends, terms = np.append(0.0, np.cumsum(h)), cost_terms(self.problem.costs)
+        spacing = (h[1:] + h[:-1]) / 2
+        total = 0.0
+        for expression in terms.control:
+            held = zip(map(ca.DM, controls), h.tolist(), strict=True)
+            total += sum(float(ca.DM(expression(gamma, step))) for gamma, step in held)
+        for expression in terms.changes:
+            pairs = (ca.DM(controls[k : k + 2].T) for k in range(len(spacing)))
+            held = zip(pairs, spacing.tolist(), strict=True)
+            total += sum(float(ca.DM(expression(pair, step))) for pair, step in held)
+        for running in terms.running:
+            rate = ca.Function("rate", list(now.symbols), [running(now)]).map(len(h))
+            sides = [
+                rate(states[k : k + len(h)].T, controls.T, ends[None, k : k + len(h)])
+                .full()
+                .ravel()
+                for k in (0, 1)
+            ]
+            total += float(h @ (sides[0] + sides[1])) / 2
         return total + sum(
             float(cost(states[k + 1], controls[k])) for k, cost in self._instant_costs
         )
@@ -322,14 +309,10 @@ class Motions:
     @cached_property
     def _instant_costs(self) -> list[tuple[int, ca.Function]]:
         """Costs of an instant, as Functions (x, u), each with the interval at whose end it is taken."""
-        given = [(1.0, cost) for cost in self.problem.costs if isinstance(cost, FinalCost)]
-        given += [
-            (cost.share, cost.cost) for cost in self.problem.costs if isinstance(cost, CostAt)
-        ]
         now, found = symbolic(self.problem.model), []
         x, u, _ = now.symbols
-        for share, cost in given:
-            value = ca.Function("cost", list(now.symbols), [ca.densify(cost.final(now))])(
+        for share, expression in cost_terms(self.problem.costs).instants:
+            value = ca.Function("cost", list(now.symbols), [ca.densify(expression(now))])(
                 x, u, share * self.problem.longest
             )
             found.append(

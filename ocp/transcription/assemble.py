@@ -11,8 +11,8 @@ import numpy as np
 
 from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.control import winds
-from ocp.problem.costs import ControlCost, Cost, CostAt, FinalCost, RunningCost, Smoothness
-from ocp.problem.instant import Instant, symbolic
+from ocp.problem.costs import ControlTerm, InstantTerm, cost_terms
+from ocp.problem.instant import symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.transcription.mesh import hermite_state, locate_share
 from ocp.transcription.sparse_nlp import (
@@ -25,7 +25,10 @@ from ocp.transcription.sparse_nlp import (
 )
 from ocp.transcription.variables import Variables
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import Indices, shown
+from tenscasadi.util.validate import Indices
+
+# of an objective: symbol z, expression of it, entries (instances, z)
+_Summand = tuple[Any, Any, Indices]
 
 
 class ProblemBlocks(NamedTuple):
@@ -138,11 +141,19 @@ def path_blocks(v: Variables) -> list[Block]:
 
 
 def cost_blocks(v: Variables) -> list[Block]:
-    """Return all costs: integrals interval by interval, differences of neighbours pair by pair, the end once."""
+    """Build all costs: integrals interval by interval, differences of neighbors pair by pair, instants once."""
+    terms = cost_terms(v.problem.costs)
+    if winds(v.model):
+        found = [_of_forces(v, one) for one in terms.control]
+    else:
+        found = [_integral(v, one) for one in terms.control]
+    if len(v.controls) > 1:
+        found += [_differences(v, one) for one in terms.changes]
+    found += [_simpson(v, rate) for rate in terms.running]
+    found += [_passing(v, share, value) for share, value in terms.instants]
     return [
-        _cost(v, cost)
-        for cost in v.problem.costs
-        if not (isinstance(cost, Smoothness) and len(v.controls) == 1)
+        Block(ca.Function("cost", [z], [value]), index, ("cost",) * len(index), kind="cost")
+        for z, value, index in found
     ]
 
 
@@ -170,7 +181,7 @@ def waypoint_blocks(v: Variables) -> list[Block]:
             continue
         k, share = locate_share(v.fractions, waypoint.share)
         z, (x, y, T, part) = split_symbol(ca.MX, nx, nx, 1, 1)
-        state = y if share == 1.0 else hermite_state(v.model, x, y, T * part, share)
+        state = hermite_state(v.model, x, y, T * part, share)
         function = ca.Function("waypoint", [z], [waypoint.target.rows(state)])
         names = tuple(
             f"goal of waypoint {number}, combination {row}" for row in range(waypoint.target.count)
@@ -256,69 +267,46 @@ def _between(v: Variables, rows: ScaledRows) -> Block:
     )
 
 
-def _cost(v: Variables, cost: Cost) -> Block:
-    if isinstance(cost, Smoothness):
-        z, value, index = _differences(v, cost)
-    elif isinstance(cost, ControlCost) and winds(v.model):
-        z, value, index = _simpson(v, lambda now: cost.expression(now.force_density, 1.0))
-    elif isinstance(cost, ControlCost):
-        z = ca.SX.sym("z", v.interval_controls.shape[1] + 2)
-        value = _integral(v, cost, z[:-2], z[-2] * z[-1])
-        index = np.hstack([v.interval_controls, v.repeated(v.duration), v.share])
-    elif isinstance(cost, RunningCost):
-        z, value, index = _simpson(v, cost.rate)
-    elif isinstance(cost, CostAt):
-        z, value, index = _passing(v, cost)
-    elif isinstance(cost, FinalCost):
-        z, (x, c, T) = split_symbol(
-            type(symbolic(v.model).state), v.model.nx, v.interval_controls.shape[1], 1
-        )
-        value = cost.final(Instant(v.model, x, v.gamma(c, 1.0), T))
-        index = np.concatenate([v.states[-1], v.interval_controls[-1], v.duration])[None]
-    else:
-        raise TypeError(
-            f"Problem.costs has {shown(cost)}: give a ControlCost, RunningCost or FinalCost"
-        )
-    return Block(ca.Function("cost", [z], [value]), index, ("cost",) * len(index), kind="cost")
-
-
-def _passing(v: Variables, cost: CostAt) -> tuple[Any, Any, Indices]:
-    """At a share of the duration, on the cubic between the ends of the interval in which it lies."""
-    k, share = locate_share(v.fractions, cost.share)
-    final = ca.Function("final", (now := symbolic(v.model)).symbols, [cost.cost.final(now)])
-    z, (x, y, c, T, part) = split_symbol(
-        symbol_kind(final), v.model.nx, v.model.nx, v.interval_controls.shape[1], 1, 1
+def _passing(v: Variables, share: float, expression: InstantTerm) -> _Summand:
+    """At a fraction of the duration, on the cubic between the ends of the interval in which it lies."""
+    k, part = locate_share(v.fractions, share)
+    value = ca.Function("value", (now := symbolic(v.model)).symbols, [expression(now)])
+    z, (x, y, c, T, length) = split_symbol(
+        symbol_kind(value), v.model.nx, v.model.nx, v.interval_controls.shape[1], 1, 1
     )
-    state = y if share == 1.0 else hermite_state(v.model, x, y, T * part, share)
+    state = hermite_state(v.model, x, y, T * length, part)
     index = np.concatenate(
         [v.states[k], v.states[k + 1], v.interval_controls[k], v.duration, v.share[k]]
     )
-    return z, final(state, v.gamma(c, share), T * cost.share), index[None]
+    return z, value(state, v.gamma(c, part), T * share), index[None]
 
 
-def _differences(v: Variables, cost: Smoothness) -> tuple[Any, Any, Indices]:
-    """Between neighbours: from middle to middle of intervals, or from end to end of linear profiles."""
+def _differences(v: Variables, expression: ControlTerm) -> _Summand:
+    """Between neighbors: from middle to middle of intervals, or from end to end of linear profiles."""
     width = v.controls.shape[1]
     z = ca.SX.sym("z", 2 * width + 2)
     pair = ca.mtimes(sparse(v.group_matrix), ca.reshape(z[: 2 * width], width, 2))
     spacing = v.fractions if v.profile.linear else (v.fractions[1:] + v.fractions[:-1]) / 2
     constants = [v.repeated(v.duration, len(spacing)), v.entries.constants(spacing[:, None])]
-    return (
-        z,
-        cost.expression(pair, z[-2] * z[-1]),
-        np.hstack([v.controls[:-1], v.controls[1:], *constants]),
-    )
+    index = np.hstack([v.controls[:-1], v.controls[1:], *constants])
+    return z, expression(pair, z[-2] * z[-1]), index
 
 
-def _integral(v: Variables, cost: ControlCost, local: Any, interval: Any) -> Any:
-    """Of one interval; of linear profiles by Gauss's rule of two points, exact for squares."""
-    if not v.profile.linear:
-        return cost.expression(v.gamma(local, 0.0), interval)
-    points = ca.horzcat(*(v.gamma(local, 0.5 + offset / np.sqrt(12)) for offset in (-1, 1)))
-    return cost.expression(points, interval / 2)
+def _integral(v: Variables, expression: ControlTerm) -> _Summand:
+    """Of each interval; of linear profiles by Gauss's rule of two points, exact for squares."""
+    z = ca.SX.sym("z", v.interval_controls.shape[1] + 2)
+    offsets = np.array([-1, 1]) / np.sqrt(12) if v.profile.linear else np.zeros(1)
+    points = ca.horzcat(*(v.gamma(z[:-2], 0.5 + offset) for offset in offsets))
+    value = expression(points, z[-2] * z[-1] / len(offsets))
+    return z, value, np.hstack([v.interval_controls, v.repeated(v.duration), v.share])
 
 
-def _simpson(v: Variables, expression: Callable[[Instant], Any]) -> tuple[Any, Any, Indices]:
+def _of_forces(v: Variables, expression: ControlTerm) -> _Summand:
+    """Of the force densities that follow from rest lengths."""
+    return _simpson(v, lambda now: expression(now.force_density, 1.0))
+
+
+def _simpson(v: Variables, expression: InstantTerm) -> _Summand:
     """By Simpson's rule, the middle on the cubic between the ends: what swings within intervals would be hidden from the ends alone."""
     now = symbolic(v.model)
     rate = ca.Function("rate", now.symbols, [expression(now)])

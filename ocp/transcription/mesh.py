@@ -205,6 +205,8 @@ def locate_share(fractions: Array, share: float) -> tuple[int, float]:
 
 def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
     """Return the state at a share of an interval of length h between states x and y, along the cubic with their places and velocities."""
+    if share == 1.0:
+        return y
     s, (q0, v0, clock0), (q1, v1, clock1) = share, model.split(x), model.split(y)
     q = hermite_cubic(q0, v0, q1, v1, h, s)
     change = (q1 - q0) / h

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.costs import FinalCost, check_weight
+from ocp.problem.costs import Cost, CostAt, FinalCost, check_weight
 from ocp.problem.instant import Instant
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
@@ -173,6 +173,14 @@ class SoftGoal(Goal, FinalCost):
                 model.scene.structure, model.nodes(end.state), model.velocities(end.state)
             ).value
         )
+
+
+def soft_goals(costs: Iterable[Cost]) -> Iterator[tuple[float, SoftGoal]]:
+    """Find the soft goals among costs, with their fractions of the duration."""
+    for cost in costs:
+        share, goal = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
+        if isinstance(goal, SoftGoal):
+            yield share, goal
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,11 @@ def test_a_phase_refuses_by_name(given, named):
             r"Problem\.duration is 2\.0, and phases have durations of their own",
         ),
         ([push()], {"start": ocp.FreeStart()}, r"Problem\.start is free"),
-        ([push()], {"costs": [ocp.Tracking({0: (0.0, 0.0, 0.0)})]}, "Problem has Tracking"),
+        (
+            [push()],
+            {"costs": [ocp.Tracking({0: lambda time: (time, 0.0, 0.0)})]},
+            "Tracking, which depends on the time",
+        ),
         (
             [push()],
             {"costs": [ocp.Integral("late", lambda now: now.time * now.nodes[2, 3] ** 2)]},
@@ -121,3 +125,8 @@ def test_who_cannot_use_phases_says_so():
 
 def test_the_model_keeps_its_ground():
     assert jumping(push()).model is standing()
+
+
+def test_phases_take_tracking_of_fixed_places():
+    costs = [ocp.Tracking({3: (0.0, 0.0, 0.6)})]
+    assert jumping(push(), costs=costs).costs == tuple(costs)
