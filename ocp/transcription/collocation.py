@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,8 +15,53 @@ from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.util.validate import Array, Indices, whole_number
 
 
+class GaussPoints(ReducedOnly):
+    """Transcriptions in which states at the Gauss points of an interval satisfy the equations of motion."""
+
+    def defects(self, variables: Variables, used: Array) -> Defects:
+        """Build the equations at the points, and those of the bars at the ends of intervals."""
+        v, model = variables, variables.model
+        inner = self._inner_states(v)
+        multipliers = bar_multipliers(v)
+        columns = [
+            v.states[:-1],
+            v.interval_controls,
+            inner,
+            v.states[1:],
+            multipliers,
+            v.repeated(v.duration),
+            v.share,
+        ]
+        z, (x, c, points, after, m, duration, share) = split_symbol(
+            ca.MX, *(column.shape[1] for column in columns)
+        )
+        rows, end = self._equations(v, x, points, after, c, duration * share)
+        rows = ca.vertcat(rows, end_rows(v, end, after, m))
+        function = unrolled(model, ca.Function("collocation", [z], [rows]))
+        names = (
+            *(
+                f"point {j}, {name}"
+                for j in range(inner.shape[1] // model.nx)
+                for name in state_names(model)
+            ),
+            *state_names(model),
+            *end_names(model),
+        )
+        return Defects([Block(function, np.hstack(columns), interval_names(v.count, names))])
+
+    def _inner_states(self, v: Variables) -> Indices:
+        """Add the states (K, points·nx) within intervals, at first on the line between the ends."""
+        raise NotImplementedError
+
+    def _equations(
+        self, v: Variables, x: Any, inner: Any, after: Any, c: Any, interval: Any
+    ) -> tuple[Any, Any]:
+        """Return the rows at the points, and the state at the end before its bars are corrected."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class ImplicitMidpoint(ReducedOnly):
+class ImplicitMidpoint(GaussPoints):
     """The implicit midpoint rule as a constraint of each interval: order 2, stable for any interval.
 
     It evaluates the equations of motion once for an interval. Multipliers along the bars keep these
@@ -60,52 +106,18 @@ class ImplicitMidpoint(ReducedOnly):
     (True, (6, 2))
     """
 
-    def defects(self, variables: Variables, used: Array) -> Defects:
-        """Return the blocks of rows that vanish on a motion: the rule and the bars at the end of each interval.
+    def _inner_states(self, v: Variables) -> Indices:
+        return np.zeros((v.count, 0), dtype=np.intp)  # the point is the middle of both ends
 
-        Parameters
-        ----------
-        variables : Variables
-            States at the nodes of the mesh, force densities and duration; further unknowns are
-            added to them.
-        used : ndarray of bool
-            Which of their entries bounds, costs and goals depend on.
-
-        Returns
-        -------
-        Defects
-            The blocks, and how states follow from unknowns where not all are.
-        """
-        v, model = variables, variables.model
-        multipliers = bar_multipliers(v)
-        z, (x, c, after, m, duration, share) = split_symbol(
-            ca.MX, model.nx, v.interval_controls.shape[1], model.nx, multipliers.shape[1], 1, 1
-        )
-        end = x + duration * share * model.ode((x + after) / 2, v.gamma(c, 0.5))
-        function = unrolled(model, ca.Function("midpoint", [z], [end_rows(v, end, after, m)]))
-        index = np.hstack(
-            [
-                v.states[:-1],
-                v.interval_controls,
-                v.states[1:],
-                multipliers,
-                v.repeated(v.duration),
-                v.share,
-            ]
-        )
-        return Defects(
-            [
-                Block(
-                    function,
-                    index,
-                    interval_names(v.count, (*state_names(model), *end_names(model))),
-                )
-            ]
-        )
+    def _equations(
+        self, v: Variables, x: Any, inner: Any, after: Any, c: Any, interval: Any
+    ) -> tuple[Any, Any]:
+        end = x + interval * v.model.ode((x + after) / 2, v.gamma(c, 0.5))
+        return type(x)(0, 1), end
 
 
 @dataclass(frozen=True)
-class Collocation(ReducedOnly):
+class Collocation(GaussPoints):
     """Collocation at Gauss's points: the state is a polynomial on each interval, of order 2·degree, stable for any interval.
 
     It evaluates the equations of motion `degree` times for an interval. As in `ImplicitMidpoint`,
@@ -156,63 +168,8 @@ class Collocation(ReducedOnly):
                 f"Collocation.degree is {self.degree}: give at most 9, and more intervals"
             )
 
-    def defects(self, variables: Variables, used: Array) -> Defects:
-        """Return the blocks of rows that vanish on a motion: the equations of motion at Gauss's points, and bars at the end of each interval.
-
-        Parameters
-        ----------
-        variables : Variables
-            States at the nodes of the mesh, force densities and duration; further unknowns are
-            added to them.
-        used : ndarray of bool
-            Which of their entries bounds, costs and goals depend on.
-
-        Returns
-        -------
-        Defects
-            The blocks, and how states follow from unknowns where not all are.
-        """
-        v, model, d, nx = variables, variables.model, self.degree, variables.model.nx
-        points = np.array(ca.collocation_points(d, "legendre"))
-        C, D, _ = ca.collocation_coeff(points.tolist())
-        inner = self._inner_states(v, points)
-        multipliers = bar_multipliers(v)
-        z, (x, c, stages, after, m, duration, share) = split_symbol(
-            ca.MX, nx, v.interval_controls.shape[1], d * nx, nx, multipliers.shape[1], 1, 1
-        )
-        X = ca.horzcat(x, ca.reshape(stages, nx, d))
-        slopes = ca.horzcat(
-            *(model.ode(X[:, j + 1], v.gamma(c, point)) for j, point in enumerate(points.tolist()))
-        )
-        defects = (duration * share * slopes - ca.mtimes(X, C)) / ca.repmat(
-            ca.DM(v.scales.state), 1, d
-        )
-        rows = ca.vertcat(ca.vec(defects), end_rows(v, ca.mtimes(X, D), after, m))
-        function = unrolled(model, ca.Function("collocation", [z], [rows]))
-        index = np.hstack(
-            [
-                v.states[:-1],
-                v.interval_controls,
-                inner,
-                v.states[1:],
-                multipliers,
-                v.repeated(v.duration),
-                v.share,
-            ]
-        )
-        at_points = tuple(f"point {j}, {name}" for j in range(d) for name in state_names(model))
-        return Defects(
-            [
-                Block(
-                    function,
-                    index,
-                    interval_names(v.count, (*at_points, *state_names(model), *end_names(model))),
-                )
-            ]
-        )
-
-    def _inner_states(self, v: Variables, points: Array) -> Indices:
-        """Add the states (K, degree·nx) at the points of each interval, at first on the line between its ends."""
+    def _inner_states(self, v: Variables) -> Indices:
+        points = np.array(ca.collocation_points(self.degree, "legendre"))
         names = [
             f"{name}, point {j} of interval {k}"
             for k in range(v.count)
@@ -227,3 +184,15 @@ class Collocation(ReducedOnly):
             np.tile(v.scales.state, self.degree),
             interval=np.arange(v.count)[:, None],
         )
+
+    def _equations(
+        self, v: Variables, x: Any, inner: Any, after: Any, c: Any, interval: Any
+    ) -> tuple[Any, Any]:
+        points = ca.collocation_points(self.degree, "legendre")
+        C, D, _ = ca.collocation_coeff(points)
+        X = ca.horzcat(x, ca.reshape(inner, v.model.nx, self.degree))
+        slopes = ca.horzcat(
+            *(v.model.ode(X[:, j + 1], v.gamma(c, point)) for j, point in enumerate(points))
+        )
+        scale = ca.repmat(ca.DM(v.scales.state), 1, self.degree)
+        return ca.vec((interval * slopes - ca.mtimes(X, C)) / scale), ca.mtimes(X, D)
