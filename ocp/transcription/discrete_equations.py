@@ -215,7 +215,7 @@ class DiscreteEquations:
     def _pushed(self, N: Any, pushes: Any) -> Any:
         """B λ̂ C_b on the free coordinates, and the reactions of the ground."""
         standing = sparse(np.eye(self.nq)[:, self.contact.held])
-        result = ca.mtimes(standing, pushes[self.bars :])
+        result = ca.mtimes(standing, pushes[self.bars :, :])
         if self.bars:
             bars = nodal_forces(self.mech, self.mech.bar_vectors(N), pushes[: self.bars].T)
             result = result + self._coordinates(bars)

@@ -53,3 +53,14 @@ def test_velocities_are_unknowns_only_where_they_are_asked_for():
     fast = ocp.solve(raising(), ocp.Variational(12))
     assert slow.success
     assert np.sum(slow.trajectory.velocities**2) < np.sum(fast.trajectory.velocities**2)
+
+
+def test_structures_without_bars_have_plans():
+    nodes = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.4, 0.1, 0.0)]
+    net = tc.Structure(nodes, strings=[(0, 2), (1, 2)], node_mass=[0.0, 0.0, 1.0], pinned=[0, 1])
+    model = tc.Model(tc.Scene(net, control=tc.ForceDensity()))
+    problem = ocp.Problem(
+        model, goals=[ocp.NodePositions({2: (0.5, None, None)})], costs=[ocp.Effort()]
+    )
+    plan = ocp.solve(problem, ocp.Variational(6), ocp.Ipopt())
+    assert plan.success, plan.message
