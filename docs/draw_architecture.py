@@ -40,12 +40,14 @@ PLANNING = {
     "targets": (2, BOTTOM, "start and end\nthat say\nsomething new"),
     "transcription": (3, BOTTOM, "sparse nonlinear\nprogram"),
     "solvers": (4, BOTTOM, "IPOPT, Fatrop"),
-    "plan": (5, BOTTOM, "replay, report,\nrefinement"),
-    "control": (6, BOTTOM, "LQR, MPC,\nMPPI"),
+    "results": (5, BOTTOM, "replay, verdict,\nreport"),
+    "search": (6, BOTTOM, "policy,\nattempts"),
+    "plan": (7, BOTTOM, "refinement,\nrobustness"),
     "sampling": (3, BOTTOM + 1, "random motions,\nthrough contact"),
     "condensed": (4, BOTTOM + 1, "large plans,\nby Newton"),
     "phases": (5, BOTTOM + 1, "take-off,\nlanding"),
-    "files": (6, BOTTOM + 1, "problems\nin TOML"),
+    "control": (6, BOTTOM + 1, "LQR, MPC,\nMPPI"),
+    "files": (7, BOTTOM + 1, "problems\nin TOML"),
 }
 # from, to, the value that is handed on
 FLOW = [
@@ -58,8 +60,9 @@ FLOW = [
     ("problem", "targets", "Problem"),
     ("targets", "transcription", "Target"),
     ("transcription", "solvers", "Program"),
-    ("solvers", "plan", "Solution"),
-    ("plan", "control", "Plan"),
+    ("solvers", "results", "Solution"),
+    ("results", "search", "PlanResult"),
+    ("search", "plan", "PlanResult"),
 ]
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from ocp_problems.shape_changes import ball, free_prism, free_tower
 
 import ocp
-from ocp.program import program_of
+from ocp.search.methods import program_of
 from ocp.transcription.sparse_nlp import Program
 
 STRUCTURES: dict[str, tuple[Callable[[], ocp.Problem], int]] = {

@@ -13,9 +13,7 @@ from ocp.control.mpc import Mpc
 from ocp.control.mppi import Mppi
 from ocp.export import export_mpc, export_program
 from ocp.files.problem_files import load_arguments, load_problem, save_problem
-from ocp.plan.actuation import reachable, replay_wound
 from ocp.plan.plan import Plan
-from ocp.plan.report import Report
 from ocp.plan.robustness import Robustness
 from ocp.problem.bounds.bar_bounds import BarForceLimits, Buckling
 from ocp.problem.bounds.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
@@ -38,6 +36,8 @@ from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.tracking import Tracking
 from ocp.renamed import __getattr__ as __getattr__
+from ocp.results.actuation import reachable, replay_wound
+from ocp.results.report import Report
 from ocp.sampling.solver import Sampling
 from ocp.sampling.spline_noise import SplineNoise
 from ocp.solve import solve

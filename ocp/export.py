@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp.control.mpc import Mpc
 from ocp.problem.problem import Problem
-from ocp.program import program_of
+from ocp.search.methods import program_of
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess
 from tenscasadi.util.casadi_tools import generated

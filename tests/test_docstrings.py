@@ -21,7 +21,7 @@ import ocp
 import tenscasadi
 import tenscasadi.envs
 import tenscasadi.viewer
-from ocp.plan.planned_forces import PlannedForces
+from ocp.results.planned_forces import PlannedForces
 from tenscasadi.util.tables import Tabular
 
 ROOT = Path(__file__).resolve().parents[1]

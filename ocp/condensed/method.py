@@ -13,12 +13,12 @@ from ocp.condensed.motions import first_motion, states_of
 from ocp.condensed.objective import foreign_costs
 from ocp.condensed.path_rows import Limited, PathRows
 from ocp.condensed.reduced import ReducedProblem
-from ocp.plan.diagnosis import StateAt, goals_met, measure_misses, state_function, units_of
 from ocp.problem.bounds.string_bounds import ForceDensityLimits
 from ocp.problem.control import winds
 from ocp.problem.costs import Smoothness
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, typical_cost
+from ocp.results.explanation import StateAt, goals_met, measure_misses, state_function, units_of
 from ocp.solvers.base import Outcome
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.deferred_correction import TOO_COARSE

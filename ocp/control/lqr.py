@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from ocp.control.closed_loop import run
 from ocp.control.departures import departures
 from ocp.control.holding import Rest, find_rest, stationary_cost
-from ocp.plan.plan import Plan
 from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
 from ocp.problem.control import pulled, winds
+from ocp.results.result import PlanResult
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.linear_steps import transitions
 from tenscasadi.dynamics.linearization import tangents
@@ -162,7 +162,7 @@ class Tracker(ReadOnlyArrays):
 
 
 def track(
-    plan: Plan,
+    plan: PlanResult,
     *,
     decisions: int | None = None,
     place: float | None = None,
@@ -220,7 +220,7 @@ def track(
     >>> ocp.track(plan, decisions=20)
     Tracker(20 decisions, 2 strings, 1 s)
     """
-    instance("plan", plan, Plan, "an ocp.Plan")
+    instance("plan", plan, PlanResult, "an ocp.Plan")
     model, T = plan.known_model("track"), float(plan.time[-1])
     count = (
         len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, MOST)
@@ -265,7 +265,7 @@ def track(
 
 
 def _rest(
-    plan: Plan, model: Model, limits: tuple[Array, Array], slow: float, margin: float
+    plan: PlanResult, model: Model, limits: tuple[Array, Array], slow: float, margin: float
 ) -> Rest:
     """Tell what holds the end of a plan: force densities, or the rest lengths at which elastic strings pull so."""
     end = plan.trajectory.states[-1]
@@ -286,14 +286,14 @@ def _rest(
     )
 
 
-def replay_tracked(plan: Plan) -> Trajectory:
+def replay_tracked(plan: PlanResult) -> Trajectory:
     """Return the motion of a plan's model from its start under `track`. Raises ValueError where no gains are found, or the model is not known."""
     return run(
         track(plan), float(plan.time[-1]), steps=STEPS, state=plan.trajectory.states[0]
     ).trajectory
 
 
-def _planned(plan: Plan, model: Model, time: Array) -> Array:
+def _planned(plan: PlanResult, model: Model, time: Array) -> Array:
     """Return the planned states (count + 1, nx) at times: from the node before each, in steps of RK4, so that errors do not add up."""
     nodes = plan.time
     k = np.clip(

@@ -12,13 +12,13 @@ import numpy as np
 from ocp.control.departures import departures
 from ocp.control.holding import find_rest
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
-from ocp.plan.plan import Plan
 from ocp.problem.control import refuse_wound
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import FreeStart, Problem
 from ocp.problem.scaling import Scales
+from ocp.results.result import PlanResult
 from ocp.solvers.interior_point_qp import solve_qp
 from ocp.targets.find_target import find_target
 from ocp.transcription.inverse_dynamics import inverse_dynamics
@@ -107,7 +107,7 @@ class Mpc:
         period: float = 0.05,
         intervals: int = 10,
         *,
-        plan: Plan | None = None,
+        plan: PlanResult | None = None,
         iterations: int = 1,
         substeps: int = 1,
         place: float | None = None,
@@ -117,7 +117,7 @@ class Mpc:
         refuse_phases(problem.phases, "Mpc")
         refuse_wound(problem.model, "Mpc")
         if plan is not None:
-            instance("plan", plan, Plan, "an ocp.Plan or None")
+            instance("plan", plan, PlanResult, "an ocp.Plan or None")
             if (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (
                 problem.model.nx,
                 problem.model.nu,
@@ -384,7 +384,7 @@ def _sensitive_step(slopes: ca.Function, x: Any, u: Any, effect: Any, h: float) 
 def _reference(
     problem: Problem,
     scales: Scales,
-    plan: Plan | None,
+    plan: PlanResult | None,
     output: ca.Function,
     count: int,
     period: float,

@@ -15,7 +15,7 @@ from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.goals.goal import SoftGoal
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.problem import FreeStart, Problem
-from ocp.starts import MOST_STARTS
+from ocp.search.multistart import MOST_STARTS
 from tenscasadi.files.containers import TableOf
 from tenscasadi.files.definitions import call, define
 from tenscasadi.files.document import Item

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ocp.plan.plan import Plan
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.results.result import PlanResult
 from ocp.targets.target import Target
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import held_values
@@ -42,7 +42,7 @@ def guess_phases(
     return found
 
 
-def split_plan(plan: Plan, parts: Sequence[Problem], count: int) -> list[Guess]:
+def split_plan(plan: PlanResult, parts: Sequence[Problem], count: int) -> list[Guess]:
     """Return a plan of as many phases as a guess of each. Raises ValueError for another plan."""
     phases = len(parts)
     nx, nu = parts[0].model.nx, parts[0].model.nu

@@ -12,11 +12,10 @@ from ocp.phases.contact import PRESSED, cone_blocks, height_blocks
 from ocp.phases.correction import correct
 from ocp.phases.first_guess import guess_phases, split_plan
 from ocp.phases.targets import find_targets, phase_problems, whole_target
-from ocp.plan.diagnosis import explain_failure, measure_misses
-from ocp.plan.plan import Plan
-from ocp.presolve import check_groups
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.results.explanation import explain_failure, measure_misses
+from ocp.results.result import PlanResult
 from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
@@ -158,11 +157,10 @@ def link_problem(
         raise ValueError(
             f"transcription is {transcription}: phases take ocp.Variational(intervals), with PiecewiseConstant() and without accuracy"
         )
-    if guess is not None and not isinstance(guess, Plan):
+    if guess is not None and not isinstance(guess, PlanResult):
         raise TypeError(
             f"guess is {shown(guess)}: phases start from a plan of the same phases, or None"
         )
-    check_groups(problem, transcription.control)
     scene, count = problem.model.scene, transcription.count
     air = replace(
         problem,

@@ -1,1 +1,1 @@
-"""The result: a plan, its replay, its report, and why there is none."""
+"""Plans with their methods: replay, report, refinement, robustness, files."""

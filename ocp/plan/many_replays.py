@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ocp.plan.open_loop import STEPS
 from ocp.plan.robustness import (
     STRINGS,
     Robustness,
@@ -18,10 +17,11 @@ from ocp.plan.robustness import (
     share_variance,
     vary_model,
 )
-from ocp.plan.winding import wind
 from ocp.problem.control import refuse_wound
 from ocp.problem.phase import refuse_phases
 from ocp.problem.scaling import Scales
+from ocp.results.replay import STEPS
+from ocp.results.rest_length_schedule import wind
 from ocp.targets.find_target import find_target
 from tenscasadi.ensemble.feedback import Feedback
 from tenscasadi.ensemble.rollouts import rollouts

@@ -4,44 +4,32 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ocp.plan.error_growth import grown_errors
-from ocp.plan.exhibit import exhibit_of_plan
+from ocp.control.lqr import replay_tracked, track
 from ocp.plan.many_replays import measure_robustness
-from ocp.plan.mesh_refinement import refined
-from ocp.plan.open_loop import replay_open
-from ocp.plan.planned_forces import PlannedForces
-from ocp.plan.report import Report, report_of
 from ocp.plan.robustness import Robustness
 from ocp.plan.serialize import FORMAT, plan_arrays, plan_fields, rebuilt
 from ocp.problem.problem import Problem
-from ocp.sampling.solver import Sampling
-from ocp.solvers.base import Solver
-from ocp.solvers.condensed_newton import CondensedNewton
-from ocp.solvers.multipliers import Duals
-from ocp.targets.target import Target
-from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import Guess, resampled
-from tenscasadi.dynamics.model import Model
+from ocp.results.exhibit import exhibit_of_plan
+from ocp.results.refinement import refine_until_accurate
+from ocp.results.replay import replay_open
+from ocp.results.report import Report, report_of
+from ocp.results.result import PlanResult
+from ocp.search.find_plan import find_plan
 from tenscasadi.dynamics.serialize import find_differences
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.structure.structure import Structure
 from tenscasadi.util import archive
-from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, flag, instance, positive_number, whole_number
+from tenscasadi.util.validate import flag, instance, positive_number, whole_number
 from tenscasadi.util.viewable import Viewable
 
 
-@dataclass(frozen=True, eq=False)
-class Plan(PlannedForces, Viewable, ReadOnlyArrays):
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(PlanResult, Viewable):
     """Force densities over time, the motion that they cause, and how far its replay ends from the goals.
 
     `solve` returns one; also where no plan was found: it then holds the best that there is, and
@@ -95,33 +83,23 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
     (10, 2)
     """
 
-    success: bool
-    status: str
-    message: str
-    objective: float
-    iterations: int
-    seconds: float
-    time: Array
-    force_density: Array
-    trajectory: Trajectory
-    replay_error: float
-    replay_speed_error: float
-    structure: Structure
-    model: Model | None
-    duals: Duals | None = None
-    problem: Problem | None = None
-    transcription: Transcription | None = None
-    solver: Solver | CondensedNewton | Sampling | None = None
-    unknown: str = "it was made by hand"
-    tracked: bool = False
-    rest_length: Array | None = None
-    starts: Array | None = None
-
     _exhibit_ = exhibit_of_plan  # what `tenscasadi.viewer.view` shows
 
-    def __repr__(self) -> str:
-        count, strings = len(self.time) - 1, self.force_density.shape[1]
-        return f"Plan({count} intervals, {strings} strings, {self.time[-1]:g} s, success={self.success}, replay_error={self.replay_error:.2g} m)"
+    @classmethod
+    def of(cls, result: PlanResult) -> Plan:
+        """Return a result of a search with the methods of a plan.
+
+        Parameters
+        ----------
+        result : PlanResult
+            The result, such as of `ocp.search.find_plan`.
+
+        Returns
+        -------
+        Plan
+            The plan.
+        """
+        return cls(**{field.name: getattr(result, field.name) for field in fields(PlanResult)})
 
     def summary(self) -> str:
         """Describe what was found and how.
@@ -139,20 +117,6 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
             f"force density {self.force_density.min():.4g} … {self.force_density.max():.4g} N/m\n"
             f"tension       {tension.min():.4g} … {tension.max():.4g} N\n"
             f"replay        ends {self.replay_error:.2g} m and {self.replay_speed_error:.2g} m/s from the goal"
-        )
-
-    @cached_property
-    def error_growth(self) -> float:
-        """How many times larger small errors of the start can be at the end of the open-loop motion, in m, and m per duration of speed.
-
-        The largest singular value of the motion's state transition: a few for calm motions,
-        thousands where it is unstable. inf where it overflows; NaN where it is not known, as of
-        plans with phases, whose impacts have no derivative.
-        """
-        if self.problem is not None and self.problem.phases:
-            return np.nan
-        return grown_errors(
-            self.known_model("error_growth"), self.time, self.trajectory.states, self.control
         )
 
     def replay(
@@ -191,10 +155,6 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
             An argument is wrong, or the model is not known: a loaded plan whose scene has functions
             of time.
         """
-        from ocp.control.lqr import (
-            replay_tracked,
-        )  # what is made of plans is loaded when it is asked for
-
         flag("tracked", tracked)
         if tracked:
             if parameters is not None:
@@ -215,72 +175,6 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
                 f"parameters need the problem, which the plan does not hold ({self.unknown}): give Plan.load(path, problem=...)"
             )
         return replay_open(self, model, RungeKutta4() if scheme is None else scheme, step)
-
-    def known_model(self, user: str) -> Model:
-        """Return the model.
-
-        Parameters
-        ----------
-        user : str
-            What needs it, for the message.
-
-        Returns
-        -------
-        Model
-            The plan's model.
-
-        Raises
-        ------
-        ValueError
-            The plan was loaded from a file that does not hold it.
-        """
-        if self.model is None:
-            missing = "which its file does not hold: it is of an older version, or the scene has functions of time"
-            raise ValueError(
-                f"{user} needs the model, {missing}; give Plan.load(path, problem=...)"
-            )
-        return self.model
-
-    def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Return the plan as initial guess of a problem.
-
-        Parameters
-        ----------
-        problem : Problem
-            What is asked.
-        target : Target
-            Where its goals lead.
-        intervals : int
-            Number of equal ones, K.
-
-        Returns
-        -------
-        Guess
-            States (K + 1, nx), force densities (K, α), N/m, and duration, s.
-
-        Raises
-        ------
-        ValueError
-            The plan is of another structure.
-        """
-        if (
-            self.trajectory.states.shape[1] != problem.model.nx
-            or self.force_density.shape[1] != problem.model.nu
-        ):
-            raise ValueError(
-                "guess is a plan for another structure: give one whose model has the same nodes and strings"
-            )
-        shares = self.time / self.time[-1]
-        return resampled(
-            problem,
-            target,
-            self.trajectory.states,
-            shares,
-            self.control,
-            shares,
-            intervals,
-            float(self.time[-1]),
-        )
 
     def report(self) -> Report:
         """Report the limits that hold the plan back, with what they cost, and those that it or its replay breaks.
@@ -328,8 +222,6 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
             An argument is wrong, or it is not known how the plan was solved: a file holds no own
             functions, costs or schemes.
         """
-        from ocp.solve import solve
-
         limit = positive_number("tolerance", tolerance)
         whole_number("attempts", attempts, 1)
         self.known_model("refine")
@@ -337,8 +229,8 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
             raise ValueError(
                 f"refine needs to know how the plan was solved ({self.unknown}): refine solve(problem, ..., guess=plan)"
             )
-        fine: Plan = refined(self, limit, attempts, solve)
-        return fine
+        found = refine_until_accurate(self, limit, attempts, find_plan)
+        return found if isinstance(found, Plan) else Plan.of(found)
 
     def robustness(
         self,
@@ -386,20 +278,9 @@ class Plan(PlannedForces, Viewable, ReadOnlyArrays):
             An argument is wrong, nothing varies, the scene does not have what a parameter names, or
             the model is not known.
         """
-        from ocp.control.lqr import track
-
         flag("tracked", tracked)
         return measure_robustness(
             self, parameters, start, samples, seed, tolerance, track if tracked else None
-        )
-
-    @property
-    def worst_error(self) -> float:
-        """The larger of the replay's errors in place, and in speed times the duration, m; infinite where it diverges."""
-        return float(
-            np.nan_to_num(
-                max(self.replay_error, self.replay_speed_error * float(self.time[-1])), nan=np.inf
-            )
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:

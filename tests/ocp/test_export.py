@@ -14,7 +14,7 @@ import pytest
 
 import ocp
 import tenscasadi as tc
-from ocp.program import program_of
+from ocp.search.methods import program_of
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")

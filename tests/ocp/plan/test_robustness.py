@@ -12,7 +12,7 @@ from planning import driven, folding, prism, raising
 import ocp
 import tenscasadi as tc
 from ocp.plan.robustness import share_variance
-from ocp.plan.winding import wind
+from ocp.results.rest_length_schedule import wind
 from tenscasadi.scene.strings import rest_length
 
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ocp.plan.plan import Plan
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.instant import Instant
 from ocp.problem.problem import Problem
+from ocp.results.result import PlanResult
 from ocp.transcription.initial_guess import Arrays, Equilibrium, InitialGuess, InverseDynamics
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
@@ -21,11 +21,11 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, finite_array
 
 _OWN = Constraint, Integral, AtEnd  # have expressions of the user's
-_GUESSES = type(None), InverseDynamics, Equilibrium, Arrays, Plan
+_GUESSES = type(None), InverseDynamics, Equilibrium, Arrays, PlanResult
 
 
 @dataclass(frozen=True)
-class ReducedTwin:
+class ReducedCoordinates:
     """The same problem of a model in reduced coordinates (`problem`) for one in full coordinates (`given`)."""
 
     given: Problem
@@ -39,23 +39,22 @@ class ReducedTwin:
                 value,
                 states=_lowered(self, finite_array("Arrays.states", value.states, (None, full.nx))),
             )
-        if isinstance(value, Plan) and value.trajectory.states.shape[1] == full.nx:
+        if isinstance(value, PlanResult) and value.trajectory.states.shape[1] == full.nx:
             motion = replace(value.trajectory, states=_lowered(self, value.trajectory.states))
             return replace(value, trajectory=motion, model=self.problem.model, problem=self.problem)
         return value
 
-    def returned(self, plan: Plan) -> Plan:
-        """Return a plan of the twin as one of the given problem."""
+    def restore(self, plan: PlanResult) -> PlanResult:
+        """Return a plan in reduced coordinates as one of the given problem."""
         motion = replace(plan.trajectory, states=_lifted(self, plan.trajectory.states))
         return replace(plan, trajectory=motion, model=self.given.model, problem=self.given)
 
-    def replay(self, plan: Plan) -> Trajectory:
-        """Replay a plan of the twin on the given model; return its motion in the states of the twin."""
-        motion = self.returned(plan).replay(tracked=plan.tracked)
+    def lower(self, motion: Trajectory) -> Trajectory:
+        """Return a motion of the given model in reduced coordinates."""
         return replace(motion, states=_lowered(self, motion.states))
 
 
-def reduced_twin(problem: Problem, guess: InitialGuess | None) -> ReducedTwin | None:
+def reduce_coordinates(problem: Problem, guess: InitialGuess | None) -> ReducedCoordinates | None:
     """Return the twin of a problem in full coordinates; None for others, and where there is none.
 
     There is none where constraints are redundant, as forces of bars then depend on coordinates, and
@@ -75,7 +74,7 @@ def reduced_twin(problem: Problem, guess: InitialGuess | None) -> ReducedTwin | 
         return (
             None
             if twin.redundancy
-            else ReducedTwin(
+            else ReducedCoordinates(
                 problem, replace(problem, model=twin, start=start, bounds=bounds, costs=costs)
             )
         )
@@ -129,7 +128,7 @@ def _seen(item: Any, model: Model) -> Any:
     return replace(item, expression=lambda now: expression(_Seen(model, now)))
 
 
-def _lowered(twin: ReducedTwin, states: Array) -> Array:
+def _lowered(twin: ReducedCoordinates, states: Array) -> Array:
     return _lower(twin.given.model, twin.problem.model, states)
 
 
@@ -145,7 +144,7 @@ def _lower(full: Model, reduced: Model, states: Array) -> Array:
     )
 
 
-def _lifted(twin: ReducedTwin, states: Array) -> Array:
+def _lifted(twin: ReducedCoordinates, states: Array) -> Array:
     """Return states (…, nx) in full coordinates."""
     full, reduced = twin.given.model, twin.problem.model
     parts = (

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.plan.plan import Plan
-from ocp.plan.winding import wind
+from ocp.results.rest_length_schedule import wind
+from ocp.results.result import PlanResult
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.control_input import ControlProfile
@@ -20,7 +20,9 @@ MOST_UPDATES = 1000  # of rest lengths in an interval
 WOUND_STEPS = 5  # steps of a replay from one change of rest lengths to the next
 
 
-def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLike = 0.0) -> Array:
+def reachable(
+    plan: PlanResult, stiffness: ArrayLike | None = None, shortest: ArrayLike = 0.0
+) -> Array:
     """Tell which force densities of a plan elastic strings can carry: γ < k, and rest lengths that can be wound.
 
     Parameters
@@ -52,7 +54,7 @@ def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLik
     >>> bool(ocp.reachable(plan, stiffness=1000.0).all())
     True
     """
-    instance("plan", plan, Plan, "an ocp.Plan")
+    instance("plan", plan, PlanResult, "an ocp.Plan")
     _check_pulled(plan)
     count = plan.force_density.shape[1]
     given = plan.structure.stiffness if stiffness is None else stiffness
@@ -64,7 +66,10 @@ def reachable(plan: Plan, stiffness: ArrayLike | None = None, shortest: ArrayLik
 
 
 def replay_wound(
-    plan: Plan, stiffness: ArrayLike | None = None, damping: ArrayLike = 0.0, updates: int = 10
+    plan: PlanResult,
+    stiffness: ArrayLike | None = None,
+    damping: ArrayLike = 0.0,
+    updates: int = 10,
 ) -> Trajectory:
     """Simulate a plan carried out by motors that wind elastic strings to the rest lengths that it asks for.
 
@@ -104,7 +109,7 @@ def replay_wound(
     >>> bool(abs(wound.nodes[-1] - plan.trajectory.nodes[-1]).max() < 0.01)
     True
     """
-    instance("plan", plan, Plan, "an ocp.Plan")
+    instance("plan", plan, PlanResult, "an ocp.Plan")
     _check_pulled(plan)
     whole_number("updates", updates, 1, MOST_UPDATES)
     plan.rest_lengths(stiffness)  # names the string that is too soft
@@ -128,7 +133,7 @@ def replay_wound(
     return simulate(model, end, end, state=plan.trajectory.states[0], control=wound, compiled=False)
 
 
-def _check_pulled(plan: Plan) -> None:
+def _check_pulled(plan: PlanResult) -> None:
     if plan.rest_length is not None:
         raise ValueError(
             "plan has decided rest lengths: Plan.rest_lengths tells them, and Plan.replay winds to them"

@@ -8,7 +8,7 @@ from planning import driven, leaning_arm, raising
 
 import ocp
 import tenscasadi as tc
-from ocp.plan.error_growth import grown_errors
+from ocp.results.error_growth import grown_errors
 from tenscasadi.dynamics.linearization import tangents
 
 

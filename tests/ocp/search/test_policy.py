@@ -1,10 +1,9 @@
-"""What is chosen where neither transcription nor solver is given, and what follows where it fails."""
+"""The policy of the default search: the first attempt, and those that follow a failure."""
 
 from __future__ import annotations
 
-import sys
+import importlib
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,10 +11,9 @@ from planning import driven, folding, prism, raising, shaken
 
 import ocp
 import tenscasadi as tc
-from ocp.choice import Choice, choose, choose_intervals
-from ocp.condensed.method import NOT_SETTLED, solve_condensed
-from ocp.problem.scaling import Scales
-from ocp.targets.find_target import find_target
+from ocp.condensed.method import solve_condensed
+from ocp.search.methods import prepare
+from ocp.search.policy import attempts, choose_intervals
 from ocp.transcription.initial_guess import Guess
 
 
@@ -38,6 +36,14 @@ def leaning():
     )
 
 
+def tall():
+    """A prism of nine bars rises."""
+    low, high = (tc.shapes.prism(9, 0.5, height) for height in (1.0, 1.02))
+    goals = [ocp.StringLengths({0: high.string_lengths[0]})]
+    bounds = [ocp.ForceDensityLimits(1.0, 200.0)]
+    return ocp.Problem(driven(low), goals=goals, bounds=bounds, costs=[ocp.Effort()])
+
+
 def widening(*bounds):
     """The ball grows: every bar keeps its direction and moves away from the middle."""
     ball = tc.shapes.six_bar_ball()
@@ -53,15 +59,16 @@ def widening(*bounds):
 
 CHOICES = {
     "three bars": (raising, "chosen: Variational of 30 intervals by Ipopt"),
-    "six bars": (widening, "chosen: Variational of 30 intervals by CondensedNewton"),
+    "six bars": (widening, "chosen: Variational of 30 intervals by Ipopt"),
     "one bar": (leaning, "chosen: Variational of 30 intervals by Ipopt"),
-    "six bars, limits on the way": (
-        lambda: widening(ocp.TensionLimits(upper=60.0)),  # a saddle
-        "chosen: Variational of 30 intervals by CondensedNewton, after Variational of 30 intervals by Ipopt",
+    "nine bars": (tall, "chosen: Variational of 30 intervals by CondensedNewton"),
+    "six bars, path constraints": (
+        lambda: widening(ocp.TensionLimits(upper=60.0)),
+        "chosen: Variational of 30 intervals by Ipopt",
     ),
     "moved supports, free duration": (
-        lambda: shaken((0.4, 2.0)),  # a saddle, too
-        "chosen: Variational of 30 intervals by CondensedNewton, after Variational of 30 intervals by Ipopt",
+        lambda: shaken((0.4, 2.0)),
+        "chosen: Variational of 30 intervals by Ipopt",
     ),
     "full coordinates, nodes without mass pinned": (
         lambda: in_full_coordinates(leaning()),
@@ -75,12 +82,12 @@ CHOICES = {
 
 
 @pytest.mark.parametrize("name", CHOICES)
-def test_what_suits_the_problem_is_chosen_and_said(name):
+def test_first_attempt_finds_the_optimum(name):
     make, said = CHOICES[name]
     problem = make()
     plan = ocp.solve(problem)
     assert plan.success, plan.message
-    assert said in plan.message
+    assert plan.message.endswith(said)
     known = ocp.solve(problem, ocp.MultipleShooting(30), tolerance=1.0)
     assert plan.objective == pytest.approx(known.objective, rel=2e-3)
 
@@ -120,7 +127,7 @@ def test_what_misses_a_tolerance_is_followed_by_what_meets_it():
 
 def test_a_replay_within_the_tolerance_is_enough(monkeypatch):
     """How near corrections come to fine steps is the user's to ask for: what the package asks for itself is a means."""
-    monkeypatch.setattr("ocp.choice.MISSED", 1e-18)
+    monkeypatch.setattr("ocp.search.policy.MISSED", 1e-18)
     for problem in (raising(), widening()):
         plan = ocp.solve(problem, seconds=60.0)
         assert plan.success, plan.message
@@ -131,49 +138,49 @@ def test_a_replay_within_the_tolerance_is_enough(monkeypatch):
         assert asked.worst_error < 1e-4
 
 
-@pytest.mark.parametrize("cost", [1e6, 0.0])
-def test_ipopt_goes_on_where_costs_are_not_settled_and_the_better_plan_is_kept(monkeypatch, cost):
-    of_package, known = sys.modules["ocp.solve"], solve_condensed
-    monkeypatch.setattr(
-        of_package,
-        "solve_condensed",
-        lambda *given: known(*given)._replace(status="unsettled", objective=cost),
-    )
-    plan = ocp.solve(widening())
+def failing(problem, monkeypatch, *solvers, found=False):
+    """Solve where the first attempts of some solvers fail; found: whether they find an optimum."""
+    module = importlib.import_module("ocp.search.find_plan")
+    run, asked, left = module.run_method, [], list(solvers)
+
+    def run_method(task, transcription, solver, guess):
+        outcome, target = run(task, transcription, solver, guess)
+        asked.append((transcription.count, type(solver).__name__, guess))
+        if type(solver) in left:
+            left.remove(type(solver))
+            duals = {} if found else {"duals": None}
+            outcome = outcome._replace(success=False, coarse=False, why="no plan", **duals)
+        return outcome, target
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "run_method", run_method)
+        return ocp.solve(problem), asked
+
+
+def test_finer_mesh_follows_an_inexact_plan(monkeypatch):
+    plan, asked = failing(raising(), monkeypatch, ocp.Ipopt, found=True)
     assert plan.success, plan.message
-    order = (
-        "Ipopt, after Variational of 30 intervals by CondensedNewton",
-        "CondensedNewton, after Variational of 30 intervals by Ipopt",
-    )
-    assert plan.message.endswith(f"chosen: Variational of 30 intervals by {order[cost == 0]}")
-    assert cost == 0 or plan.objective < 100
-
-
-@pytest.mark.parametrize("status", [NOT_SETTLED, "settled"])
-def test_only_plans_whose_costs_are_settled_are_guesses_for_the_next_method(monkeypatch, status):
-    """A plan that still changes has multipliers that lead elsewhere: the next method begins with the guess that there was."""
-    problem, given = raising(), object()
-    missing = replace(ocp.solve(problem, ocp.Variational(4)), success=False, status=status)
-    assert missing.duals is not None
-    ways = [
-        Choice(ocp.Variational(4), ocp.CondensedNewton()),
-        Choice(ocp.Variational(6), ocp.Ipopt(), guess=given),
-    ]
-    of_package, begun = sys.modules["ocp.solve"], []
-    monkeypatch.setattr(of_package, "choose", lambda *asked: iter(ways))
-    monkeypatch.setattr(
-        of_package,
-        "_by_method",
-        lambda asked, way, *rest: begun.append((asked.guess, way.guess)) or missing,
-    )
-    plan = ocp.solve(problem)
+    assert [one[:2] for one in asked] == [(30, "Ipopt"), (60, "Ipopt")]
+    assert asked[1][2].trajectory.time.shape == (31,)  # it starts from the plan that was found
     assert plan.message.endswith(
-        "tried: Variational of 4 intervals by CondensedNewton, Variational of 6 intervals by Ipopt"
+        "chosen: Variational of 60 intervals by Ipopt, after Variational of 30 intervals by Ipopt"
     )
-    assert begun == [(None, None), (None, given) if status == NOT_SETTLED else (missing, None)]
 
 
-def test_what_was_tried_is_said_where_no_plan_is_found():
+def test_other_solver_then_shooting_follow_where_nothing_is_found(monkeypatch):
+    best = ocp.solve(raising()).objective
+    plan, asked = failing(raising(), monkeypatch, ocp.Ipopt)
+    assert [one[:2] for one in asked] == [(30, "Ipopt"), (30, "CondensedNewton")]
+    assert plan.success, plan.message
+    assert plan.objective == pytest.approx(best, rel=2e-3)
+    plan, asked = failing(raising(), monkeypatch, ocp.Ipopt, ocp.CondensedNewton)
+    assert plan.success, plan.message
+    assert "chosen: MultipleShooting of 30 intervals by Ipopt, after " in plan.message
+    assert plan.objective == pytest.approx(best, rel=2e-3)
+    assert all(type(guess) is ocp.InverseDynamics for *_, guess in asked)
+
+
+def test_message_lists_attempts_where_no_plan_is_found():
     """A tenth of a second is too short for limits as low as these."""
     problem = ocp.Problem(
         driven(prism(1.0)),
@@ -188,68 +195,26 @@ def test_what_was_tried_is_said_where_no_plan_is_found():
     assert plan.iterations > 0
 
 
-def test_few_bars_are_left_to_the_condensed_method_where_ipopt_fails(monkeypatch):
-    of_package = sys.modules["ocp.solve"]
-    solved = of_package.solve_program
-    monkeypatch.setattr(
-        of_package,
-        "solve_program",
-        lambda *given: solved(*given)._replace(success=False, duals=None, why="no plan"),
-    )
-    plan = ocp.solve(raising())
-    assert plan.success, plan.message
-    assert (
-        "chosen: Variational of 30 intervals by CondensedNewton, after Variational of 30 intervals by Ipopt"
-        in plan.message
-    )
-    monkeypatch.undo()
-    assert plan.objective == pytest.approx(ocp.solve(raising()).objective, rel=2e-3)
-
-
 @pytest.mark.parametrize(("bars", "solver"), [(8, ocp.Ipopt), (9, ocp.CondensedNewton)])
-def test_limits_along_the_way_are_left_to_the_condensed_method_from_nine_bars_on(bars, solver):
+@pytest.mark.parametrize("bounds", [[], [ocp.TensionLimits(upper=60.0)]])
+def test_condensed_newton_comes_first_from_nine_bars(bars, solver, bounds):
     low, high = (tc.shapes.prism(bars, 0.5, height) for height in (1.0, 1.05))
-    bounds = [ocp.ForceDensityLimits(1.0, 200.0), ocp.TensionLimits(upper=60.0)]
     problem = ocp.Problem(
         driven(low),
         goals=[ocp.StringLengths({0: high.string_lengths[0]})],
-        bounds=bounds,
+        bounds=[ocp.ForceDensityLimits(1.0, 200.0), *bounds],
         costs=[ocp.Effort()],
     )
-    target = find_target(problem, Scales.of(problem))
-    assert isinstance(next(choose(problem, target, None, 1e-3)).solver, solver)
+    task = prepare(problem, ocp.PiecewiseConstant(), 1e-3)
+    assert isinstance(next(attempts(task, None)).solver, solver)
 
 
-def test_guesses_with_noise_are_tried_where_others_lead_nowhere(monkeypatch):
-    of_package, solved, calls = sys.modules["ocp.solve"], solve_condensed, []
-    failing = {"success": False, "duals": None, "why": "no plan"}
-    ipopt = of_package.solve_program
-    monkeypatch.setattr(
-        of_package, "solve_program", lambda *given: ipopt(*given)._replace(**failing)
-    )
-    monkeypatch.setattr(
-        of_package,
-        "solve_condensed",
-        lambda *given: (
-            calls.append(0) or solved(*given)._replace(**failing if len(calls) == 1 else {})
-        ),
-    )
-    plan = ocp.solve(raising())
-    assert plan.success, plan.message
-    assert (
-        "chosen: Variational of 30 intervals by CondensedNewton from a guess with noise 2, after "
-        in plan.message
-    )
-    monkeypatch.undo()
-    assert plan.objective == pytest.approx(ocp.solve(raising()).objective, rel=2e-3)
-
-
-def test_what_the_time_ends_is_not_tried_otherwise(monkeypatch):
+def test_time_limit_ends_the_search(monkeypatch):
     """The condensed method leaves some of the time for corrections: too little for another method."""
-    of_package = sys.modules["ocp.solve"]
+    methods = importlib.import_module("ocp.search.methods")
     late = lambda *given: solve_condensed(*given[:-1], time.perf_counter())  # noqa: E731
-    monkeypatch.setattr(of_package, "solve_condensed", late)
-    plan = ocp.solve(widening(), seconds=1000.0)
+    monkeypatch.setattr(methods, "solve_condensed", late)
+    plan = ocp.solve(tall(), seconds=1000.0)
     assert not plan.success
     assert "stopped at the time limit" in plan.message
     assert plan.message.endswith("tried: Variational of 30 intervals by CondensedNewton")

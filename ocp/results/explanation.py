@@ -14,7 +14,7 @@ from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import SADDLE, STOPPED, TIME_UP
-from ocp.solvers.wider_rates import TOO_SLOW, rate_rows, widening
+from ocp.solvers.relaxation import TOO_SLOW, rate_rows, widening
 from ocp.targets.control_sensitivities import ControlSensitivities
 from ocp.targets.target import Target
 from ocp.transcription.initial_guess import Guess

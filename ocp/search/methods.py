@@ -1,4 +1,4 @@
-"""Plans by nonlinear programs: what the strings control, the program, its solution, and why there is none."""
+"""The methods that find plans, behind one function: programs, condensed programs, phases, samples."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.plan.diagnosis import (
+from ocp.condensed.method import solve_condensed
+from ocp.phases.method import solve_phased
+from ocp.problem.control import stretched, winds
+from ocp.problem.phase import refuse_phases
+from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
+from ocp.results.explanation import (
     StateAt,
     explain_failure,
     goals_met,
@@ -18,13 +24,12 @@ from ocp.plan.diagnosis import (
     state_function,
     units_of,
 )
-from ocp.presolve import check_end, check_freedom, check_groups, check_start
-from ocp.problem.control import stretched, winds
-from ocp.problem.instant import forces_of
-from ocp.problem.phase import refuse_phases
-from ocp.problem.problem import Problem
-from ocp.problem.scaling import Scales, control_scale
+from ocp.results.result import PlanResult
+from ocp.sampling.method import solve_sampled
+from ocp.sampling.solver import Sampling
+from ocp.search.presolve import check_end, check_freedom, check_groups, check_start
 from ocp.solvers.base import Outcome, Solution, Solver
+from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.deferred_correction import (
     TOO_COARSE,
     Corrected,
@@ -32,15 +37,15 @@ from ocp.solvers.deferred_correction import (
     solve_corrected,
 )
 from ocp.solvers.fatrop import Fatrop
-from ocp.solvers.ipopt import NOWHERE, TIME_UP, Ipopt
+from ocp.solvers.ipopt import TIME_UP, Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
-from ocp.solvers.wider_rates import TOO_SLOW, Patience, from_wider
-from ocp.targets.control_sensitivities import HARDLY_REACHED, ControlSensitivities
-from ocp.targets.controllable_rows import count_rows, drop_uncontrollable_rows
+from ocp.solvers.relaxation import find_rate_relaxation
+from ocp.targets.control_sensitivities import ControlSensitivities
+from ocp.targets.controllable_rows import drop_uncontrollable_rows
 from ocp.targets.find_target import find_target
 from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess
+from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess, on_mesh
 from ocp.transcription.mesh import Profile, group_matrix, held_values, spans
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.integrators.stability import fastest_rate
@@ -49,9 +54,83 @@ from tenscasadi.util.validate import instance
 # radians of the fastest vibration in a step that tells how far rest lengths move the goals' rows
 GENTLE = 1.0
 MOST_SUBSTEPS = 50
-LOOSENING = (
-    0.3  # of the strongest force density: disturbs a guess along which some rows are out of control
+TOO_LATE = (
+    "no plan: stopped at the time limit before the solver began, with the guess: raise seconds"
 )
+
+Method = Solver | CondensedNewton | Sampling
+
+
+class Task(NamedTuple):
+    """A problem that passed the checks, where its goals lead, and how long a method may take.
+
+    target, scales: None for problems with phases, each of which has its own. tolerance: m, that the
+    replay may end from the goals. deadline: of `time.perf_counter`, s; None: no limit.
+    """
+
+    problem: Problem
+    target: Target | None
+    scales: Scales | None
+    tolerance: float
+    deadline: float | None
+
+    def is_late(self) -> bool:
+        """Return whether the time is over."""
+        return self.deadline is not None and time.perf_counter() >= self.deadline
+
+
+def prepare(
+    problem: Problem, control: Profile, tolerance: float, deadline: float | None = None
+) -> Task:
+    """Find where the goals lead. Raises ValueError, InfeasibleGoalError for what has no solution."""
+    check_groups(problem, control)
+    if problem.phases:
+        return Task(problem, None, None, tolerance, deadline)
+    scales = Scales.of(problem)
+    target = find_target(problem, scales)
+    if not problem.free_start:
+        check_start(problem)
+    check_end(problem, target)
+    return Task(problem, target, scales, tolerance, deadline)
+
+
+def run_method(
+    task: Task, transcription: Transcription, solver: Method, guess: InitialGuess | None
+) -> tuple[Outcome, Target]:
+    """Run the method that goes with a solver; return what it found, and what its replay is measured by.
+
+    guess: None for `InverseDynamics()`, and for `Sampling` for none.
+    """
+    problem, target, scales, tolerance, deadline = task
+    if target is None or scales is None:
+        if isinstance(solver, Sampling):
+            raise ValueError(
+                "solver is Sampling, and Problem.phases say when nodes stand: leave one of them out"
+            )
+        return solve_phased(problem, transcription, solver, guess, deadline, tolerance)
+    if isinstance(solver, Sampling):
+        known = (
+            None
+            if guess is None
+            else evaluate_guess(guess, problem, target, transcription.count).disturbed(problem)
+        )
+        return solve_sampled(problem, transcription, known, solver, deadline, tolerance), target
+    first = evaluate_guess(guess, problem, target, transcription.count)
+    if task.is_late():
+        own = on_mesh(problem.model, first, transcription.fractions, transcription.control)
+        late = Outcome(
+            own.states, own.force_density, own.duration, np.nan, False, TIME_UP, 0, why=TOO_LATE
+        )
+        return late, target
+    if isinstance(solver, CondensedNewton):
+        first = first.disturbed(problem)
+        return solve_condensed(
+            problem, transcription, target, scales, first, solver, deadline
+        ), target
+    duals = guess.duals if isinstance(guess, PlanResult) else None
+    return solve_program(
+        problem, transcription, target, scales, first, solver, deadline, duals
+    ), target
 
 
 class _Task(NamedTuple):
@@ -98,37 +177,12 @@ def solve_program(
         )
     _check(problem, transcription, target)
     task = _Task(problem, transcription, target, scales, _reach(problem, transcription), solver)
-    disturbed = guess.disturbed(
-        problem
-    )  # what strings do not move along a symmetric guess they may move along others
+    disturbed = guess.disturbed(problem)
     imposed = drop_uncontrollable_rows(target, task.reach, disturbed.force_density, guess.duration)
     guess = guess if isinstance(solver, Ipopt) and not problem.free_start else disturbed
-    found = _attempt(task, imposed, guess, deadline, duals)
-    if (
-        count_rows(imposed) < count_rows(target)
-        and not (found.solution.success and _met(task, found))
-        and not _late(deadline)
-    ):
-        # Rows that no string moved along the guess are missed: along a less regular motion they may
-        # be within reach.
-        loosened = _loosened(problem, disturbed)
-        more = drop_uncontrollable_rows(
-            target, task.reach, loosened.force_density, loosened.duration, HARDLY_REACHED
-        )
-        if count_rows(more) > count_rows(imposed):
-            found = _attempt(task, more, loosened, deadline)
-    return _outcome(task, found)
-
-
-def prepare(problem: Problem, control: Profile) -> tuple[Target, Scales]:
-    """Return where the goals lead, and scales; refuse what has no solution."""
-    check_groups(problem, control)
-    scales = Scales.of(problem)
-    target = find_target(problem, scales)
-    if not problem.free_start:
-        check_start(problem)
-    check_end(problem, target)
-    return target, scales
+    program = transcription.program(problem, imposed, scales, guess)
+    known = program if duals is None else warm_started(program, imposed, duals)
+    return _outcome(task, _solved(task, imposed, known, deadline))
 
 
 def program_of(
@@ -143,7 +197,9 @@ def program_of(
         Transcription,
         "a transcription, such as ocp.MultipleShooting()",
     )
-    target, scales = prepare(problem, transcription.control)
+    _, target, scales, *_ = prepare(problem, transcription.control, np.inf)
+    if target is None or scales is None:
+        raise TypeError("Problem.phases are no part of one program: leave them out")
     problem = _smooth(problem)
     _check(problem, transcription, target)
     first = evaluate_guess(guess, problem, target, transcription.count).disturbed(problem)
@@ -182,37 +238,19 @@ def _reach(problem: Problem, transcription: Transcription) -> ControlSensitiviti
     )
 
 
-def _late(deadline: float | None) -> bool:
-    return deadline is not None and time.perf_counter() >= deadline
-
-
-def _loosened(problem: Problem, guess: Guess) -> Guess:
-    """Return the guess with force densities that differ from string to string and from interval to interval, always in the same way."""
-    lower, upper = problem.control_limits
-    change = np.random.default_rng(0).uniform(size=guess.force_density.shape)
-    size = control_scale(
-        problem,
-        float(np.abs(forces_of(problem.model, guess.states[:-1], guess.force_density)).max())
-        or 1.0,
-    )
-    if winds(problem.model):
-        size = -size  # shorter is stronger
-    return replace(
-        guess, force_density=np.clip(guess.force_density + LOOSENING * size * change, lower, upper)
-    )
-
-
-def _attempt(
-    task: _Task, imposed: Target, guess: Guess, deadline: float | None, duals: Duals | None = None
-) -> _Found:
-    """Make the program and solve it, from multipliers where they are known."""
+def _solved(task: _Task, imposed: Target, program: Program, deadline: float | None) -> _Found:
+    """Solve the program; where limits of rates leave no way, find how much wider they have to be."""
     problem, transcription, solver = task.problem, task.transcription, task.solver
-    program = transcription.program(problem, imposed, task.scales, guess)
-    known = program if duals is None else warm_started(program, imposed, duals)
-    if isinstance(solver, Ipopt) and program.rows("rate"):
-        solution, states, gap = _within_rates(task, known, solver, deadline)
+    accuracy = transcription.accuracy
+    limited = {} if deadline is None else {"deadline": deadline}  # own solvers may know none
+    if accuracy is not None and isinstance(solver, Ipopt):
+        solution, states, gap = solve_corrected(
+            program, solver, problem.model, transcription.fractions, accuracy, deadline
+        )
     else:
-        solution, states, gap = _solved(task, known, solver, deadline)
+        solution, states, gap = Corrected(solver.solve(program, **limited), None, 0.0)
+    if isinstance(solver, Ipopt):
+        solution = find_rate_relaxation(program, solver, solution, deadline) or solution
     planned, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
     lower, upper = problem.control_limits
     # Interior-point methods overstep limits by their tolerance.
@@ -221,44 +259,6 @@ def _attempt(
         planned.T if states is None else states, np.clip(controls.T, lower, upper), float(duration)
     )
     return _Found(imposed, program, solution, says, gap)
-
-
-def _solved(task: _Task, program: Program, solver: Solver, deadline: float | None) -> Corrected:
-    """Solve the program, corrected where an accuracy is asked for."""
-    accuracy = task.transcription.accuracy
-    if accuracy is not None and isinstance(solver, Ipopt):
-        return solve_corrected(
-            program, solver, task.problem.model, task.transcription.fractions, accuracy, deadline
-        )
-    limited = {} if deadline is None else {"deadline": deadline}  # own solvers may know none
-    return Corrected(solver.solve(program, **limited), None, 0.0)
-
-
-def _within_rates(
-    task: _Task, program: Program, solver: Ipopt, deadline: float | None
-) -> Corrected:
-    """Solve a program with limits of rates. Where the solver hardly gets within them, find by how much they have to be wider, or start there."""
-    patience = Patience(program, solver, deadline)
-    found = _solved(task, program, replace(solver, watch=patience), deadline)
-    if (
-        found.solution.success
-        or (patience.wider is None and found.solution.status not in NOWHERE)
-        or found.solution.status == TIME_UP
-    ):
-        return found
-    wider = patience.wider or patience.ask()
-    iterations = found.solution.iterations + wider.iterations
-    if patience.too_slow:
-        return Corrected(Solution(wider.w, False, TOO_SLOW, iterations), None, 0.0)
-    solution = from_wider(program, wider, solver, deadline)
-    iterations += solution.iterations
-    if not solution.success:
-        return Corrected(solution._replace(iterations=iterations), None, 0.0)
-    known = replace(program, first=solution.w, multipliers=solution.multipliers)
-    found = _solved(task, known, replace(solver, warm=True), deadline)
-    return found._replace(
-        solution=found.solution._replace(iterations=iterations + found.solution.iterations)
-    )
 
 
 def _planned(task: _Task, found: _Found) -> StateAt:

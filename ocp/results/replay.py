@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from ocp.results.result import PlanResult
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stability import contact_step
@@ -17,8 +16,8 @@ from tenscasadi.util.validate import positive_number
 STEPS = 10  # for each interval of a plan
 
 
-def replay_open(plan: Any, model: Model, scheme: Scheme, step: float | None) -> Trajectory:
-    """Simulate a model under what a `Plan` commands; step: the longest, s. Raises TypeError, ValueError."""
+def replay_open(plan: PlanResult, model: Model, scheme: Scheme, step: float | None) -> Trajectory:
+    """Simulate a model under what a plan commands; step: the longest, s. Raises TypeError, ValueError."""
     check_scheme(scheme)
     size = None if step is None else positive_number("step", step)
     start, intervals, end = plan.trajectory.states[0], np.diff(plan.time), float(plan.time[-1])

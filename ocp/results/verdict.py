@@ -7,31 +7,33 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.plan.diagnosis import long_steps, measure_misses
-from ocp.plan.end_limits import broken_at_end
-from ocp.plan.error_growth import UNSTABLE
-from ocp.plan.plan import Plan
-from ocp.plan.report import report_of
+from ocp.results.error_growth import UNSTABLE
+from ocp.results.explanation import long_steps, measure_misses
+from ocp.results.report import report_of
+from ocp.results.result import PlanResult
+from ocp.results.terminal_limits import broken_at_end
 from ocp.solvers.base import Outcome
 from ocp.targets.target import Target
 from ocp.transcription.mesh import held_values
 from tenscasadi.simulation.trajectory import Trajectory
 
+Replay = Callable[[PlanResult], Trajectory]
+
 _KEEP = "keep to it by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
 
 
-def judged(
-    plan: Plan,
+def assess_plan(
+    plan: PlanResult,
     target: Target,
     found: Outcome,
     tolerance: float,
-    chosen: bool = False,
-    replay: Callable[[Plan], Trajectory] | None = None,
-) -> Plan:
-    """Return the plan with the errors of its replay, whether it is a success, and what is to be said of it.
+    replay: Replay,
+    automatic: bool = False,
+) -> PlanResult:
+    """Judge a plan by its replay.
 
-    chosen: whether the package chose how near to fine steps it is to be, and not the user: then the
-    replay alone counts. replay: what replays it; None: the plan itself.
+    automatic: whether the package chose how near the motion has to be to fine steps, and not the
+    user: then the replay alone counts. Returns the plan with its errors, success and message.
     """
     error, speed_error, why, replayed = _replay_errors(
         plan, target.begin_at(found.states[0]), replay
@@ -39,7 +41,7 @@ def judged(
     plan = replace(plan, replay_error=error, replay_speed_error=speed_error)
     how = "its replay under ocp.track" if plan.tracked else "its replay"
     found = found._replace(
-        success=found.success or (chosen and found.coarse and plan.worst_error <= tolerance)
+        success=found.success or (automatic and found.coarse and plan.worst_error <= tolerance)
     )
     success, verdict = _verdict(
         plan, found, tolerance, f"at the end of {how} {why}" if why and np.isfinite(error) else ""
@@ -53,7 +55,7 @@ def judged(
     return replace(plan, success=success, message="; ".join(part for part in parts if part))
 
 
-def _overstepped(plan: Plan, replayed: Trajectory | None) -> str:
+def _overstepped(plan: PlanResult, replayed: Trajectory | None) -> str:
     """Tell which limit is broken most where nodes bounce on a ground between the nodes of the mesh, at which alone limits hold."""
     problem = plan.problem
     if problem is None or replayed is None or not problem.model.scene.grounds:
@@ -71,7 +73,7 @@ def _overstepped(plan: Plan, replayed: Trajectory | None) -> str:
     )
 
 
-def _verdict(plan: Plan, found: Outcome, tolerance: float, broken: str) -> tuple[bool, str]:
+def _verdict(plan: PlanResult, found: Outcome, tolerance: float, broken: str) -> tuple[bool, str]:
     """Tell whether the plan is a success, and what is to be said of it. broken: the limit of the end that its replay misses more than goals."""
     growth = "" if np.isnan(found.states).any() else _told_growth(plan)
     if not found.success:
@@ -91,14 +93,14 @@ def _verdict(plan: Plan, found: Outcome, tolerance: float, broken: str) -> tuple
     return False, f"too coarse: {told}: {_finer(plan, found)}, or plan.refine({tolerance:.2g})"
 
 
-def _told_growth(plan: Plan) -> str:
+def _told_growth(plan: PlanResult) -> str:
     if plan.known_model("solve").scene.grounds:
         return ""  # contact begins and ends a little sooner or later: no derivative tells
     growth = plan.error_growth
     return f"open-loop unstable: errors grow {growth:.2g}-fold" if growth > UNSTABLE else ""
 
 
-def _finer(plan: Plan, found: Outcome) -> str:
+def _finer(plan: PlanResult, found: Outcome) -> str:
     """Tell what makes a replay miss less."""
     if plan.problem is not None and plan.problem.phases:
         return "give a harder ground, more damping of it, or longer phases"
@@ -113,7 +115,7 @@ def _finer(plan: Plan, found: Outcome) -> str:
 
 
 def _replay_errors(
-    plan: Plan, target: Target, replay: Callable[[Plan], Trajectory] | None
+    plan: PlanResult, target: Target, replay: Replay
 ) -> tuple[float, float, str, Trajectory | None]:
     """Measure how far the replay ends from the goals, and from limits of the end; without goals for the place (or speed) from the plan.
 
@@ -123,7 +125,7 @@ def _replay_errors(
     if not np.all(np.isfinite(plan.force_density)) or not plan.time[-1] > 0:
         return np.nan, np.nan, "", None
     try:
-        replayed = plan.replay(tracked=plan.tracked) if replay is None else replay(plan)
+        replayed = replay(plan)
     except ValueError as error:
         if not plan.tracked:
             raise

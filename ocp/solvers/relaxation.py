@@ -1,16 +1,14 @@
-"""By how much limits of rates have to be wider for a program to have a solution: what is asked where a solver does not get within them."""
+"""Relaxation of infeasible limits of rates: how many times wider they have to be."""
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import replace
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from ocp.solvers.base import Solution
-from ocp.solvers.ipopt import Ipopt, Progress
+from ocp.solvers.ipopt import NOWHERE, Ipopt
 from ocp.transcription.sparse_nlp import (
     Block,
     Program,
@@ -21,97 +19,39 @@ from ocp.transcription.sparse_nlp import (
 )
 from tenscasadi.util.validate import Array, Indices
 
-TOO_SLOW = (
-    "Rates_Too_Slow"  # status: no way within limits of rates was found, and one beyond them was
-)
+TOO_SLOW = "Rates_Too_Slow"  # status: only a motion with wider limits of rates was found
 ENOUGH = 1e-3  # of the limits: less is not worth telling
-BARRIER = 0.1  # to start with: one that is small keeps the first way beyond the limits
-TOLERANCE = 1e-4  # tells the width to three digits
-STRIDES = {
-    "alpha_for_y": "min-dual-infeas"
-}  # halves the iterations where all that counts is a width
+# Only the width counts, to three digits. A large first barrier keeps the way beyond the limits, and
+# the long dual steps halve the iterations.
+OPTIONS = {"alpha_for_y": "min-dual-infeas", "mu_init": 0.1}
+TOLERANCE = 1e-4
 MOST = 120  # iterations
-SOON, WAITED = (
-    40,
-    12,
-)  # after so many iterations, and no halving of the violation in the last so many, a solver hardly gets there
-SMALL = 1e-4  # scaled violation: below, a solver gets there
 
 
-class Wider(NamedTuple):
-    """w that needs limits of rates widened by `share` of them, after some iterations; and whether that is the least."""
+def find_rate_relaxation(
+    program: Program, solver: Ipopt, failed: Solution, deadline: float | None
+) -> Solution | None:
+    """Find the motion whose limits of rates have to be relaxed least, after a failure.
 
-    w: Array
-    share: float
-    iterations: int
-    least: bool
-
-
-class Patience:
-    """Watches a solver, and where that does not get within the constraints, finds by how much limits of rates have to be wider.
-
-    wider: what was found, None while nobody asked; too_slow: whether they have to be, and the
-    solver was stopped for it.
+    None where a solver did not fail for lack of a feasible point, or limits of rates are not to
+    blame. deadline: of `time.perf_counter`, s; None: no limit.
     """
-
-    def __init__(self, program: Program, solver: Ipopt, deadline: float | None) -> None:
-        self._program, self._solver, self._deadline = program, solver, deadline
-        self._seen = deque[float](maxlen=WAITED + 1)
-        self.wider: Wider | None = None
-        self.too_slow = False
-
-    def __call__(self, now: Progress) -> bool:
-        """Tell whether to go on."""
-        watch = self._solver.watch
-        if watch is not None and watch(now) is False:
-            return False
-        self._seen.append(now.infeasibility)
-        if (
-            self.wider is None
-            and now.iteration >= SOON
-            and now.infeasibility > max(SMALL, 0.5 * self._seen[0])
-        ):
-            self.ask()
-        return not self.too_slow
-
-    def ask(self) -> Wider:
-        """Find by how much limits of rates have to be wider."""
-        self.wider = least_wider(self._program, self._solver, self._deadline)
-        self.too_slow = self.wider.least and self.wider.share > ENOUGH
-        return self.wider
-
-
-def least_wider(program: Program, solver: Ipopt, deadline: float | None) -> Wider:
-    """Return the motion that needs limits of rates widened least, whatever it costs. deadline: of `time.perf_counter`, s; None: no limit."""
-    own = _roughly(
-        replace(
-            solver,
-            max_iterations=min(MOST, solver.max_iterations),
-            watch=None,
-            options={**STRIDES, **solver.options},
-        )
-    )
-    found = own.solve(
-        widened(program.disturbed()), deadline
-    )  # saddles take more iterations here than anywhere
-    w = found.w[:-1]
-    return Wider(w, widening(program, w), found.iterations, found.success)
-
-
-def from_wider(program: Program, wider: Wider, solver: Ipopt, deadline: float | None) -> Solution:
-    """Return a rough solution of the program, from the motion that needs limits of rates widened least."""
-    return _roughly(solver).solve(
-        replace(program, first=wider.w, multipliers=None, noise=None), deadline
-    )
-
-
-def _roughly(solver: Ipopt) -> Ipopt:
-    return replace(
+    stopped = (*NOWHERE, "Maximum_Iterations_Exceeded")
+    if failed.success or failed.status not in stopped or not program.rows("rate"):
+        return None
+    own = replace(
         solver,
         tolerance=max(TOLERANCE, solver.tolerance),
+        max_iterations=min(MOST, solver.max_iterations),
         warm=False,
-        options={"mu_init": BARRIER, **solver.options},
+        watch=None,
+        options={**OPTIONS, **solver.options},
     )
+    found = own.solve(widened(program), deadline)
+    w = found.w[:-1]
+    if not found.success or widening(program, w) <= ENOUGH:
+        return None
+    return Solution(w, False, TOO_SLOW, failed.iterations + found.iterations)
 
 
 def widening(program: Program, w: Array) -> float:

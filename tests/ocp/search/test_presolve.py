@@ -10,8 +10,8 @@ from planning import driven, prism
 
 import ocp
 import tenscasadi as tc
-from ocp.presolve import check_end
 from ocp.problem.scaling import Scales
+from ocp.search.presolve import check_end
 from ocp.targets.find_target import find_target
 
 MODEL = driven(prism(1.0, bar_radius=0.005, stiffness=1000.0))

@@ -11,7 +11,7 @@ from planning import driven, prism
 
 import ocp
 import tenscasadi as tc
-from ocp.plan.diagnosis import units_of
+from ocp.results.explanation import units_of
 
 MODEL = driven(prism(1.0, bar_radius=0.005, stiffness=1000.0))
 

@@ -9,8 +9,8 @@ import pytest
 from planning import leaning_arm, raising
 
 import ocp
-from ocp.program import program_of
-from ocp.solvers.wider_rates import TOO_SLOW, widened, widening
+from ocp.search.methods import program_of
+from ocp.solvers.relaxation import TOO_SLOW, widened, widening
 
 
 def leaning(rate):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,8 +12,7 @@ from planning import driven, integrated
 
 import ocp
 import tenscasadi as tc
-from ocp.plan import plan as plans
-from ocp.reduced_twin import reduced_twin
+from ocp.search.coordinates import reduce_coordinates
 
 SAID = "; found in reduced coordinates"
 
@@ -199,7 +200,8 @@ def test_guesses_are_of_the_given_model(arm):
 def test_success_is_what_the_given_model_does(arm, monkeypatch):
     """Where its motion were another one, the plan would be no success, whatever the twin does."""
     problem, _ = arm
-    replay = plans.replay_open
+    find_plan = sys.modules["ocp.search.find_plan"]
+    replay = find_plan.replay_open
 
     def pushed(plan, model, scheme, step):
         motion = replay(plan, model, scheme, step)
@@ -209,7 +211,7 @@ def test_success_is_what_the_given_model_does(arm, monkeypatch):
         states[-1, : model.nq] += 0.05
         return tc.Trajectory(**{**vars(motion), "states": states})
 
-    monkeypatch.setattr(plans, "replay_open", pushed)
+    monkeypatch.setattr(find_plan, "replay_open", pushed)
     plan = ocp.solve(problem, ocp.Variational(30))
     assert not plan.success
     assert plan.replay_error == pytest.approx(0.05, rel=0.1)
@@ -219,14 +221,14 @@ def test_success_is_what_the_given_model_does(arm, monkeypatch):
 def test_what_has_no_twin():
     """Constraints that are redundant, and classes that are not this package's."""
     free = ocp.Problem(driven(tc.shapes.d_bar()), goals=[ocp.AtRest()], costs=[ocp.Effort()])
-    assert reduced_twin(free, None) is None
+    assert reduce_coordinates(free, None) is None
 
     class Own(ocp.Effort):
         pass
 
     problem = in_full_coordinates(reach(0.4))
-    assert reduced_twin(problem, None) is not None
-    assert reduced_twin(bounded(problem, costs=[Own()]), None) is None
+    assert reduce_coordinates(problem, None) is not None
+    assert reduce_coordinates(bounded(problem, costs=[Own()]), None) is None
     with pytest.raises(ValueError, match="Variational keeps bars, not joints"):
         ocp.solve(bounded(problem, costs=[Own()]), ocp.Variational(10))
     with pytest.warns(tc.RedundantConstraints):
@@ -234,5 +236,6 @@ def test_what_has_no_twin():
             tc.Scene(tc.shapes.d_bar(pinned=[0, 1]), control=tc.ForceDensity()), coordinates="full"
         )
     assert (
-        reduced_twin(ocp.Problem(model, goals=[ocp.AtRest()], costs=[ocp.Effort()]), None) is None
+        reduce_coordinates(ocp.Problem(model, goals=[ocp.AtRest()], costs=[ocp.Effort()]), None)
+        is None
     )

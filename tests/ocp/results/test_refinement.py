@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from planning import driven, integrated, prism, raising, taller
 
 import ocp
 import tenscasadi as tc
-from ocp.plan.mesh_refinement import defects
+from ocp.results.refinement import defects, refine_until_accurate
 
 
 def test_a_refined_plan_meets_its_tolerance(coarse):
@@ -60,10 +59,10 @@ def test_a_tolerance_that_is_not_met_is_said(coarse):
 
 
 @pytest.mark.parametrize("lowered", [0.6, 1.5, np.nan])
-def test_refining_stops_where_it_no_longer_helps(coarse, lowered, monkeypatch):
+def test_refining_stops_where_it_no_longer_helps(coarse, lowered):
     asked = []
 
-    def solve(problem, transcription, solver, plan, tolerance):
+    def find_plan(problem, transcription, solver, plan, tolerance, *, tracked):
         asked.append(transcription.count)
         return replace(
             plan,
@@ -71,8 +70,8 @@ def test_refining_stops_where_it_no_longer_helps(coarse, lowered, monkeypatch):
             replay_speed_error=lowered * plan.replay_speed_error,
         )
 
-    monkeypatch.setattr(importlib.import_module("ocp.solve"), "solve", solve)
-    plan = replace(coarse, solver=ocp.Fatrop()).refine(1e-9)  # which takes no corrections
+    rough = replace(coarse, solver=ocp.Fatrop())  # which takes no corrections
+    plan = refine_until_accurate(rough, 1e-9, 5, find_plan)
     assert len(asked) == 1
     assert not plan.success
     assert plan.worst_error == min(

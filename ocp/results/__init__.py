@@ -1,0 +1,1 @@
+"""Plans as data: their replay, their verdict, their report, and why there is none."""

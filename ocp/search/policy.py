@@ -1,0 +1,177 @@
+"""The policy of the default search: one table of attempts, each with the figure that justifies it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ocp.condensed.method import NOT_SETTLED, applies
+from ocp.problem.control import winds
+from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
+from ocp.results.result import PlanResult
+from ocp.sampling.method import default_intervals
+from ocp.sampling.solver import Sampling
+from ocp.search.methods import Method, Task
+from ocp.solvers.condensed_newton import CondensedNewton
+from ocp.solvers.ipopt import Ipopt
+from ocp.transcription.base import Transcription
+from ocp.transcription.initial_guess import (
+    NOISE,
+    Guess,
+    InitialGuess,
+    InverseDynamics,
+    evaluate_guess,
+)
+from ocp.transcription.multiple_shooting import MultipleShooting
+from ocp.transcription.variational import Variational
+from tenscasadi.integrators.stability import fastest_rate
+
+FIRST, INEXACT, NOT_FOUND = "first", "inexact", "not found"
+PHASE_INTERVALS = 20  # of each phase
+FEWEST, MOST = 30, 400  # intervals
+FOR_A_RADIAN = 3.0  # intervals for each radian of the fastest vibration
+# intervals times √bars: forces add up along rows of bars, so γ grows beyond the guess as bars do,
+# vibrations as its root
+FOR_BARS = 6.0
+EXACT = 0.3  # of the tolerance: how near motions come to those of fine steps,
+# and of the structure's size, at most: plans that end further from their goals than thrice this
+# count as missing them
+MISSED = 1e-4
+# of the structure's size: nodes that come nearer to a ground along the guess may touch it
+NEAR = 0.02
+CONDENSED_BARS = 9  # from which the condensed method is the faster one
+
+
+class Attempt(NamedTuple):
+    """One row of the policy: a transcription, a solver and a guess.
+
+    why: the reason for the row. after: the failure that it follows, FIRST for none.
+    """
+
+    transcription: Transcription
+    solver: Method
+    guess: InitialGuess | None
+    why: str
+    after: str = FIRST
+
+    def describe(self) -> str:
+        """Return such as "Variational of 30 intervals by Ipopt"."""
+        name, count = type(self.transcription).__name__, self.transcription.count
+        return f"{name} of {count} intervals by {type(self.solver).__name__}"
+
+    def refine(self, problem: Problem, plan: PlanResult) -> Attempt:
+        """Return the attempt from an inexact plan, on as many intervals as its own vibration asks for."""
+        known = Guess(plan.trajectory.states, plan.control, float(plan.time[-1]))
+        count = max(2 * (len(plan.time) - 1), choose_intervals(problem, known))
+        finer = replace(self.transcription, intervals=count)
+        return self._replace(transcription=finer, guess=plan)
+
+
+def attempts(task: Task, guess: InitialGuess | None) -> Iterator[Attempt]:
+    """Yield the attempts at a problem in their order.
+
+    `find_plan` makes those that follow the failure before them, and stops at the first success. The
+    figures are of 138 contact-free problems: the suite of examples/ocp_suite.py, and 40 random ones.
+    """
+    problem, model = task.problem, task.problem.model
+    if task.target is None:  # phases have a method of their own
+        yield Attempt(Variational(PHASE_INTERVALS), Ipopt(), guess, "phases")
+        return
+    # Without noise a symmetric guess is next to a saddle: with it IPOPT alone solves 137 of 138.
+    start = InverseDynamics(noise=NOISE) if guess is None else guess
+    first = evaluate_guess(start, problem, task.target, FEWEST)
+    sampled = model.scene.grounds and not problem.free_start and not winds(model)
+    near = sampled and is_near_ground(problem, first)
+    sampling = default_sampling(problem)
+    if near:  # IPOPT finds 0 of 8 jumps through a penalty ground, sampling 12 of 12
+        yield Attempt(sampling, Sampling(), guess, "contact")
+    count = choose_intervals(problem, first)
+    accuracy = min(EXACT * task.tolerance, MISSED * Scales.of(problem).length)
+    variational = Variational(count, accuracy=accuracy)
+    after = NOT_FOUND if near else FIRST
+    if not variational.refusal(model):
+        for solver in _programs(problem):
+            yield Attempt(variational, solver, start, "the fastest that converges", after)
+            yield Attempt(variational, solver, start, "mesh too coarse", INEXACT)
+            after = NOT_FOUND
+    shooting = MultipleShooting(count)
+    yield Attempt(shooting, Ipopt(), start, "other rows of the motion", after)
+    yield Attempt(shooting, Ipopt(), start, "mesh too coarse", INEXACT)
+    if sampled and not near:
+        yield Attempt(sampling, Sampling(), guess, "contact after all", NOT_FOUND)
+
+
+def _programs(problem: Problem) -> list[Method]:
+    """Return the solvers of Variational, the one that suits the size first.
+
+    Mean CPU time of CondensedNewton and of IPOPT, s: up to 4 bars 0.36 and 0.21, 5 to 8 bars 0.81
+    and 0.79, where IPOPT fails less often, 9 to 12 bars 1.9 and 3.0, above 2.7 and 19.7.
+    """
+    if applies(problem):
+        return [Ipopt()]
+    few = problem.model.mechanism.bars < CONDENSED_BARS
+    return [Ipopt(), CondensedNewton()] if few else [CondensedNewton(), Ipopt()]
+
+
+def default_sampling(problem: Problem) -> Transcription:
+    """Return the intervals of a plan by sampling."""
+    return MultipleShooting(default_intervals(problem))
+
+
+def complete(
+    transcription: Transcription | None, solver: Method | None, problem: Problem
+) -> tuple[Transcription, Method]:
+    """Return transcription and solver of a user, who left out one of them."""
+    solver = Ipopt() if solver is None else solver
+    if transcription is not None:
+        return transcription, solver
+    if problem.phases:
+        return Variational(PHASE_INTERVALS), solver
+    if isinstance(solver, Sampling):
+        return default_sampling(problem), solver
+    return (Variational() if isinstance(solver, CondensedNewton) else MultipleShooting()), solver
+
+
+def diagnose(plan: PlanResult) -> str:
+    """Return the kind of a failure: a settled optimum whose replay misses is INEXACT."""
+    return NOT_FOUND if plan.duals is None or plan.status == NOT_SETTLED else INEXACT
+
+
+def is_near_ground(problem: Problem, guess: Guess) -> bool:
+    """Return whether moving nodes touch a ground along the guess, or nearly.
+
+    True also where no pinned node keeps the structure from falling.
+    """
+    model, structure = problem.model, problem.model.scene.structure
+    held = np.flatnonzero(structure.fixed.all(axis=1))
+    if not len(held):
+        return True
+    margin = NEAR * Scales.of(problem).length
+    for ground in model.scene.grounds:
+        moving = np.setdiff1d(
+            np.arange(len(model.structure.nodes))
+            if ground.nodes is None
+            else np.array(list(ground.nodes)),
+            held,
+        )
+        if len(moving) and any(
+            float(ca.mmax(ground.depth(model.nodes(x)[moving].T))) > -margin for x in guess.states
+        ):
+            return True
+    return False
+
+
+def choose_intervals(problem: Problem, guess: Guess) -> int:
+    """Return how many intervals follow the fastest vibration: under the guess, and of many bars."""
+    middle = len(guess.force_density) // 2
+    rate = fastest_rate(problem.model, guess.states[middle], guess.force_density[middle])
+    # Elastic strings hardly vibrate along their plans; corrections do the rest.
+    each = 1.0 if winds(problem.model) else FOR_A_RADIAN
+    wanted = np.ceil(each * rate * guess.duration) if np.isfinite(rate) else FEWEST
+    least = np.ceil(FOR_BARS * np.sqrt(problem.model.mechanism.bars))
+    return int(np.clip(max(wanted, least), FEWEST, MOST))
