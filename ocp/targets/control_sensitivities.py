@@ -1,15 +1,14 @@
-"""A motion over several intervals with its exact derivatives, and what the strings can still change of its end."""
+"""Sensitivities of goal rows to the controls along a trajectory."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.linearization import EquationDerivatives, LinearDynamics
+from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.tableaux import CLASSICAL
 from tenscasadi.util.casadi_tools import ArrayFunction
@@ -20,23 +19,17 @@ from tenscasadi.util.validate import Array, Indices
 # errors of the scheme only
 REACHED = 1e-5
 HARDLY_REACHED = 1e-9  # the same, for a second attempt
-SURELY = (
-    3.0  # times the share above: rows that the last intervals move by more need no further look
-)
-LARGEST = 1e20  # state beyond which a motion has diverged
-FEW = 50  # rows that are looked at as a whole
-PROBES = 8  # random combinations of rows from which the size of a gradient is estimated
-# intervals from the end after which it is compared for the first time, then after twice as many
-FIRST_COMPARED = 4
 
 
 class ControlSensitivities:
-    """Sensitivities of a motion to its controls over `count` intervals, in steps of Runge and Kutta.
+    """Derivatives of goal rows with respect to the controls of `count` intervals.
 
-    grouping: E (nu, groups) of ones, γ of all strings from those of groups that pull alike
-    (`ocp.transcription.mesh`); None: each pulls on its own. spans (count,): over which intervals
-    controls are held, numbered from 0; None: each interval has its own. Controls that are given are
-    evened out within groups and spans.
+    They are those of steps of the classical Runge-Kutta method.
+
+    grouping: E (nu, groups) of ones, γ of all strings from those of their control groups
+    (`ocp.transcription.mesh`); None: each string has its own. spans (count,): the span of constant
+    control of each interval, numbered from 0; None: each interval has its own. Given controls are
+    averaged within groups and spans.
     """
 
     def __init__(
@@ -49,7 +42,7 @@ class ControlSensitivities:
     ) -> None:
         self._model, self._substeps, self._free_duration = model, substeps, free_duration
         self._grouping = np.eye(model.nu) if grouping is None else grouping
-        self._evened = self._grouping / self._grouping.sum(axis=0) @ self._grouping.T
+        self._average = self._grouping / self._grouping.sum(axis=0) @ self._grouping.T
         self._spans = None if spans is None or spans[-1] + 1 == len(spans) else spans
 
     @cached_property
@@ -57,24 +50,13 @@ class ControlSensitivities:
         return ArrayFunction(self._model.ode)
 
     def rollout(self, start: Array, controls: Array, duration: float) -> Array:
-        """Return the states (count + 1, nx) of the motion under controls (count, nu); NaN from where it diverges."""
-        return self._rolled(start, self._even(controls), duration / len(controls))[0]
+        """Simulate the motion under controls (count, nu); NaN from where it diverges.
 
-    def _even(self, controls: Array) -> Array:
-        """Return controls (count, nu) that are the same within groups and spans."""
-        if self._spans is not None:
-            controls = (self._summed(controls) / np.bincount(self._spans)[:, None])[self._spans]
-        return np.asarray(controls @ self._evened)
+        Returns the states (count + 1, nx) at the ends of intervals.
+        """
+        return self._simulate(start, self._averaged(controls), duration / len(controls))[0]
 
-    def _summed(self, values: Array) -> Array:
-        """Sum values (…, count, m) over the intervals of each span."""
-        return (
-            values
-            if self._spans is None
-            else np.add.reduceat(values, np.unique(self._spans, return_index=True)[1], axis=-2)
-        )
-
-    def of_rows(
+    def gradient(
         self,
         rows: ca.Function,
         weights: Array,
@@ -83,13 +65,26 @@ class ControlSensitivities:
         duration: float,
         at: int | None = None,
     ) -> Array:
-        """Return the gradient (m, spans·groups [+ 1]) of weights (m, ·) @ rows(x) by all controls (and the duration).
+        """Compute the gradient (m, spans·groups [+ 1]) of weights (m, ·) @ rows(x).
 
-        rows are taken after `at` intervals from `start`, None: all. NaN where the motion diverges.
+        It is with respect to all controls, and to the duration where it is free. rows are taken
+        after `at` intervals from `start`, None: all. NaN where the motion diverges.
         """
-        length = duration / len(controls)
-        last, motion = self._linearised(rows, weights, start, self._even(controls)[:at], length)
-        return self._gradient(last, motion, len(controls), length)
+        count, length, groups = len(controls), duration / len(controls), self._grouping.shape[1]
+        by_control, by_length = np.zeros((count, len(weights), groups)), np.zeros(len(weights))
+        held = self._averaged(controls)[:at]
+        states, points = self._simulate(start, held, length)
+        if np.all(np.abs(states) <= 1e20):  # else it has diverged
+            last = weights @ _jacobian(rows, states[-1])
+            own, by_length = self._sweep_back(last, points, held, length)
+            by_control[: len(held)] = own @ self._grouping
+        else:
+            by_control[:] = by_length[:] = np.nan
+        spans = by_control.transpose(1, 0, 2)
+        if self._spans is not None:
+            spans = self._sum_spans(spans)
+        by_span = spans.reshape(len(weights), -1 if spans.size else 0)
+        return np.column_stack([by_span, *[by_length / count] * self._free_duration])
 
     def controllable_rows(
         self,
@@ -101,77 +96,27 @@ class ControlSensitivities:
         at: int | None = None,
         least: float = REACHED,
     ) -> Array:
-        """Return orthonormal combinations (rank, m) of the rows that the controls can move, see `independent_rows`."""
-        length = duration / len(controls)
-        last, motion = self._linearised(rows, weights, start, self._even(controls)[:at], length)
-        if (
-            motion is not None
-            and self._spans is None
-            and self._surely_controlled(last, motion, length, least)
-        ):
-            return np.eye(len(weights))
-        return independent_rows(self._gradient(last, motion, len(controls), length), least)
+        """Find orthonormal combinations (rank, m) of the rows that the controls can change."""
+        return independent_rows(self.gradient(rows, weights, start, controls, duration, at), least)
 
-    def _surely_controlled(
-        self, last: Array, motion: LinearDynamics, length: float, least: float
-    ) -> bool:
-        """Tell whether the controls of the last intervals alone move all rows by more than their share of the size of the whole gradient.
+    def _averaged(self, controls: Array) -> Array:
+        """Average controls (count, nu) within groups and spans."""
+        if self._spans is not None:
+            sums = self._sum_spans(controls)
+            controls = (sums / np.bincount(self._spans)[:, None])[self._spans]
+        return np.asarray(controls @ self._average)
 
-        That size is estimated from a few random combinations of the rows, as E |wᵀ S|² = |S|² for w
-        of independent unit variance: the strongest direction grows with it.
+    def _sum_spans(self, values: Array) -> Array:
+        """Sum values (…, count, m) over the intervals of each span."""
+        first = np.unique(self._spans, return_index=True)[1]
+        return np.asarray(np.add.reduceat(values, first, axis=-2))
+
+    def _simulate(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
+        """Simulate in steps, `substeps` an interval.
+
+        Returns the states (count + 1, nx) at the ends of intervals, and the points
+        (4 count substeps, nx) of all stages.
         """
-        if len(last) < FEW:
-            return False
-        probes = np.random.default_rng(0).normal(size=(PROBES, len(last))) / np.sqrt(PROBES)
-        size = sum(
-            float(np.sum(by_control**2))
-            for by_control, _ in self._backwards(probes @ last, motion, length)
-        )
-        gathered, compared = np.zeros((len(last), len(last))), FIRST_COMPARED
-        for count, (by_control, _) in enumerate(self._backwards(last, motion, length), 1):
-            gathered += by_control @ by_control.T
-            if count == compared and np.all(np.isfinite(gathered)):
-                compared *= 2
-                squares = np.linalg.eigvalsh(gathered)
-                if squares[0] > (SURELY * least) ** 2 * squares[-1] * max(
-                    1.0, size / squares.sum()
-                ):
-                    return True
-        return False
-
-    def _gradient(
-        self, last: Array, motion: LinearDynamics | None, count: int, length: float
-    ) -> Array:
-        """Return the derivatives of `of_rows` of rows with the gradient `last` (m, nx) at the end of the motion."""
-        groups = self._grouping.shape[1]
-        result = np.zeros((len(last), count * groups + self._free_duration))
-        if motion is None:
-            return np.full_like(result, np.nan)
-        end = len(motion.rates) // (4 * self._substeps)
-        for back, (by_control, by_length) in enumerate(self._backwards(last, motion, length), 1):
-            result[:, (end - back) * groups : (end - back + 1) * groups] = by_control
-            result[:, count * groups :] += by_length[:, None] / count
-        by_span = self._summed(result[:, : count * groups].reshape(len(last), count, groups))
-        return np.column_stack(
-            [
-                by_span.reshape(len(last), np.prod(by_span.shape[1:], dtype=int)),
-                result[:, count * groups :],
-            ]
-        )
-
-    def _linearised(
-        self, rows: ca.Function, weights: Array, start: Array, controls: Array, length: float
-    ) -> tuple[Array, LinearDynamics | None]:
-        """Return the gradient (m, nx) of the rows at the end of the motion under even controls, and the motion; None where it diverges."""
-        states, points = self._rolled(start, controls, length)
-        if not np.all(np.abs(states) <= LARGEST):
-            return np.zeros((len(weights), len(start))), None
-        return weights @ _slope(rows, states[-1]), EquationDerivatives.of(self._model).at(
-            points, np.repeat(controls, 4 * self._substeps, axis=0)
-        )
-
-    def _rolled(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
-        """Return the states (count + 1, nx) at the ends of intervals, and the points (4 count substeps, nx) at which the rate is taken."""
         h, n = length / self._substeps, self._substeps
         points: list[Array] = []
         rates: list[Array] = []
@@ -179,7 +124,7 @@ class ControlSensitivities:
         states[0] = start
         for k, u in enumerate(np.repeat(controls, n, axis=0)):
             x = states[k]
-            for stage in range(4):  # each sees the one before it only
+            for stage in range(4):  # each depends on the one before it only
                 points.append(
                     x if stage == 0 else x + h * CLASSICAL.a[stage][stage - 1] * rates[-1]
                 )
@@ -189,32 +134,35 @@ class ControlSensitivities:
                 break
         return states[::n], np.array(points)
 
-    def _backwards(
-        self, last: Array, motion: LinearDynamics, length: float
-    ) -> Iterator[tuple[Array, Array]]:
-        """Yield the derivatives of rows with the gradient `last` (m, nx), interval by interval from the last to the first.
+    def _sweep_back(
+        self, last: Array, points: Array, controls: Array, length: float
+    ) -> tuple[Array, Array]:
+        """Sweep the gradient `last` (m, nx) of the final state back to the controls.
 
-        By the controls of each group, (m, groups), and by the length of all intervals, (m,): what
-        this interval adds.
+        Returns the derivatives (count, m, nu) with respect to the control of each interval, and
+        (m,) with respect to the length of all intervals.
         """
-        h, nx, stages = length / self._substeps, last.shape[1], 4 * self._substeps
-        pulled, later = last.T, np.zeros_like(last.T)
-        for end in range(len(motion.rates), 0, -stages):
-            by_control, by_length = np.zeros((self._model.nu, len(last))), np.zeros(len(last))
-            for k in reversed(range(end - stages, end)):
-                i = k % 4
-                if i == 3:
-                    before, later = pulled, np.zeros_like(pulled)
-                pull = CLASSICAL.b[i] * before + (CLASSICAL.a[i + 1][i] * later if i < 3 else 0.0)
-                slopes = h * motion.adjoint(k, pull)
-                later = slopes[:nx]
-                pulled = pulled + later
-                by_control += slopes[nx : nx + self._model.nu]
-                by_length += motion.rates[k] @ pull / self._substeps
-            yield by_control.T @ self._grouping, by_length
+        h, nx, nw = length / self._substeps, last.shape[1], self._model.nx + self._model.nu
+        stages = 4 * self._substeps
+        motion = EquationDerivatives.of(self._model).at(points, np.repeat(controls, stages, axis=0))
+        by_control = np.zeros((len(controls), self._model.nu, len(last)))
+        by_length, after, later = np.zeros(len(last)), last.T, np.zeros_like(last.T)
+        for k in reversed(range(len(points))):
+            i = k % 4
+            if i == 3:
+                before, later = after, np.zeros_like(after)
+            seed = CLASSICAL.b[i] * before + (CLASSICAL.a[i + 1][i] * later if i < 3 else 0.0)
+            slopes = h * motion.adjoint(k, seed)
+            later = slopes[:nx]
+            after = after + later
+            by_control[k // stages] += slopes[nx:nw]
+            by_length += motion.rates[k] @ seed / self._substeps
+        return by_control.transpose(0, 2, 1), by_length
 
 
-def _slope(rows: ca.Function, x: Array) -> Array:
-    """Return the gradient (m, nx) of the rows of a Function of x."""
+def _jacobian(rows: ca.Function, x: Array) -> Array:
+    """Compute the Jacobian (m, nx) of the rows of a Function of x."""
     symbol: Any = (ca.SX if rows.is_a("SXFunction") else ca.MX).sym("x", len(x))
-    return np.asarray(ca.Function("slope", [symbol], [ca.jacobian(rows(symbol), symbol)])(x).full())
+    return np.asarray(
+        ca.Function("jacobian", [symbol], [ca.jacobian(rows(symbol), symbol)])(x).full()
+    )

@@ -102,7 +102,7 @@ def test_invariants_are_all_that_the_strings_cannot_change(name):
     A = ca.Function("A", [x], [ca.vertcat(*gradients)])(states[-1]).full()
     free = null_space(A / np.linalg.norm(A, axis=1, keepdims=True), RANK)
     assert free.shape[1] == model.nx - count
-    sensitivity = reach.of_rows(
+    sensitivity = reach.gradient(
         ca.Function("state", [x], [x]), np.eye(model.nx), start, controls, 1.0
     )
     assert len(independent_rows(sensitivity, REACHED)) == model.nx - count
