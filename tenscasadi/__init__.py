@@ -6,7 +6,8 @@ Pictures are in `tenscasadi.plots`, which loads matplotlib and is imported by na
 from __future__ import annotations
 
 from tenscasadi.analysis.certify import NoReference, Reference, certify
-from tenscasadi.analysis.modes import Linearization, Modes, linearize, mode_motion, modes
+from tenscasadi.analysis.mode_motion import mode_motion
+from tenscasadi.analysis.modes import Linearization, Modes, linearize, modes
 from tenscasadi.analysis.recommend import NoScheme, Recommendation, recommend
 from tenscasadi.analysis.tradeoff import tradeoff
 from tenscasadi.analysis.tradeoff_table import Row, Tradeoff

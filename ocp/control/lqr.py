@@ -200,7 +200,7 @@ def track(
 
     Notes
     -----
-    Riccati's recursion minimises Σ (δq/place)² + (δv/speed)² + (δγ/effort)² of small departures
+    Riccati's recursion minimizes Σ (δq/place)² + (δv/speed)² + (δγ/effort)² of small departures
     from the plan: of coordinates or, of free structures, of distances between nodes. Derivatives
     are those of the integrated steps, in an orthonormal basis of the changes that bars and joints
     allow [1]_.

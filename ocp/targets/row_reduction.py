@@ -171,7 +171,7 @@ def reduce_rows(
     known = np.zeros((0, H.shape[1]))
     for kind, A in groups:
         before = int(np.sum(values > RANK))
-        known = np.concatenate([known, _normalised(A)])
+        known = np.concatenate([known, _normalized(A)])
         left, values, _ = separated_svd(rows @ null_space(known, RANK))
         repeated[kind] = repeated.get(kind, 0) + before - int(np.sum(values > RANK))
     kept = values > RANK
@@ -206,6 +206,6 @@ def soft_directions(
     return F @ D, W, np.asarray(D.T @ forms @ D)
 
 
-def _normalised(A: Array) -> Array:
+def _normalized(A: Array) -> Array:
     norms = np.linalg.norm(A, axis=1, keepdims=True)
     return np.asarray(np.divide(A, norms, out=np.zeros_like(A), where=norms > 1e-9))

@@ -1,4 +1,4 @@
-"""Small motions about a state: the linearised equations, natural modes that respect bars and joints, and a mode as a motion to draw."""
+"""Small motions about a state: linearized equations and natural modes."""
 
 from __future__ import annotations
 
@@ -18,13 +18,10 @@ from tenscasadi.analysis.constrained_eigenproblem import (
 )
 from tenscasadi.dynamics.linearization import EquationDerivatives, displacements
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import extent
-from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
+from tenscasadi.util.validate import Array, finite_array, instance, whole_number
 
 DENSE = 600  # coordinates up to which all modes are computed, by dense matrices
-_MOST_ROWS = 100_000  # times of a motion
 LOWEST = 20  # modes of larger structures where no number is asked for
 # stiffness against a rigid-body motion that counts as none, relative to that of all motions
 NEUTRAL = 1e-9
@@ -73,7 +70,7 @@ class Modes(ReadOnlyArrays):
         Natural frequencies in increasing order, Hz. An unstable mode has a negative one: −√(−λ)/2π
         for an eigenvalue λ < 0.
     shape : ndarray (k, n, 3)
-        Displacements of the nodes in each mode, normalised by mass.
+        Displacements of the nodes in each mode, normalized by mass.
     rigid : int
         Number of rigid-body motions that were left out.
     residual : float
@@ -104,9 +101,9 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
     model : Model
         The model.
     x : array_like (nx,), optional
-        State to linearise about; None: the initial state.
+        State to linearize about; None: the initial state.
     u : array_like (nu,), optional
-        Control to linearise about; None: the initial control.
+        Control to linearize about; None: the initial control.
     parameters : array_like, shape (np,), or mapping, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
@@ -237,78 +234,6 @@ def modes(
     shape = model.nodes(displacement) - model.nodes(np.zeros(model.nx))
     frequency = np.sign(values) * np.sqrt(np.abs(values)) / (2 * np.pi)
     return Modes(frequency, shape, rigid, residual)
-
-
-def mode_motion(
-    model: Model,
-    modes: Modes,
-    index: int,
-    amplitude: float | None = None,
-    rows: int = 41,
-    parameters: Any = None,
-) -> Trajectory:
-    """Return one period of a natural mode about the model's initial shape as a trajectory, for plots and animations.
-
-    Nodes move in straight lines, so bar lengths are off in the second order of the amplitude;
-    `bar_length_error` says by how much. An unstable mode gets the period that its rate of growth
-    would give a vibration.
-
-    Parameters
-    ----------
-    model : Model
-        The model that the modes belong to.
-    modes : Modes
-        Result of `modes(model)`.
-    index : int
-        Number of the mode, from 0.
-    amplitude : float, optional
-        Way of the node that moves furthest, m; None: a twentieth of the structure's size.
-    rows : int
-        Number of times in the trajectory.
-    parameters : array_like, shape (np,), or mapping, optional
-        Values of the model's parameters, as those of the modes.
-
-    Returns
-    -------
-    Trajectory
-        The motion over one period.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument has a wrong type, there is no such mode, or the modes are those of another
-        structure.
-
-    Examples
-    --------
-    >>> import tenscasadi as tc
-    >>> model = tc.Model(tc.Scene(tc.shapes.prism(prestress=30.0)))
-    >>> motion = tc.mode_motion(model, tc.modes(model), index=0, amplitude=0.02)
-    >>> motion.nodes.shape
-    (41, 6, 3)
-    """
-    instance("model", model, Model, "a tenscasadi.Model")
-    instance("modes", modes, Modes, "the result of tenscasadi.modes(model)")
-    if whole_number("index", index, 0) >= len(modes.frequency):
-        raise ValueError(
-            f"index is {index}: modes are numbered from 0 to {len(modes.frequency) - 1}"
-        )
-    count = whole_number("rows", rows, 3, _MOST_ROWS)
-    shape = modes.shape[index]
-    if shape.shape != model.structure.nodes.shape:
-        raise ValueError(
-            f"modes.shape has {shape.shape[0]} nodes: give the modes of this model, which has {len(model.structure.nodes)}"
-        )
-    reach = extent(model) / 20 if amplitude is None else positive_number("amplitude", amplitude)
-    omega = 2 * np.pi * max(abs(float(modes.frequency[index])), 1e-9)
-    time = np.linspace(0.0, 2 * np.pi / omega, count)
-    moved = shape * (reach / np.linalg.norm(shape, axis=1).max())
-    nodes = model.structure.nodes + np.sin(omega * time)[:, None, None] * moved
-    velocities = omega * np.cos(omega * time)[:, None, None] * moved
-    states = np.array([model.state(*row) for row in zip(nodes, velocities, strict=True)])
-    controls = np.tile(model.held(None, parameters), (count, 1))
-    message = f"mode {index}, {modes.frequency[index]:.4g} Hz"
-    return record_trajectory(model, time, states, controls, step=float(time[1]), message=message)
 
 
 def _numbers(model: Model, x: Any, u: Any, parameters: Any) -> tuple[Array, Array]:

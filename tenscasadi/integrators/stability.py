@@ -1,4 +1,4 @@
-"""How large a step may be: the rates of the linearised motion against the stability region of a scheme."""
+"""How large a step may be: the rates of the linearized motion against the stability region of a scheme."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _HALF_DISC = np.append(
 def fastest_rate(model: Model, x: Any = None, u: Any = None, parameters: Any = None) -> float:
     """Compute ω_max, rad/s: the largest |eigenvalue| of ∂ode/∂x at state `x` (nx,) and control `u` (nu,); None: the model's initial ones.
 
-    Above 400 states it is found by Arnoldi's method to about 1 %. NaN where the linearisation is
+    Above 400 states it is found by Arnoldi's method to about 1 %. NaN where the linearization is
     not finite. Raises TypeError, ValueError.
     """
     return float(np.abs(_rates(model, x, u, parameters)).max(initial=0.0))
@@ -49,7 +49,7 @@ def stable_step(
     safety: float = 0.9,
     parameters: Any = None,
 ) -> float:
-    """Compute the largest step at which a scheme is stable for the motion linearised at a state.
+    """Compute the largest step at which a scheme is stable for the motion linearized at a state.
 
     A larger step makes vibrations grow until the run breaks down; a much smaller one is a matter of
     accuracy. Strings that go taut and bars that spin faster later on change the limit.
@@ -72,7 +72,7 @@ def stable_step(
     Returns
     -------
     float
-        Step, s; infinite where nothing limits it, NaN where the linearisation is not finite.
+        Step, s; infinite where nothing limits it, NaN where the linearization is not finite.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def stable_step(
     Warns
     -----
     UserWarning
-        If the linearisation is not finite.
+        If the linearization is not finite.
 
     Notes
     -----
@@ -159,7 +159,7 @@ def log_growth(
     bound: float,
     parameters: Any = None,
 ) -> float:
-    """Compute log |R| of the mode of the motion linearised at a state that one step, s, of a scheme amplifies most; 0 where none grows.
+    """Compute log |R| of the mode of the motion linearized at a state that one step, s, of a scheme amplifies most; 0 where none grows.
 
     Growth of the motion itself is none of the scheme. What the `rate_bound` leaves below `ignored`
     is returned as 0.
@@ -173,7 +173,7 @@ def log_growth(
 
 
 def fastest_damped(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
-    """Compute the fastest rate, 1/s, at which damping slows a mode of the motion linearised at a state down rather than lets it swing; 0: none."""
+    """Compute the fastest rate, 1/s, at which damping slows a mode of the motion linearized at a state down rather than lets it swing; 0: none."""
     rates = _rates(model, x, u, parameters)
     return float(-rates.real[-rates.real > np.abs(rates.imag)].min(initial=0.0))
 

@@ -61,7 +61,7 @@ def solve_stages(model: Model, A: Array, sweeps: int) -> ca.Function:
     Bars are not stiff, they are rigid: along them δ is the residual itself. So the system is that
     of free nodes, M − h l C − h² l² K with C and K from the forces alone, in which very stiff
     springs hold bars and joints at what the residual asks for. It is symmetric and positive
-    definite: LDLᵀ, a tenth of the work of other factorisations, and no derivative of the
+    definite: LDLᵀ, a tenth of the work of other factorizations, and no derivative of the
     multipliers.
 
     .. [1] van der Houwen, de Swart, Triangularly implicit iteration methods for ODE-IVP solvers,

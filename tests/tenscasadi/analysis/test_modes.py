@@ -12,7 +12,8 @@ from scipy.special import jn_zeros
 
 import tenscasadi.analysis.modes as modes_module
 from tenscasadi import plots
-from tenscasadi.analysis.modes import linearize, mode_motion, modes
+from tenscasadi.analysis.mode_motion import mode_motion
+from tenscasadi.analysis.modes import linearize, modes
 from tenscasadi.animation import animate
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import stable_step
