@@ -14,7 +14,8 @@ from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
 from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density, self_stress
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.mechanism import Multipliers
-from tenscasadi.dynamics.model import Energy, Model
+from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.observations import Energy
 from tenscasadi.dynamics.state_space import Constraints
 from tenscasadi.ensemble.feedback import Feedback
 from tenscasadi.ensemble.result import Rollouts

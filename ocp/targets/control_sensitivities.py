@@ -82,7 +82,7 @@ class ControlSensitivities:
             by_control[:] = by_length[:] = np.nan
         spans = by_control.transpose(1, 0, 2)
         if self._spans is not None:
-            spans = self._sum_spans(spans)
+            spans = _sum_spans(spans, self._spans)
         by_span = spans.reshape(len(weights), -1 if spans.size else 0)
         return np.column_stack([by_span, *[by_length / count] * self._free_duration])
 
@@ -102,14 +102,9 @@ class ControlSensitivities:
     def _averaged(self, controls: Array) -> Array:
         """Average controls (count, nu) within groups and spans."""
         if self._spans is not None:
-            sums = self._sum_spans(controls)
+            sums = _sum_spans(controls, self._spans)
             controls = (sums / np.bincount(self._spans)[:, None])[self._spans]
         return np.asarray(controls @ self._average)
-
-    def _sum_spans(self, values: Array) -> Array:
-        """Sum values (…, count, m) over the intervals of each span."""
-        first = np.unique(self._spans, return_index=True)[1]
-        return np.asarray(np.add.reduceat(values, first, axis=-2))
 
     def _simulate(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
         """Simulate in steps, `substeps` an interval.
@@ -166,3 +161,9 @@ def _jacobian(rows: ca.Function, x: Array) -> Array:
     return np.asarray(
         ca.Function("jacobian", [symbol], [ca.jacobian(rows(symbol), symbol)])(x).full()
     )
+
+
+def _sum_spans(values: Array, spans: Indices) -> Array:
+    """Sum values (…, count, m) over the intervals of each span."""
+    first = np.unique(spans, return_index=True)[1]
+    return np.asarray(np.add.reduceat(values, first, axis=-2))

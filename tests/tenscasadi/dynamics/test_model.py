@@ -332,3 +332,21 @@ def test_energies_errors_and_multipliers_are_expressions_of_a_symbolic_state(
             value.full().squeeze(), np.squeeze(number), rtol=1e-12, atol=1e-12
         )
     assert isinstance(model.bar_length_error(state), float)
+
+
+def test_forces_on_pins_without_bars_are_those_of_full_coordinates() -> None:
+    hanging = Structure(
+        [(0, 0, 0), (0, 0, -1.1)],
+        strings=[(0, 1)],
+        node_mass=[0, 1.0],
+        pinned=[0],
+        stiffness=100.0,
+        rest_length=1.0,
+    )
+    scene = Scene(hanging, gravity=Gravity((0, 0, -10.0)))
+    forces = [
+        model.multipliers(model.initial_state).joint_force
+        for model in (Model(scene), Model(scene, "full"))
+    ]
+    assert forces[0] == pytest.approx(forces[1])
+    assert forces[0][:, 0] == pytest.approx([0, 0, 10.0])

@@ -1,0 +1,215 @@
+"""Conversion between states and nodes: how x holds the columns of N and V."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics.mechanism import Coordinates, Mechanism
+from tenscasadi.scene.scene import Scene
+from tenscasadi.util.validate import Array, finite_array, rows_of_size
+
+
+class NodeCoordinates:
+    """Positions, velocities and clock in a state, and the motion of supports.
+
+    Attributes: nq and nx are the sizes of the positions and of the state.
+    """
+
+    def __init__(self, scene: Scene, coordinates: Coordinates, mechanism: Mechanism) -> None:
+        self.scene, self.structure = scene, scene.modelled
+        self.coordinates: Coordinates = coordinates
+        self.mechanism = mechanism
+        self._supports = None if scene.supports is None else scene.supports.rates()
+        self._free = mechanism.free_index
+        self.nq = len(self._free)
+        self.nx = 2 * self.nq + (1 if scene.has_clock else 0)
+
+    # --- numbers ---
+
+    def state(self, nodes: Any, velocities: Any = None) -> Array:
+        """Return the state of given nodes and velocities; its clock is 0.
+
+        Parameters
+        ----------
+        nodes : array_like, shape (n, 3)
+            Positions of the physical nodes, those inside subdivided strings included, m.
+        velocities : array_like, shape (n, 3), optional
+            Their velocities, m/s; at rest if None. Moved supports keep their own motion.
+
+        Returns
+        -------
+        ndarray, shape (nx,)
+            State.
+
+        Raises
+        ------
+        ValueError
+            If a pinned coordinate is elsewhere or moves.
+        """
+        n = len(self.structure.nodes)
+        positions = finite_array("nodes", nodes, (n, 3))
+        speeds = (
+            np.zeros((n, 3))
+            if velocities is None
+            else finite_array("velocities", velocities, (n, 3))
+        )
+        if self._supports is not None:
+            speeds = speeds.copy()
+            speeds[self._moved] = self._supports(0.0)[1].full().T  # theirs, whatever is given
+        self._check_supports(positions, speeds)
+        columns = self.mechanism.physical
+        x = np.zeros(self.nx)
+        q, v, _ = self.split(x)
+        q[:], v[:] = (
+            self.mechanism.local(vectors[columns].ravel())[self._free]
+            for vectors in (positions, speeds)
+        )
+        return x
+
+    def _check_supports(self, positions: Array, speeds: Array) -> None:
+        """Raise ValueError where nodes (n, 3) or velocities (n, 3) leave pins or rollers."""
+        structure, fixed = self.structure, self.structure.fixed.copy()
+        fixed[self._moved] = False
+        size = np.ptp(structure.nodes, axis=0).max(initial=0.0)
+        moves = {
+            "nodes": (positions - structure.nodes, 1e-9 * max(size, 1e-300)),
+            "velocities": (speeds, 1e-9 * abs(speeds).max(initial=0.0)),
+        }
+        for name, (vectors, least) in moves.items():
+            for node, axis in np.argwhere((abs(vectors) > least) & fixed)[:1]:
+                raise ValueError(
+                    f"{name}[{node}, {axis}] moves a pinned coordinate: keep node {node} at {structure.nodes[node]}, at rest"
+                )
+        for node, normals in structure.rollers.items():
+            for name, (vectors, least) in moves.items():
+                if np.any(abs(np.array(normals) @ vectors[node]) > least):
+                    raise ValueError(
+                        f"{name}[{node}] moves node {node} off its roller: keep it where it is along {normals}"
+                    )
+
+    def nodes(self, x: Any) -> Any:
+        """Return the positions of physical nodes.
+
+        Parameters
+        ----------
+        x : array_like, shape (..., nx), or CasADi column
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., n, 3), or CasADi matrix
+            Positions, m; 3×n where x is CasADi.
+        """
+        return self._physical(x, 0, self.mechanism.N.T)
+
+    def velocities(self, x: Any) -> Any:
+        """Return the velocities of physical nodes.
+
+        Parameters
+        ----------
+        x : array_like, shape (..., nx), or CasADi column
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., n, 3), or CasADi matrix
+            Velocities, m/s; 3×n where x is CasADi.
+        """
+        return self._physical(x, 1, np.zeros_like(self.mechanism.N.T))
+
+    # --- expressions ---
+
+    def split(self, x: Any) -> tuple[Any, Any, Any]:
+        """Return positions (nq), velocities (nq) and clock (1 or 0) of states: views of arrays (…, nx), rows of CasADi matrices (nx, …)."""
+        parts = slice(self.nq), slice(self.nq, 2 * self.nq), slice(2 * self.nq, self.nx)
+        if isinstance(x, np.ndarray):
+            return x[..., parts[0]], x[..., parts[1]], x[..., parts[2]]
+        return x[parts[0], :], x[parts[1], :], x[parts[2], :]
+
+    def unpack(self, x: Any) -> tuple[Any, Any, Any]:
+        """Return N, m, and V, m/s, (3×n, the columns of `mechanism`) and the time, s, of a CasADi state."""
+        start, (q, v, clock) = self.mechanism.N.T, self.split(x)
+        time = clock if self.scene.has_clock else 0
+        N, V = self._place(q, start), self._place(v, np.zeros_like(start))
+        if self._supports is not None and self.coordinates == "reduced":
+            N[:, self._moved], V[:, self._moved], _ = self._supports(time)
+        return N, V, time
+
+    def targets(self, time: Any) -> tuple[Any, Any, Any]:
+        """Return D of N P = D, m, and its first two rates (3×c) at a time, s: joints, pins and moved supports of full coordinates."""
+        mech = self.mechanism
+        still = ca.DM.zeros(*mech.D.shape)
+        if self._supports is None or not mech.joints:
+            return ca.DM(mech.D), still, still
+        held = mech.P.toarray()
+        alone = (np.count_nonzero(held, axis=0) == 1) & mech.active.all(
+            axis=0
+        )  # columns of P that pin one of a node's copies alone
+        pinned = mech.physical[abs(held).argmax(axis=0)]
+        columns = [int(np.flatnonzero(alone & (pinned == node))[0]) for node in self._moved]
+        sign = ca.DM(held[:, columns].sum(axis=0)).T
+        results = []
+        for base, rate in zip((ca.DM(mech.D), still, still), self._supports(time), strict=True):
+            D = type(rate)(base)
+            D[:, columns] = rate * ca.repmat(sign, 3, 1)
+            results.append(D)
+        return results[0], results[1], results[2]
+
+    @property
+    def _moved(self) -> list[int]:
+        return [] if self.scene.supports is None else self.scene.supports.nodes
+
+    def _place(self, free: Any, elsewhere: Array) -> Any:
+        if self.nq == elsewhere.size:
+            return ca.reshape(free, 3, len(elsewhere))
+        vector = type(free)(ca.DM(self.mechanism.local(elsewhere.ravel())))
+        vector[self._free.tolist()] = free
+        return ca.reshape(self.mechanism.world(vector), 3, len(elsewhere))
+
+    def pack(self, upper: Any, lower: Any, clock: Any) -> Any:
+        """Return the state (nx) of two 3×n matrices and, where there is a clock, its entry: the inverse of `unpack`, also for rates of change."""
+        free = self._free.tolist()
+        parts = [
+            self.mechanism.local(ca.vec(matrix))[free]
+            if self.nq < 3 * matrix.shape[1]
+            else ca.vec(matrix)
+            for matrix in (upper, lower)
+        ]
+        return ca.densify(ca.vertcat(*parts, *([clock] if self.scene.has_clock else [])))
+
+    def support_accelerations(self, time: Any) -> Any:
+        """Return the accelerations (3×n), m/s², of supports that are moved in reduced coordinates, where P does not hold them; else zero."""
+        if self._supports is None or self.coordinates == "full":
+            return ca.DM(*self.mechanism.N.shape)  # without entries: adds no instructions
+        moved = type(time).zeros(*self.mechanism.N.shape)
+        moved[:, self._moved] = self._supports(time)[2]
+        return moved
+
+    def _physical(self, x: Any, part: int, elsewhere: Array) -> Any:
+        if isinstance(x, (ca.SX, ca.MX)):
+            return self.unpack(check_column("x", x, self.nx))[part][
+                :, self.mechanism.first.tolist()
+            ]
+        states = rows_of_size("x", x, self.nx, "states")
+        result = np.broadcast_to(
+            self.mechanism.local(elsewhere.ravel()), (*states.shape[:-1], elsewhere.size)
+        ).copy()
+        result[..., self._free] = self.split(states)[part]
+        nodes = self.mechanism.world(result).reshape(*states.shape[:-1], len(elsewhere), 3)
+        if self._supports is not None and self.coordinates == "reduced" and states.size:
+            times = states[..., -1].ravel()
+            moved = self._supports.map(times.size)(times.reshape(1, -1))[part].full().T
+            nodes[..., self._moved, :] = moved.reshape(*states.shape[:-1], len(self._moved), 3)
+        return nodes[..., self.mechanism.first, :]
+
+
+def check_column(name: str, value: Any, size: int) -> Any:
+    """Check a column of CasADi's, or convert an array (size,) to one."""
+    if not isinstance(value, (ca.SX, ca.MX)):
+        return ca.DM(finite_array(name, value, (size,)))
+    if value.shape != (size, 1):
+        raise ValueError(f"{name} has shape {value.shape}: give a column of {size}")
+    return value

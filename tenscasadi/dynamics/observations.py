@@ -1,0 +1,209 @@
+"""Quantities of a state: nodes, forces of strings, energies, errors of constraints."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from tenscasadi.dynamics import forces
+from tenscasadi.dynamics.mechanism import Mechanism
+from tenscasadi.dynamics.state_space import StateSpace
+from tenscasadi.util.casadi_tools import sparse
+
+
+class Energy(NamedTuple):
+    """Energies of a state.
+
+    Attributes
+    ----------
+    kinetic : float
+        Energy of motion, J.
+    elastic : float
+        Energy of taut strings and of the ground's springs, J.
+    gravity : float
+        Energy in gravity, J; zero with all mass at the origin, and where gravity changes over time.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> pendulum = tc.Structure([(0, 0, 0), (0, 0, -1)], bars=[(0, 1)], pinned=(0,))
+    >>> model = tc.Model(tc.Scene(pendulum, gravity=tc.Gravity((0, 0, -10))))
+    >>> round(model.energy(model.initial_state).total, 6)
+    -5.0
+    """
+
+    kinetic: float
+    elastic: float
+    gravity: float
+
+    @property
+    def total(self) -> float:
+        """The sum of all three, J."""
+        return self.kinetic + self.elastic + self.gravity
+
+
+def _kinetic_energy(mech: Mechanism, V: Any) -> Any:
+    return ca.sum2(ca.sum1(V * ca.mtimes(V, sparse(mech.M)))) / 2
+
+
+class Observations(StateSpace):
+    """Quantities of a state as CasADi Functions, and in numbers."""
+
+    @cached_property
+    def observe(self) -> ca.Function:
+        """All that can be observed at a state: Function "observe" (x, u) → seven outputs.
+
+        They are ``nodes``, m, and ``velocities``, m/s, (3n, node by node), ``force_density``, N/m,
+        and ``tension``, N, of the modelled strings (α), ``energy`` (kinetic, elastic, gravity, J),
+        ``bar_length_error`` and ``joint_error``, m.
+        """
+        x, u = self.symbols(not self.mechanism.large)
+        N, V, time = self.unpack(x)
+        mech = self.weighted(u, inverse=False)
+        gamma, S = forces.string_force_density(self.scene, mech, N, V, u)
+        first = self.mechanism.first.tolist()
+        outputs = {
+            "nodes": ca.vec(N[:, first]),
+            "velocities": ca.vec(V[:, first]),
+            "force_density": gamma.T,
+            "tension": (gamma * ca.sqrt(ca.sum1(S * S))).T,
+            "energy": ca.vertcat(
+                _kinetic_energy(mech, V), *forces.potential_energy(self.scene, mech, N, u)
+            ),
+            "bar_length_error": self._bar_length_error(N),
+            "joint_error": self._joint_error(N, time),
+        }
+        return self._function(
+            "observe", x, u, [ca.densify(value) for value in outputs.values()], list(outputs)
+        )
+
+    @cached_property
+    def energy_function(self) -> ca.Function:
+        """Total energy: Function "energy" (x, u) → J, without the rest of `observe`."""
+        x, u = self.symbols(not self.mechanism.large)
+        energy = ca.sum1(self.stacked(self.observe)(x, u)[self.observe.index_out("energy")])
+        return self._function("energy", x, u, [energy], ["energy"])
+
+    # --- numbers in, numbers out ---
+
+    def force_density(self, x: Any, u: Any = None, parameters: Any = None) -> Any:
+        """Return the force densities γ of the modelled strings.
+
+        Parameters
+        ----------
+        x : array_like, shape (nx,), or CasADi column
+            State.
+        u : array_like, shape (nu,), or CasADi column, optional
+            Control; the initial control if None.
+        parameters : array_like, shape (np,), mapping, or CasADi column, optional
+            Parameters, see `ParameterLayout.values`; nominal if None.
+
+        Returns
+        -------
+        ndarray, shape (α,), or CasADi column
+            Tension divided by length, N/m (Eq. 99); CasADi where x or u is.
+        """
+        return self._observed("force_density", x, u, parameters)
+
+    def tension(self, x: Any, u: Any = None, parameters: Any = None) -> Any:
+        """Return the tensions of the modelled strings.
+
+        Parameters
+        ----------
+        x : array_like, shape (nx,), or CasADi column
+            State.
+        u : array_like, shape (nu,), or CasADi column, optional
+            Control; the initial control if None.
+        parameters : array_like, shape (np,), mapping, or CasADi column, optional
+            Parameters, see `ParameterLayout.values`; nominal if None.
+
+        Returns
+        -------
+        ndarray, shape (α,), or CasADi column
+            Tensions, N; CasADi where x or u is.
+        """
+        return self._observed("tension", x, u, parameters)
+
+    def energy(self, x: Any, u: Any = None, parameters: Any = None) -> Energy:
+        """Return kinetic, elastic and gravity energy.
+
+        Parameters
+        ----------
+        x : array_like, shape (nx,), or CasADi column
+            State.
+        u : array_like, shape (nu,), or CasADi column, optional
+            Control; the initial control if None.
+        parameters : array_like, shape (np,), mapping, or CasADi column, optional
+            Parameters, see `ParameterLayout.values`; nominal if None.
+
+        Returns
+        -------
+        Energy
+            The three energies, J; CasADi where x or u is. Strings driven by force density store
+            none.
+        """
+        return Energy(*self._scalars("energy", x, u, parameters))
+
+    def bar_length_error(self, x: Any) -> Any:
+        """Return the largest relative error of a bar's length.
+
+        Parameters
+        ----------
+        x : array_like, shape (nx,), or CasADi column
+            State.
+
+        Returns
+        -------
+        float, or CasADi scalar
+            The largest | |b| − l | / l over the bars; 0 is exact.
+        """
+        return self._scalars("bar_length_error", x)[0]
+
+    def joint_error(self, x: Any) -> Any:
+        """Return the largest distance of a joint or pin from its place.
+
+        Parameters
+        ----------
+        x : array_like, shape (nx,), or CasADi column
+            State.
+
+        Returns
+        -------
+        float, or CasADi scalar
+            The largest entry of | N P − D |, m; 0 in reduced coordinates.
+        """
+        return self._scalars("joint_error", x)[0]
+
+    @property
+    def conservative(self) -> bool:
+        """Whether no force outside `energy` does work while the control stands still."""
+        return forces.is_conservative(self.scene)
+
+    # --- expressions ---
+
+    def _bar_length_error(self, N: Any) -> Any:
+        if not self.mechanism.bars:
+            return ca.DM(0)
+        B = self.mechanism.bar_vectors(N)
+        return ca.mmax(ca.fabs(ca.sqrt(ca.sum1(B * B)) / ca.DM(self.mechanism.lengths).T - 1))
+
+    def _joint_error(self, N: Any, time: Any) -> Any:
+        if not self.mechanism.joints:
+            return ca.DM(0)
+        gap = self.mechanism.along_held(
+            ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0]
+        )
+        return ca.mmax(ca.fabs(gap))
+
+    # --- numbers ---
+
+    def _observed(self, name: str, x: Any, u: Any, parameters: Any = None) -> Any:
+        arguments = self.arguments(x, u, parameters)
+        value = self.observe(*arguments)[self.observe.index_out(name)]
+        return value.full().ravel() if isinstance(value, ca.DM) else value
+
+    def _scalars(self, name: str, x: Any, u: Any = None, parameters: Any = None) -> list[Any]:
+        value = self._observed(name, x, u, parameters)
+        return ca.vertsplit(value) if isinstance(value, (ca.SX, ca.MX)) else value.tolist()
