@@ -28,11 +28,12 @@ ROOMS = {
     "analysis": (5, 1, "modes, trade-off"),
     "cli": (6, 0, "command line"),
     "envs": (6, 1, "environments\nfor learning"),
-    "files": (4, 2, "scenes in TOML"),
+    "io": (4, 2, "scenes in TOML"),
     "sweeps": (4, 3, "independent cases\non many cores"),
     "exchange": (5, 2, "MuJoCo, MATLAB,\nNTRT, ParaView"),
     "viewer": (6, 2, "motions in\na browser, live"),
     "design": (3, 1, "equilibrium,\nself-stress"),
+    "schema": (1, 1, "fields of values,\nin files"),
     "util": (0, 1, "input, files,\ncompilation:\nused by all"),
 }
 PLANNING = {
@@ -47,7 +48,7 @@ PLANNING = {
     "condensed": (4, BOTTOM + 1, "large plans,\nby Newton"),
     "phases": (5, BOTTOM + 1, "take-off,\nlanding"),
     "control": (6, BOTTOM + 1, "LQR, MPC,\nMPPI"),
-    "files": (7, BOTTOM + 1, "problems\nin TOML"),
+    "io": (7, BOTTOM + 1, "problems\nin TOML"),
 }
 # from, to, the value that is handed on
 FLOW = [

@@ -12,7 +12,7 @@ from ocp.control.lqr import Tracker, track
 from ocp.control.mpc import Mpc
 from ocp.control.mppi import Mppi
 from ocp.export import export_mpc, export_program
-from ocp.files.problem_files import load_arguments, load_problem, save_problem
+from ocp.io.problem_files import load_arguments, load_problem, save_problem
 from ocp.plan.plan import Plan
 from ocp.plan.robustness import Robustness
 from ocp.problem.bounds.bar_bounds import BarForceLimits, Buckling

@@ -26,15 +26,13 @@ from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
 from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
 from tenscasadi.exchange.ntrt.load import load_ntrt
 from tenscasadi.exchange.vtk import export_vtk
-from tenscasadi.files.document import SceneFileError
-from tenscasadi.files.scene_files import load_scene, load_simulation, save_scene
-from tenscasadi.files.simulation import Simulation
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
+from tenscasadi.io.scene_files import load_scene, load_simulation, save_scene
 from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import ParameterLayout
@@ -42,6 +40,8 @@ from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth
 from tenscasadi.scene.supports import SupportMotion
+from tenscasadi.schema.reading import SceneFileError
+from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.export import export_c
 from tenscasadi.simulation.sensitivities import Sensitivities, sensitivities
 from tenscasadi.simulation.simulate import simulate

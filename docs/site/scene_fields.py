@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from ocp.files.plan_part import PLAN
-from tenscasadi.files.json_schema import scene_schema
+from ocp.io.plan_section import PLAN
+from tenscasadi.io.json_schema import scene_schema
 
 _PARTS = {
     "Structure": (

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import casadi as ca
 from numpy.typing import ArrayLike
 
 from ocp.problem.instant import Instant
+from tenscasadi.schema.forms import PER_ITEM
+from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     instance,
@@ -47,7 +49,7 @@ def cost_terms(costs: Iterable[Cost]) -> CostTerms:
     return CostTerms(*(sum(parts, ()) for parts in zip(*each, strict=True)))
 
 
-class Cost:
+class Cost(Value):
     """A number that is summed with those of the other costs and minimized.
 
     additive: whether the cost of a plan is the sum of those of its phases.
@@ -128,7 +130,7 @@ class CostAt(Cost):
 
 
 @dataclass(frozen=True)
-class Effort(ControlCost):
+class Effort(ControlCost, kind="Effort"):
     """The cost weight · ∫ Σ γ² dt over all strings.
 
     Parameters
@@ -176,7 +178,7 @@ class Effort(ControlCost):
 
 
 @dataclass(frozen=True)
-class Smoothness(ControlCost):
+class Smoothness(ControlCost, kind="Smoothness"):
     """The cost weight · Σ (γ⁺ − γ)²/h over neighbouring intervals, which stands for ∫ Σ γ̇² dt; of rest lengths where these are decided.
 
     h is the time from the middle of one interval to that of the next; where force densities are
@@ -237,7 +239,7 @@ class Smoothness(ControlCost):
 
 
 @dataclass(frozen=True, eq=False)
-class Prestress(ControlCost):
+class Prestress(ControlCost, kind="Prestress"):
     """The cost weight · ∫ Σ (γ − level)² dt, which keeps force densities near a level.
 
     Parameters
@@ -260,7 +262,7 @@ class Prestress(ControlCost):
     20.0
     """
 
-    level: ArrayLike
+    level: Annotated[ArrayLike, PER_ITEM]
     weight: float = 1.0
 
     def __post_init__(self) -> None:
@@ -307,7 +309,7 @@ class Prestress(ControlCost):
 
 
 @dataclass(frozen=True)
-class Duration(FinalCost):
+class Duration(FinalCost, kind="Duration"):
     """The cost weight · T of the duration T, s.
 
     It asks for ``Problem(duration=(shortest, longest))``, and for other costs or limits of force to
@@ -353,7 +355,7 @@ class Duration(FinalCost):
 
 
 @dataclass(frozen=True)
-class Work(RunningCost):
+class Work(RunningCost, kind="Work"):
     """The cost weight · ∫ Σ max(0, −γ s ṡ) dt: the work, J, that strings do as they shorten.
 
     Nothing is won back where strings are drawn out.

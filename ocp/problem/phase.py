@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -17,6 +17,8 @@ from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
+from tenscasadi.schema.forms import SPAN, Members
+from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
     Array,
     finite_array,
@@ -33,7 +35,7 @@ TOUCHES = 1e-2  # of the structure's size: a node that is nearer to the ground t
 
 
 @dataclass(frozen=True, eq=False)
-class Phase:
+class Phase(Value, kind="Phase"):
     """A part of a plan in which the same nodes stand on the ground; all others are in the air.
 
     A plan of several phases is a jump, a landing, steps. Nodes that stand keep their places, as the
@@ -73,10 +75,10 @@ class Phase:
     """
 
     duration: float | tuple[float, float]
-    stands: Sequence[int] = ()
+    stands: Annotated[Sequence[int], Members("node")] = ()
     goals: Iterable[Goal] = ()
     bounds: Iterable[Bound] = ()
-    until: tuple[float, float] | None = None
+    until: Annotated[tuple[float, float] | None, SPAN] = None
 
     def __post_init__(self) -> None:
         own = self.__dict__

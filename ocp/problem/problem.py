@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,9 @@ from ocp.problem.goals.waypoints import INSTANT, Waypoint
 from ocp.problem.phase import Phase, check_phases, phases_between, read_duration, read_items
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
+from tenscasadi.io.structure_section import OfStructure
+from tenscasadi.schema.forms import STATE
+from tenscasadi.schema.value import Value
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import Array, finite_array, instance, nesting, shown
 
@@ -35,7 +38,7 @@ SHORTEST = 1e-3  # of a string's length: the least rest length
 
 
 @dataclass(frozen=True, eq=False)
-class FreeStart:
+class FreeStart(Value, kind="FreeStart"):
     """A start that the solver chooses, as for a gait, which repeats a motion that is not known before.
 
     Bars have their lengths at the start by constraints of their own; a clock starts as it does near
@@ -63,7 +66,7 @@ class FreeStart:
     (AtRest(),)
     """
 
-    near: ArrayLike | None = None
+    near: Annotated[ArrayLike | None, OfStructure("nodes", STATE)] = None
     goals: Iterable[Goal] = ()
 
     def __post_init__(self) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 
 from ocp.problem.costs import RunningCost, check_weight
 from ocp.problem.instant import Instant
+from tenscasadi.schema.containers import MapOf
+from tenscasadi.schema.time_formula import MovingPlace
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import call_user_function, coordinates, node_index, number, shown
 
@@ -18,7 +20,7 @@ UNTRACKED = "an axis that does not matter"
 
 
 @dataclass(frozen=True, eq=False)
-class Tracking(RunningCost):
+class Tracking(RunningCost, kind="Tracking"):
     """The cost weight · ∫ Σ ‖node − place‖² dt, which keeps nodes near places that may move.
 
     Parameters
@@ -49,7 +51,7 @@ class Tracking(RunningCost):
     [3, 4]
     """
 
-    positions: Mapping[int, Place | Callable[[Any], Any]]
+    positions: Annotated[Mapping[int, Place | Callable[[Any], Any]], MapOf("node", MovingPlace())]
     weight: float = 1.0
 
     def __post_init__(self) -> None:

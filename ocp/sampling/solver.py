@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from ocp.sampling.spline_noise import SplineNoise
+from ocp.solvers.base import NamedSolver
+from tenscasadi.schema.containers import ListOf
+from tenscasadi.schema.forms import InPython, Members
 from tenscasadi.util.validate import flag, shown, whole_number
 
 MOST = 1_000_000
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(NamedSolver, kind="Sampling"):
     """Random search on simulated motions, then Gauss-Newton on the best: for motions through contact, where derivatives mislead.
 
     Splines through random knots change the force densities of few groups of strings; the best
@@ -74,7 +77,7 @@ class Sampling:
     True
     """
 
-    groups: Iterable[Sequence[int]] | None = None
+    groups: Annotated[Iterable[Sequence[int]] | None, ListOf(Members("string"))] = None
     knots: int | None = None
     samples: int = 256
     seed: int = 0
@@ -83,7 +86,7 @@ class Sampling:
     attempts: int = 8
     threads: int | None = None
     verbose: bool = False
-    watch: Callable[[str], Any] | None = None
+    watch: Annotated[Callable[[str], Any] | None, InPython()] = None
 
     def __post_init__(self) -> None:
         if self.groups is not None:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.sparse_nlp import Program
+from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, positive_number, shown, whole_number
 
 
@@ -50,6 +51,10 @@ class Outcome(NamedTuple):
     imposed: str = ""
     time: Array | None = None
     coarse: bool = False
+
+
+class NamedSolver(Value):
+    """Solver that files know by its kind."""
 
 
 class Solver(Protocol):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ocp.solvers.base import check_options
+from ocp.solvers.base import NamedSolver, check_options
 
 
 @dataclass(frozen=True)
-class CondensedNewton:
+class CondensedNewton(NamedSolver, kind="CondensedNewton"):
     """A Newton method in the force densities alone: the motion that belongs to them is condensed out, by sweeps over the intervals.
 
     It solves what `Variational` asks, without its program: for problems with limits of any kind,

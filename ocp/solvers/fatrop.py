@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
-from ocp.solvers.base import Solution, check_options
+from ocp.solvers.base import NamedSolver, Solution, check_options
 from ocp.transcription.sparse_nlp import Block, Program, Separable
+from tenscasadi.schema.containers import TableOf
+from tenscasadi.schema.forms import PLAIN
 from tenscasadi.util.validate import Array, Indices
 
 REFUSED = (
@@ -21,7 +23,7 @@ FIRST_BARRIER = 1e-2  # with Fatrop's own, 0.1, it does not return on more probl
 
 
 @dataclass(frozen=True)
-class Fatrop:
+class Fatrop(NamedSolver, kind="Fatrop"):
     """The interior-point solver Fatrop, which factors interval by interval, with exact derivatives.
 
     CasADi's Fatrop does not report its iterations: it can be neither watched nor stopped in time.
@@ -67,7 +69,7 @@ class Fatrop:
     max_iterations: int = 300
     tolerance: float = 1e-8
     verbose: bool = False
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Annotated[Mapping[str, Any], TableOf(PLAIN)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_options(

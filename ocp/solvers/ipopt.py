@@ -8,13 +8,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from ocp.solvers.base import Solution, check_options
+from ocp.solvers.base import NamedSolver, Solution, check_options
 from ocp.transcription.sparse_nlp import Program
+from tenscasadi.schema.containers import TableOf
+from tenscasadi.schema.forms import PLAIN, InPython
 from tenscasadi.util.interrupts import on_interrupt
 from tenscasadi.util.validate import Array, positive_number, shown
 
@@ -77,7 +79,7 @@ Watcher = Callable[[Progress], Any]
 
 
 @dataclass(frozen=True)
-class Ipopt:
+class Ipopt(NamedSolver, kind="Ipopt"):
     """The interior-point solver IPOPT, with exact derivatives.
 
     However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch
@@ -134,9 +136,9 @@ class Ipopt:
     max_iterations: int = 300
     tolerance: float = 1e-8
     verbose: bool = False
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Annotated[Mapping[str, Any], TableOf(PLAIN)] = field(default_factory=dict)
     seconds: float | None = None
-    watch: Watcher | None = None
+    watch: Annotated[Watcher | None, InPython()] = None
     warm: bool = False
     restart: bool = True
 

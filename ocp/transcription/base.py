@@ -7,7 +7,7 @@ A transcription is a subclass of `Transcription` that gives `defects`: see
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,7 @@ from ocp.transcription.assemble import Defects, Stage, assemble, problem_blocks
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import (
     Intervals,
+    NamedProfile,
     PiecewiseConstant,
     PiecewiseLinear,
     Profile,
@@ -29,11 +30,15 @@ from ocp.transcription.sparse_nlp import Program
 from ocp.transcription.variables import Variables
 from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.model import Model
+from tenscasadi.schema.containers import Either
+from tenscasadi.schema.definitions import OneOf
+from tenscasadi.schema.forms import TIMES, WHOLE
+from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, Indices, instance, positive_number
 
 
 @dataclass(frozen=True)
-class Transcription:
+class Transcription(Value):
     """The options that all transcriptions have.
 
     Parameters
@@ -48,8 +53,10 @@ class Transcription:
         default the motion is as the intervals make it.
     """
 
-    intervals: Intervals = 40
-    control: Profile = field(default=PiecewiseConstant(), kw_only=True)
+    intervals: Annotated[Intervals, Either((list, tuple), TIMES, WHOLE)] = 40
+    control: Annotated[Profile, OneOf(NamedProfile)] = field(
+        default=PiecewiseConstant(), kw_only=True
+    )
     accuracy: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:

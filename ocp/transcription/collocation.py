@@ -61,7 +61,7 @@ class GaussPoints(ReducedOnly):
 
 
 @dataclass(frozen=True)
-class ImplicitMidpoint(GaussPoints):
+class ImplicitMidpoint(GaussPoints, kind="ImplicitMidpoint"):
     """The implicit midpoint rule as a constraint of each interval: order 2, stable for any interval.
 
     It evaluates the equations of motion once for an interval. Multipliers along the bars keep these
@@ -117,7 +117,7 @@ class ImplicitMidpoint(GaussPoints):
 
 
 @dataclass(frozen=True)
-class Collocation(GaussPoints):
+class Collocation(GaussPoints, kind="Collocation"):
     """Collocation at Gauss's points: the state is a polynomial on each interval, of order 2·degree, stable for any interval.
 
     It evaluates the equations of motion `degree` times for an interval. As in `ImplicitMidpoint`,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.interpolate
@@ -17,6 +17,8 @@ from ocp.transcription.mesh import Profile, node_values, profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.integrators.stabilization import projection
+from tenscasadi.schema.forms import PATH, TABLE
+from tenscasadi.schema.value import Value
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, finite_array, positive_number, shown, whole_number
 
@@ -47,6 +49,10 @@ class Guess(ReadOnlyArrays):
         )
 
 
+class NamedGuess(Value):
+    """Initial guess that files know by its kind."""
+
+
 @runtime_checkable
 class InitialGuess(Protocol):
     """Anything that a solver may be told to start from."""
@@ -56,7 +62,7 @@ class InitialGuess(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class InverseDynamics:
+class InverseDynamics(NamedGuess, kind="InverseDynamics"):
     """A guess by inverse dynamics: the force densities that make nodes follow a path best.
 
     Accelerations are linear in the force densities, so these are the solution of a small convex
@@ -97,7 +103,7 @@ class InverseDynamics:
     True
     """
 
-    path: ArrayLike | None = None
+    path: Annotated[ArrayLike | None, PATH] = None
     noise: float | None = None
     seed: int = 0
 
@@ -162,7 +168,7 @@ class InverseDynamics:
 
 
 @dataclass(frozen=True)
-class Equilibrium:
+class Equilibrium(NamedGuess, kind="Equilibrium"):
     """A guess in which nothing moves: the start for all times, under the force densities that hold it as nearly as they can.
 
     Examples
@@ -203,7 +209,7 @@ class Equilibrium:
 
 
 @dataclass(frozen=True, eq=False)
-class Arrays:
+class Arrays(NamedGuess, kind="Arrays"):
     """A guess given as arrays at equal times.
 
     Parameters
@@ -234,8 +240,8 @@ class Arrays:
     True
     """
 
-    states: ArrayLike
-    force_density: ArrayLike
+    states: Annotated[ArrayLike, TABLE]
+    force_density: Annotated[ArrayLike, TABLE]
     duration: float | None = None
 
     def __post_init__(self) -> None:

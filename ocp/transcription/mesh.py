@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, Protocol
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.schema.containers import ListOf
+from tenscasadi.schema.forms import Members
+from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import hermite_cubic
 from tenscasadi.util.validate import (
     Array,
@@ -62,8 +65,10 @@ class Profile(Protocol):
 
 
 @dataclass(frozen=True)
-class _Grouped:
-    groups: tuple[tuple[int, ...], ...] = ()
+class NamedProfile(Value):
+    """Profile of the control that files know by its kind."""
+
+    groups: Annotated[tuple[tuple[int, ...], ...], ListOf(Members("string"))] = ()
 
     def __post_init__(self) -> None:
         field = f"{type(self).__name__}.groups"
@@ -83,7 +88,7 @@ class _Grouped:
 
 
 @dataclass(frozen=True)
-class PiecewiseConstant(_Grouped):
+class PiecewiseConstant(NamedProfile, kind="PiecewiseConstant"):
     """Force densities that are constant on each interval.
 
     Parameters
@@ -120,7 +125,7 @@ class PiecewiseConstant(_Grouped):
 
 
 @dataclass(frozen=True)
-class PiecewiseLinear(_Grouped):
+class PiecewiseLinear(NamedProfile, kind="PiecewiseLinear"):
     """Force densities that are continuous, and linear on each interval.
 
     Parameters

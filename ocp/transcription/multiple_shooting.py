@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -16,8 +16,9 @@ from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta, RungeKutta4
-from tenscasadi.integrators.scheme import Scheme, check_scheme
+from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
 from tenscasadi.integrators.stabilization import projection
+from tenscasadi.schema.definitions import OneOf
 from tenscasadi.util.casadi_tools import ArrayCallback
 from tenscasadi.util.validate import Array, whole_number
 
@@ -26,7 +27,7 @@ _UNIFORM = ca.Function("ode", [ca.SX.sym("x"), ca.SX.sym("u")], [ca.SX.ones(1)])
 
 
 @dataclass(frozen=True)
-class MultipleShooting(Transcription):
+class MultipleShooting(Transcription, kind="MultipleShooting"):
     """Multiple shooting: an explicit scheme integrates each interval, and constraints close the gaps between intervals.
 
     The states at the nodes of the mesh are unknowns too. The steps of an interval are followed by a
@@ -69,7 +70,7 @@ class MultipleShooting(Transcription):
     (True, (4, 2))
     """
 
-    scheme: Scheme = field(default_factory=RungeKutta4)
+    scheme: Annotated[Scheme, OneOf(NamedScheme)] = field(default_factory=RungeKutta4)
     substeps: int = 1
 
     def __post_init__(self) -> None:

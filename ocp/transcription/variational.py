@@ -13,7 +13,7 @@ from tenscasadi.util.validate import Array
 
 
 @dataclass(frozen=True)
-class Variational(ReducedOnly):
+class Variational(ReducedOnly, kind="Variational"):
     """A discrete principle of least action (leapfrog): order 2, momenta and bars kept exactly; the fastest of the transcriptions.
 
     Neither accelerations nor inverse matrices appear: all rows are polynomials of low degree with

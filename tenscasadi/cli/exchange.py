@@ -17,7 +17,7 @@ from tenscasadi.exchange.matlab.structures import load_mat
 from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
 from tenscasadi.exchange.ntrt.load import load_ntrt
 from tenscasadi.exchange.vtk import export_vtk
-from tenscasadi.files.scene_files import save_scene
+from tenscasadi.io.scene_files import save_scene
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.trajectory import Trajectory
 

@@ -8,13 +8,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from tenscasadi.files.document import Document, read_document
-from tenscasadi.files.scene_files import read_scene
-from tenscasadi.files.simulation import Simulation
-from tenscasadi.files.simulation_table import read_simulation
 from tenscasadi.integrators.stabilization import Projection
+from tenscasadi.io.document import read_document
+from tenscasadi.io.scene_files import read_scene
+from tenscasadi.io.simulation_section import read_simulation
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
+from tenscasadi.schema.reading import Document
+from tenscasadi.simulation.declared import Simulation
 from tenscasadi.util.validate import positive_number
 
 STARTING_FILES = Path(__file__).with_name("starting_files")

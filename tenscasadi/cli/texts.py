@@ -18,7 +18,7 @@ def run_new(arguments: argparse.Namespace) -> int:
 
 def run_schema(_: argparse.Namespace) -> int:
     """Print the JSON Schema of scene files."""
-    from ocp.files.plan_part import (
+    from ocp.io.plan_section import (
         file_schema,
     )  # only here: everything else of tenscasadi works without it
 

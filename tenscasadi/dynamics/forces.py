@@ -16,7 +16,7 @@ from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.scene.binding import bind
 from tenscasadi.scene.ground import Surface
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity, RestLength, Slack, Smooth
+from tenscasadi.scene.strings import ForceDensity, RestLength, Smooth, StringLaw
 from tenscasadi.util.casadi_tools import constant_row, is_expression, sparse, weighted_product
 from tenscasadi.util.validate import Array, Indices
 
@@ -55,7 +55,13 @@ def string_force_density(
     switching = scene.switching_strings
 
     def law_of(
-        law: Slack, which: Indices, squared: Any, rest: Any, stiffness: Any, rate: Any, unit: Any
+        law: StringLaw,
+        which: Indices,
+        squared: Any,
+        rest: Any,
+        stiffness: Any,
+        rate: Any,
+        unit: Any,
     ) -> Any:
         if longest is not None and not isinstance(law, Smooth):
             rest = ca.fmin(rest, _columns(longest, which))

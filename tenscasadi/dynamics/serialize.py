@@ -16,7 +16,7 @@ from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.over_time import OverTime, read_sample
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Slack, Smooth
+from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth, StringLaw
 from tenscasadi.structure.class_one import Layout
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.archive import Fields
@@ -309,7 +309,7 @@ def _laws_to_array(scene: Scene) -> list[str] | None:
     """Return the law of each string as text; None where one of the kinds that older files know holds for all."""
     laws = (
         (scene.slack,) * len(scene.structure.strings)
-        if isinstance(scene.slack, Slack)
+        if isinstance(scene.slack, StringLaw)
         else tuple(scene.slack)
     )
     if isinstance(scene.slack, Smooth) or scene.slack == Clip():
@@ -320,8 +320,8 @@ def _laws_to_array(scene: Scene) -> list[str] | None:
     ]
 
 
-def _laws_from_array(told: Array) -> tuple[Slack, ...]:
-    laws: list[Slack] = []
+def _laws_from_array(told: Array) -> tuple[StringLaw, ...]:
+    laws: list[StringLaw] = []
     for text in told.tolist():
         name, *given = text.split()
         if (name, len(given)) == ("Smooth", 1):

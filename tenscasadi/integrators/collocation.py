@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import count_switches
-from tenscasadi.integrators.scheme import Complex, check_ode, equations
+from tenscasadi.integrators.scheme import Complex, NamedScheme, check_ode, equations
 from tenscasadi.integrators.stage_iteration import solve_stages, stage_states
 from tenscasadi.util.validate import Array, choice, instance, positive_number, whole_number
 
@@ -27,7 +27,7 @@ _TOLERANCE = 1e-10  # m and m/s
 
 
 @dataclass(frozen=True)
-class Collocation:
+class Collocation(NamedScheme, kind="Collocation"):
     """Collocation: implicit Runge-Kutta methods at Gauss's or Radau's points, for stiff strings and large steps.
 
     A polynomial satisfies the equations of motion at `degree` points of each step. No step is too

@@ -19,7 +19,7 @@ from tenscasadi.dynamics.constraint_forces import (
 from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import Complex
+from tenscasadi.integrators.scheme import Complex, NamedScheme
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, Tableau
 from tenscasadi.util.validate import instance, shown, whole_number
 
@@ -35,7 +35,7 @@ _KICKS = {2: MIDPOINT, 4: CLASSICAL}
 
 
 @dataclass(frozen=True)
-class Rattle:
+class Rattle(NamedScheme, kind="Rattle"):
     """Rattle: symplectic and reversible steps that keep bars and joints to rounding, of order 2 or 4.
 
     A step drifts half its length without forces, kicks the velocities by the forces at its middle,

@@ -13,6 +13,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import (
     Complex,
+    NamedScheme,
     check_ode,
     check_relative_tolerance,
     equations,
@@ -30,7 +31,7 @@ from tenscasadi.util.validate import instance, positive_number, shown, whole_num
 SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
 
 
-class ExplicitRungeKutta:
+class ExplicitRungeKutta(NamedScheme):
     """Explicit Runge-Kutta methods: each is a `tableau`."""
 
     tableau: ClassVar[Tableau]
@@ -118,7 +119,7 @@ class ExplicitRungeKutta:
 
 
 @dataclass(frozen=True)
-class RungeKutta4(ExplicitRungeKutta):
+class RungeKutta4(ExplicitRungeKutta, kind="RungeKutta4"):
     """Classical explicit Runge-Kutta method of order 4.
 
     A step takes four evaluations of the equations of motion. It is stable for step · ω_max < 2.83,
@@ -183,7 +184,7 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
 
 
 @dataclass(frozen=True)
-class DormandPrince54(EmbeddedRungeKutta):
+class DormandPrince54(EmbeddedRungeKutta, kind="DormandPrince54"):
     """Dormand and Prince's explicit Runge-Kutta method of order 5.
 
     A step takes six evaluations of the equations of motion. Fixed steps are stable for step · ω_max
@@ -235,7 +236,7 @@ class DormandPrince54(EmbeddedRungeKutta):
 
 
 @dataclass(frozen=True)
-class DormandPrince853(EmbeddedRungeKutta):
+class DormandPrince853(EmbeddedRungeKutta, kind="DormandPrince853"):
     """Dormand and Prince's explicit Runge-Kutta method of order 8, with the error estimate of DOP853.
 
     A step takes twelve evaluations of the equations of motion. Fixed steps are stable for step ·

@@ -9,9 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, instance, positive_number, shown
 
 Complex = NDArray[np.complex128]
+
+
+class NamedScheme(Value):
+    """Scheme that files know by its kind."""
 
 
 @runtime_checkable

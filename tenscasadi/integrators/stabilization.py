@@ -18,12 +18,23 @@ from tenscasadi.dynamics.constraint_forces import (
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, instance, positive_number, whole_number
 
 
+class Correction(Value):
+    """Correction of bar lengths and joints after steps of a run."""
+
+    every: int
+
+    def step(self, model: Model) -> ca.Function | None:
+        """Build one correction of a model's state, see `Projection.step`."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class Projection:
+class Projection(Correction, kind="Projection"):
     """Projection of a state onto all bars and joints at once, by the smallest movement in the sense of the mass matrix.
 
     It keeps linear and angular momentum; energy is not kept exactly. Unlike `BarLengthCorrection`
@@ -91,7 +102,7 @@ class Projection:
 
 
 @dataclass(frozen=True)
-class BarLengthCorrection:
+class BarLengthCorrection(Correction, kind="BarLengthCorrection"):
     """Correction of each bar's length and rate alone, then of joints: the paper's Appendix C.
 
     In closed loops of bars joints stay open by about half of what the bars were wrong, for the
@@ -162,9 +173,6 @@ class BarLengthCorrection:
                 'BarLengthCorrection moves bars one by one, these meet or are pinned: use Model(coordinates="full") or Projection'
             )
         return _appendix_c(model, self.weight)
-
-
-Correction = Projection | BarLengthCorrection
 
 
 def projection(model: Model, iterations: int = 3) -> ca.Function:

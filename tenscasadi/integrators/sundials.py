@@ -16,6 +16,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_held_ode, count_switches, split_mode
 from tenscasadi.integrators.scheme import (
     Complex,
+    NamedScheme,
     check_ode,
     check_relative_tolerance,
     equations,
@@ -26,7 +27,7 @@ from tenscasadi.util.validate import flag, instance, positive_number, whole_numb
 
 
 @dataclass(frozen=True)
-class Sundials:
+class Sundials(NamedScheme):
     """Implicit multistep methods of variable order (1 to 5) and step, backward differentiation formulas, for stiff scenes.
 
     Not compiled: most of the time goes by in SUNDIALS itself, and machine code of the equations and
@@ -185,7 +186,7 @@ class Sundials:
 
 
 @dataclass(frozen=True)
-class Cvodes(Sundials):
+class Cvodes(Sundials, kind="Cvodes"):
     """CVODES of SUNDIALS on a model's ordinary differential equation, with control of the error, for stiff scenes.
 
     Backward differentiation formulas of order 1 to 5 with exact Jacobians. The integrator chooses
@@ -243,7 +244,7 @@ class Cvodes(Sundials):
 
 
 @dataclass(frozen=True)
-class Idas(Sundials):
+class Idas(Sundials, kind="Idas"):
     """IDAS of SUNDIALS on the index-reduced multiplier form of a model, with control of the error, for stiff scenes.
 
     Backward differentiation formulas of order 1 to 5 for accelerations with λ and Ω as unknowns,

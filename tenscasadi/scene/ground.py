@@ -6,11 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from tenscasadi.schema.forms import PAIR, TABLE, VECTOR, Members
+from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
@@ -33,7 +35,7 @@ class Contact(NamedTuple):
     steepness: Any  # length of `outward`, 1×n; None where it is 1
 
 
-class Surface(ABC):
+class Surface(Value, ABC, implied="Ground"):
     """A ground of any shape: a push k d − c v on nodes at a depth d, never a pull, and friction."""
 
     stiffness: float
@@ -176,7 +178,7 @@ def _distinct(field: str, nodes: Any) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True)
-class Ground(Surface):
+class Ground(Surface, kind="Ground"):
     """A plane that pushes on nodes below it, and never pulls (Sect. 7.4).
 
     The plane is normalᵀx = height. A node at depth d that moves along the normal at speed v is
@@ -228,9 +230,9 @@ class Ground(Surface):
     damping: float = 0.0
     friction: float | None = None
     height: float = 0.0
-    normal: Sequence[float] = (0.0, 0.0, 1.0)
+    normal: Annotated[Sequence[float], VECTOR] = (0.0, 0.0, 1.0)
     slip_speed: float = 1e-3
-    nodes: Iterable[int] | None = None
+    nodes: Annotated[Iterable[int] | None, Members("node")] = None
 
     def __post_init__(self) -> None:
         normal = finite_array("Ground.normal", self.normal, (3,))
@@ -263,7 +265,7 @@ class Ground(Surface):
 
 
 @dataclass(frozen=True, eq=False)
-class Terrain(ReadOnlyArrays, Surface):
+class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
     """A height field z = h(x, y) that pushes on nodes below it, and never pulls.
 
     Heights are bilinear between the points of a regular grid. A node at depth d that moves out of
@@ -315,14 +317,14 @@ class Terrain(ReadOnlyArrays, Surface):
     0.0
     """
 
-    heights: Any
-    lower: Sequence[float]
-    upper: Sequence[float]
+    heights: Annotated[Any, TABLE]
+    lower: Annotated[Sequence[float], PAIR]
+    upper: Annotated[Sequence[float], PAIR]
     stiffness: float = 1e4
     damping: float = 0.0
     friction: float | None = None
     slip_speed: float = 1e-3
-    nodes: Iterable[int] | None = None
+    nodes: Annotated[Iterable[int] | None, Members("node")] = None
 
     def __post_init__(self) -> None:
         heights = finite_array("Terrain.heights", self.heights, (None, None))

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.over_time import OverTime
 from tenscasadi.scene.time_functions import express
+from tenscasadi.schema.containers import ListOf, MapOf
+from tenscasadi.schema.forms import TIMES, Index, Members
+from tenscasadi.schema.time_formula import NodalForces, Varying
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices, listed, node_index, number, shown, whole_number
 
 
 @dataclass(frozen=True)
-class Gravity(OverTime):
+class Gravity(OverTime, kind="Gravity", short="acceleration"):
     """Uniform gravity, constant or over time.
 
     A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
@@ -49,9 +52,9 @@ class Gravity(OverTime):
     """
 
     _quantity: ClassVar[str] = "acceleration"
-    acceleration: Any = (0.0, 0.0, -9.81)
-    times: Any = field(default=None, repr=False)
-    breaks: Any = field(default=(), repr=False)
+    acceleration: Annotated[Any, Varying((3,))] = (0.0, 0.0, -9.81)
+    times: Annotated[Any, TIMES] = field(default=None, repr=False)
+    breaks: Annotated[Any, TIMES] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         self._read((3,))
@@ -118,7 +121,7 @@ class Gravity(OverTime):
 
 
 @dataclass(frozen=True)
-class Pressure(OverTime):
+class Pressure(OverTime, kind="Pressure"):
     """A pressure across triangles, which follows them as they move, constant or over time.
 
     Each node a, b, c of a face takes p/6 (b − a)×(c − a), towards the side from which a, b, c run
@@ -146,10 +149,10 @@ class Pressure(OverTime):
     """
 
     _quantity: ClassVar[str] = "difference"
-    faces: Sequence[Sequence[int]] | Indices
-    difference: Any
-    times: Any = field(default=None, repr=False)
-    breaks: Any = field(default=(), repr=False)
+    faces: Annotated[Sequence[Sequence[int]] | Indices, ListOf(Members("node"))]
+    difference: Annotated[Any, Varying(())]
+    times: Annotated[Any, TIMES] = field(default=None, repr=False)
+    breaks: Annotated[Any, TIMES] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         given = listed("Pressure.faces", self.faces, "[(0, 1, 2)] of triangles of node indices")
@@ -228,7 +231,7 @@ class Pressure(OverTime):
 
 
 @dataclass(frozen=True, eq=False)
-class NodalForce(OverTime, ReadOnlyArrays):
+class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
     """Forces on nodes, constant or over time.
 
     A function is called once with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
@@ -260,10 +263,10 @@ class NodalForce(OverTime, ReadOnlyArrays):
     """
 
     _quantity: ClassVar[str] = "values"
-    values: Any
-    times: Any = None
-    breaks: Any = ()
-    bars: Mapping[int, int] | None = None
+    values: Annotated[Any, NodalForces()]
+    times: Annotated[Any, TIMES] = None
+    breaks: Annotated[Any, TIMES] = ()
+    bars: Annotated[Mapping[int, int] | None, MapOf("node", Index("bar"))] = None
 
     def __post_init__(self) -> None:
         self._read((None, 3))

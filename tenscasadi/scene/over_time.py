@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -17,10 +17,12 @@ from tenscasadi.scene.time_functions import (
     short_beside_steep,
     trace,
 )
+from tenscasadi.schema.forms import TIMES
+from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, finite_array
 
 
-class OverTime:
+class OverTime(Value):
     """Base of loads with one quantity that is constant, a table over time, or a function of time.
 
     A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
@@ -29,8 +31,8 @@ class OverTime:
     """
 
     _quantity: ClassVar[str]  # name of the field that may change over time
-    times: Any
-    breaks: Any
+    times: Annotated[Any, TIMES]
+    breaks: Annotated[Any, TIMES]
 
     @property
     def varies(self) -> bool:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
+from tenscasadi.schema.containers import GroupsOf, ListOf
+from tenscasadi.schema.forms import Word
+from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import listed, shown, whole_number
 
 
@@ -35,11 +38,13 @@ QUANTITIES = {
 GROUPED = "string", "bar", "node", "ground"
 MASSES = "bar_mass", "node_mass", "string_mass"
 
+_ITEMS = {name: quantity.item for name, quantity in QUANTITIES.items() if quantity.item in GROUPED}
+
 Groups = tuple[tuple[str, tuple[tuple[int, ...], ...]], ...]
 
 
 @dataclass(frozen=True, init=False)
-class Parameters:
+class Parameters(Value, kind="Parameters"):
     """Quantities of a scene that stay open in its equations: a run is given their values, and one compiled code serves all of them.
 
     What is not named stays constant and costs nothing. Strings and their masses are those of the
@@ -89,9 +94,19 @@ class Parameters:
     [120.0, 120.0, 120.0, 120.0, 120.0, 120.0, 120.0, 120.0, 120.0, 1.0]
     """
 
-    names: tuple[str, ...]
-    scale: tuple[str, ...] = ()
-    groups: Groups = field(default=())
+    names: Annotated[tuple[str, ...], ListOf(Word(tuple(QUANTITIES)))] = ()
+    scale: Annotated[tuple[str, ...], ListOf(Word(tuple(QUANTITIES)))] = ()
+    groups: Annotated[Groups, GroupsOf(_ITEMS)] = field(default=())
+
+    @classmethod
+    def from_fields(  # type: ignore[override]
+        cls,
+        names: Iterable[str] = (),
+        scale: Iterable[str] = (),
+        groups: Mapping[str, Any] | None = None,
+    ) -> Parameters:
+        """Build parameters from their fields by name, see `Parameters`."""
+        return cls(*names, scale=scale, groups=groups)
 
     def __init__(
         self, *names: str, scale: Iterable[str] = (), groups: Mapping[str, Any] | None = None

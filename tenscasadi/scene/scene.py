@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, cast
+from typing import Annotated, Literal, cast
 
 import numpy as np
 
@@ -13,8 +13,11 @@ from tenscasadi.scene.ground import Surface, checked_grounds
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, lay_out
 from tenscasadi.scene.parameters import Parameters
-from tenscasadi.scene.strings import Clip, Control, ForceDensity, RestLength, Slack, read_slack
+from tenscasadi.scene.strings import Clip, Control, ForceDensity, RestLength, StringLaw, read_slack
 from tenscasadi.scene.supports import SupportMotion
+from tenscasadi.schema.containers import EachOf
+from tenscasadi.schema.definitions import OneOf
+from tenscasadi.schema.forms import ToldApart
 from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import segment_counts
 from tenscasadi.util.validate import Indices, instance
@@ -71,7 +74,7 @@ class Scene(Viewable):
     (9, 18)
     """
 
-    structure: Structure
+    structure: Annotated[Structure, ToldApart()]
     control: Control | None = None
     segments: int | Sequence[int] = 1
     ends: Literal["interior", "lumped"] = "interior"
@@ -79,7 +82,10 @@ class Scene(Viewable):
     ground: Surface | Sequence[Surface] | None = None
     pressure: Pressure | None = None
     forces: NodalForce | None = None
-    slack: Slack | Sequence[Slack] | Mapping[int, Slack] = field(default_factory=Clip)
+    slack: Annotated[
+        StringLaw | Sequence[StringLaw] | Mapping[int, StringLaw],
+        EachOf("string", OneOf(StringLaw), Clip()),
+    ] = field(default_factory=Clip)
     supports: SupportMotion | None = None
     fractions: Sequence[float] | None = None
     parameters: Parameters | None = None
@@ -130,18 +136,18 @@ class Scene(Viewable):
         return self.structure.subdivide(self.segments, self.ends, self.fractions)
 
     @cached_property
-    def string_laws(self) -> list[tuple[Slack, Indices]]:
+    def string_laws(self) -> list[tuple[StringLaw, Indices]]:
         """Each law that strings have, with the modelled strings that have it; none where force densities are commanded."""
         count = len(self.modelled.strings)
         if isinstance(self.control, ForceDensity):
             return []
-        if isinstance(self.slack, Slack):
+        if isinstance(self.slack, StringLaw):
             return [(self.slack, np.arange(count))]
         whose = np.repeat(
             np.arange(len(self.structure.strings)),
             segment_counts(self.segments, len(self.structure.strings)),
         )
-        given = cast("tuple[Slack, ...]", self.slack)
+        given = cast("tuple[StringLaw, ...]", self.slack)
         laws = [given[string] for string in whose]
         return [
             (law, np.array([i for i, other in enumerate(laws) if other == law]))

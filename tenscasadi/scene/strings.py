@@ -9,11 +9,16 @@ from typing import Any, ClassVar, Literal, cast
 import casadi as ca
 import numpy as np
 
+from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, choice, instance, listed, node_index, positive_number
 
 
+class Control(Value):
+    """Control of a scene: the input of its strings."""
+
+
 @dataclass(frozen=True)
-class ForceDensity:
+class ForceDensity(Control, kind="ForceDensity"):
     """Control by force densities: the input is γ of every parent string, N/m.
 
     γ acts as it is commanded: no stiffness, damping or slack is built.
@@ -27,7 +32,7 @@ class ForceDensity:
 
 
 @dataclass(frozen=True)
-class RestLength:
+class RestLength(Control, kind="RestLength"):
     """Control by rest lengths: the input is ρ of every parent string, m, greater than 0.
 
     The string law (`Clip`, `Smooth` or `Linear`) turns it into a force density.
@@ -41,11 +46,30 @@ class RestLength:
     """
 
 
-Control = ForceDensity | RestLength
+class StringLaw(Value):
+    """Law of a string: stretch and its rate to force density and energy."""
+
+    switches: ClassVar[bool]
+    pushes: ClassVar[bool]
+
+    @property
+    def clamps(self) -> bool:
+        """Whether damping ends where the tension does."""
+        return False
+
+    def force_density(
+        self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
+    ) -> Any:
+        """Build the force densities of strings, see `Clip.force_density`."""
+        raise NotImplementedError
+
+    def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
+        """Build the elastic energy of strings, see `Clip.energy`."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class Clip:
+class Clip(StringLaw, kind="Clip"):
     """Slack as it is: a string pulls only while it is longer than its rest length and its tension is positive (Eq. 99).
 
     Parameters
@@ -173,7 +197,7 @@ class Clip:
 
 
 @dataclass(frozen=True)
-class Smooth:
+class Smooth(StringLaw, kind="Smooth"):
     """Slack as a smooth maximum, for optimisers: t = (t′ + √(t′² + (k w)²))/2 with the unclipped tension t′.
 
     The tension is wrong by at most k w/2, at the rest length, and by k w²/(4 |s − ρ|) far from it.
@@ -193,7 +217,6 @@ class Smooth:
     """
 
     switches: ClassVar[bool] = False
-    clamps: ClassVar[bool] = False
     pushes: ClassVar[bool] = False
     width: float
 
@@ -263,7 +286,7 @@ class Smooth:
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linear(StringLaw, kind="Linear"):
     """No slack: a spring and a damper, which pull while they are longer than at rest and push while they are shorter.
 
     Such a string has no events, and its force density may be negative.
@@ -277,7 +300,6 @@ class Linear:
     """
 
     switches: ClassVar[bool] = False
-    clamps: ClassVar[bool] = False
     pushes: ClassVar[bool] = True
 
     def force_density(
@@ -334,15 +356,12 @@ class Linear:
         return stiffness * stretch * stretch / 2
 
 
-Slack = Clip | Smooth | Linear
-
-
-def read_slack(given: Any, strings: int) -> Slack | tuple[Slack, ...]:
+def read_slack(given: Any, strings: int) -> StringLaw | tuple[StringLaw, ...]:
     """Return one law for all strings, or a law for each; of a mapping those that it does not name have `Clip()`. Raises TypeError, ValueError."""
     example = (
         "Clip(), Smooth(width), Linear(), or one of them for each string, such as {3: Linear()}"
     )
-    if isinstance(given, Slack):
+    if isinstance(given, StringLaw):
         return given
     if isinstance(given, Mapping):
         laws: list[Any] = [Clip()] * strings
@@ -350,7 +369,7 @@ def read_slack(given: Any, strings: int) -> Slack | tuple[Slack, ...]:
             laws[node_index("Scene.slack, string", key, strings, "string")] = law
     else:
         if isinstance(given, (str, bytes)) or not isinstance(given, Sequence):
-            instance("Scene.slack", given, (Clip, Smooth, Linear), example)
+            instance("Scene.slack", given, StringLaw, example)
         laws = list(listed("Scene.slack", given, example))
         if len(laws) != strings:
             raise ValueError(
@@ -360,10 +379,16 @@ def read_slack(given: Any, strings: int) -> Slack | tuple[Slack, ...]:
         instance(
             f"Scene.slack[{string}]",
             law,
-            (Clip, Smooth, Linear),
+            StringLaw,
             "Clip(), Smooth(width) or Linear()",
         )
-    return cast(Slack, laws[0]) if laws and len(set(laws)) == 1 else tuple(laws) if laws else Clip()
+    return (
+        cast(StringLaw, laws[0])
+        if laws and len(set(laws)) == 1
+        else tuple(laws)
+        if laws
+        else Clip()
+    )
 
 
 def rest_length(force_density: Array, length: Array, stiffness: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -17,6 +17,10 @@ from tenscasadi.scene.time_functions import (
     find_breaks,
     probe_times,
 )
+from tenscasadi.schema.containers import MapOf
+from tenscasadi.schema.forms import TIMES
+from tenscasadi.schema.time_formula import MovingPoint
+from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, node_index, shown
 
@@ -30,7 +34,7 @@ _JUMPS = {
 
 
 @dataclass(frozen=True, eq=False)
-class SupportMotion:
+class SupportMotion(Value, kind="SupportMotion"):
     """Motion of pinned nodes, such as a shaking base or a driven hinge.
 
     Each function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
@@ -55,8 +59,8 @@ class SupportMotion:
     True
     """
 
-    positions: Mapping[int, Callable[[Any], Any]]
-    breaks: Any = ()
+    positions: Annotated[Mapping[int, Callable[[Any], Any]], MapOf("node", MovingPoint())]
+    breaks: Annotated[Any, TIMES] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.positions, Mapping) or not self.positions:

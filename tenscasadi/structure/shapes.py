@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tenscasadi.schema.forms import PAIR, ToldApart
+from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
@@ -21,6 +23,14 @@ from tenscasadi.util.validate import (
 LARGEST_COUNT = 10**5  # bars, rings or units: more would take hours
 
 
+class Shape(Value):
+    """Family of the functions that build structures; the name of each is its kind in files."""
+
+
+shape = Shape.maker
+
+
+@shape
 def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> Structure:
     """Build a pendulum: one bar in the x-z plane, pinned at node 0, the origin.
 
@@ -60,8 +70,11 @@ def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> S
     )
 
 
+@shape
 def double_pendulum(
-    lengths: ArrayLike = (1.0, 1.0), angles: ArrayLike = (np.pi / 4, np.pi / 4), **options: Any
+    lengths: Annotated[ArrayLike, PAIR] = (1.0, 1.0),
+    angles: Annotated[ArrayLike, PAIR] = (np.pi / 4, np.pi / 4),
+    **options: Any,
 ) -> Structure:
     """Build a double pendulum: two bars in the x-z plane that share node 1, pinned at node 0, the origin. Class 2.
 
@@ -102,6 +115,7 @@ def double_pendulum(
     )
 
 
+@shape
 def prism(
     bars: int = 3,
     radius: float = 0.5,
@@ -179,6 +193,7 @@ def prism(
     )
 
 
+@shape
 def d_bar(
     bar_length: float = 1.0,
     angle: float = np.pi / 4,
@@ -230,6 +245,7 @@ def d_bar(
     return _prestressed(structure, np.ones(2), prestress, options)
 
 
+@shape
 def t_bar(
     length: float = 1.0, width: float = 0.5, prestress: float | None = None, **options: Any
 ) -> Structure:
@@ -277,6 +293,7 @@ def t_bar(
     return _prestressed(structure, np.ones(4), prestress, options)
 
 
+@shape
 def six_bar_ball(
     bar_length: float = 1.0, prestress: float | None = None, **options: Any
 ) -> Structure:
@@ -337,12 +354,13 @@ def six_bar_ball(
     )
 
 
+@shape
 def membrane(
     p: int = 8,
     q: int = 5,
     radius: float = 1.0,
     length: float = 2.0,
-    node_mass: ArrayLike = 0.1,
+    node_mass: Annotated[ArrayLike, ToldApart()] = 0.1,
     **options: Any,
 ) -> Structure:
     """Build a cylinder of strings about the z axis, open at both ends: rings of nodes and double helices. Class 0 (Sect. 7.3).

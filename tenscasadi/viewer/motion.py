@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tenscasadi.ensemble.result import Rollouts, node_positions
-from tenscasadi.scene.strings import Slack
+from tenscasadi.scene.strings import StringLaw
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices
@@ -67,7 +67,7 @@ class Motion:
 
 
 def of_structure(
-    structure: Structure, name: str, laws: Iterable[tuple[Slack, Indices]] = ()
+    structure: Structure, name: str, laws: Iterable[tuple[StringLaw, Indices]] = ()
 ) -> Motion:
     """Return a structure that stands still, with the forces that its rest lengths give it; `laws`: those of its strings, if not `Clip`."""
     lengths, rest, stiffness = structure.string_lengths, structure.rest_length, structure.stiffness

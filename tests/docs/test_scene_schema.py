@@ -10,8 +10,8 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from ocp.files.plan_part import PLAN
-from tenscasadi.files.json_schema import scene_schema
+from ocp.io.plan_section import PLAN
+from tenscasadi.io.json_schema import scene_schema
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 import tenscasadi as tc
-from tenscasadi.files.time_formula import TimeFormula
+from tenscasadi.schema.time_formula import TimeFormula
 
 NODES = np.array(
     [

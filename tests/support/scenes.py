@@ -7,7 +7,7 @@ import numpy as np
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import RestLength, Slack, Smooth
+from tenscasadi.scene.strings import RestLength, Smooth, StringLaw
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.structure.structure import Structure
 
@@ -19,7 +19,7 @@ PRISM = {
 }
 
 
-def every_term(slack: Slack = Smooth(0.01), moved: bool = True) -> Scene:
+def every_term(slack: StringLaw = Smooth(0.01), moved: bool = True) -> Scene:
     """Every term that there is: time, moved supports (unless `moved` is False), pressure, friction, massive strings, rollers."""
     rng = np.random.default_rng(3)
     tower = Structure(rng.normal(size=(7, 3)), [(0, 1), (1, 2), (2, 3), (4, 5)], [(0, 4), (3, 5), (2, 6), (4, 6)], node_mass=[0] * 6 + [1],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,12 +11,13 @@ from numpy.typing import ArrayLike
 from ocp.problem.bounds.bound import PathBound, PathConstraint, broadcast_limits, replace_inf
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
+from tenscasadi.schema.forms import LIMITS, PER_ITEM
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item, positive_number
 
 
 @dataclass(frozen=True, eq=False)
-class BarForceLimits(PathBound):
+class BarForceLimits(PathBound, kind="BarForceLimits"):
     """Limits of the force that each bar carries, at both ends of every interval.
 
     Parameters
@@ -42,8 +44,8 @@ class BarForceLimits(PathBound):
     30.0
     """
 
-    compression: ArrayLike | None = None
-    tension: ArrayLike | None = None
+    compression: Annotated[ArrayLike | None, LIMITS] = None
+    tension: Annotated[ArrayLike | None, LIMITS] = None
 
     def __post_init__(self) -> None:
         if self.compression is None and self.tension is None:
@@ -101,7 +103,7 @@ class BarForceLimits(PathBound):
 
 
 @dataclass(frozen=True, eq=False)
-class Buckling(PathBound):
+class Buckling(PathBound, kind="Buckling"):
     """Compression of solid round bars below Euler's load, at both ends of every interval.
 
     Parameters
@@ -131,7 +133,7 @@ class Buckling(PathBound):
     array([15503.])
     """
 
-    modulus: ArrayLike
+    modulus: Annotated[ArrayLike, PER_ITEM]
     safety: float = 1.0
 
     def __post_init__(self) -> None:

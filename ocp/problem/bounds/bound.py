@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, per_item
 
@@ -52,7 +53,7 @@ class PathConstraint:
         )
 
 
-class Bound:
+class Bound(Value):
     """Something that holds along a plan."""
 
     def check(self, structure: Structure) -> None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds.bound import PathBound, PathConstraint
+from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint
 from ocp.problem.instant import norms, symbolic
 from tenscasadi.dynamics.model import Model
+from tenscasadi.schema.containers import ListOf
+from tenscasadi.schema.forms import POINT, VECTOR, Members
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
@@ -33,7 +35,7 @@ ROUNDING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class InsideBox(PathBound):
+class InsideBox(PathBound, kind="InsideBox"):
     """Nodes inside a box with sides along the axes, at the end of every interval.
 
     Coordinates that are pinned are left out. The start has to be inside, too; one that is found
@@ -65,9 +67,9 @@ class InsideBox(PathBound):
     (None, None, 1.2)
     """
 
-    lower: Corner = (None, None, None)
-    upper: Corner = (None, None, None)
-    nodes: Iterable[int] | None = None
+    lower: Annotated[Corner, POINT] = (None, None, None)
+    upper: Annotated[Corner, POINT] = (None, None, None)
+    nodes: Annotated[Iterable[int] | None, Members("node")] = None
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
@@ -155,7 +157,10 @@ class InsideBox(PathBound):
         return list(range(len(structure.nodes)) if self.nodes is None else self.nodes)
 
 
-def AboveGround(height: float = 0.0, nodes: Iterable[int] | None = None) -> InsideBox:
+@Bound.maker
+def AboveGround(
+    height: float = 0.0, nodes: Annotated[Iterable[int] | None, Members("node")] = None
+) -> InsideBox:
     """Return the bound that keeps nodes at z ≥ height, at the end of every interval.
 
     Parameters
@@ -189,7 +194,7 @@ def AboveGround(height: float = 0.0, nodes: Iterable[int] | None = None) -> Insi
 
 
 @dataclass(frozen=True, eq=False)
-class BarClearance(PathBound):
+class BarClearance(PathBound, kind="BarClearance"):
     """Bars that stay apart, axis to axis, at the end of every interval.
 
     Parameters
@@ -219,7 +224,7 @@ class BarClearance(PathBound):
     """
 
     distance: float
-    pairs: Iterable[tuple[int, int]] | None = None
+    pairs: Annotated[Iterable[tuple[int, int]] | None, ListOf(Members("bar"))] = None
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
@@ -306,7 +311,7 @@ class BarClearance(PathBound):
 
 
 @dataclass(frozen=True, eq=False)
-class Obstacle(PathBound):
+class Obstacle(PathBound, kind="Obstacle"):
     """A ball that bars (their axes) and nodes keep out of, at the end of every interval.
 
     Parameters
@@ -333,10 +338,10 @@ class Obstacle(PathBound):
     0.3
     """
 
-    centre: Sequence[float]
+    centre: Annotated[Sequence[float], VECTOR]
     radius: float
-    bars: Iterable[int] | None = None
-    nodes: Iterable[int] | None = None
+    bars: Annotated[Iterable[int] | None, Members("bar")] = None
+    nodes: Annotated[Iterable[int] | None, Members("node")] = None
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
 

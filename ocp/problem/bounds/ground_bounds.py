@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -12,12 +12,13 @@ from ocp.problem.bounds.bound import PathBound, PathConstraint
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.ground import Surface
+from tenscasadi.schema.forms import Members
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import instance, listed, node_index, number
 
 
 @dataclass(frozen=True, eq=False)
-class AboveSurface(PathBound):
+class AboveSurface(PathBound, kind="AboveSurface"):
     """Nodes at least a distance above a plane or a height field, at the end of every interval.
 
     Parameters
@@ -49,7 +50,7 @@ class AboveSurface(PathBound):
 
     ground: Surface
     distance: float = 0.0
-    nodes: Iterable[int] | None = None
+    nodes: Annotated[Iterable[int] | None, Members("node")] = None
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from ocp.problem.bounds.bound import (
 )
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
+from tenscasadi.schema.forms import LIMITS, PER_ITEM
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item
 
@@ -26,8 +27,8 @@ from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_i
 class StringLimits(Bound):
     """A lower and an upper limit for every string: what ForceDensityLimits and the like have in common."""
 
-    lower: ArrayLike | None = None
-    upper: ArrayLike | None = None
+    lower: Annotated[ArrayLike | None, LIMITS] = None
+    upper: Annotated[ArrayLike | None, LIMITS] = None
 
     def __post_init__(self) -> None:
         if self.lower is None and self.upper is None:
@@ -60,7 +61,7 @@ class StringLimits(Bound):
 
 
 @dataclass(frozen=True, eq=False)
-class ForceDensityLimits(StringLimits):
+class ForceDensityLimits(StringLimits, kind="ForceDensityLimits"):
     """Limits of the force density γ of each string.
 
     They are limits of the solver's unknowns: they hold exactly, at every time; where rest lengths
@@ -91,11 +92,11 @@ class ForceDensityLimits(StringLimits):
     100.0
     """
 
-    lower: ArrayLike | None = 0.0
+    lower: Annotated[ArrayLike | None, LIMITS] = 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class ForceDensityRateLimits(RateBound):
+class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
     """Limits of how fast force densities change: of the mean rate of each γ over an interval.
 
     From the start of each interval, of h s, to that of the next, γ changes by at most ``rate`` · h.
@@ -125,7 +126,7 @@ class ForceDensityRateLimits(RateBound):
     50.0
     """
 
-    rate: ArrayLike
+    rate: Annotated[ArrayLike, LIMITS]
 
     def __post_init__(self) -> None:
         array = number_or_vector("ForceDensityRateLimits.rate", replace_inf(self.rate, 1.0))
@@ -171,7 +172,7 @@ class ForceDensityRateLimits(RateBound):
 
 
 @dataclass(frozen=True, eq=False)
-class TensionLimits(StringLimits, PathBound):
+class TensionLimits(StringLimits, PathBound, kind="TensionLimits"):
     """Limits of the tension γ s of each string, at both ends of every interval.
 
     The limits of a string that is modelled in segments hold in each of them.
@@ -219,7 +220,7 @@ class TensionLimits(StringLimits, PathBound):
 
 
 @dataclass(frozen=True, eq=False)
-class RestLengthLimits(StringLimits, PathBound):
+class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
     """Limits of the rest length ρ = s (1 − γ/k) of each string, at both ends of every interval.
 
     ``RestLengthLimits(0)`` says that every force density can be reached by winding a string of that
@@ -249,9 +250,9 @@ class RestLengthLimits(StringLimits, PathBound):
     (0.2, None)
     """
 
-    lower: ArrayLike | None = 0.0
-    upper: ArrayLike | None = None
-    stiffness: ArrayLike | None = None
+    lower: Annotated[ArrayLike | None, LIMITS] = 0.0
+    upper: Annotated[ArrayLike | None, LIMITS] = None
+    stiffness: Annotated[ArrayLike | None, PER_ITEM] = None
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.
@@ -292,7 +293,7 @@ class RestLengthLimits(StringLimits, PathBound):
 
 
 @dataclass(frozen=True, eq=False)
-class RestLengthRateLimits(RateBound):
+class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
     """Limits of how fast motors wind: of the mean rate of each rest length over an interval.
 
     From the start of each interval, of h s, to that of the next, ρ changes by at most ``speed`` ·
@@ -320,8 +321,8 @@ class RestLengthRateLimits(RateBound):
     0.4
     """
 
-    speed: ArrayLike
-    stiffness: ArrayLike | None = None
+    speed: Annotated[ArrayLike, LIMITS]
+    stiffness: Annotated[ArrayLike | None, PER_ITEM] = None
 
     def __post_init__(self) -> None:
         array = number_or_vector("RestLengthRateLimits.speed", replace_inf(self.speed, 1.0))

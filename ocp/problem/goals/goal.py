@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,10 @@ from ocp.problem.costs import Cost, CostAt, FinalCost, check_weight
 from ocp.problem.instant import Instant
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
+from tenscasadi.io.structure_section import OfStructure
+from tenscasadi.schema.containers import Either, MapOf
+from tenscasadi.schema.forms import NUMBER, PER_ITEM, POINTS
+from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
@@ -31,7 +35,7 @@ from tenscasadi.util.validate import (
 BAR_TOLERANCE = 1e-3
 
 
-class Goal:
+class Goal(Value):
     """Anything that can be asked of the final state."""
 
     def check(self, structure: Structure) -> None:
@@ -62,7 +66,7 @@ class Goal:
 
 
 @dataclass(frozen=True, eq=False)
-class SoftGoal(Goal, FinalCost):
+class SoftGoal(Goal, FinalCost, kind="SoftGoal"):
     """The cost weight · Σ miss² of a goal's rows, in place of constraints that say that they vanish; made by `Goal.soft`.
 
     Nothing tests whether it can be met, and it counts neither in the success of a plan nor in its
@@ -184,7 +188,7 @@ def soft_goals(costs: Iterable[Cost]) -> Iterator[tuple[float, SoftGoal]]:
 
 
 @dataclass(frozen=True, eq=False)
-class StringLengths(Goal):
+class StringLengths(Goal, kind="StringLengths"):
     """Strings that have given lengths at the end.
 
     The length of a string that is modelled in segments is the distance between its ends.
@@ -207,7 +211,10 @@ class StringLengths(Goal):
     {0: 0.8, 4: 1.1}
     """
 
-    lengths: ArrayLike | Mapping[int, float]
+    lengths: Annotated[
+        ArrayLike | Mapping[int, float],
+        OfStructure("string_lengths", Either((dict,), MapOf("string", NUMBER), PER_ITEM)),
+    ]
 
     def __post_init__(self) -> None:
         values = list(self.lengths.values()) if isinstance(self.lengths, Mapping) else self.lengths
@@ -288,7 +295,7 @@ class StringLengths(Goal):
 
 
 @dataclass(frozen=True, eq=False)
-class Shape(Goal):
+class Shape(Goal, kind="Shape"):
     """The shape of the structure at the end, wherever it is and however it is turned.
 
     It is given by all distances of nodes that no bar keeps. A shape and its mirror image have the
@@ -317,7 +324,7 @@ class Shape(Goal):
     (6, 3)
     """
 
-    nodes: ArrayLike
+    nodes: Annotated[ArrayLike, OfStructure("nodes", POINTS)]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nodes", finite_array("Shape.nodes", self.nodes, (None, 3)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike
 from ocp.problem.goals.goal import Goal
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
+from tenscasadi.io.structure_section import OfStructure
+from tenscasadi.schema.containers import Either, MapOf
+from tenscasadi.schema.forms import PER_ITEM, POINT, POINTS
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
@@ -23,9 +26,11 @@ from tenscasadi.util.validate import (
     shown,
 )
 
+_EACH = OfStructure("nodes", Either((dict,), MapOf("node", POINT), POINTS))
+
 
 @dataclass(frozen=True, eq=False)
-class NodePositions(Goal):
+class NodePositions(Goal, kind="NodePositions"):
     """Nodes that are in given places at the end.
 
     Parameters
@@ -46,7 +51,7 @@ class NodePositions(Goal):
     {3: (None, None, 1.0)}
     """
 
-    positions: Mapping[int, Sequence[float | None]] | ArrayLike
+    positions: Annotated[Mapping[int, Sequence[float | None]] | ArrayLike, _EACH]
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -102,7 +107,7 @@ class NodePositions(Goal):
 
 
 @dataclass(frozen=True, eq=False)
-class NodeVelocities(Goal):
+class NodeVelocities(Goal, kind="NodeVelocities"):
     """Nodes that have given velocities at the end.
 
     Parameters
@@ -128,7 +133,7 @@ class NodeVelocities(Goal):
     {3: (None, None, 0.5)}
     """
 
-    velocities: Mapping[int, Sequence[float | None]] | ArrayLike
+    velocities: Annotated[Mapping[int, Sequence[float | None]] | ArrayLike, _EACH]
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -182,7 +187,7 @@ class NodeVelocities(Goal):
 
 
 @dataclass(frozen=True)
-class AtRest(Goal):
+class AtRest(Goal, kind="AtRest"):
     """No node moves at the end.
 
     Examples
@@ -225,7 +230,7 @@ class AtRest(Goal):
 
 
 @dataclass(frozen=True, eq=False)
-class CentreOfMass(Goal):
+class CentreOfMass(Goal, kind="CentreOfMass"):
     """The centre of mass is in a given place at the end, such as at the height of a jump.
 
     All mass of the model counts: of bars, nodes and strings, also of those that are pinned.
@@ -251,8 +256,8 @@ class CentreOfMass(Goal):
     (None, None, 1.2)
     """
 
-    position: Sequence[float | None]
-    masses: ArrayLike | None = None
+    position: Annotated[Sequence[float | None], POINT]
+    masses: Annotated[ArrayLike | None, PER_ITEM] = None
 
     def __post_init__(self) -> None:
         object.__setattr__(

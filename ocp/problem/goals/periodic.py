@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -13,12 +13,15 @@ from numpy.typing import ArrayLike
 from ocp.problem.goals.goal import Goal
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
+from tenscasadi.io.structure_section import OfStructure
+from tenscasadi.schema.containers import Pair
+from tenscasadi.schema.forms import POINT, POINTS
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, coordinates, finite_array
 
 
 @dataclass(frozen=True, eq=False)
-class Periodic(Goal):
+class Periodic(Goal, kind="Periodic"):
     """The end repeats the start, so that the motion may be run again and again.
 
     Each node is back in its place, or moved by ``shift``, at the velocity it had.
@@ -45,8 +48,8 @@ class Periodic(Goal):
     (0.3, None, 0.0)
     """
 
-    shift: Sequence[float | None] = (0.0, 0.0, 0.0)
-    start: tuple[ArrayLike, ArrayLike] | None = None
+    shift: Annotated[Sequence[float | None], POINT] = (0.0, 0.0, 0.0)
+    start: Annotated[tuple[ArrayLike, ArrayLike] | None, Pair(OfStructure("nodes", POINTS))] = None
 
     def __post_init__(self) -> None:
         object.__setattr__(

@@ -16,7 +16,7 @@ INSTANT = 1e-9  # of the duration: what lies nearer together is one instant
 
 
 @dataclass(frozen=True, eq=False)
-class Waypoint(Goal):
+class Waypoint(Goal, kind="Waypoint"):
     """Goals that are met on the way, or at the end, at a time or a share of the duration.
 
     Between the ends of intervals the motion is taken as cubic. Give either ``time`` or ``share``.

@@ -10,7 +10,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from tenscasadi.files.document import SceneFileError
+from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.validate import LARGEST, Array, file_path, shown
 
 LARGEST_FILE = 16_000_000  # bytes

@@ -15,10 +15,10 @@ from tenscasadi.exchange.mjcf.grounds import read_grounds
 from tenscasadi.exchange.mjcf.hanging import hang
 from tenscasadi.exchange.mjcf.members import Members, Place, by_number, unique
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
-from tenscasadi.files.document import SceneFileError
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, Control, ForceDensity, Linear, RestLength
+from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 

@@ -18,7 +18,7 @@ from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip, ForceDensity, RestLength, Slack, Smooth
+from tenscasadi.scene.strings import Clip, ForceDensity, RestLength, Smooth, StringLaw
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import CompileError
 
@@ -71,7 +71,7 @@ def test_initial_accelerations_are_certified(name: str, coordinates: mechanism.C
 @pytest.mark.parametrize("moved", [False, True], ids=["standing", "moved"])
 @pytest.mark.parametrize("slack", [Clip(), Smooth(0.01)], ids=["clip", "smooth"])
 def test_ode_derivatives_agree_with_central_differences(
-    slack: Slack, moved: bool, coordinates: mechanism.Coordinates
+    slack: StringLaw, moved: bool, coordinates: mechanism.Coordinates
 ) -> None:
     """Every term at once, away from where strings go slack or nodes touch down."""
     rng = np.random.default_rng(4)

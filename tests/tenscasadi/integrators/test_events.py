@@ -10,7 +10,7 @@ from tenscasadi.integrators.events import build_held_ode, build_switching
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Slack, Smooth
+from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth, StringLaw
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 
@@ -20,7 +20,7 @@ from tenscasadi.structure.structure import Structure
     [Clip(), Clip("unclamped"), {0: Linear(), 5: Clip("unclamped"), 9: Smooth(0.01)}],
     ids=["clip", "unclamped", "mixed"],
 )
-def test_between_events_the_motion_is_that_of_the_ode(slack: Slack | dict[int, Slack]) -> None:
+def test_between_events_the_motion_is_that_of_the_ode(slack: StringLaw | dict[int, StringLaw]) -> None:
     ball = shapes.six_bar_ball(prestress=10.0, damping=2.0)
     scene = Scene(
         ball,

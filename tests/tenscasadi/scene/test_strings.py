@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tenscasadi.scene.strings import Clip, Slack, Smooth, rest_length
+from tenscasadi.scene.strings import Clip, Smooth, StringLaw, rest_length
 
 POSITIVE = st.floats(1e-3, 1e3)
 
 
-def gamma(slack: Slack, s: float, rho: float, k: float, rate: float | None = None) -> float:
+def gamma(slack: StringLaw, s: float, rho: float, k: float, rate: float | None = None) -> float:
     return float(
         slack.force_density(
             ca.DM(s * s), ca.DM(rho), ca.DM(k), None if rate is None else ca.DM(rate), ca.DM(rho)

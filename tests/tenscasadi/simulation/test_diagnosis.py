@@ -198,7 +198,7 @@ def _pair(damping: float, length: float = 1.1, stiffness: float = 1e3) -> Model:
 
 
 def test_steps_above_the_limit_of_damped_strings_are_no_success() -> None:
-    """Slack bounds what the steps blow up: the run ends, far from the motion."""
+    """StringLaw bounds what the steps blow up: the run ends, far from the motion."""
     for damping in (300.0, 1e3, 1e5):
         model = _pair(damping)
         run = simulate(model, 1.0, 0.01, compiled=False)

@@ -4,36 +4,32 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from tenscasadi.dynamics.serialize import structure_to_arrays
-from tenscasadi.files.containers import Either, ListOf, MapOf, TableOf
-from tenscasadi.files.definitions import Definition, Kind, call, define
-from tenscasadi.files.document import Item, nearest
-from tenscasadi.files.forms import (
+from tenscasadi.schema.containers import Either, ListOf, MapOf, TableOf
+from tenscasadi.schema.definitions import Definition, OneOf, definition
+from tenscasadi.schema.forms import (
     NUMBER,
     PER_ITEM,
+    POINTS,
     VECTOR,
-    WHOLE,
     Form,
-    Indices,
-    Names,
-    NotWritten,
+    Members,
     Numbers,
     Schema,
     Schemas,
-    Which,
     Word,
 )
-from tenscasadi.structure import shapes
+from tenscasadi.schema.reading import Item, Names, NotWritten, Which, call, nearest
+from tenscasadi.schema.value import Value
+from tenscasadi.structure.shapes import Shape
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.validate import Array
-
-_POINTS = Numbers(((None, 3),))
 
 
 @dataclass(frozen=True)
@@ -72,7 +68,7 @@ def _common(values: Any) -> Any:
     )
 
 
-_PAIRS = ListOf(Indices("node"))
+_PAIRS = ListOf(Members("node"))
 _DEFAULTS = {
     name: parameter.default for name, parameter in inspect.signature(Structure).parameters.items()
 }
@@ -88,13 +84,13 @@ _STRINGS: Mapping[str, Form] = {
 }
 _NODES: Mapping[str, Form] = {
     "node_mass": PerPart("node"),
-    "pinned": Either((Mapping,), MapOf("node", Word()), Indices("node")),
+    "pinned": Either((Mapping,), MapOf("node", Word()), Members("node")),
     "rollers": MapOf("node", Numbers(((3,), (None, 3)))),
 }
 
 
 @dataclass(frozen=True)
-class Turn:
+class Turn(Value, kind="Turn"):
     """A rotation about an axis through the origin.
 
     Parameters
@@ -105,7 +101,7 @@ class Turn:
         Angle, rad, counterclockwise as seen against the axis.
     """
 
-    axis: Any
+    axis: Annotated[Any, VECTOR]
     angle: float
 
     def matrix(self) -> Array:
@@ -120,8 +116,7 @@ class Turn:
         )
 
 
-_TURN = Kind((define(Turn, {"axis": VECTOR, "angle": NUMBER}),))
-_PLACED: Mapping[str, Form] = {"turn": _TURN, "move": VECTOR}
+_PLACED: Mapping[str, Form] = {"turn": OneOf(Turn), "move": VECTOR}
 _OPTIONS: Mapping[str, Form] = {**_BARS, **_STRINGS, **_NODES, **_PLACED}
 
 
@@ -176,26 +171,18 @@ def _finish(
     return _place(structure, turn, move, item, table)
 
 
-def _shape(build: Callable[..., Structure], own: Mapping[str, Form]) -> Definition:
-    return define(build, {**own, **_OPTIONS}, more=(Structure, _finish))
-
-
-SHAPES = (
-    _shape(shapes.pendulum, {"length": NUMBER, "angle": NUMBER}),
-    _shape(shapes.double_pendulum, {"lengths": Numbers(((2,),)), "angles": Numbers(((2,),))}),
-    _shape(
-        shapes.prism,
-        {"bars": WHOLE, "radius": NUMBER, "height": NUMBER, "twist": NUMBER, "prestress": NUMBER},
-    ),
-    _shape(shapes.d_bar, {"bar_length": NUMBER, "angle": NUMBER, "prestress": NUMBER}),
-    _shape(shapes.t_bar, {"length": NUMBER, "width": NUMBER, "prestress": NUMBER}),
-    _shape(shapes.six_bar_ball, {"bar_length": NUMBER, "prestress": NUMBER}),
-    _shape(shapes.membrane, {"p": WHOLE, "q": WHOLE, "radius": NUMBER, "length": NUMBER}),
-)
+def shapes() -> dict[str, Definition]:
+    """Return the definitions of all shapes by name: their own arguments, and those of `Structure`."""
+    return {
+        name: Definition(
+            build, {**definition(build, name).fields, **_OPTIONS}, name, more=(Structure, _finish)
+        )
+        for name, build in Shape.members.items()
+    }
 
 
 @dataclass(frozen=True)
-class Members(Form):
+class MemberGroups(Form):
     """Pairs of nodes, or groups of them by name: pairs, or a table with its `members` and properties."""
 
     which: Literal["bar", "string"]
@@ -276,15 +263,15 @@ class _NodesForm(Form):
             }
         if not item.entries():
             raise item.error("is empty: give at least one node")
-        return _POINTS.read(item, names), {}
+        return POINTS.read(item, names), {}
 
     def write(self, value: Any) -> Any:
         """Return positions."""
-        return _POINTS.write(value)
+        return POINTS.write(value)
 
     def schema(self, kinds: Schemas) -> Schema:
         """Return a list or a table."""
-        return {"anyOf": [_POINTS.schema(kinds), TableOf(VECTOR).schema(kinds)]}
+        return {"anyOf": [POINTS.schema(kinds), TableOf(VECTOR).schema(kinds)]}
 
 
 def _pins(structure: Structure) -> Any:
@@ -296,18 +283,15 @@ def _pins(structure: Structure) -> Any:
     )
 
 
-FROM_NODES = define(
+FROM_NODES = Definition(
     Structure,
     {
         "nodes": _NodesForm(),
-        "bars": Members("bar", tuple(_BARS)),
-        "strings": Members("string", tuple(_STRINGS)),
+        "bars": MemberGroups("bar", tuple(_BARS)),
+        "strings": MemberGroups("string", tuple(_STRINGS)),
         **_OPTIONS,
     },
-    kind="nodes",
-    take=lambda structure: (
-        {name: getattr(structure, name) for name in PARAMETERS} | {"pinned": _pins(structure)}
-    ),
+    "nodes",
     more=(_finish,),
 )
 
@@ -324,14 +308,11 @@ class StructureForm(Form):
         name = table["shape"].text("the name of a shape")
         if "nodes" in table:
             raise table["nodes"].error("stands beside shape: give one of them")
-        for definition in SHAPES:
-            if definition.kind == name:
-                return _read_shape(
-                    definition, item, {key: entry for key, entry in table.items() if key != "shape"}
-                )
-        raise table["shape"].error(
-            f"is {name!r}: {nearest(name, [definition.kind for definition in SHAPES])}"
-        )
+        known = shapes()
+        if name not in known:
+            raise table["shape"].error(f"is {name!r}: {nearest(name, known)}")
+        own = {key: entry for key, entry in table.items() if key != "shape"}
+        return _read_shape(known[name], item, own)
 
     def write(self, value: Any) -> dict[str, Any]:
         """Return nodes, bars and strings. Raises NotWritten where `subdivide` or `from_matrices` made the structure."""
@@ -345,7 +326,8 @@ class StructureForm(Form):
                 "Structure: it has columns or segments that `from_matrices` or `subdivide` made, which files do not hold: "
                 "give Scene(segments=...) in place of subdivide, or keep it in Python"
             )
-        written = FROM_NODES.write(value)
+        given = {name: getattr(value, name) for name in PARAMETERS} | {"pinned": _pins(value)}
+        written = FROM_NODES.write(given)
         written.pop("rest_length", None)
         if not np.array_equal(value.rest_length, value.string_lengths):
             written["rest_length"] = FROM_NODES.fields["rest_length"].write(value.rest_length)
@@ -355,7 +337,7 @@ class StructureForm(Form):
         """Return all shapes, and nodes."""
         return {
             "anyOf": [
-                *(shape.schema(kinds, "shape", tagged=True) for shape in SHAPES),
+                *(shape.schema(kinds, "shape", tagged=True) for shape in shapes().values()),
                 FROM_NODES.schema(kinds, "shape"),
             ]
         }
@@ -364,16 +346,42 @@ class StructureForm(Form):
 STRUCTURE = StructureForm()
 
 
-def _read_shape(
-    definition: Definition, item: Item, table: dict[str, Item]
-) -> tuple[Structure, Names]:
-    own = {name: entry for name, entry in table.items() if name not in _OPTIONS}
-    arguments = definition.read_fields(own, Names())
-    bare = definition.make(
+@dataclass(frozen=True)
+class OfStructure(Form):
+    """Values of a structure, given by a table with a ``shape`` as in [structure]; or by another form."""
+
+    take: Literal["nodes", "string_lengths"]
+    other: Form
+
+    def read(self, item: Item, names: Names) -> Any:
+        """Return what the structure has, or what the other form reads."""
+        if isinstance(item.value, dict) and "shape" in item.value:
+            structure, _ = StructureForm().read(item, Names())
+            return getattr(structure, self.take)
+        return self.other.read(item, names)
+
+    def write(self, value: Any) -> Any:
+        """Return what the other form writes."""
+        return self.other.write(value)
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return both."""
+        return {
+            "anyOf": [
+                self.other.schema(kinds),
+                *(shape.schema(kinds, "shape", tagged=True) for shape in shapes().values()),
+            ]
+        }
+
+
+def _read_shape(own: Definition, item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
+    first = {name: entry for name, entry in table.items() if name not in _OPTIONS}
+    arguments = own.read_fields(first, Names())
+    bare = own.make(
         item, table, {name: value for name, value in arguments.items() if name != "prestress"}
     )
-    names = _names_of(definition, bare, arguments)
-    options = definition.read_fields(
+    names = _names_of(own, bare, arguments)
+    options = own.read_fields(
         {name: entry for name, entry in table.items() if name in _OPTIONS}, names
     )
     for name in ("force_density", "rest_length"):
@@ -384,23 +392,23 @@ def _read_shape(
     later = {
         name: options.pop(name, None) for name in ("force_density", "rest_length", "turn", "move")
     }
-    structure = definition.make(item, table, arguments | options)
+    structure = own.make(item, table, arguments | options)
     return _finish(structure, item, table, {}, **later), names
 
 
-def _names_of(definition: Definition, structure: Structure, arguments: Mapping[str, Any]) -> Names:
+def _names_of(own: Definition, structure: Structure, arguments: Mapping[str, Any]) -> Names:
     """Return what parts of a shape are called: rings of prisms and membranes, and the strings between them."""
     counts: dict[Which, int] = {
         "node": len(structure.nodes),
         "bar": len(structure.bars),
         "string": len(structure.strings),
     }
-    if definition.kind == "prism":
+    if own.kind == "prism":
         p = len(structure.bars)
         ends = {"bottom": range(p), "top": range(p, 2 * p)}
         return Names(counts, {"node": ends, "string": {**ends, "vertical": range(2 * p, 3 * p)}})
-    if definition.kind == "membrane":
-        p, q = (arguments.get(name, definition.defaults[name]) for name in ("p", "q"))
+    if own.kind == "membrane":
+        p, q = (arguments.get(name, own.defaults[name]) for name in ("p", "q"))
         ends = {"bottom": range(p), "top": range(p * (q - 1), p * q)}
         return Names(
             counts,

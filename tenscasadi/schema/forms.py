@@ -1,69 +1,22 @@
-"""Forms of values in scene files: each reads a value, writes one, and tells its JSON Schema."""
+"""Forms of fields: each reads a value, writes one, and has a JSON Schema."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from tenscasadi.files.document import Item, nearest
+from tenscasadi.schema.reading import Item, Names, NotWritten, Which, nearest
 from tenscasadi.util.validate import shown
 
 Schema = dict[str, Any]
 Schemas = dict[str, Schema]  # of kinds, by name: what `$ref` means
-Which = Literal["node", "bar", "string"]
 
 FREE = "free"  # stands for None among coordinates
 _NUMBER: Schema = {"type": ["number", "string"]}
 _FORMULA = "a number, or a formula in quotes such as 'height / 2 * cos(30 deg)'"
-
-
-class NotWritten(ValueError):
-    """A value that no file can hold; the message says why and what to do."""
-
-
-@dataclass(frozen=True)
-class Names:
-    """How many nodes, bars and strings there are, and which indices a name stands for: a node, or all members of a group."""
-
-    counts: Mapping[Which, int] = field(default_factory=dict)
-    named: Mapping[Which, Mapping[str, Sequence[int]]] = field(default_factory=dict)
-
-    def find(self, which: Which, word: Any, item: Item) -> list[int]:
-        """Return the indices that an index or a name stands for. Raises SceneFileError."""
-        named, count = self.named.get(which, {}), self.counts.get(which, 0)
-        if isinstance(word, str) and word in named:
-            return list(named[word])
-        if isinstance(word, str) and word.isascii() and word.isdigit() and len(word) < 10:  # a key
-            word = int(word)
-        if isinstance(word, str):
-            raise item.error(
-                f"names {which} {shown(word)}, which is not there: {nearest(word, named) if named else f'give an index of a {which}'}"
-            )
-        if isinstance(word, bool) or not isinstance(word, int):
-            raise item.error(f"is {shown(word)}: give the name or index of a {which}")
-        if not 0 <= word < count:
-            raise item.error(
-                f"names {which} {shown(word)}: "
-                + (
-                    f"{which} indices run from 0 to {count - 1}"
-                    if count
-                    else f"there are no {which}s"
-                )
-            )
-        return [word]
-
-    def one(self, which: Which, word: Any, item: Item) -> int:
-        """Return the index that an index or a name stands for. Raises SceneFileError, also where it is a group of several."""
-        found = self.find(which, word, item)
-        if len(found) != 1:
-            raise item.error(
-                f"is {shown(word)}, a group of {len(found)} {which}s: give the index of one"
-            )
-        return found[0]
 
 
 class Form(ABC):
@@ -154,6 +107,13 @@ def _in_words(shape: tuple[int | None, ...]) -> str:
 NUMBER = Numbers()
 VECTOR = Numbers(((3,),))
 PER_ITEM = Numbers(((), (None,)))
+TIMES = Numbers(((None,),))
+PAIR = Numbers(((2,),))
+PATH = Numbers(((None, None, 3),))
+TABLE = Numbers(((None, None),))
+POINTS = Numbers(((None, 3),))
+STATE = Numbers(((None, 3), (None,)))  # positions of nodes, or a state
+SPAN = Numbers(((), (2,)))  # one number, or the least and the greatest
 
 
 @dataclass(frozen=True)
@@ -246,6 +206,9 @@ class Coordinates(Form):
         return {"type": "array", "items": dict(_NUMBER), "minItems": 3, "maxItems": 3}
 
 
+POINT = Coordinates()
+
+
 @dataclass(frozen=True)
 class Index(Form):
     """A node, bar or string by its name or index."""
@@ -266,7 +229,7 @@ class Index(Form):
 
 
 @dataclass(frozen=True)
-class Indices(Form):
+class Members(Form):
     """A list of nodes, bars or strings by name or index; a group's name stands for all its members."""
 
     which: Which
@@ -283,3 +246,89 @@ class Indices(Form):
     def schema(self, kinds: Schemas) -> Schema:
         """Return a list of indices or names."""
         return {"type": "array", "items": Index(self.which).schema(kinds)}
+
+
+@dataclass(frozen=True)
+class Limits(Form):
+    """Limits: one number, or one for each string or bar; ``inf`` where there is none."""
+
+    def read(self, item: Item, names: Names) -> Any:
+        """Return a float or a list of floats."""
+        if isinstance(item.value, list):
+            return [self._read(entry) for entry in item.entries()]
+        return self._read(item)
+
+    def _read(self, item: Item) -> float:
+        return float("inf") if item.value == float("inf") else item.number()
+
+    def write(self, value: Any) -> Any:
+        """Return a number or a list of numbers."""
+        return np.asarray(value, dtype=float).tolist()
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return a number or a list of numbers."""
+        return PER_ITEM.schema(kinds)
+
+
+LIMITS = Limits()
+
+_NAMES_A_FILE = (
+    "file",
+    "lib",
+    "path",
+    "plugin",
+    "dir",
+    "load",
+    "dump",
+    "write",
+)  # parts of the names of options
+
+
+@dataclass(frozen=True)
+class Plain(Form):
+    """A number, a flag or a word, as options of solvers are; none that names a file or a library."""
+
+    def read(self, item: Item, names: Names) -> Any:
+        """Return the value."""
+        word = str(item.key[-1])
+        if any(part in word for part in _NAMES_A_FILE):
+            raise item.error(
+                "may name a file, and nothing is loaded or written because a scene file says so: leave it out"
+            )
+        if not isinstance(item.value, (bool, int, float, str)) or item.value != item.value:
+            raise item.error(f"is {shown(item.value)}: give a number, true, false or a word")
+        return item.value
+
+    def write(self, value: Any) -> Any:
+        """Return the value."""
+        value = value.item() if isinstance(value, np.generic) else value
+        if not isinstance(value, (bool, int, float, str)):
+            raise NotWritten(f"{shown(value)} is no number, flag or word: leave it out")
+        return value
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return the types."""
+        return {"type": ["number", "boolean", "string"]}
+
+
+PLAIN = Plain()
+
+
+class InPython(Form):
+    """A field that only Python can give, such as a function: files leave it out."""
+
+    def read(self, item: Item, names: Names) -> Any:
+        """Reject the value. Raises SceneFileError."""
+        raise item.error("is a field of Python alone: leave it out")
+
+    def write(self, value: Any) -> Any:
+        """Reject the value. Raises NotWritten."""
+        raise NotWritten("a function in Python: leave it out")
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return a schema that nothing fits."""
+        return {"not": {}}
+
+
+class ToldApart(InPython):
+    """A field that another table of the file holds."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tenscasadi.files.toml_places import Key, TooMuch, find_lines
+from tenscasadi.schema.toml_places import Key, TooMuch, find_lines
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -5,27 +5,41 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from ocp.files.kinds import BOUNDS, COSTS, GOALS, GUESS, PHASES, SOLVER, SPAN, START, TRANSCRIPTION
-from ocp.problem.costs import CostAt
+import ocp.sampling.solver  # noqa: F401  registers its solver
+from ocp.problem.bounds.bound import Bound
+from ocp.problem.costs import Cost, CostAt
 from ocp.problem.expressions import AtEnd, Constraint, Integral
-from ocp.problem.goals.goal import SoftGoal
+from ocp.problem.goals.goal import Goal, SoftGoal
 from ocp.problem.goals.waypoints import Waypoint
+from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
 from ocp.search.multistart import MOST_STARTS
-from tenscasadi.files.containers import TableOf
-from tenscasadi.files.definitions import call, define
-from tenscasadi.files.document import Item
-from tenscasadi.files.forms import NUMBER, PER_ITEM, WHOLE, Flag, Names, NotWritten, Word
-from tenscasadi.files.json_schema import scene_schema
-from tenscasadi.files.scene_table import CONTROL
-from tenscasadi.files.simulation import Simulation
-from tenscasadi.scene.strings import ForceDensity
+from ocp.solvers.base import NamedSolver
+from ocp.transcription.base import Transcription
+from ocp.transcription.initial_guess import NamedGuess
+from tenscasadi.io.json_schema import scene_schema
+from tenscasadi.io.structure_section import OfStructure
+from tenscasadi.scene.strings import Control, ForceDensity
+from tenscasadi.schema.containers import Either, TableOf
+from tenscasadi.schema.definitions import OneOf, definition
+from tenscasadi.schema.forms import PER_ITEM, STATE, Word
+from tenscasadi.schema.reading import Item, Names, NotWritten, call
+from tenscasadi.simulation.declared import Simulation
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import positive_number, whole_number
+
+START = OfStructure(
+    "nodes",
+    Either(
+        (str,),
+        Word(("structure", "FreeStart")),
+        Either((dict, FreeStart), OneOf(FreeStart), STATE),
+    ),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +83,19 @@ class PlanPart:
         Whether the replay that decides on success is in closed loop.
     """
 
-    duration: Any = 1.0
-    start: Any = None
-    goals: Sequence[Any] = ()
-    bounds: Sequence[Any] = ()
-    costs: Sequence[Any] = ()
-    phases: Sequence[Any] = ()
-    control: Any = None
-    coordinates: str | None = None
-    bar_length: str | None = None
-    parameters: Mapping[str, Any] | None = None
-    transcription: Any = None
-    solver: Any = None
-    guess: Any = None
+    duration: float | tuple[float, float] = 1.0
+    start: Annotated[Any, START] = None
+    goals: Sequence[Goal] = ()
+    bounds: Sequence[Bound] = ()
+    costs: Sequence[Cost] = ()
+    phases: Sequence[Phase] = ()
+    control: Control | None = None
+    coordinates: Literal["reduced", "full"] | None = None
+    bar_length: Literal["current", "constant"] | None = None
+    parameters: Annotated[Mapping[str, Any] | None, TableOf(PER_ITEM)] = None
+    transcription: Transcription | None = None
+    solver: Annotated[Any, OneOf(NamedSolver)] = None
+    guess: Annotated[Any, OneOf(NamedGuess)] = None
     tolerance: float | None = None
     seconds: float | None = None
     starts: int = 1
@@ -94,30 +108,9 @@ class PlanPart:
         whole_number("starts", self.starts, 1, MOST_STARTS)
 
 
-ASKED = {
-    "duration": SPAN,
-    "start": START,
-    "goals": GOALS,
-    "bounds": BOUNDS,
-    "costs": COSTS,
-    "phases": PHASES,
-    "parameters": TableOf(PER_ITEM),
-}
-WAY = {
-    "transcription": TRANSCRIPTION,
-    "solver": SOLVER,
-    "guess": GUESS,
-    "tolerance": NUMBER,
-    "seconds": NUMBER,
-    "starts": WHOLE,
-    "tracked": Flag(),
-}
-_MODEL = {
-    "control": CONTROL,
-    "coordinates": Word(("reduced", "full")),
-    "bar_length": Word(("current", "constant")),
-}
-PLAN = define(PlanPart, {**ASKED, **_MODEL, **WAY}, kind="plan")
+ASKED = ("duration", "start", "goals", "bounds", "costs", "phases", "parameters")
+WAY = ("transcription", "solver", "guess", "tolerance", "seconds", "starts", "tracked")
+PLAN = definition(PlanPart, "plan")
 
 
 def file_schema() -> dict[str, Any]:
@@ -165,10 +158,6 @@ def _check_each(table: Mapping[str, Item], part: PlanPart, structure: Structure)
 def write_plan(problem: Problem, way: Mapping[str, Any]) -> dict[str, Any]:
     """Return [plan] of a problem, and of the arguments of `ocp.solve` beside it. Raises NotWritten for what no file holds."""
     _refuse_functions(problem)
-    if getattr(way.get("solver"), "watch", None) is not None:
-        raise NotWritten(
-            f"{type(way['solver']).__name__}.watch is a function in Python: leave it out"
-        )
     goals, costs = _with_wishes(problem)
     model = problem.model
     asked: dict[str, Any] = {

@@ -5,20 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.scheme import Scheme, check_scheme
+from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
 from tenscasadi.integrators.stabilization import (
     BarLengthCorrection,
     Correction,
     Projection,
     projection,
 )
+from tenscasadi.scene.parameters import QUANTITIES
 from tenscasadi.scene.scene import Scene
+from tenscasadi.schema.containers import TableOf
+from tenscasadi.schema.definitions import OneOf
+from tenscasadi.schema.forms import PER_ITEM, ToldApart
+from tenscasadi.schema.time_formula import Varying
 from tenscasadi.simulation.simulate import lay_run, simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
@@ -92,20 +97,20 @@ class Simulation:
     'finished 100 steps of 0.001 s'
     """
 
-    scene: Scene
+    scene: Annotated[Scene, ToldApart()]
     t_end: float
     step: float | None = None
-    scheme: Scheme = field(default_factory=RungeKutta4)
+    scheme: Annotated[Scheme, OneOf(NamedScheme)] = field(default_factory=RungeKutta4)
     correction: Correction | None = None
     save_every: int | None = None
     coordinates: Literal["reduced", "full"] = "reduced"
     bar_length: Literal["current", "constant"] = "current"
-    nodes: Any = None
-    velocities: Any = None
-    project: bool = False
-    state: Any = None
-    control: Any = None
-    parameters: Mapping[str, Any] | None = None
+    nodes: Annotated[Any, ToldApart()] = None
+    velocities: Annotated[Any, ToldApart()] = None
+    project: Annotated[bool, ToldApart()] = False
+    state: Annotated[Any, ToldApart()] = None
+    control: Annotated[Any, Varying((None,))] = None
+    parameters: Annotated[Mapping[str, Any] | None, TableOf(PER_ITEM, tuple(QUANTITIES))] = None
     energy_balance: bool = True
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tenscasadi.files.formulas import FUNCTIONS, Formula, FormulaError
+from tenscasadi.schema.formulas import FUNCTIONS, Formula, FormulaError
 
 NUMBERS = {"height": 1.25, "n": 3.0}
 

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tenscasadi.files import document
-from tenscasadi.files.document import SceneFileError, read_document
+from tenscasadi.io import document
+from tenscasadi.io.document import read_document
+from tenscasadi.schema.reading import SceneFileError
 
 HEAD = 'format = 1\nunits = "SI"\n'
 

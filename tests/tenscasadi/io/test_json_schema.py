@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from scene_strategies import scenes
 
 import tenscasadi as tc
-from tenscasadi.files.json_schema import scene_schema
+from tenscasadi.io.json_schema import scene_schema
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tenscasadi.files.document import Item, nearest
-from tenscasadi.files.forms import Form, Names, Schema, Schemas, Which
+from tenscasadi.schema.forms import Form, Members, Schema, Schemas, Wholes
+from tenscasadi.schema.reading import Item, Names, Which, nearest
 
 
 @dataclass(frozen=True)
@@ -122,3 +122,98 @@ class Either(Form):
     def schema(self, kinds: Schemas) -> Schema:
         """Return both."""
         return {"anyOf": [self.first.schema(kinds), self.other.schema(kinds)]}
+
+
+@dataclass(frozen=True)
+class Pair(Form):
+    """A pair of arrays, in Python a tuple."""
+
+    form: Form
+
+    def read(self, item: Item, names: Names) -> tuple[Any, ...]:
+        """Return both."""
+        entries = item.entries("two lists")
+        if len(entries) != 2:
+            raise item.error(f"has {len(entries)} entries: give two")
+        return tuple(self.form.read(entry, names) for entry in entries)
+
+    def write(self, value: Sequence[Any]) -> list[Any]:
+        """Return both."""
+        return [self.form.write(entry) for entry in value]
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return a list of two."""
+        return {"type": "array", "items": self.form.schema(kinds), "minItems": 2, "maxItems": 2}
+
+
+@dataclass(frozen=True)
+class EachOf(Form):
+    """A value for all items, a list with one for each, or a table from some items to theirs; the others have `others`."""
+
+    which: Which
+    form: Form
+    others: Any
+
+    def read(self, item: Item, names: Names) -> Any:
+        """Read a value, a list or a mapping."""
+        if isinstance(item.value, list):
+            return ListOf(self.form).read(item, names)
+        if isinstance(item.value, dict) and "kind" not in item.value:
+            return MapOf(self.which, self.form).read(item, names)
+        return self.form.read(item, names)
+
+    def write(self, value: Any) -> Any:
+        """Write a value, or a table of the items that have another than `others`."""
+        if not isinstance(value, tuple):
+            return self.form.write(value)
+        return {
+            str(k): self.form.write(entry) for k, entry in enumerate(value) if entry != self.others
+        }
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return all three."""
+        return {
+            "anyOf": [
+                self.form.schema(kinds),
+                ListOf(self.form).schema(kinds),
+                MapOf(self.which, self.form).schema(kinds),
+            ]
+        }
+
+
+@dataclass(frozen=True)
+class GroupsOf(Form):
+    """For quantities the groups of items that share a value, by name or index, or "all"."""
+
+    items: Mapping[str, Any]  # "node", "bar", "string", or "ground", by quantity
+
+    def read(self, item: Item, names: Names) -> dict[str, Any]:
+        """Return groups of indices by quantity."""
+        found: dict[str, Any] = {}
+        for name, entry in item.table().items():
+            which = self.items.get(name)
+            if which is None:
+                raise entry.error(f"has no groups: {nearest(name, self.items)}")
+            if entry.value == "all":
+                found[name] = "all"
+            elif which == "ground":
+                found[name] = ListOf(ListOf(Wholes())).read(entry, names)
+            else:
+                found[name] = ListOf(Members(which)).read(entry, names)
+        return found
+
+    def write(self, value: Any) -> dict[str, Any]:
+        """Return groups of indices by quantity."""
+        return {
+            name: "all" if groups == ((),) else [list(group) for group in groups]
+            for name, groups in value
+        }
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Return a table of the quantities that have groups."""
+        groups = {"anyOf": [{"const": "all"}, ListOf(Members("node")).schema(kinds)]}
+        return {
+            "type": "object",
+            "properties": dict.fromkeys(self.items, groups),
+            "additionalProperties": False,
+        }

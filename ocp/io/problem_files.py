@@ -6,14 +6,14 @@ import os
 from pathlib import Path
 from typing import Any
 
-from ocp.files.plan_part import WAY, read_plan, write_plan
+from ocp.io.plan_section import WAY, read_plan, write_plan
 from ocp.problem.problem import Problem
-from tenscasadi.files.document import Document, read_document
-from tenscasadi.files.forms import Names, NotWritten
-from tenscasadi.files.scene_files import read_scene, write_document, write_scene
-from tenscasadi.files.simulation import Simulation
-from tenscasadi.files.simulation_table import START, read_simulation
+from tenscasadi.io.document import read_document
+from tenscasadi.io.scene_files import read_scene, write_document, write_scene
+from tenscasadi.io.simulation_section import START, read_simulation
 from tenscasadi.scene.scene import Scene
+from tenscasadi.schema.reading import Document, Names, NotWritten
+from tenscasadi.simulation.declared import Simulation
 from tenscasadi.util.validate import file_path, instance
 
 

@@ -4,81 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from tenscasadi.files.containers import Either, MapOf, TableOf
-from tenscasadi.files.definitions import Kind, call, define
-from tenscasadi.files.document import Document
-from tenscasadi.files.forms import (
-    NUMBER,
-    PER_ITEM,
-    VECTOR,
-    WHOLE,
-    Flag,
-    Form,
-    Index,
-    Names,
-    Numbers,
-    Word,
-)
-from tenscasadi.files.simulation import Simulation
-from tenscasadi.files.time_formula import OverTime
-from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.integrators.rattle import Rattle
-from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
-from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection
-from tenscasadi.integrators.sundials import Cvodes, Idas
-from tenscasadi.scene.parameters import QUANTITIES
 from tenscasadi.scene.scene import Scene
+from tenscasadi.schema.containers import Either, MapOf
+from tenscasadi.schema.definitions import definition
+from tenscasadi.schema.forms import POINTS, TIMES, VECTOR, Index
+from tenscasadi.schema.reading import Document, Names, call
+from tenscasadi.simulation.declared import Simulation
 from tenscasadi.util.validate import Array
 
-_TOLERANCES: Mapping[str, Form] = {"rtol": NUMBER, "atol": NUMBER}
-_EMBEDDED: Mapping[str, Form] = {**_TOLERANCES, "max_attempts": WHOLE}
-_SUNDIALS: Mapping[str, Form] = {**_TOLERANCES, "max_steps": WHOLE, "locate_events": Flag()}
-_ROWS = Either((Mapping,), MapOf("node", VECTOR), Numbers(((None, 3),)))
-
-SCHEME = Kind(
-    (
-        define(RungeKutta4),
-        define(DormandPrince54, _EMBEDDED),
-        define(DormandPrince853, _EMBEDDED),
-        define(Rattle, {"order": WHOLE, "iterations": WHOLE}),
-        define(
-            Collocation,
-            {
-                "degree": WHOLE,
-                "points": Word(("gauss", "radau")),
-                "tolerance": NUMBER,
-                "iterations": WHOLE,
-            },
-        ),
-        define(Cvodes, _SUNDIALS),
-        define(Idas, _SUNDIALS),
-    )
-)
-CORRECTION = Kind(
-    (
-        define(Projection, {"every": WHOLE, "iterations": WHOLE}),
-        define(BarLengthCorrection, {"weight": NUMBER, "every": WHOLE}),
-    )
-)
-SIMULATION = define(
-    Simulation,
-    {
-        "t_end": NUMBER,
-        "step": NUMBER,
-        "scheme": SCHEME,
-        "correction": CORRECTION,
-        "save_every": WHOLE,
-        "coordinates": Word(("reduced", "full")),
-        "bar_length": Word(("current", "constant")),
-        "control": OverTime((None,)),
-        "parameters": TableOf(PER_ITEM, tuple(QUANTITIES)),
-        "energy_balance": Flag(),
-    },
-)
+_ROWS = Either((Mapping,), MapOf("node", VECTOR), POINTS)
 
 
 @dataclass(frozen=True)
@@ -105,13 +43,13 @@ class Start:
         The start as a state of the model, in place of all others.
     """
 
-    nodes: Any = None
-    velocities: Any = None
-    velocity: Any = None
-    spin: Any = None
-    about: Any = None
+    nodes: Annotated[Any, _ROWS] = None
+    velocities: Annotated[Any, _ROWS] = None
+    velocity: Annotated[Any, VECTOR] = None
+    spin: Annotated[Any, VECTOR] = None
+    about: Annotated[Any, Either((list,), VECTOR, Index("node"))] = None
     project: bool = False
-    state: Any = None
+    state: Annotated[Any, TIMES] = None
 
     def __post_init__(self) -> None:
         if self.about is not None and self.spin is None:
@@ -166,19 +104,8 @@ class Start:
         return rows
 
 
-START = define(
-    Start,
-    {
-        "nodes": _ROWS,
-        "velocities": _ROWS,
-        "velocity": VECTOR,
-        "spin": VECTOR,
-        "about": Either((list,), VECTOR, Index("node")),
-        "project": Flag(),
-        "state": Numbers(((None,),)),
-    },
-    kind="start",
-)
+SIMULATION = definition(Simulation)
+START = definition(Start, "start")
 
 
 def read_simulation(

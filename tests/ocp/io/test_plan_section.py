@@ -10,7 +10,7 @@ import jsonschema
 import pytest
 
 import ocp
-from ocp.files.plan_part import file_schema
+from ocp.io.plan_section import file_schema
 from tenscasadi.cli.main import main
 
 if sys.version_info >= (3, 11):

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from tenscasadi.files.containers import TableOf
-from tenscasadi.files.definitions import Definition
-from tenscasadi.files.document import FORMAT, SECTIONS
-from tenscasadi.files.forms import NUMBER, Schema, Schemas
-from tenscasadi.files.scene_table import SCENE
-from tenscasadi.files.simulation_table import SIMULATION, START
-from tenscasadi.files.structure_table import STRUCTURE
+from tenscasadi.io.document import FORMAT, SECTIONS
+from tenscasadi.io.scene_files import SCENE
+from tenscasadi.io.simulation_section import SIMULATION, START
+from tenscasadi.io.structure_section import STRUCTURE
+from tenscasadi.schema.containers import TableOf
+from tenscasadi.schema.definitions import Definition
+from tenscasadi.schema.forms import NUMBER, Schema, Schemas
 
 _INCLUDE: Schema = {
     "type": "array",

@@ -5,21 +5,22 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tenscasadi.files.document import FORMAT, MOST_ENTRIES, Document, Item, read_document
-from tenscasadi.files.simulation import Simulation
+from tenscasadi.io.document import FORMAT, read_document
+from tenscasadi.io.simulation_section import read_simulation, write_simulation
+from tenscasadi.io.structure_section import STRUCTURE
 from tenscasadi.scene.scene import Scene
+from tenscasadi.schema.definitions import definition
+from tenscasadi.schema.reading import MOST_ENTRIES, Document, Item, Names, NotWritten, call
+from tenscasadi.schema.toml_writer import to_toml
+from tenscasadi.simulation.declared import Simulation
 from tenscasadi.util.validate import file_path, instance, shown
 from tenscasadi.util.whole_file import whole_file
 
-if TYPE_CHECKING:
-    from tenscasadi.files.forms import Names
-
 HEAD: Mapping[str, Any] = {"format": FORMAT, "units": "SI"}
 
-# The tables of definitions are loaded by the functions that use them: who reads no scene file does
-# not wait for them.
+SCENE = definition(Scene)
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
@@ -96,8 +97,6 @@ def load_simulation(path: str | os.PathLike[str]) -> Simulation:
     ...     tc.load_simulation(path).run(compiled=False).message
     'finished 100 steps of 0.001 s'
     """
-    from tenscasadi.files.simulation_table import read_simulation
-
     document = read_document(path)
     return read_simulation(document, *read_scene(document))
 
@@ -147,11 +146,6 @@ def save_scene(scene: Scene | Simulation, path: str | os.PathLike[str]) -> Path:
 
 def read_scene(document: Document) -> tuple[Scene, Names]:
     """Return the scene of [structure] and [scene], and what nodes and members are called. Raises SceneFileError."""
-    from tenscasadi.files.definitions import call
-    from tenscasadi.files.forms import Names
-    from tenscasadi.files.scene_table import SCENE
-    from tenscasadi.files.structure_table import STRUCTURE
-
     item = document.section("structure")
     if item is None:
         raise document.root.error(
@@ -175,11 +169,6 @@ def read_scene(document: Document) -> tuple[Scene, Names]:
 
 def write_scene(scene: Scene | Simulation) -> dict[str, Any]:
     """Return the tables of a scene or a simulation. Raises ValueError where a part cannot be written, by its name."""
-    from tenscasadi.files.forms import NotWritten
-    from tenscasadi.files.scene_table import SCENE
-    from tenscasadi.files.simulation_table import write_simulation
-    from tenscasadi.files.structure_table import STRUCTURE
-
     own = scene.scene if isinstance(scene, Simulation) else scene
     try:
         tables = {"structure": STRUCTURE.write(own.structure), "scene": SCENE.write(own)}
@@ -192,8 +181,6 @@ def write_scene(scene: Scene | Simulation) -> dict[str, Any]:
 
 def write_document(path: Path, tables: Mapping[str, Any]) -> Path:
     """Write tables to a scene file, its head before them, and return its path. Raises OSError."""
-    from tenscasadi.files.toml_writer import to_toml
-
     text = to_toml({**HEAD, **tables})
     with whole_file(path) as file:
         file.write(text.encode("utf-8"))

@@ -9,7 +9,7 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tenscasadi.files.toml_writer import to_toml
+from tenscasadi.schema.toml_writer import to_toml
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -1,1 +1,0 @@
-"""Scene files in TOML, their definitions and their JSON Schema."""

@@ -1,0 +1,1 @@
+"""Scene files: documents, their sections, and their JSON Schema."""
