@@ -18,10 +18,10 @@ import tenscasadi
 ROOT = Path(__file__).resolve().parents[1]
 
 # From left to right; names in one set do not import each other.
-_MODEL = ("util", "structure", "scene", "dynamics", "integrators", "simulation")
+_MODEL = ("util", "schema", "structure", "scene", "dynamics", "integrators", "simulation")
 TENSCASADI = (
     *_MODEL,
-    {"design", "ensemble", "sweeps", "files"},
+    {"design", "ensemble", "sweeps", "io"},
     {"exchange", "plots", "envs"},
     "analysis",
     "viewer",
@@ -38,11 +38,11 @@ OCP = (
     "control",
     "search",
     "plan",
-    {"files", "solve"},
+    {"io", "solve"},
     {"export", "renamed"},
 )
 
-OPEN_TO_OCP = {*_MODEL, "design", "ensemble", "files"}
+OPEN_TO_OCP = {*_MODEL, "design", "ensemble", "io"}
 # Methods that lead on to what is made of a value, such as `value.view()` and `plan.refine()`: it is
 # imported when they are called, and only there.
 ONWARD = {

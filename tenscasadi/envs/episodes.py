@@ -38,7 +38,7 @@ class Episodes:
             np.repeat(model.parameters.nominal[None], count, axis=0),
             np.zeros(count, dtype=int),
         )
-        correction = task.correction and replace(
+        correction = task.correction and replace(  # type: ignore[type-var]  # all are dataclasses
             task.correction, every=min(task.correction.every, task.steps)
         )  # each period counts anew
         self._kernel = build_kernel(model, RungeKutta4(), correction)

@@ -2,123 +2,25 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from tenscasadi.dynamics.serialize import structure_to_arrays
-from tenscasadi.schema.containers import Either, ListOf, MapOf, TableOf
-from tenscasadi.schema.definitions import Definition, OneOf, definition
+from tenscasadi.io.structure_forms import BARS, OPTIONS, STRINGS, MemberGroups, NodesForm, Turn
+from tenscasadi.schema.definitions import Definition, definition
 from tenscasadi.schema.forms import (
-    NUMBER,
-    PER_ITEM,
-    POINTS,
-    VECTOR,
     Form,
-    Members,
-    Numbers,
     Schema,
     Schemas,
-    Word,
 )
 from tenscasadi.schema.reading import Item, Names, NotWritten, Which, call, nearest
-from tenscasadi.schema.value import Value
 from tenscasadi.structure.shapes import Shape
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.validate import Array
-
-
-@dataclass(frozen=True)
-class PerPart(Form):
-    """A number for all nodes, bars or strings, a list, or a table from some of them, by name or index, to their numbers.
-
-    Those that a table does not name have `others`: NaN stands for what nothing says.
-    """
-
-    which: Which
-    others: float = 0.0
-
-    def read(self, item: Item, names: Names) -> Any:
-        """Return a float or a list of floats."""
-        if not isinstance(item.value, dict):
-            return PER_ITEM.read(item, names)
-        values = np.full(names.counts[self.which], self.others)
-        for index, value in MapOf(self.which, NUMBER).read(item, names).items():
-            values[index] = value
-        return values.tolist()
-
-    def write(self, value: Any) -> Any:
-        """Return a number where all are equal, else a list."""
-        return _common(PER_ITEM.write(value))
-
-    def schema(self, kinds: Schemas) -> Schema:
-        """Return a number, a list or a table."""
-        return {"anyOf": [PER_ITEM.schema(kinds), MapOf(self.which, NUMBER).schema(kinds)]}
-
-
-def _common(values: Any) -> Any:
-    return (
-        values[0]
-        if isinstance(values, list) and values and len(set(map(repr, values))) == 1
-        else values
-    )
-
-
-_PAIRS = ListOf(Members("node"))
-_DEFAULTS = {
-    name: parameter.default for name, parameter in inspect.signature(Structure).parameters.items()
-}
-_BARS: Mapping[str, Form] = {
-    name: PerPart("bar", _DEFAULTS[name]) for name in ("bar_mass", "bar_radius")
-}
-_STRINGS: Mapping[str, Form] = {
-    **{
-        name: PerPart("string", _DEFAULTS[name]) for name in ("stiffness", "damping", "string_mass")
-    },
-    "rest_length": PerPart("string", np.nan),
-    "force_density": PerPart("string", np.nan),  # read only: it becomes rest lengths
-}
-_NODES: Mapping[str, Form] = {
-    "node_mass": PerPart("node"),
-    "pinned": Either((Mapping,), MapOf("node", Word()), Members("node")),
-    "rollers": MapOf("node", Numbers(((3,), (None, 3)))),
-}
-
-
-@dataclass(frozen=True)
-class Turn(Value, kind="Turn"):
-    """A rotation about an axis through the origin.
-
-    Parameters
-    ----------
-    axis : sequence of float, shape (3,)
-        Direction of the axis, of any length.
-    angle : float
-        Angle, rad, counterclockwise as seen against the axis.
-    """
-
-    axis: Annotated[Any, VECTOR]
-    angle: float
-
-    def matrix(self) -> Array:
-        """Return the rotation (3×3). Raises ValueError."""
-        size = float(np.linalg.norm(self.axis))
-        if size == 0:
-            raise ValueError("axis is (0, 0, 0): give a direction")
-        x, y, z = np.asarray(self.axis) / size
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        return np.asarray(
-            np.eye(3) + np.sin(self.angle) * cross + (1 - np.cos(self.angle)) * cross @ cross
-        )
-
-
-_PLACED: Mapping[str, Form] = {"turn": OneOf(Turn), "move": VECTOR}
-_OPTIONS: Mapping[str, Form] = {**_BARS, **_STRINGS, **_NODES, **_PLACED}
-
 
 _Groups = Mapping[
     str, tuple[list[list[int]], dict[str, Any]]
@@ -175,103 +77,10 @@ def shapes() -> dict[str, Definition]:
     """Return the definitions of all shapes by name: their own arguments, and those of `Structure`."""
     return {
         name: Definition(
-            build, {**definition(build, name).fields, **_OPTIONS}, name, more=(Structure, _finish)
+            build, {**definition(build, name).fields, **OPTIONS}, name, more=(Structure, _finish)
         )
         for name, build in Shape.members.items()
     }
-
-
-@dataclass(frozen=True)
-class MemberGroups(Form):
-    """Pairs of nodes, or groups of them by name: pairs, or a table with its `members` and properties."""
-
-    which: Literal["bar", "string"]
-    properties: tuple[str, ...]
-
-    def read(self, item: Item, names: Names) -> dict[str, tuple[list[list[int]], dict[str, Any]]]:
-        """Return (pairs, properties) of each group, by name; those without groups are the group "". Raises SceneFileError."""
-        if not isinstance(item.value, dict):
-            return {"": (_PAIRS.read(item, names), {})}
-        groups: dict[str, tuple[list[list[int]], dict[str, Any]]] = {}
-        for name, group in item.table().items():
-            _refuse_digits(name, group, f"a group of {self.which}s")
-            if isinstance(group.value, list):
-                groups[name] = (_PAIRS.read(group, names), {})
-                continue
-            table = group.table(f"a table with members and properties of the {self.which}s")
-            for key, entry in table.items():
-                if key not in {"members", *self.properties}:
-                    raise entry.error(
-                        f"is no property of {self.which}s: {nearest(key, ('members', *self.properties))}"
-                    )
-            if "members" not in table:
-                raise group.error(
-                    'has no members: give pairs of nodes, such as members = [["foot", "top"]]'
-                )
-            pairs = _PAIRS.read(table.pop("members"), names)
-            found = {key: PER_ITEM.read(entry, names) for key, entry in table.items()}
-            for key, value in found.items():
-                if isinstance(value, list) and len(value) != len(pairs):
-                    raise table[key].error(
-                        f"has {len(value)} entries: give one number, or one for each of the {len(pairs)} members"
-                    )
-            groups[name] = (pairs, found)
-        return groups
-
-    def write(self, value: Any) -> Any:
-        """Return pairs of nodes."""
-        return np.asarray(value).tolist()
-
-    def schema(self, kinds: Schemas) -> Schema:
-        """Return pairs or groups."""
-        pairs = _PAIRS.schema(kinds)
-        properties = {
-            "members": pairs,
-            **{name: PER_ITEM.schema(kinds) for name in self.properties},
-        }
-        group = {
-            "type": "object",
-            "properties": properties,
-            "required": ["members"],
-            "additionalProperties": False,
-        }
-        return {
-            "anyOf": [pairs, {"type": "object", "additionalProperties": {"anyOf": [pairs, group]}}]
-        }
-
-
-def _refuse_digits(name: str, entry: Item, what: str) -> None:
-    """Raise SceneFileError where a name could be taken for the index of another node or member."""
-    if name.isascii() and name.isdigit():
-        raise entry.error(
-            f"is the name of {what}, and an index, too: give a name with letters, such as 'n{name[:9]}'"
-        )
-
-
-class _NodesForm(Form):
-    """Positions in a list, or by name in a table."""
-
-    def read(self, item: Item, names: Names) -> Any:
-        """Return the positions, and their names."""
-        if isinstance(item.value, dict):
-            table = item.table()
-            for k, (name, entry) in enumerate(table.items()):
-                if name != str(k):
-                    _refuse_digits(name, entry, f"node {k}")
-            return [VECTOR.read(entry, names) for entry in table.values()], {
-                name: [k] for k, name in enumerate(table)
-            }
-        if not item.entries():
-            raise item.error("is empty: give at least one node")
-        return POINTS.read(item, names), {}
-
-    def write(self, value: Any) -> Any:
-        """Return positions."""
-        return POINTS.write(value)
-
-    def schema(self, kinds: Schemas) -> Schema:
-        """Return a list or a table."""
-        return {"anyOf": [POINTS.schema(kinds), TableOf(VECTOR).schema(kinds)]}
 
 
 def _pins(structure: Structure) -> Any:
@@ -286,10 +95,10 @@ def _pins(structure: Structure) -> Any:
 FROM_NODES = Definition(
     Structure,
     {
-        "nodes": _NodesForm(),
-        "bars": MemberGroups("bar", tuple(_BARS)),
-        "strings": MemberGroups("string", tuple(_STRINGS)),
-        **_OPTIONS,
+        "nodes": NodesForm(),
+        "bars": MemberGroups("bar", tuple(BARS)),
+        "strings": MemberGroups("string", tuple(STRINGS)),
+        **OPTIONS,
     },
     "nodes",
     more=(_finish,),
@@ -375,14 +184,14 @@ class OfStructure(Form):
 
 
 def _read_shape(own: Definition, item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
-    first = {name: entry for name, entry in table.items() if name not in _OPTIONS}
+    first = {name: entry for name, entry in table.items() if name not in OPTIONS}
     arguments = own.read_fields(first, Names())
     bare = own.make(
         item, table, {name: value for name, value in arguments.items() if name != "prestress"}
     )
     names = _names_of(own, bare, arguments)
     options = own.read_fields(
-        {name: entry for name, entry in table.items() if name in _OPTIONS}, names
+        {name: entry for name, entry in table.items() if name in OPTIONS}, names
     )
     for name in ("force_density", "rest_length"):
         if name in options and "prestress" in arguments:
@@ -443,7 +252,7 @@ def _read_nodes(item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
     names = _count(names, groups)
     rest = {name: entry for name, entry in table.items() if name not in ("nodes", *groups)}
     given: dict[str, Any] = FROM_NODES.read_fields(rest, names)
-    for part, properties in {"bars": _BARS, "strings": _STRINGS}.items():
+    for part, properties in {"bars": BARS, "strings": STRINGS}.items():
         for name in properties:
             value = _gathered(name, groups[part], given.get(name), table)
             if value is not None:

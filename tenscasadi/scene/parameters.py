@@ -105,7 +105,20 @@ class Parameters(Value, kind="Parameters"):
         scale: Iterable[str] = (),
         groups: Mapping[str, Any] | None = None,
     ) -> Parameters:
-        """Build parameters from their fields by name, see `Parameters`."""
+        """Build parameters from their fields by name.
+
+        Parameters
+        ----------
+        names, scale : iterable of str
+            Quantities, see `Parameters`.
+        groups : mapping of str to sequence of sequence of int, or to "all", optional
+            Groups of items that share an entry.
+
+        Returns
+        -------
+        Parameters
+            The parameters.
+        """
         return cls(*names, scale=scale, groups=groups)
 
     def __init__(

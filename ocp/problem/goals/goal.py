@@ -38,6 +38,11 @@ BAR_TOLERANCE = 1e-3
 class Goal(Value):
     """Anything that can be asked of the final state."""
 
+    @property
+    def repeats_start(self) -> bool:
+        """Whether the goal repeats a start that it does not hold itself."""
+        return False
+
     def check(self, structure: Structure) -> None:
         """Raise TypeError or ValueError, naming the field, where the goal does not fit the structure."""
 

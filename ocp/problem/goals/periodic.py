@@ -51,6 +51,11 @@ class Periodic(Goal, kind="Periodic"):
     shift: Annotated[Sequence[float | None], POINT] = (0.0, 0.0, 0.0)
     start: Annotated[tuple[ArrayLike, ArrayLike] | None, Pair(OfStructure("nodes", POINTS))] = None
 
+    @property
+    def repeats_start(self) -> bool:
+        """Whether the goal repeats a start that it does not hold itself."""
+        return self.start is None
+
     def __post_init__(self) -> None:
         object.__setattr__(
             self, "shift", coordinates("Periodic.shift", self.shift, "an axis that is free")

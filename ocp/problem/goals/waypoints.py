@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ocp.problem.goals.goal import Goal
-from ocp.problem.goals.periodic import Periodic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, nesting, positive_number, shown
@@ -112,7 +111,7 @@ class Waypoint(Goal, kind="Waypoint"):
             If one of them repeats a start that is free.
         """
         goals = tuple(goal.complete(model, start) for goal in self.goals)
-        if any(isinstance(goal, Periodic) and goal.start is None for goal in goals):
+        if any(goal.repeats_start for goal in goals):
             raise ValueError(
                 "Waypoint.goals has Periodic(), and the start is free: give Periodic(start=...), or Periodic() as a goal of the end"
             )

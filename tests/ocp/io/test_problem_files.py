@@ -268,7 +268,7 @@ def test_what_no_file_holds_is_refused_by_name(tmp_path):
         ocp.save_problem(
             reach(0.4), tmp_path / "problem.toml", solver=ocp.Ipopt(options={"mu_init": np.ones(2)})
         )
-    with pytest.raises(ValueError, match=r"Ipopt\.watch is a function in Python: leave it out"):
+    with pytest.raises(ValueError, match=r"Ipopt\.watch: a function in Python: leave it out"):
         ocp.save_problem(reach(0.4), tmp_path / "problem.toml", solver=ocp.Ipopt(watch=print))
     with pytest.raises(TypeError, match="'method': give transcription"):
         ocp.save_problem(reach(0.4), tmp_path / "problem.toml", method=1)

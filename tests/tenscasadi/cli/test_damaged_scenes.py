@@ -21,7 +21,7 @@ from tenscasadi.cli.source import SHAPES, STARTING_FILES
 WANTED = 200
 LINE = re.compile(r"tenscasadi: scene\.toml(, line \d+)?(, [\w.\[\]\-…' \"]+)?: [^\n]+\n")
 CURE = re.compile(
-    r"\b(give|did you mean|leave|correct it|begin with|must|change|move|write|add|lower)\b"
+    r"\b(give|did you mean|leave|correct it|begin with|must|change|move|write|add|lower|keep)\b"
 )
 FORBIDDEN = (
     *("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.fork", "socket."),

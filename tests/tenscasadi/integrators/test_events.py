@@ -20,7 +20,9 @@ from tenscasadi.structure.structure import Structure
     [Clip(), Clip("unclamped"), {0: Linear(), 5: Clip("unclamped"), 9: Smooth(0.01)}],
     ids=["clip", "unclamped", "mixed"],
 )
-def test_between_events_the_motion_is_that_of_the_ode(slack: StringLaw | dict[int, StringLaw]) -> None:
+def test_between_events_the_motion_is_that_of_the_ode(
+    slack: StringLaw | dict[int, StringLaw],
+) -> None:
     ball = shapes.six_bar_ball(prestress=10.0, damping=2.0)
     scene = Scene(
         ball,
