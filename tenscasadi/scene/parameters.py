@@ -116,7 +116,7 @@ class Parameters(Value, kind="Parameters"):
 
         Returns
         -------
-        Parameters
+        tenscasadi.Parameters
             The parameters.
         """
         return cls(*names, scale=scale, groups=groups)
