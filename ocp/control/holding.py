@@ -12,14 +12,6 @@ from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
-# what an acceleration weighs against the size of force densities, both in units of order one
-BALANCE = 1e6
-UNBALANCED = (
-    1e-4  # of the accelerations that force densities bring about: what is left below is rounding
-)
-RUINOUS = 1e9  # times the cost of one decision: what nothing steadies costs more
-DOUBLINGS = 10  # of the horizon of the stationary regulator: 1024 decisions
-
 
 class Equilibrium(NamedTuple):
     """Force densities (α,), N/m, that hold a state at rest, and the largest acceleration that they leave, m/s²; coordinate: which has it."""
@@ -46,8 +38,9 @@ def equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equil
         )
         or 1.0
     )
-    rows = np.concatenate([BALANCE * A / size, np.eye(count)])
-    wanted = np.concatenate([-BALANCE * free / size, np.zeros(count)]) / strength
+    balance = 1e6  # weight of accelerations against force densities, in units of order one
+    rows = np.concatenate([balance * A / size, np.eye(count)])
+    wanted = np.concatenate([-balance * free / size, np.zeros(count)]) / strength
     gamma, loose = np.array(lower, dtype=float), lower < upper
     if loose.any():
         room = lower[loose] / strength, upper[loose] / strength
@@ -64,7 +57,7 @@ def equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equil
         np.clip(gamma, lower, upper),
         float(left[worst]),
         model.mechanism.coordinate_names[worst],
-        bool(left[worst] <= UNBALANCED * pull),
+        bool(left[worst] <= 1e-4 * pull),
     )
 
 
@@ -118,11 +111,11 @@ def stationary_cost(a: Array, b: Array, Q: Array, R: Array) -> Array:
     """
     A, G, H = a, b @ scipy.linalg.solve(R, b.T, assume_a="pos"), Q
     eye = np.eye(len(a))
-    for _ in range(DOUBLINGS):
+    for _ in range(10):  # 1024 decisions
         inner = np.linalg.solve(eye + G @ H, np.column_stack([A, G]))
         forward, spread = inner[:, : len(a)], inner[:, len(a) :]
         longer = H + A.T @ H @ forward
-        if not np.abs(longer).max(initial=0.0) <= RUINOUS * np.abs(Q).max(initial=0.0):
+        if not np.abs(longer).max(initial=0.0) <= 1e9 * np.abs(Q).max(initial=0.0):
             break
         G, H = G + A @ spread @ A.T, longer
         A = A @ forward

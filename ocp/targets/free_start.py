@@ -21,9 +21,6 @@ from ocp.targets.invariants import invariants
 from ocp.targets.row_reduction import Reduction, RowFunction, reduce_rows
 from tenscasadi.util.validate import Array
 
-# of typical momenta (`Scales.units`): a greater change within the shortest duration is no rounding
-FALLS = 1e-6
-
 
 @dataclass(frozen=True, eq=False)
 class FreeStartRows:
@@ -96,7 +93,7 @@ def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None
     """Refuse to repeat a motion in which momenta change whatever the strings do."""
     scaled = momentum.value / ca.DM(momentum.sizes(scales.units))
     change = np.abs(np.asarray(ca.Function("change", [x], [scaled])(near).full()).ravel())
-    if change.max(initial=0.0) > FALLS:
+    if change.max(initial=0.0) > 1e-6:  # of typical momenta: no rounding
         name = momentum.names[int(np.argmax(change))]
         raise InfeasibleGoalError(
             f"Periodic cannot be met, as {name} whatever the strings do: give a scene with a ground, or pin a node"

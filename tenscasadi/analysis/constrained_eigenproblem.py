@@ -10,17 +10,6 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh, splu
 
 from tenscasadi.util.validate import Array
 
-# a constraint's give, of unit rows and a unit block above: redundant rows do no harm; the
-# refinement takes it away
-SLACK = 1e-8
-# distance of the shift below zero, relative to the largest |λ|: less would drown in rounding over
-# SLACK
-SHIFT = 1e-6
-AUGMENTED = 10.0  # ρ, in the same units
-REFINEMENTS = 10  # at most
-ROUNDING = 1e-15  # of the equations, relative to the solution
-FAILED = 1e-10  # the same, above which a solution is none
-
 
 class SaddlePoint:
     """Factors of the symmetric [[A, Jᵀ], [J, 0]]: solves A v + Jᵀ μ = f, J v = g, also where rows of J repeat each other.
@@ -39,9 +28,10 @@ class SaddlePoint:
         self.exact = sp.csc_array(D @ sp.block_array([[A, J.T], [J, None]]) @ D)
         unit = self.exact[self.size :, : self.size]
         # A + ρ JᵀJ does the same where J v = 0, and is definite more often: its pivots are larger
-        self.added = sp.csc_array(AUGMENTED * unit.T)
+        self.added = sp.csc_array(10.0 * unit.T)
         upper = self.exact[: self.size, : self.size] + self.added @ unit
-        slack = sp.diags_array(np.full(self.rows, -SLACK))
+        # a constraint's compliance: redundant rows do no harm, and the refinement removes it
+        slack = sp.diags_array(np.full(self.rows, -1e-8))
         # pivots on the diagonal keep the symmetry, by which their signs are those of the
         # eigenvalues
         options = {"SymmetricMode": True}
@@ -61,14 +51,14 @@ class SaddlePoint:
         scale = self.scale.reshape(-1, *[1] * (f.ndim - 1))
         target = target * scale
         x, left = np.zeros_like(target), target
-        for _ in range(REFINEMENTS):
+        for _ in range(10):
             upper, lower = left[: self.size], left[self.size :]
             x = x + self.factors.solve(np.concatenate([upper + self.added @ lower, lower]))
             left = target - self.exact @ x
             error, size = np.abs(left).max(initial=0.0), np.abs(x).max(initial=0.0)
-            if error <= ROUNDING * size:
+            if error <= 1e-15 * size:
                 break
-        if not error <= FAILED * max(size, np.abs(target).max(initial=0.0)):
+        if not error <= 1e-10 * max(size, np.abs(target).max(initial=0.0)):
             raise np.linalg.LinAlgError("the refinement of a sparse solution does not converge")
         x = x * scale
         return x[: self.size], x[self.size :]
@@ -104,7 +94,8 @@ def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tu
     LinAlgError
         If the matrices are too badly conditioned for it.
     """
-    shift = -SHIFT * fastest_rate(K, M)
+    # relative to the largest |λ|: a smaller shift would drown in rounding over the compliance
+    shift = -1e-6 * fastest_rate(K, M)
     system = SaddlePoint(K - shift * M, J)
     below = system.count_negative()
     while below > count:  # very unstable: nearer to the lowest

@@ -22,7 +22,6 @@ from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, finite_array, instance, whole_number
 
 DENSE = 600  # coordinates up to which all modes are computed, by dense matrices
-LOWEST = 20  # modes of larger structures where no number is asked for
 # stiffness against a rigid-body motion that counts as none, relative to that of all motions
 NEUTRAL = 1e-9
 
@@ -216,7 +215,7 @@ def modes(
     """
     instance("model", model, Model, "a tenscasadi.Model")
     state, inputs = _numbers(model, x, u, parameters)
-    number = LOWEST if count is None else whole_number("count", count, 1)
+    number = 20 if count is None else whole_number("count", count, 1)
     mech = model.mechanism
     constraints = mech.bars + int(mech.active.sum())
     found = None

@@ -37,11 +37,6 @@ from tenscasadi.util.casadi_tools import (
 )
 from tenscasadi.util.linear_algebra import solve_semidefinite
 
-# eigenvalue below which a constraint counts as redundant, relative to the largest of a system of
-# unit diagonal
-SINGULAR = 1e-9
-LARGEST = 600  # unknowns of a system that is looked at for redundancy: a dense eigenvalue problem
-
 
 class RedundantConstraints(UserWarning):
     """Bars and joints constrain the initial shape more often than once, or nearly.
@@ -222,11 +217,10 @@ def check_mass_ratio(mech: Mechanism) -> None:
 def find_redundancy(mech: Mechanism) -> str | None:
     """Return a message that names the bars and joints whose constraints depend on each other in the initial shape, or None.
 
-    Looks at the system that the multipliers solve, scaled to unit diagonal; systems above `LARGEST`
-    unknowns are not looked at.
+    Looks at the system that the multipliers solve, scaled to unit diagonal, up to 600 unknowns.
     """
     size = mech.system_size
-    if not 0 < size <= LARGEST:
+    if not 0 < size <= 600:  # a dense eigenvalue problem
         return None
     matrix, _ = assemble_system(
         mech,
@@ -240,7 +234,7 @@ def find_redundancy(mech: Mechanism) -> str | None:
         1, diagonal, out=np.zeros(size), where=diagonal > 1e-14 * diagonal.max(initial=1e-300)
     )
     values, vectors = np.linalg.eigh(A * np.outer(scale, scale))
-    null = values < SINGULAR * values[-1]
+    null = values < 1e-9 * values[-1]
     if not null.any():
         return None
     share = np.abs(vectors[:, null]).max(axis=1)

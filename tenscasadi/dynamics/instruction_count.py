@@ -13,13 +13,6 @@ from tenscasadi.dynamics.mechanism import Mechanism, build_mechanism
 from tenscasadi.dynamics.state_space import StateSpace
 from tenscasadi.scene.strings import ForceDensity
 
-# times the operations at which full coordinates, whose operations take longer, are faster for sure
-_CHEAPER = 4.0
-_COUPLED, _COMPARED = (
-    50,
-    3000,
-)  # multipliers of a system that is looked at: fewer cost little, more take long to look at
-
 
 class TermCounts(dict[str, int]):
     """Instruction counts by the name of a term; prints as a table.
@@ -99,13 +92,16 @@ def compare_coordinates(space: StateSpace) -> str:
     matrix of a long chain is full; in full coordinates each joint couples with its neighbours
     alone.
     """
-    if space.coordinates == "full" or not _COUPLED <= space.mechanism.system_size <= _COMPARED:
+    size = space.mechanism.system_size
+    if (
+        space.coordinates == "full" or not 50 <= size <= 3000
+    ):  # fewer cost little, more are slow to count
         return ""
     reduced, full = (
         _count_operations(build_mechanism(space.structure, coordinates))
         for coordinates in ("reduced", "full")
     )
-    if reduced < _CHEAPER * full:
+    if reduced < 4 * full:  # operations of full coordinates take longer
         return ""
     return (
         f"multipliers: {reduced} operations in reduced coordinates, {full} in full ones, as many bars hang together: "

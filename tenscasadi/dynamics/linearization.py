@@ -20,9 +20,6 @@ from tenscasadi.util.casadi_tools import (
 from tenscasadi.util.linear_algebra import null_space, semidefinite_inverse
 from tenscasadi.util.validate import Array
 
-# of the norm of the constraints' Jacobian: smaller singular values are those of redundant rows
-REDUNDANT = 1e-9
-
 
 @dataclass(frozen=True, eq=False)
 class LinearDynamics:
@@ -192,15 +189,18 @@ def tangents(model: Model, state: Array) -> Array:
 
     The clock does not change.
     """
-    J = _constraint_jacobian(model, state)
-    return null_space(J, REDUNDANT * float(np.linalg.norm(J)))
+    return _free_directions(_constraint_jacobian(model, state))
 
 
 def displacements(model: Model, state: Array) -> Array:
     """Compute the displacements that bars and joints allow, as an orthonormal basis (nq, d)."""
     count = model.mechanism.bars + int(model.mechanism.active.sum())
-    J = _constraint_jacobian(model, state)[:count, : model.nq]
-    return null_space(J, REDUNDANT * float(np.linalg.norm(J)))
+    return _free_directions(_constraint_jacobian(model, state)[:count, : model.nq])
+
+
+def _free_directions(J: Array) -> Array:
+    """Compute the null space of constraints; smaller singular values are of redundant rows."""
+    return null_space(J, 1e-9 * float(np.linalg.norm(J)))
 
 
 def _constraint_jacobian(model: Model, state: Array) -> Array:

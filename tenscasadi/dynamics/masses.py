@@ -19,9 +19,9 @@ from tenscasadi.util.casadi_tools import matrix_with_pattern
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices
 
-# nodes of a block of the mass matrix up to which its inverse is scalar code; above, a routine
-# solves for it
-_UNROLLED = 6
+# above so many unknowns, linear systems are solved by a routine instead of unrolled scalar code:
+# shorter derivatives
+UNROLL_SOLVE = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class Masses(ReadOnlyArrays):
     @cached_property
     def _inverse(self) -> ca.Function:
         """Function of the entries of M → those of each M⁻."""
-        small = all(len(block) <= _UNROLLED for _, blocks in self._inverses for block in blocks)
+        small = all(len(block) <= UNROLL_SOLVE for _, blocks in self._inverses for block in blocks)
         return self._scalar_inverse if small else self._write_inverse(ca.MX)
 
     @cached_property

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.dynamics.masses import Masses, read_masses
+from tenscasadi.dynamics.masses import UNROLL_SOLVE, Masses, read_masses
 from tenscasadi.scene.parameters import MASSES
 from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.class_one import connectivity
@@ -32,8 +32,6 @@ from tenscasadi.util.validate import Array, Indices
 # above, expressions stay vector operations (MX loops): generated C does not grow with the structure
 UNROLL_MEMBERS = 300
 UNROLL_UNKNOWNS = 60  # the same for the unknowns of the multipliers' system
-# above, linear systems are solved by a routine instead of unrolled scalar code: shorter derivatives
-UNROLL_SOLVE = 6
 
 Coordinates = Literal["reduced", "full"]
 BarLength = Literal["current", "constant"]

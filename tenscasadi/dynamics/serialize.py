@@ -24,7 +24,6 @@ from tenscasadi.util.validate import Array, Indices, finite_array
 
 Content = Mapping[str, Any]
 
-_ROUNDING = 1e-9  # relative: numbers that differ by less are the same, computed elsewhere
 _MEMBERS = [name for name in PARAMETERS if name not in ("pinned", "rollers")]
 _GROUND = list(dict.fromkeys(field.name for kind in (Ground, Terrain) for field in fields(kind)))
 _LAYOUT = [name for name in Layout._fields if name != "P"]
@@ -360,8 +359,8 @@ def _same(one: Any, other: Any) -> bool:
         np.allclose(
             one,
             other,
-            rtol=_ROUNDING,
-            atol=_ROUNDING * np.abs(other[np.isfinite(other)]).max(initial=0.0),
+            rtol=1e-9,
+            atol=1e-9 * np.abs(other[np.isfinite(other)]).max(initial=0.0),
             equal_nan=True,
         )
     )

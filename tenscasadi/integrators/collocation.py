@@ -14,15 +14,6 @@ from tenscasadi.integrators.scheme import Complex, NamedScheme, check_ode, equat
 from tenscasadi.integrators.stage_iteration import solve_stages, stage_states
 from tenscasadi.util.validate import Array, choice, instance, positive_number, whole_number
 
-_SWEPT_DEGREE = 4  # degree up to which sweeps converge fast
-_LAST_MOVE, _ROUNDING = (
-    100.0,
-    1e-9,
-)  # what the last sweep may have moved: times the tolerance, or relative to the state
-# of the state: what the equations may be off by after Newton's method; stiff forces magnify what is
-# left of its last step
-_RESIDUAL = 1e-5
-_HALVINGS = 10  # of a step with slack or contact whose equations are not solved
 _TOLERANCE = 1e-10  # m and m/s
 
 
@@ -172,9 +163,8 @@ class Collocation(NamedScheme, kind="Collocation"):
             found, x, u, h, tolerance
         )
         found = scale * found
-        solved = left <= _RESIDUAL * (
-            ca.norm_inf(x) + ca.norm_inf(found)
-        )  # generated code does not tell
+        # Generated code does not tell; stiff forces magnify the error of the last step.
+        solved = left <= 1e-5 * (ca.norm_inf(x) + ca.norm_inf(found))
         after = x + ca.mtimes(ca.reshape(found, nx, s), ca.DM(np.linalg.solve(A.T, b)))  # (IV.8.2b)
         return ca.Function(
             "newton",
@@ -229,7 +219,7 @@ class Collocation(NamedScheme, kind="Collocation"):
             If `model` is no Model.
         """
         instance("model", model, Model, "a tenscasadi.Model")
-        if self.degree > _SWEPT_DEGREE or model.nq == 0:
+        if self.degree > 4 or model.nq == 0:  # sweeps converge slowly
             step = self._newton(equations(model, power))
         else:
             step = self._swept(model, power)
@@ -252,7 +242,8 @@ class Collocation(NamedScheme, kind="Collocation"):
         if power is not None:
             watts = [power(state, u) for state in stage_states(model, A, x, k, h)]
             moved = ca.vertcat(moved, h * ca.mtimes(ca.horzcat(*watts), ca.DM(b)))
-        solved = change <= ca.fmax(_LAST_MOVE * tolerance, _ROUNDING * ca.norm_inf(x))
+        # the last sweep's change, up to rounding
+        solved = change <= ca.fmax(100 * tolerance, 1e-9 * ca.norm_inf(x))
         return ca.Function(
             "swept",
             [z, u, h, tolerance],
@@ -296,7 +287,7 @@ def _halve_unsolved(whole: ca.Function) -> ca.Function:
     after = ca.MX.sym("after", z.shape[0])
     kept = ca.Function("kept", [*symbols, after], [after])
     step = whole
-    for _ in range(_HALVINGS):
+    for _ in range(10):
         middle = step(z, u, h / 2, tolerance)
         halves = ca.Function("halves", [*symbols, after], [step(middle, u, h / 2, tolerance)])
         found = whole(*symbols)

@@ -17,8 +17,6 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.binding import bind
 from tenscasadi.util.casadi_tools import hermite_cubic, sparse
 
-_RIDDERS = 8  # iterations to the root of an interpolation
-
 
 def build_switching(model: Model) -> ca.Function | None:
     """Return (x, u) -> g (k,), m: positive where the mode is 1; strings first, then contacts. None where the scene has no events."""
@@ -127,7 +125,7 @@ def build_root(gaps: ca.Function, model: Model) -> ca.Function:
     bracket = [low, high, value(low, *path), value(high, *path)]
     sure = ca.logic_and(bracket[2] > 0, bracket[3] < 0)
     outside = ca.if_else(bracket[2] > 0, high, low)
-    for _ in range(_RIDDERS):
+    for _ in range(8):
         bracket = list(ridders(*bracket, *path))
     arguments = [*path, low, high]
     found = ca.Function("found", arguments, [ca.if_else(sure, bracket[1], outside)])

@@ -30,7 +30,6 @@ _FRACTIONS: dict[int, tuple[float, ...]] = {
     2: (1.0,),
     4: (_OUTER, _OUTER, 1 - 4 * _OUTER, _OUTER, _OUTER),
 }
-_FINISH = 2  # iterations that leave nothing where those of the scheme do not converge
 _KICKS = {2: MIDPOINT, 4: CLASSICAL}
 
 
@@ -278,7 +277,7 @@ def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
             ca.if_else(kept, new, old)
             for new, old in zip((trial, *better), (moved, excess, gap, size), strict=True)
         )
-    for _ in range(_FINISH):
+    for _ in range(2):
         moved = remove_residuals(mech, moved, mech.bar_vectors(moved), excess, gap)
         excess, gap, _ = residual(moved)
     return moved

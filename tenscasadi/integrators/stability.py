@@ -17,16 +17,6 @@ from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stabili
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
 DENSE = 400  # states up to which all eigenvalues are computed
-_QUICK = 100  # states up to which the Jacobian is built for a bound
-_PROBES = (
-    4  # products with the Jacobian of a large model that give a first idea of its fastest rate
-)
-_PROBED = 3.0  # factor on that idea, which is too low
-_BOUNCE, _SLIP = (
-    0.1,
-    0.25,
-)  # radians of a node that bounces on a ground in a step; share of a slip that friction stops in it
-_ROUNDED = 1e-9  # growth of a mode in a step that may be rounding
 _HALF_DISC = np.append(
     1j * np.linspace(0, 1, 101), np.exp(1j * np.linspace(np.pi / 2, np.pi, 100))
 )  # edge of its upper half
@@ -136,7 +126,8 @@ def contact_step(model: Model) -> float:
         ),
         default=0.0,
     )
-    return float(min(_BOUNCE / rate, max(_SLIP / max(stop, 1e-300), _BOUNCE / (10 * rate))))
+    bounce = 0.1 / rate  # a tenth of a radian
+    return float(min(bounce, max(0.25 / max(stop, 1e-300), bounce / 10)))
 
 
 def lightest_mass(model: Model) -> float:
@@ -183,21 +174,21 @@ def _largest_log(scheme: Scheme, z: NDArray[Any]) -> float:
         return 0.0  # not known
     with np.errstate(all="ignore"):
         largest = float(np.abs(scheme.amplification(z)).max(initial=1.0))
-    return float(np.log(largest)) if largest > 1 + _ROUNDED else 0.0
+    return float(np.log(largest)) if largest > 1 + 1e-9 else 0.0
 
 
 def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
     """Return a bound on ω_max, rad/s, that costs little: from λ² q = (λ C + K) q; for large models an estimate that is rather too high."""
     w = model.held(u, parameters)
-    if model.nx > _QUICK:
+    if model.nx > DENSE:
         along, v, size = _directional(model), np.random.default_rng(0).normal(size=model.nx), 1.0
         sizes = []
-        for _ in range(_PROBES):
+        for _ in range(4):
             v = along(x, w, v / size if size else v).full().ravel()
             size = float(np.linalg.norm(v))
             sizes.append(size)
         pairs = np.sqrt(np.multiply(sizes[1:], sizes[:-1]))  # positions and velocities by turns
-        return _PROBED * float(pairs[-1])
+        return 3.0 * float(pairs[-1])  # few products find less than the largest
     jacobian, n = _jacobian(model, x, w), model.nq
     K, C = (
         min(abs(block).sum(axis=0).max(initial=0.0), abs(block).sum(axis=1).max(initial=0.0))

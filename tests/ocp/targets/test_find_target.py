@@ -244,3 +244,17 @@ def test_a_target_near_a_motion_has_the_rows_of_its_end():
     assert near.count == first.count
     assert problem.model.nodes(near.state)[1] == pytest.approx(tip, abs=0.1)
     assert np.abs(near.rows(moving).full()).max() > 0.1
+
+
+def test_supports_at_rest_at_the_end_add_no_rows():
+    """Only second order tells the clock there, and it changes no distance."""
+    nodes = [(0, 0, 0), (0, 0, -1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)]
+    hanging = tc.Structure(
+        nodes, [(0, 1)], [(1, 2), (1, 3), (1, 4), (1, 5)], pinned=[0, 2, 3, 4, 5]
+    )
+    moves = {k: lambda t, p=nodes[k]: (p[0], p[1], 0.8 * t * t * (1 - t) * (1 - t)) for k in (2, 3)}
+    scene = tc.Scene(hanging, control=tc.ForceDensity(), supports=tc.SupportMotion(moves))
+    goals = [ocp.StringLengths(hanging.string_lengths), ocp.AtRest()]
+    problem = ocp.Problem(tc.Model(scene), 1.0, goals=goals)
+    target = find_target(problem, Scales.of(problem))
+    assert (target.count, target.shape) == (4, 0)
