@@ -32,7 +32,7 @@ ROOMS = {
     "sweeps": (4, 3, "independent cases\non many cores"),
     "exchange": (5, 2, "MuJoCo, MATLAB,\nNTRT, ParaView"),
     "viewer": (6, 2, "motions in\na browser, live"),
-    "design": (3, 1, "equilibrium,\nself-stress"),
+    "statics": (3, 1, "equilibrium,\nself-stress"),
     "schema": (1, 1, "fields of values,\nin files"),
     "util": (0, 1, "input, files,\ncompilation:\nused by all"),
 }

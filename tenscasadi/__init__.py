@@ -11,7 +11,6 @@ from tenscasadi.analysis.modes import Linearization, Modes, linearize, modes
 from tenscasadi.analysis.recommend import NoScheme, Recommendation, recommend
 from tenscasadi.analysis.tradeoff import tradeoff
 from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
-from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density, self_stress
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.mechanism import Multipliers
 from tenscasadi.dynamics.model import Model
@@ -46,6 +45,11 @@ from tenscasadi.simulation.export import export_c
 from tenscasadi.simulation.sensitivities import Sensitivities, sensitivities
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.statics.force_density import (
+    EquilibriumError,
+    equilibrium_force_density,
+    self_stress,
+)
 from tenscasadi.structure import shapes
 from tenscasadi.structure.class_one import ClassOne
 from tenscasadi.structure.structure import Structure

@@ -9,8 +9,8 @@ import numpy as np
 
 from ocp.problem.costs import Prestress
 from ocp.problem.problem import Problem
-from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.integrators.stability import lightest_mass
+from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
 from tenscasadi.util.validate import Array, per_item
 
 ALIKE = 1e-3  # of the structure's size: lengths and heights that differ by less are the same

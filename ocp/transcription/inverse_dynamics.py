@@ -9,9 +9,9 @@ import scipy.optimize
 from ocp.problem.control import pulled, winds
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
-from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.scene.loads import Gravity
+from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 

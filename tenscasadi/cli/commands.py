@@ -13,13 +13,13 @@ from tenscasadi.analysis.tradeoff import tradeoff
 from tenscasadi.cli.output import FAILED, INTERRUPTED, Writers, write_files
 from tenscasadi.cli.plan import describe_plan
 from tenscasadi.cli.source import find_source
-from tenscasadi.design.statics import EquilibriumError, equilibrium_force_density
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import Projection
+from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import Single, find_compiler
 from tenscasadi.util.validate import positive_number

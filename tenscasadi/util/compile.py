@@ -26,6 +26,7 @@ from typing import TypeVar
 
 import casadi as ca
 import numpy as np
+import platformdirs
 
 from tenscasadi.util.processes import run_program
 from tenscasadi.util.validate import instance, shown
@@ -278,13 +279,7 @@ def _trim(folder: Path) -> None:
 def _preferred_folder() -> Path:
     if named := os.environ.get("TENSCASADI_CACHE"):
         return Path(named).absolute()
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base).absolute() / "tenscasadi"
+    return platformdirs.user_cache_path("tenscasadi", appauthor=False, opinion=False).absolute()
 
 
 def _distrust(path: Path) -> str:

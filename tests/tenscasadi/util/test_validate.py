@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.sparse import coo_matrix, csr_array
 
-from tenscasadi.design.statics import equilibrium_force_density, self_stress
+from tenscasadi.statics.force_density import equilibrium_force_density, self_stress
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import validate

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lstsq, null_space
 from scipy.optimize import nnls
 
-from tenscasadi.design.least_force_density import least_force_density
+from tenscasadi.statics.least_force_density import least_force_density
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.sparse_null_space import RankError, sparse_null_space
 from tenscasadi.util.validate import Array, finite_array, instance, item_mask, nonnegative, per_item
@@ -57,9 +57,8 @@ def self_stress(structure: Structure) -> Array:
     Notes
     -----
     N K = 0 at all free coordinates, with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58 and 60 at rest).
-    Singular values below 1e-9 of the largest one count as zero. Up to a million entries N K is
-    decomposed as a whole; beyond, by a sparse orthogonal factorisation, whose self-stresses are
-    local where the structure's are: 2000 bars take seconds.
+    Singular values below 1e-9 of the largest one count as zero. The sparse orthogonal factorization
+    keeps self-stresses local where the structure's are: 2000 bars take seconds.
 
     Examples
     --------
@@ -68,11 +67,8 @@ def self_stress(structure: Structure) -> Array:
     (1, 12)
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
-    balance = _balance(structure)
-    if _is_small(balance):
-        return np.asarray(null_space(balance.toarray(), rcond=TOLERANCE).T)
     try:
-        return sparse_null_space(balance, TOLERANCE)
+        return sparse_null_space(_balance(structure), TOLERANCE)
     except RankError as error:
         raise ValueError(
             f"structure: its self-stresses cannot be counted: {error}; move nodes that are nearly in line"
