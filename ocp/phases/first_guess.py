@@ -10,13 +10,10 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
 from ocp.targets.target import Target
-from ocp.transcription.initial_guess import Guess
+from ocp.transcription.initial_guess import NOISE, Guess
 from ocp.transcription.mesh import held_values
 from tenscasadi.util.validate import Array, shown
 
-# of the guess's force density: a guess that keeps the structure's symmetry leaves the solver at a
-# saddle
-DISTURBED = 0.3
 PULLS = 3.0  # times the weight, over the structure's size: force densities of the guess, N/m
 
 
@@ -35,7 +32,7 @@ def guess_phases(
         lower, upper = part.force_density_limits
         pull = np.clip(typical, 1.5 * lower, np.maximum(0.5 * upper, lower))
         gamma = np.clip(
-            pull * (1 + DISTURBED * drawn.uniform(-1.0, 1.0, (count, len(pull)))), lower, upper
+            pull * (1 + NOISE * drawn.uniform(-1.0, 1.0, (count, len(pull)))), lower, upper
         )
         found.append(Guess(states, gamma, (part.shortest + part.longest) / 2))
         at = states[-1]
