@@ -13,7 +13,10 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
+from ocp.problem.goals.goal import Goal
 from tenscasadi.cli.parser import command_parser
+from tenscasadi.integrators.scheme import NamedScheme
+from tenscasadi.structure.shapes import Shape
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -99,12 +102,17 @@ def test_scene_files_of_documents_run(tmp_path):
 
 def test_recipes_do_what_they_say(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    for family in (Goal, NamedScheme, Shape):  # the recipes register their classes in these
+        monkeypatch.setattr(family, "members", dict(family.members))
     names = run_snippets((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), tmp_path)
     assert names["ratio"] == pytest.approx(8, rel=0.1)  # Heun's method is of order 3
     assert names["plan"].success, names["plan"].message
     ends = names["plan"].replay().nodes[-1]
     assert np.linalg.norm(ends[5] - ends[0]) == pytest.approx(names["wanted"], abs=1e-3)
     assert names["run"].success
+    assert names["again"] == names["problem"].goals[0]
+    assert Shape.members["tripod"] is names["tripod"]
+    assert NamedScheme.members["Heun3"] is names["Heun3"]
     assert np.all(np.asarray(names["W"]) == -0.5)
 
 

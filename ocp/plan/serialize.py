@@ -9,25 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from ocp.problem import costs, expressions
-from ocp.problem.bounds import bar_bounds, geometric_bounds, string_bounds
-from ocp.problem.bounds.ground_bounds import AboveSurface
+from ocp.problem.bounds.bound import Bound
 from ocp.problem.control import winds
-from ocp.problem.goals import goal, node_goals, waypoints
-from ocp.problem.goals.periodic import Periodic
+from ocp.problem.costs import Cost, CostAt
+from ocp.problem.goals.goal import Goal
 from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart, Problem
-from ocp.problem.tracking import Tracking
 from ocp.sampling.solver import Sampling
+from ocp.solvers.base import NamedSolver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.base import Transcription
-from ocp.transcription.collocation import Collocation, ImplicitMidpoint
-from ocp.transcription.mesh import PiecewiseConstant, PiecewiseLinear
-from ocp.transcription.multiple_shooting import MultipleShooting
-from ocp.transcription.variational import Variational
+from ocp.transcription.mesh import NamedProfile
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.serialize import (
     model_from_arrays,
@@ -35,66 +30,25 @@ from tenscasadi.dynamics.serialize import (
     structure_from_arrays,
     structure_to_arrays,
 )
-from tenscasadi.integrators import collocation
-from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
-from tenscasadi.scene.ground import Ground, Terrain
+from tenscasadi.integrators.scheme import NamedScheme
+from tenscasadi.scene.ground import Surface
+from tenscasadi.schema.arrays import NotStored, pack, unpack
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import LARGEST, Array, instance
 
-_TABLE = (
-    *(
-        goal.StringLengths,
-        goal.Shape,
-        goal.SoftGoal,
-        costs.CostAt,
-        Periodic,
-        waypoints.Waypoint,
-        FreeStart,
-        Phase,
-    ),
-    *(
-        node_goals.NodePositions,
-        node_goals.NodeVelocities,
-        node_goals.CentreOfMass,
-        node_goals.AtRest,
-    ),
-    *(
-        string_bounds.ForceDensityLimits,
-        string_bounds.TensionLimits,
-        string_bounds.RestLengthLimits,
-        string_bounds.RestLengthRateLimits,
-    ),
-    *(string_bounds.ForceDensityRateLimits, bar_bounds.BarForceLimits, bar_bounds.Buckling),
-    *(
-        geometric_bounds.InsideBox,
-        geometric_bounds.BarClearance,
-        geometric_bounds.Obstacle,
-        AboveSurface,
-        Ground,
-        Terrain,
-    ),
-    *(costs.Effort, costs.Smoothness, costs.Prestress, Tracking, costs.Duration, costs.Work),
-    *(
-        expressions.Constraint,
-        expressions.Integral,
-        expressions.AtEnd,
-    ),  # for the name of what no file holds: their functions
-    *(
-        MultipleShooting,
-        ImplicitMidpoint,
-        Variational,
-        Collocation,
-        PiecewiseConstant,
-        PiecewiseLinear,
-    ),
-    *(RungeKutta4, DormandPrince54, DormandPrince853, Ipopt, Fatrop, CondensedNewton, Sampling),
-)
-_CLASSES: dict[str, type] = {
-    **{cls.__name__: cls for cls in _TABLE},
-    "Collocation (scheme)": collocation.Collocation,
-}
-_NAMES = {cls: name for name, cls in _CLASSES.items()}
+_FAMILIES = (Goal, Bound, Cost, Phase, FreeStart, Transcription, NamedProfile, NamedSolver, Surface)
+
+
+def _kinds() -> dict[str, type]:
+    """Return the classes that files of plans may name; the two families of collocation share a name."""
+    table: dict[str, Any] = {"CostAt": CostAt}
+    for family in (NamedScheme, *_FAMILIES):
+        table |= family.members
+    table |= {f"{kind} (scheme)": own for kind, own in NamedScheme.members.items()}
+    return {name: own for name, own in table.items() if isinstance(own, type)}
+
+
 _PARTS: dict[str, tuple[type, ...]] = {
     "problem": (Problem,),
     "transcription": (Transcription,),
@@ -262,14 +216,15 @@ def _told(parts: Mapping[str, Any]) -> dict[str, Array]:
         part = parts[name]
         try:
             if part is None:
-                raise _NotStored(parts["unknown"])
+                raise NotStored(parts["unknown"])
             if isinstance(part, Problem):
                 part = {field: getattr(part, field) for field in _ASKED}
-            texts[name] = _tell(
+            texts[name] = pack(
                 replace(part, watch=None) if isinstance(part, (Ipopt, Sampling)) else part,
                 name.capitalize(),
+                _kinds(),
             )
-        except _NotStored as error:
+        except NotStored as error:
             texts[name] = {"unknown": str(error)}
     return {"solved": np.asarray(json.dumps(texts))}
 
@@ -290,7 +245,7 @@ def rebuilt(
         if found.get(name) is not None:
             continue
         try:
-            part = _read(texts[name])
+            part = unpack(texts[name], _kinds())
             found[name] = (
                 part if name != "problem" else None if model is None else Problem(model, **part)
             )
@@ -305,75 +260,3 @@ def rebuilt(
         ) as error:
             found |= {name: None, "unknown": str(error)}
     return found
-
-
-class _NotStored(Exception):
-    """Something has no form as text; says which."""
-
-
-def _tell(value: Any, name: str) -> Any:
-    """Return the value in JSON's words: lists, and objects that say what they are."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if isinstance(value, np.ndarray) and value.dtype.kind in "bif":
-        return {
-            "array": value.ravel().tolist(),
-            "shape": list(value.shape),
-            "kind": value.dtype.kind,
-        }
-    if isinstance(value, (list, tuple)):
-        return {
-            "tuple" if isinstance(value, tuple) else "list": [
-                _tell(item, f"{name}[{k}]") for k, item in enumerate(value)
-            ]
-        }
-    if isinstance(value, Mapping):
-        return {
-            "mapping": [
-                [
-                    _tell(key, name),
-                    _tell(item, f"{name}.{key}" if isinstance(key, str) else f"{name}[{key}]"),
-                ]
-                for key, item in value.items()
-            ]
-        }
-    if type(value) in _NAMES:
-        kind = _NAMES[type(value)]
-        return {
-            "class": kind,
-            "fields": {
-                field.name: _tell(getattr(value, field.name), f"{name}.{field.name}")
-                for field in fields(value)
-            },
-        }
-    own = (
-        "a function"
-        if callable(value) and not isinstance(value, type)
-        else f"of an own class, {type(value).__name__}"
-    )
-    raise _NotStored(f"{name} is {own}, which no file holds")
-
-
-def _read(told: Any) -> Any:
-    """Return the value again. Raises what a damaged text leads to: KeyError, TypeError, ValueError, AttributeError."""
-    if not isinstance(told, dict):
-        return told
-    if "unknown" in told:
-        raise ValueError(told["unknown"])
-    if "array" in told:
-        return np.array(
-            told["array"], dtype={"b": bool, "i": np.intp, "f": float}[told["kind"]]
-        ).reshape(told["shape"])
-    if "mapping" in told:
-        return {_read(key): _read(value) for key, value in told["mapping"]}
-    if "class" in told:
-        given = {name: _read(value) for name, value in told["fields"].items()}
-        files = [name for name in given.get("options", ()) if "lib" in name or "file" in name]
-        if files:
-            raise ValueError(
-                f"{told['class']}.options has {files[0]!r}, which names a file: nothing is loaded or written because a file says so"
-            )
-        return _CLASSES[told["class"]](**given)
-    return tuple(map(_read, told["tuple"])) if "tuple" in told else list(map(_read, told["list"]))

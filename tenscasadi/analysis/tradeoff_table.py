@@ -12,8 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tenscasadi import integrators
-from tenscasadi.integrators.scheme import Scheme, check_scheme
+from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.util import archive
 from tenscasadi.util.validate import instance, listed, positive_number, real_array, shown
@@ -449,22 +448,23 @@ def _number(value: float, form: str) -> str:
 
 
 def _value(text: str) -> Any:
-    """Return the scheme or correction that `repr` wrote: a class of `integrators.__all__` with plain options."""
+    """Return the scheme or correction that `repr` wrote: a registered class with plain options."""
     try:
         tree = ast.parse(text, mode="eval").body
     except SyntaxError:
         raise ValueError(f"{text!r} is no scheme or correction") from None
     if isinstance(tree, ast.Constant) and tree.value is None:
         return None
+    known = {**NamedScheme.members, **Correction.members}
     if (
         not isinstance(tree, ast.Call)
         or not isinstance(tree.func, ast.Name)
-        or tree.func.id not in integrators.__all__
+        or tree.func.id not in known
         or tree.args
     ):
         raise ValueError(f"{text!r} is no scheme or correction")
     options = {str(option.arg): ast.literal_eval(option.value) for option in tree.keywords}
     try:
-        return getattr(integrators, tree.func.id)(**options)
+        return known[tree.func.id](**options)
     except TypeError as error:  # of an option that is unknown or of another type
         raise ValueError(f"{text!r} is no scheme or correction: {error}") from None
