@@ -48,8 +48,8 @@ def pack(value: Any, name: str, kinds: Mapping[str, type]) -> Any:
         told = {
             field: pack(own, f"{name}.{field}", kinds) for field, own in value.to_fields().items()
         }
-        for kind, own in kinds.items():
-            if own is type(value):
+        for kind, known in kinds.items():
+            if known is type(value):
                 return {"class": kind, "fields": told}
     own = (
         "a function"
