@@ -21,7 +21,6 @@ LIMITS = 3.0  # tolerances of a goal that a limit of the end overstepped by its 
 LINEAGES = 4  # searches side by side, of which the worse half ends half-way
 DECAY = 0.05  # of the spread, in the last round
 FINEST = 0.03  # of the spread: the smallest changes
-NEAR = 0.5  # of the tolerance: misses that Gauss-Newton removes
 STILL, ROUNDS_STILL = 0.99, 6  # of the cost so many rounds before: what falls less has ended
 
 
