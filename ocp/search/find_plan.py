@@ -59,24 +59,21 @@ def find_plan(
 ) -> PlanResult:
     """Find a plan; arguments and errors as of `ocp.solve`."""
     began = time.perf_counter()
-    automatic = transcription is None and solver is None
-    if automatic:
-        reduces = not problem.phases
-    else:
-        transcription, solver = complete(transcription, solver, problem)
-        reduces = isinstance(transcription, ReducedOnly) and not problem.phases
-    reduced = reduce_coordinates(problem, guess) if reduces else None
+    given = (
+        None
+        if transcription is None and solver is None
+        else complete(transcription, solver, guess, problem)
+    )
+    reduced = None
+    if not problem.phases and (given is None or isinstance(given.transcription, ReducedOnly)):
+        reduced = reduce_coordinates(problem, guess)
     if reduced is not None:
         problem, guess = reduced.problem, reduced.guess(guess)
     limit = RELIABLE * Scales.of(problem).length if tolerance is None else tolerance
-    control = PiecewiseConstant() if transcription is None else transcription.control
+    control = PiecewiseConstant() if given is None else given.transcription.control
     task = prepare(problem, control, limit, None if seconds is None else began + seconds)
-    rows: Iterable[Attempt]
-    if transcription is None or solver is None:
-        rows = attempts(task, guess)
-    else:
-        rows = [Attempt(transcription, solver, guess, "given")]
-    result = _walk(_Search(task, tracked, began, automatic, reduced), rows)
+    rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
+    result = _walk(_Search(task, tracked, began, given is None, reduced), rows)
     if reduced is None:
         return result
     if result.success:

@@ -124,17 +124,22 @@ def default_sampling(problem: Problem) -> Transcription:
 
 
 def complete(
-    transcription: Transcription | None, solver: Method | None, problem: Problem
-) -> tuple[Transcription, Method]:
-    """Return transcription and solver of a user, who left out one of them."""
+    transcription: Transcription | None,
+    solver: Method | None,
+    guess: InitialGuess | None,
+    problem: Problem,
+) -> Attempt:
+    """Return the attempt that a user asks for by a transcription, a solver, or both."""
     solver = Ipopt() if solver is None else solver
-    if transcription is not None:
-        return transcription, solver
-    if problem.phases:
-        return Variational(PHASE_INTERVALS), solver
-    if isinstance(solver, Sampling):
-        return default_sampling(problem), solver
-    return (Variational() if isinstance(solver, CondensedNewton) else MultipleShooting()), solver
+    if transcription is None:
+        if problem.phases:
+            transcription = Variational(PHASE_INTERVALS)
+        elif isinstance(solver, Sampling):
+            transcription = default_sampling(problem)
+        else:
+            condenses = isinstance(solver, CondensedNewton)
+            transcription = Variational() if condenses else MultipleShooting()
+    return Attempt(transcription, solver, guess, "asked for")
 
 
 def diagnose(plan: PlanResult) -> str:
