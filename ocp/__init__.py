@@ -33,7 +33,8 @@ from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import Instant
 from ocp.problem.phase import Phase
-from ocp.problem.problem import FreeStart, Problem
+from ocp.problem.problem import Problem
+from ocp.problem.start import FreeStart
 from ocp.problem.tracking import Tracking
 from ocp.renamed import __getattr__ as __getattr__
 from ocp.results.actuation import reachable, replay_wound

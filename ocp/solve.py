@@ -9,8 +9,8 @@ from ocp.plan.plan import Plan
 from ocp.problem.problem import Problem
 from ocp.sampling.solver import Sampling
 from ocp.search.find_plan import find_plan
-from ocp.search.methods import Method
-from ocp.search.multistart import MOST_STARTS, find_best_plan
+from ocp.search.multistart import find_best_plan
+from ocp.search.task import MOST_STARTS, Method
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt

@@ -16,8 +16,9 @@ from ocp.problem.control import refuse_wound
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.phase import refuse_phases
-from ocp.problem.problem import FreeStart, Problem
+from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.problem.start import FreeStart
 from ocp.results.result import PlanResult
 from ocp.solvers.interior_point_qp import solve_qp
 from ocp.targets.find_target import find_target

@@ -16,8 +16,9 @@ from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.goals.goal import Goal, SoftGoal
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.phase import Phase
-from ocp.problem.problem import FreeStart, Problem
-from ocp.search.multistart import MOST_STARTS
+from ocp.problem.problem import Problem
+from ocp.problem.start import FreeStart
+from ocp.search.task import MOST_STARTS
 from ocp.solvers.base import NamedSolver
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import NamedGuess

@@ -8,8 +8,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ocp.problem.problem import FreeStart, Problem
+from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.problem.start import FreeStart
 from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import InfeasibleGoalError
 from ocp.targets.row_reduction import reduce_rows

@@ -14,7 +14,8 @@ from ocp.problem.control import winds
 from ocp.problem.costs import Cost, CostAt
 from ocp.problem.goals.goal import Goal
 from ocp.problem.phase import Phase
-from ocp.problem.problem import FreeStart, Problem
+from ocp.problem.problem import Problem
+from ocp.problem.start import FreeStart
 from ocp.sampling.solver import Sampling
 from ocp.solvers.base import NamedSolver
 from ocp.solvers.condensed_newton import CondensedNewton

@@ -12,9 +12,10 @@ from ocp.problem.costs import cost_terms
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
-from ocp.problem.problem import FreeStart, Problem
+from ocp.problem.problem import Problem
 from ocp.problem.rows import stack
 from ocp.problem.scaling import Scales
+from ocp.problem.start import FreeStart
 from tenscasadi.simulation.diagnosis import BROKEN_BARS
 
 # what overstepping a limit costs along a whole horizon, in scaled units, against 1 for a departure

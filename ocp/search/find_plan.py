@@ -19,8 +19,9 @@ from ocp.results.replay import replay_open
 from ocp.results.result import PlanResult
 from ocp.results.verdict import assess_plan
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
-from ocp.search.methods import Method, Task, prepare, run_method
-from ocp.search.policy import FIRST, INEXACT, Attempt, attempts, complete, diagnose
+from ocp.search.methods import run_method
+from ocp.search.policy import INEXACT, Attempt, attempts, complete, is_inexact
+from ocp.search.task import Method, Task, prepare
 from ocp.solvers.base import Outcome
 from ocp.solvers.relaxation import TOO_SLOW
 from ocp.transcription.base import ReducedOnly, Transcription
@@ -85,12 +86,12 @@ def _walk(search: _Search, rows: Iterable[Attempt]) -> PlanResult:
     """Make the attempts that fit the failures before them; stop at the first success."""
     tried: dict[str, PlanResult] = {}
     best: PlanResult | None = None
+    plan: PlanResult | None = None
     for attempt in rows:
-        failure = FIRST if best is None else diagnose(best)
-        if attempt.after != failure:
+        if not attempt.follows(plan):
             continue
-        if best is not None and failure == INEXACT:
-            attempt = attempt.refine(search.task.problem, best)
+        if plan is not None and attempt.after == INEXACT:
+            attempt = attempt.refine(search.task.problem, plan)
         plan = _try(search, attempt)
         tried[attempt.describe()] = plan
         best = plan if best is None else max(best, plan, key=_worth)
@@ -116,7 +117,7 @@ def _walk(search: _Search, rows: Iterable[Attempt]) -> PlanResult:
 
 def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
     """Return what makes a plan better than another: success, an optimum, the smaller error."""
-    return plan.success, diagnose(plan) == INEXACT, -plan.worst_error
+    return plan.success, is_inexact(plan), -plan.worst_error
 
 
 def _try(search: _Search, attempt: Attempt) -> PlanResult:

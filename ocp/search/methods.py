@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -27,7 +26,8 @@ from ocp.results.explanation import (
 from ocp.results.result import PlanResult
 from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
-from ocp.search.presolve import check_end, check_freedom, check_groups, check_start
+from ocp.search.presolve import check_freedom
+from ocp.search.task import Method, Task, prepare
 from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.deferred_correction import (
@@ -42,11 +42,10 @@ from ocp.solvers.multipliers import Duals, named_duals, warm_started
 from ocp.solvers.relaxation import find_rate_relaxation
 from ocp.targets.control_sensitivities import ControlSensitivities
 from ocp.targets.controllable_rows import drop_uncontrollable_rows
-from ocp.targets.find_target import find_target
 from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess, on_mesh
-from ocp.transcription.mesh import Profile, group_matrix, held_values, spans
+from ocp.transcription.mesh import group_matrix, held_values, spans
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.util.validate import instance
@@ -57,41 +56,6 @@ MOST_SUBSTEPS = 50
 TOO_LATE = (
     "no plan: stopped at the time limit before the solver began, with the guess: raise seconds"
 )
-
-Method = Solver | CondensedNewton | Sampling
-
-
-class Task(NamedTuple):
-    """A problem that passed the checks, where its goals lead, and how long a method may take.
-
-    target, scales: None for problems with phases, each of which has its own. tolerance: m, that the
-    replay may end from the goals. deadline: of `time.perf_counter`, s; None: no limit.
-    """
-
-    problem: Problem
-    target: Target | None
-    scales: Scales | None
-    tolerance: float
-    deadline: float | None
-
-    def is_late(self) -> bool:
-        """Return whether the time is over."""
-        return self.deadline is not None and time.perf_counter() >= self.deadline
-
-
-def prepare(
-    problem: Problem, control: Profile, tolerance: float, deadline: float | None = None
-) -> Task:
-    """Find where the goals lead. Raises ValueError, InfeasibleGoalError for what has no solution."""
-    check_groups(problem, control)
-    if problem.phases:
-        return Task(problem, None, None, tolerance, deadline)
-    scales = Scales.of(problem)
-    target = find_target(problem, scales)
-    if not problem.free_start:
-        check_start(problem)
-    check_end(problem, target)
-    return Task(problem, target, scales, tolerance, deadline)
 
 
 def run_method(

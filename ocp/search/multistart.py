@@ -13,11 +13,9 @@ from ocp.problem.problem import Problem
 from ocp.results.result import PlanResult
 from ocp.sampling.solver import Sampling
 from ocp.search.find_plan import find_plan
-from ocp.search.methods import Method
+from ocp.search.task import Method
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess, InverseDynamics
-
-MOST_STARTS = 1000
 
 
 def find_best_plan(

@@ -16,7 +16,7 @@ from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
 from ocp.sampling.method import default_intervals
 from ocp.sampling.solver import Sampling
-from ocp.search.methods import Method, Task
+from ocp.search.task import Method, Task
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.base import Transcription
@@ -31,7 +31,7 @@ from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
 from tenscasadi.integrators.stability import fastest_rate
 
-FIRST, INEXACT, NOT_FOUND = "first", "inexact", "not found"
+FIRST, INEXACT, FAILED = "first", "inexact", "failed"
 PHASE_INTERVALS = 20  # of each phase
 FEWEST, MOST = 30, 400  # intervals
 FOR_A_RADIAN = 3.0  # intervals for each radian of the fastest vibration
@@ -50,7 +50,8 @@ CONDENSED_BARS = 9  # from which the condensed method is the faster one
 class Attempt(NamedTuple):
     """One row of the policy: a transcription, a solver and a guess.
 
-    why: the reason for the row. after: the failure that it follows, FIRST for none.
+    why: the reason for the row. after: what it follows: nothing (FIRST), a settled optimum whose
+    replay misses (INEXACT), or any failure (FAILED).
     """
 
     transcription: Transcription
@@ -63,6 +64,12 @@ class Attempt(NamedTuple):
         """Return such as "Variational of 30 intervals by Ipopt"."""
         name, count = type(self.transcription).__name__, self.transcription.count
         return f"{name} of {count} intervals by {type(self.solver).__name__}"
+
+    def follows(self, last: PlanResult | None) -> bool:
+        """Return whether the attempt is made after a plan that failed, or None."""
+        if last is None:
+            return self.after == FIRST
+        return self.after == FAILED or (self.after == INEXACT and is_inexact(last))
 
     def refine(self, problem: Problem, plan: PlanResult) -> Attempt:
         """Return the attempt from an inexact plan, on as many intervals as its own vibration asks for."""
@@ -93,17 +100,17 @@ def attempts(task: Task, guess: InitialGuess | None) -> Iterator[Attempt]:
     count = choose_intervals(problem, first)
     accuracy = min(EXACT * task.tolerance, MISSED * Scales.of(problem).length)
     variational = Variational(count, accuracy=accuracy)
-    after = NOT_FOUND if near else FIRST
+    after = FAILED if near else FIRST
     if not variational.refusal(model):
         for solver in _programs(problem):
             yield Attempt(variational, solver, start, "the fastest that converges", after)
             yield Attempt(variational, solver, start, "mesh too coarse", INEXACT)
-            after = NOT_FOUND
+            after = FAILED
     shooting = MultipleShooting(count)
     yield Attempt(shooting, Ipopt(), start, "other rows of the motion", after)
     yield Attempt(shooting, Ipopt(), start, "mesh too coarse", INEXACT)
     if sampled and not near:
-        yield Attempt(sampling, Sampling(), guess, "contact after all", NOT_FOUND)
+        yield Attempt(sampling, Sampling(), guess, "contact after all", FAILED)
 
 
 def _programs(problem: Problem) -> list[Method]:
@@ -142,9 +149,9 @@ def complete(
     return Attempt(transcription, solver, guess, "asked for")
 
 
-def diagnose(plan: PlanResult) -> str:
-    """Return the kind of a failure: a settled optimum whose replay misses is INEXACT."""
-    return NOT_FOUND if plan.duals is None or plan.status == NOT_SETTLED else INEXACT
+def is_inexact(plan: PlanResult) -> bool:
+    """Return whether a failed plan is a settled optimum, whose replay misses."""
+    return plan.duals is not None and plan.status != NOT_SETTLED
 
 
 def is_near_ground(problem: Problem, guess: Guess) -> bool:

@@ -85,7 +85,7 @@ def test_a_problem_is_solved_at_other_values():
     )
     again = copy.deepcopy(problem)
     plan = ocp.solve(again, ocp.MultipleShooting(6), parameters=VALUES)
-    asked = ocp.Problem(GIVEN, goals=problem.__dict__["_given"]["goals"], parameters=VALUES)
+    asked = ocp.Problem(GIVEN, goals=problem.given["goals"], parameters=VALUES)
     own = ocp.solve(asked, ocp.MultipleShooting(6))
     assert plan.success
     assert np.array_equal(plan.model.structure.bar_mass, VALUES["bar_mass"])

@@ -12,8 +12,8 @@ from planning import driven, folding, prism, raising, shaken
 import ocp
 import tenscasadi as tc
 from ocp.condensed.method import solve_condensed
-from ocp.search.methods import prepare
 from ocp.search.policy import attempts, choose_intervals
+from ocp.search.task import prepare
 from ocp.transcription.initial_guess import Guess
 
 

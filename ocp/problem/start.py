@@ -1,0 +1,107 @@
+"""Where a motion starts: a given state, or one that the solver chooses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ocp.problem.goals.goal import BAR_TOLERANCE, Goal, SoftGoal, check_bar_lengths
+from ocp.problem.goals.periodic import Periodic
+from ocp.problem.goals.waypoints import Waypoint
+from ocp.problem.phase import read_items
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.stabilization import projection
+from tenscasadi.io.structure_section import OfStructure
+from tenscasadi.schema.forms import STATE
+from tenscasadi.schema.value import Value
+from tenscasadi.util.read_only import read_only
+from tenscasadi.util.validate import Array, finite_array, nesting
+
+
+@dataclass(frozen=True, eq=False)
+class FreeStart(Value, kind="FreeStart"):
+    """A start that the solver chooses, as for a gait, which repeats a motion that is not known before.
+
+    Bars have their lengths at the start by constraints of their own; a clock starts as it does near
+    ``near``.
+
+    Parameters
+    ----------
+    near : array_like of shape (n, 3) or (nx,), optional
+        Nodes at rest, m, or a state, where the start is looked for; None for the model's initial
+        state.
+    goals : iterable of goals, optional
+        What the start has to meet, such as `NodePositions` of a node where nothing else says where
+        on the ground a motion begins.
+
+    Raises
+    ------
+    TypeError
+        If goals are no goals, or `Waypoint`, `Periodic` or soft ones, which are goals of the
+        problem.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.FreeStart(goals=[ocp.AtRest()]).goals
+    (AtRest(),)
+    """
+
+    near: Annotated[ArrayLike | None, OfStructure("nodes", STATE)] = None
+    goals: Iterable[Goal] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "goals", read_items("FreeStart.goals", self.goals, Goal, "[AtRest()]")
+        )
+        for k, goal in enumerate(self.goals):
+            if isinstance(goal, (Waypoint, Periodic, SoftGoal)):
+                raise TypeError(
+                    f"FreeStart.goals[{k}] is a {type(goal).__name__}: give it to the problem, goals of the start are of that instant alone"
+                )
+
+
+def read_start(model: Model, start: ArrayLike | FreeStart | None) -> Array | FreeStart:
+    """Read the start on bars and joints. Raises TypeError, ValueError."""
+    if isinstance(start, type):
+        raise TypeError(f"Problem.start is the class {start.__name__}: give {start.__name__}()")
+    if not isinstance(start, FreeStart):
+        return _read_state(model, "Problem.start", start)
+    if model.mechanism.joints or model.scene.supports is not None:
+        raise ValueError(
+            'Problem.start is free, where bars alone are kept: give Model(scene, coordinates="reduced") without moved supports'
+        )
+    return replace(start, near=_read_state(model, "FreeStart.near", start.near))
+
+
+def _read_state(model: Model, field: str, given: ArrayLike | None) -> Array:
+    """Read the state (nx,) that is given as nodes or as a state, on the constraints."""
+    if given is None:
+        return model.initial_state
+    if nesting(given) == 1:
+        state = finite_array(field, given, (model.nx,))
+    else:
+        nodes = finite_array(field, given, (len(model.structure.nodes), 3))
+        try:
+            state = model.state(nodes)
+        except ValueError as error:
+            raise ValueError(f"{field}: {error}") from None
+    s, nodes, velocities = (
+        model.structure,
+        model.nodes(state),
+        model.velocities(state),
+    )
+    check_bar_lengths(f"{field} makes", nodes, s)
+    bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (nodes, velocities))
+    stretch = abs(np.sum(bars * rates, axis=1)) / s.bar_lengths
+    bad = np.flatnonzero(stretch > BAR_TOLERANCE * np.linalg.norm(velocities, axis=1).max())
+    if bad.size:
+        i = int(bad[0])
+        raise ValueError(
+            f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths"
+        )
+    return read_only(np.asarray(projection(model, 10)(state).full()).ravel())  # type: ignore[no-any-return]
