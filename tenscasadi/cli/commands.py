@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.analysis.tradeoff import tradeoff
+from tenscasadi.cli.loading import load_plots
 from tenscasadi.cli.output import FAILED, INTERRUPTED, Writers, write_files
 from tenscasadi.cli.plan import describe_plan
 from tenscasadi.cli.source import find_source
@@ -27,8 +28,7 @@ from tenscasadi.util.validate import positive_number
 
 def run_simulate(arguments: argparse.Namespace) -> int:
     """Simulate a shape; write trajectory and pictures."""
-    from tenscasadi import plots
-    from tenscasadi.plots.animation import animate
+    plots = load_plots()
 
     source = find_source(arguments.source)
     began = time.perf_counter()
@@ -52,7 +52,9 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     films = [
         ending for ending, wanted in ((".gif", arguments.gif), (".mp4", arguments.mp4)) if wanted
     ]
-    writers |= dict.fromkeys(films, lambda path: animate(trajectory, path, title=source.stem))
+    writers |= dict.fromkeys(
+        films, lambda path: plots.animation.animate(trajectory, path, title=source.stem)
+    )
     write_files(arguments.output, f"{source.stem}-simulation", writers)
     return 0 if trajectory.success else FAILED
 
@@ -112,7 +114,7 @@ def run_tradeoff(arguments: argparse.Namespace) -> int:
 
 def run_info(arguments: argparse.Namespace) -> int:
     """Describe a shape; write it and its picture."""
-    from tenscasadi import plots
+    plots = load_plots()
 
     source = find_source(arguments.source)
     simulation = source.simulation() if source.has("simulation") else None

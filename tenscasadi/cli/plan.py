@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.cli.loading import load_ocp, load_plots
 from tenscasadi.cli.output import FAILED, Writers, write_files
 from tenscasadi.cli.source import find_source
 from tenscasadi.dynamics.model import Model
@@ -33,7 +34,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     """Plan what a scene file asks for, or how a prism changes its height; write plan and pictures."""
     if arguments.source == "prism":
         return _plan_prism(arguments)
-    import ocp  # only here: everything else of tenscasadi works without it
+    ocp = load_ocp()
 
     source = find_source(arguments.source)
     for name in (*PRISM, "to_height", "intervals"):
@@ -54,9 +55,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 def describe_plan(path: Path) -> str:
     """Return what [plan] of a scene file asks for, in a line. Raises SceneFileError."""
-    import ocp
-
-    return _describe(ocp.load_problem(path))
+    return _describe(load_ocp().load_problem(path))
 
 
 def _describe(problem: Any) -> str:
@@ -75,8 +74,7 @@ def _describe(problem: Any) -> str:
 
 
 def _plan_prism(arguments: argparse.Namespace) -> int:
-    import ocp
-
+    ocp = load_ocp()
     for name, (_, default) in PRISM.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)
@@ -105,7 +103,7 @@ def _plan_prism(arguments: argparse.Namespace) -> int:
 
 def _finish(arguments: argparse.Namespace, stem: str, plan: Any, limits: dict[str, Any]) -> int:
     """Print a plan's summary, write its files, and return the exit code."""
-    from tenscasadi import plots
+    plots = load_plots()
 
     print(plan.summary())
     if find_compiler() is None:

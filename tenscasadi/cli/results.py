@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tenscasadi.cli.loading import load_ocp
 from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.archive import stored_format
@@ -13,9 +14,7 @@ def load_result(path: str) -> Any:
     """Return the trajectory, rollouts or plan that a .npz file holds. Raises ValueError, OSError."""
     kind = " ".join(stored_format(path).split()[:2])
     if kind == "tenscasadi plan":
-        import ocp  # only here: everything else of tenscasadi works without it
-
-        return ocp.Plan.load(path)
+        return load_ocp().Plan.load(path)
     loaders = {"tenscasadi trajectory": Trajectory.load, "tenscasadi rollouts": Rollouts.load}
     if kind not in loaders:
         told = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
+from tenscasadi.cli.loading import load_ocp
 from tenscasadi.cli.source import SHAPES, STARTING_FILES
 
 
@@ -18,9 +19,6 @@ def run_new(arguments: argparse.Namespace) -> int:
 
 def run_schema(_: argparse.Namespace) -> int:
     """Print the JSON Schema of scene files."""
-    from ocp.io.plan_section import (
-        file_schema,
-    )  # only here: everything else of tenscasadi works without it
-
-    print(json.dumps(file_schema(), indent=1, ensure_ascii=False))
+    schema = load_ocp().io.plan_section.file_schema()
+    print(json.dumps(schema, indent=1, ensure_ascii=False))
     return 0

@@ -25,8 +25,9 @@ class ReadOnlyArrays:
 
     def __post_init__(self) -> None:
         """Take the right to write from all arrays, once the fields are there."""
-        self.__dict__.update({name: read_only(value) for name, value in self.__dict__.items()})
+        self.__setstate__(vars(self).copy())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take the attributes of the value that was copied."""
-        self.__dict__.update({name: read_only(value) for name, value in state.items()})
+        for name, value in state.items():
+            object.__setattr__(self, name, read_only(value))

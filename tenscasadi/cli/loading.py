@@ -1,0 +1,19 @@
+"""Packages that only some commands need, loaded by the commands that need them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def load_ocp() -> Any:
+    """Load the package of planning."""
+    import ocp.io.plan_section
+
+    return ocp
+
+
+def load_plots() -> Any:
+    """Load the package of figures and animations, with matplotlib."""
+    import tenscasadi.plots.animation
+
+    return tenscasadi.plots
